@@ -1,0 +1,145 @@
+"""`metadata.json` of a dataset folder: what it must hold and how it is checked.
+
+The keys are DeepMind's (learning_to_simulate) and the authors' (Subspace-Graph-Physics); ours come
+on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `pca`, `cases`,
+`projection_mse`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+from pca_tools import files
+
+METADATA_NAME = 'metadata.json'
+SCHEMA_VERSION = 1
+DIM = 3
+SPLITS = ('train', 'valid', 'test')
+RIGID_MOTIONS = ('none', 'prescribed', 'driven', 'predicted')
+_REQUIRED = (
+    'bounds', 'sequence_length', 'default_connectivity_radius', 'dim', 'dt',
+    'vel_mean', 'vel_std', 'acc_mean', 'acc_std', 'mode_number',
+)  # fmt: skip
+
+
+def read_metadata(folder: str) -> dict[str, Any]:
+    """Reads and checks the metadata of a dataset folder, ours or the authors'.
+
+    Args:
+        folder: dataset folder with `metadata.json`.
+
+    Returns:
+        The metadata as written; nothing is added or changed.
+
+    Raises:
+        FileNotFoundError: the folder or the file is missing.
+        ValueError: not JSON, a missing key, a wrong type, or an impossible value; all problems are
+            listed.
+    """
+    path = os.path.join(folder, METADATA_NAME)
+    if not os.path.isdir(folder):
+        raise FileNotFoundError(f'{folder}: no such dataset folder')
+    metadata = files.read_json(path)
+    problems = metadata_problems(metadata)
+    if problems:
+        raise ValueError(f'{path}: ' + '; '.join(problems))
+    return metadata
+
+
+def metadata_problems(metadata: Any) -> list[str]:
+    """Returns what is wrong with a metadata dictionary, one sentence each; empty if nothing is."""
+    if not isinstance(metadata, dict):
+        return [f'must be a JSON object, found {type(metadata).__name__}']
+    missing = [key for key in _REQUIRED if key not in metadata]
+    if missing:
+        return [f'lacks {", ".join(missing)}']
+    problems = []
+    if metadata['dim'] != DIM:
+        problems.append(f'dim is {metadata["dim"]!r}, only {DIM} is supported')
+    for key in ('dt', 'default_connectivity_radius'):
+        if not _is_number(metadata[key]) or metadata[key] <= 0:
+            problems.append(f'{key} is {metadata[key]!r}, a positive number was expected')
+    for key, least in (('sequence_length', 1), ('mode_number', 1), ('particles_rigid', 0)):
+        value = metadata.get(key, least)
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            problems.append(f'{key} is {value!r}, an integer of at least {least} was expected')
+    problems += _bounds_problems(metadata['bounds'])
+    for name, length in (('vel', DIM), ('acc', DIM), ('rigid_body_force', DIM), ('context', None)):
+        problems += _statistics_problems(metadata, name, length)
+    version = metadata.get('schema_version', SCHEMA_VERSION)
+    if version != SCHEMA_VERSION:
+        problems.append(f'schema_version is {version!r}, this program reads {SCHEMA_VERSION}')
+    if 'scene' in metadata:
+        problems += _scene_problems(metadata)
+    return problems
+
+
+def _bounds_problems(bounds: Any) -> list[str]:
+    if not isinstance(bounds, list) or len(bounds) != DIM:
+        return [f'bounds is {bounds!r}, {DIM} pairs [low, high] were expected']
+    for pair in bounds:
+        if not _is_numbers(pair, 2) or pair[0] >= pair[1]:
+            return [f'bounds has {pair!r}, a pair [low, high] with low < high was expected']
+    return []
+
+
+def _statistics_problems(metadata: dict[str, Any], name: str, length: int | None) -> list[str]:
+    """Checks a pair `<name>_mean`, `<name>_std`; a pair that is absent as a whole is no problem."""
+    mean, std = metadata.get(f'{name}_mean'), metadata.get(f'{name}_std')
+    if mean is None and std is None:
+        return []
+    problems = []
+    for key, value in ((f'{name}_mean', mean), (f'{name}_std', std)):
+        if not _is_numbers(value, length):
+            problems.append(f'{key} is {value!r}, {length or "finite"} numbers were expected')
+    if problems:
+        return problems
+    if len(mean) != len(std):
+        return [f'{name}_mean has {len(mean)} values but {name}_std has {len(std)}']
+    if min(std, default=0.0) < 0:
+        return [f'{name}_std has a negative value: {std!r}']
+    return []
+
+
+def _scene_problems(metadata: dict[str, Any]) -> list[str]:
+    scene = metadata['scene']
+    if not isinstance(scene, dict):
+        return [f'scene is {scene!r}, an object was expected']
+    problems = []
+    if scene.get('rigid_motion') not in RIGID_MOTIONS:
+        problems.append(
+            f'scene.rigid_motion is {scene.get("rigid_motion")!r}, one of {RIGID_MOTIONS} was '
+            'expected'
+        )
+    names = scene.get('context_names', [])
+    if len(names) != len(metadata.get('context_mean') or []):
+        problems.append(
+            f'scene.context_names has {len(names)} names but context_mean has '
+            f'{len(metadata.get("context_mean") or [])} values'
+        )
+    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
+        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
+    count = metadata.get('particles_rigid')
+    for edge in scene.get('rigid_edges', []):
+        if not _is_numbers(edge, 2) or (
+            count is not None and not all(0 <= end < count for end in edge)
+        ):
+            problems.append(
+                f'scene.rigid_edges has {edge!r}, two of {count} rigid particles were expected'
+            )
+            break
+    return problems
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_numbers(value: Any, length: int | None) -> bool:
+    return (
+        isinstance(value, list)
+        and all(_is_number(item) for item in value)
+        and (length is None or len(value) == length)
+    )

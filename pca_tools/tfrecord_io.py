@@ -1,0 +1,219 @@
+"""TFRecord files of `tf.train.SequenceExample` records: the only part of `pca_tools` that uses
+TensorFlow.
+
+TensorFlow checks the CRC32C of headers and data, but it crashes on a header that promises more than
+memory holds, and it takes a file cut at a record boundary for a shorter file. So the headers are
+walked in Python first; counts and sizes of whole files are the manifest's business
+(`pca_tools.files`).
+
+Framing of one record: length (uint64 little-endian), masked CRC32C of the length, data, masked
+CRC32C of the data (https://www.tensorflow.org/tutorials/load_data/tfrecord).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import struct
+from collections.abc import Iterable, Iterator
+
+from pca_tools import files
+
+# One trajectory of ours is 0.1 MB; a full-space one of 5000 particles x 321 frames is 20 MB.
+MAX_RECORD_BYTES = 2**30
+_HEADER_BYTES = 12
+_FOOTER_BYTES = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class SequenceRecord:
+    """The bytes of one SequenceExample, before they are given a shape.
+
+    Attributes:
+        key: int64 context feature `key`.
+        particle_type: bytes of the context feature `particle_type` (little-endian int64).
+        frames: feature name -> one bytes value per frame (little-endian float32).
+    """
+
+    key: int
+    particle_type: bytes
+    frames: dict[str, list[bytes]]
+
+
+def scan_record_headers(path: str) -> list[tuple[int, int]]:
+    """Walks the record headers of a TFRecord file without reading its data.
+
+    Args:
+        path: the file.
+
+    Returns:
+        (offset, data length) in bytes of every record.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: empty file, git-lfs pointer, foreign file, oversized or truncated record; the
+            message names file, record index and offset.
+    """
+    files.refuse_git_lfs_pointer(path)
+    size = os.path.getsize(path)
+    records: list[tuple[int, int]] = []
+    offset = 0
+    with open(path, 'rb') as file:
+        while offset < size:
+            where = f'{path}: record {len(records)} at offset {offset}'
+            header = file.read(_HEADER_BYTES)
+            if len(header) < _HEADER_BYTES:
+                raise ValueError(
+                    f'{where}: the file ends inside a record header ({len(header)} of '
+                    f'{_HEADER_BYTES} bytes); '
+                    'it is truncated or has foreign bytes at its end: copy or convert it again'
+                )
+            length, checksum = struct.unpack('<QI', header)
+            if checksum != masked_crc32c(header[:8]):
+                raise ValueError(
+                    f'{where}: not a TFRecord header (wrong checksum); the file is damaged or not '
+                    'a TFRecord file'
+                )
+            if length > MAX_RECORD_BYTES:
+                raise ValueError(
+                    f'{where}: the header promises {length} bytes, the limit is '
+                    f'{MAX_RECORD_BYTES}; '
+                    'the file is damaged or hostile and is not read'
+                )
+            end = offset + _HEADER_BYTES + length + _FOOTER_BYTES
+            if end > size:
+                raise ValueError(
+                    f'{where}: the header promises {length} bytes of data, the file ends {end - size} bytes '
+                    'too early; it is truncated: copy or convert it again'
+                )
+            records.append((offset, length))
+            offset = end
+            file.seek(offset)
+    return records
+
+
+def read_records(path: str) -> Iterator[SequenceRecord]:
+    """Yields the records of a TFRecord file after its headers were checked.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: see `scan_record_headers`; also a wrong data checksum or a record that is not a
+            SequenceExample of this schema; the message names file, record index and offset.
+    """
+    headers = scan_record_headers(path)
+    tf = _tensorflow()
+    stream = tf.data.TFRecordDataset(path).as_numpy_iterator()
+    for index, (offset, _) in enumerate(headers):
+        where = f'{path}: record {index} at offset {offset}'
+        try:
+            data = next(stream)
+        except tf.errors.DataLossError as error:
+            raise ValueError(f'{where}: wrong data checksum; copy or convert it again') from error
+        yield parse_sequence_example(data, where)
+
+
+def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
+    """Parses one serialised SequenceExample.
+
+    Args:
+        data: the serialised message.
+        where: file and record, for messages.
+
+    Raises:
+        ValueError: the message is foreign or lacks a feature of the schema.
+    """
+    tf = _tensorflow()
+    from google.protobuf.message import DecodeError
+
+    try:
+        example = tf.train.SequenceExample.FromString(data)
+    except DecodeError as error:
+        raise ValueError(f'{where}: is not a SequenceExample ({error})') from error
+    types = example.context.feature['particle_type'].bytes_list.value
+    if len(types) != 1:
+        raise ValueError(
+            f'{where}: context feature particle_type has {len(types)} bytes values, 1 was '
+            'expected; '
+            'the record is not a trajectory of this format'
+        )
+    keys = example.context.feature['key'].int64_list.value
+    frames = {}
+    for name, feature_list in example.feature_lists.feature_list.items():
+        values = []
+        for index, feature in enumerate(feature_list.feature):
+            if len(feature.bytes_list.value) != 1:
+                raise ValueError(f'{where}: {name} frame {index} has no single bytes value')
+            values.append(feature.bytes_list.value[0])
+        frames[name] = values
+    if 'position' not in frames:
+        raise ValueError(f'{where}: has no feature list "position", only {sorted(frames)}')
+    return SequenceRecord(keys[0] if keys else 0, types[0], frames)
+
+
+def serialise_sequence_example(record: SequenceRecord) -> bytes:
+    """Serialises one record; equal records give equal bytes."""
+    tf = _tensorflow()
+    example = tf.train.SequenceExample()
+    example.context.feature['key'].int64_list.value.append(record.key)
+    example.context.feature['particle_type'].bytes_list.value.append(record.particle_type)
+    for name, values in record.frames.items():
+        features = example.feature_lists.feature_list[name].feature
+        for value in values:
+            features.add().bytes_list.value.append(value)
+    return example.SerializeToString(deterministic=True)
+
+
+def write_records(path: str, records: Iterable[SequenceRecord]) -> int:
+    """Writes a TFRecord file whole or not at all and returns the number of records.
+
+    Raises:
+        OSError: the file could not be written (for instance a full disk); nothing is left under its
+            name.
+    """
+    tf = _tensorflow()
+    count = 0
+
+    def write(temporary: str) -> None:
+        nonlocal count
+        try:
+            with tf.io.TFRecordWriter(temporary) as writer:
+                for record in records:
+                    writer.write(serialise_sequence_example(record))
+                    count += 1
+        except tf.errors.OpError as error:
+            raise OSError(f'{path}: cannot be written: {error.message}') from error
+        found = len(scan_record_headers(temporary)) if count else 0
+        if found != count:
+            raise OSError(f'{path}: {count} records were written but {found} arrived on disk')
+
+    files.write_atomically(path, write)
+    return count
+
+
+def _tensorflow():
+    """Imports TensorFlow when a record is first touched, not when the package is."""
+    os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
+    import tensorflow as tf
+
+    return tf
+
+
+def masked_crc32c(data: bytes) -> int:
+    """Returns TFRecord's masked CRC32C (Castagnoli polynomial, reflected) of a few bytes."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = _CRC_TABLE[(crc ^ byte) & 0xFF] ^ (crc >> 8)
+    crc ^= 0xFFFFFFFF
+    return (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF
+
+
+def _crc_table() -> list[int]:
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = (value >> 1) ^ (0x82F63B78 if value & 1 else 0)
+        table.append(value)
+    return table
+
+
+_CRC_TABLE = _crc_table()
