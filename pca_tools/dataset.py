@@ -143,7 +143,7 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
 
 
 def _stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
-    """Stacks per-frame float32 buffers to [T, values]; `values` None takes the size of the first frame."""
+    """Stacks per-frame float32 buffers to [T, values]; None takes the size of the first frame."""
     if not frames:
         raise ValueError(f'{where}: has no frames')
     expected = len(frames[0]) if values is None else 4 * values

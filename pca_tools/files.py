@@ -51,7 +51,7 @@ def write_atomically(path: str, write: Callable[[str], None]) -> None:
 
 
 def _sync_folder(folder: str) -> None:
-    """Makes the rename itself durable; file systems without folder handles are left to their own order."""
+    """Makes the rename itself durable, where the file system can."""
     try:
         handle = os.open(folder, os.O_RDONLY)
     except OSError:

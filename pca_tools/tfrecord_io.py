@@ -83,8 +83,8 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
             end = offset + _HEADER_BYTES + length + _FOOTER_BYTES
             if end > size:
                 raise ValueError(
-                    f'{where}: the header promises {length} bytes of data, the file ends {end - size} bytes '
-                    'too early; it is truncated: copy or convert it again'
+                    f'{where}: the header promises {length} bytes of data, the file ends '
+                    f'{end - size} bytes too early; it is truncated: copy or convert it again'
                 )
             records.append((offset, length))
             offset = end

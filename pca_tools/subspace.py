@@ -1,0 +1,365 @@
+"""The soil subspace: r modes W [N, r] shared by the three axes, in float64.
+
+Thesis Algorithm 1 (Haeri and Skonieczny, `pca`): matrix X has one row per (run, frame, axis) and
+one column per particle. Encode Z = (X - mean)^T W per frame, decode X = Z W^T + mean. A mode is a
+node with three coordinates.
+
+Two centerings: `scalar` subtracts one number (the published way; the first modes then hold the
+static layout), `configuration` subtracts the mean position of every particle (N x 3), so that all
+modes hold motion.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+from sklearn import decomposition
+
+from pca_tools import files
+
+CENTERINGS = ('configuration', 'scalar')
+DIM = 3
+# Singular values kept beyond the modes, for the projection floor against r.
+SPECTRUM_LENGTH = 64
+# A cut between two singular values closer than this leaves the last mode free to turn from fit to
+# fit.
+CLUSTER_GAP = 0.05
+# An SVD holds the matrix, its copy and both factors.
+_SVD_COPIES = 4
+# A rank-k update and an eigenvalue solver in place hold the N x N matrix and one spare copy of it.
+_COVARIANCE_COPIES = 2
+_MAGNITUDE_TIE = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Subspace:
+    """Mean and modes of the soil, with what is needed to judge them.
+
+    Attributes:
+        mean: float64, [N, 3] for centering `configuration`, [] for `scalar`; metres.
+        components: float64 [N, r], orthonormal columns.
+        singular_values: float64 [S], S >= r leading singular values of X - mean, descending;
+            metres.
+        total_energy: sum of squares of all entries of X - mean; m^2.
+        n_rows: rows of X = runs * frames * 3.
+        centering: `configuration` or `scalar`.
+        runs: names of the runs it was fitted on (training runs only).
+    """
+
+    mean: np.ndarray
+    components: np.ndarray
+    singular_values: np.ndarray
+    total_energy: float
+    n_rows: int
+    centering: str
+    runs: tuple[str, ...]
+
+    @property
+    def n_soil(self) -> int:
+        """N."""
+        return self.components.shape[0]
+
+    @property
+    def n_modes(self) -> int:
+        """r."""
+        return self.components.shape[1]
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """sha256 of mean, components and singular values."""
+        digest = hashlib.sha256(self.centering.encode())
+        for array in (self.mean, self.components, self.singular_values):
+            digest.update(repr(array.shape).encode())
+            digest.update(np.ascontiguousarray(array, '<f8').tobytes())
+        return digest.hexdigest()
+
+    @property
+    def explained_variance_ratio(self) -> np.ndarray:
+        """[S] share of each singular value in the total energy."""
+        return self.singular_values**2 / self.total_energy
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """[S - 1] relative distance of each singular value to the next; small = a cluster."""
+        values = self.singular_values
+        return -np.diff(values) / np.maximum(values[:-1], np.finfo(np.float64).tiny)
+
+    @property
+    def projection_floors(self) -> np.ndarray:
+        """[S + 1] mean squared error in m^2 that 0..S modes leave on the runs of the fit.
+
+        The mean is over runs, frames, particles and axes.
+        """
+        kept = np.concatenate([[0.0], np.cumsum(self.singular_values**2)])
+        return np.maximum(self.total_energy - kept, 0.0) / (self.n_rows * self.n_soil)
+
+    def projection_floor(self, n_modes: int | None = None) -> float:
+        """Mean squared error in m^2 that `n_modes` modes (default r) leave; see the plural."""
+        return float(self.projection_floors[self.n_modes if n_modes is None else n_modes])
+
+    def encode(self, x: np.ndarray) -> np.ndarray:
+        """Projects particle positions.
+
+        Args:
+            x: [..., N, 3] metres.
+
+        Returns:
+            float64 [..., r, 3] scores in metres.
+
+        Raises:
+            ValueError: wrong shape, or NaN (with its place).
+        """
+        x = np.asarray(x)
+        if x.ndim < 2 or x.shape[-2:] != (self.n_soil, DIM):
+            raise ValueError(
+                f'positions have shape {x.shape}, [..., {self.n_soil}, {DIM}] was expected'
+            )
+        _refuse_non_finite(x, 'positions')
+        return np.einsum('...nk,nr->...rk', x - self.mean, self.components, optimize=True)
+
+    def decode(self, z: np.ndarray) -> np.ndarray:
+        """Rebuilds particle positions from scores.
+
+        Args:
+            z: [..., r, 3] metres.
+
+        Returns:
+            float64 [..., N, 3] metres.
+
+        Raises:
+            ValueError: wrong shape.
+        """
+        z = np.asarray(z, np.float64)
+        if z.ndim < 2 or z.shape[-2:] != (self.n_modes, DIM):
+            raise ValueError(
+                f'scores have shape {z.shape}, [..., {self.n_modes}, {DIM}] was expected'
+            )
+        return self.components @ z + self.mean
+
+    def save(self, path: str) -> None:
+        """Writes the subspace as `.npz`, whole or not at all."""
+        files.write_npz(
+            path,
+            mean=self.mean,
+            components=self.components,
+            singular_values=self.singular_values,
+            explained_variance_ratio=self.explained_variance_ratio,
+            total_energy=self.total_energy,
+            n_rows=self.n_rows,
+            centering=self.centering,
+            runs=np.array(self.runs, dtype=np.str_),
+            digest=self.digest,
+        )
+
+    @classmethod
+    def load(cls, path: str) -> Subspace:
+        """Reads a subspace written by `save`.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: damaged or foreign file, arrays that do not fit, or a digest that disagrees.
+        """
+        arrays = files.read_npz(path)
+        missing = {field.name for field in dataclasses.fields(cls)} | {'digest'}
+        missing -= arrays.keys()
+        if missing:
+            raise ValueError(f'{path}: is not a subspace, it lacks {sorted(missing)}')
+        subspace = cls(
+            mean=arrays['mean'],
+            components=arrays['components'],
+            singular_values=arrays['singular_values'],
+            total_energy=float(arrays['total_energy']),
+            n_rows=int(arrays['n_rows']),
+            centering=str(arrays['centering']),
+            runs=tuple(arrays['runs'].tolist()),
+        )
+        mean_shapes = {'configuration': (len(subspace.components), DIM), 'scalar': ()}
+        if (
+            subspace.components.ndim != 2
+            or mean_shapes.get(subspace.centering) != subspace.mean.shape
+            or len(subspace.singular_values) < subspace.n_modes
+        ):
+            raise ValueError(
+                f'{path}: arrays do not fit: centering {subspace.centering!r}, mean '
+                f'{subspace.mean.shape}, components {subspace.components.shape}'
+            )
+        if subspace.digest != str(arrays['digest']):
+            raise ValueError(f'{path}: the digest does not fit the arrays; the file was changed')
+        return subspace
+
+
+def fit(
+    runs: Sequence[np.ndarray],
+    n_modes: int,
+    centering: str = 'configuration',
+    max_memory_mb: float = 1024.0,
+    names: Sequence[str] | None = None,
+    progress=lambda sequence, label: sequence,
+) -> Subspace:
+    """Fits a subspace to training runs.
+
+    The matrix is decomposed by scikit-learn while it fits the memory; above that its N x N
+    covariance is summed up run by run and decomposed (float64: relative error of a leading
+    eigenvalue ~1e-14 of the largest).
+
+    Args:
+        runs: float [T, N, 3] arrays in metres; any sequence that can be gone through twice, loading
+            one run at a time.
+        n_modes: r.
+        centering: `configuration` (mean position of each particle) or `scalar` (one number).
+        max_memory_mb: largest memory of the fit in MiB, beside one run.
+        names: names of the runs, for messages and the record; default 0, 1, ...
+        progress: wraps a pass over the runs, called with the sequence and a label (for a progress
+            bar).
+
+    Returns:
+        The subspace.
+
+    Raises:
+        ValueError: no runs, one row, different N, NaN, no motion at all, more modes than the data
+            has rank, or an N too large for the memory.
+    """
+    if centering not in CENTERINGS:
+        raise ValueError(f'centering {centering!r} is not one of {CENTERINGS}')
+    if n_modes < 1:
+        raise ValueError(f'{n_modes} modes were asked for, at least 1 is needed')
+    names = tuple(str(index) for index in range(len(runs))) if names is None else tuple(names)
+    if len(names) != len(runs):
+        raise ValueError(f'{len(names)} names were given for {len(runs)} runs')
+    mean, n_rows, largest = _mean(runs, names, centering, progress)
+    n_soil = len(mean) if mean.ndim else runs[0].shape[1]
+    limit = min(n_rows, n_soil)
+    if n_modes > limit:
+        raise ValueError(
+            f'{n_modes} modes were asked for, {n_rows} rows (run x frame x axis) of {n_soil} '
+            f'particles have at most {limit}'
+        )
+    length = min(max(SPECTRUM_LENGTH, n_modes + 1), limit)
+    budget = max_memory_mb * 2**20
+    if _SVD_COPIES * 8 * n_rows * n_soil <= budget:
+        values, vectors, energy = _decompose_matrix(runs, mean, length, progress)
+        noise = max(n_rows, n_soil) * np.finfo(np.float64).eps
+    elif _COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
+        values, vectors, energy = _decompose_covariance(runs, mean, n_soil, length, progress)
+        noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
+    else:
+        needed = _COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
+        raise ValueError(
+            f'the covariance of {n_soil} particles needs {needed:.0f} MiB, the limit is '
+            f'{max_memory_mb:.0f}: raise --max_memory_mb or keep fewer particles'
+        )
+    if values[0] <= noise * np.sqrt(n_rows * n_soil) * largest:
+        raise ValueError('all runs are constant: there is nothing to fit')
+    rank = int(np.count_nonzero(values > noise * values[0]))
+    if n_modes > rank:
+        raise ValueError(f'asked for {n_modes} modes, data rank is {rank}')
+    subspace = Subspace(
+        mean=mean,
+        components=_fix_signs(vectors[:, :n_modes]),
+        singular_values=values,
+        total_energy=energy,
+        n_rows=n_rows,
+        centering=centering,
+        runs=names,
+    )
+    if n_modes < rank and subspace.gaps[n_modes - 1] < CLUSTER_GAP:
+        warnings.warn(
+            f'the cut after mode {n_modes} lies inside a cluster: singular values {n_modes} and '
+            f'{n_modes + 1} differ by {100 * subspace.gaps[n_modes - 1]:.1f} %, so the last mode '
+            'may turn from fit to fit',
+            stacklevel=2,
+        )
+    return subspace
+
+
+def _mean(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
+    """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude.
+
+    Refuses runs that cannot be fitted.
+    """
+    total, frames, n_soil, largest = 0.0, 0, None, 0.0
+    for name, run in zip(names, progress(runs, 'mean')):
+        if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
+            raise ValueError(
+                f'run {name}: positions have shape {run.shape}, [T, N, 3] was expected'
+            )
+        if n_soil not in (None, run.shape[1]):
+            raise ValueError(
+                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column must '
+                'be the same particle in all runs'
+            )
+        n_soil = run.shape[1]
+        _refuse_non_finite(run, f'run {name}')
+        total = total + run.sum(axis=0, dtype=np.float64)
+        frames += len(run)
+        largest = max(largest, float(np.abs(run).max()))
+    if frames < 2:
+        raise ValueError(f'{len(runs)} runs with {frames} frames in all: need at least 2 frames')
+    configuration = total / frames
+    mean = configuration if centering == 'configuration' else np.asarray(configuration.mean())
+    return mean, frames * DIM, largest
+
+
+def _rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Returns float64 [T * 3, N], row k + 3 i = axis k of frame i, centred."""
+    return np.ascontiguousarray((np.asarray(run, np.float64) - mean).transpose(0, 2, 1)).reshape(
+        -1, run.shape[1]
+    )
+
+
+def _decompose_matrix(runs, mean, length, progress):
+    """Returns singular values [S], vectors [N, S] and total energy from the whole matrix."""
+    matrix = np.concatenate([_rows(run, mean) for run in progress(runs, 'matrix')])
+    energy = float(np.sum(matrix**2))
+    if energy == 0.0:
+        return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
+    if mean.ndim:
+        # Columns sum to zero already, so the mean that PCA subtracts itself is round-off.
+        model = decomposition.PCA(n_components=length, svd_solver='full').fit(matrix)
+        return model.singular_values_, model.components_.T, energy
+    # The scalar mean leaves the columns uncentered, and PCA would centre them.
+    _, values, vectors = linalg.svd(matrix, full_matrices=False, overwrite_a=True)
+    return values[:length], vectors[:length].T, energy
+
+
+def _decompose_covariance(runs, mean, n_soil, length, progress):
+    """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
+    covariance = np.zeros((n_soil, n_soil), order='F')
+    for run in progress(runs, 'covariance'):
+        rows = _rows(run, mean)
+        covariance = linalg.blas.dsyrk(1.0, rows.T, beta=1.0, c=covariance, overwrite_c=True)
+    energy = float(np.trace(covariance))
+    values, vectors = linalg.eigh(
+        covariance,
+        lower=False,
+        overwrite_a=True,
+        check_finite=False,
+        subset_by_index=[n_soil - length, n_soil - 1],
+    )
+    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1], energy
+
+
+def _fix_signs(vectors: np.ndarray) -> np.ndarray:
+    """Turns each column so that its largest entry in magnitude (lowest index on a tie) is positive."""
+    magnitudes = np.abs(vectors)
+    largest = np.argmax(magnitudes >= (1.0 - _MAGNITUDE_TIE) * magnitudes.max(axis=0), axis=0)
+    signs = np.sign(vectors[largest, np.arange(vectors.shape[1])])
+    return np.ascontiguousarray(vectors * signs)
+
+
+def _refuse_non_finite(x: np.ndarray, what: str) -> None:
+    if np.all(np.isfinite(x)):
+        return
+    bad = np.argwhere(~np.isfinite(x))
+    *frame, particle, axis = bad[0].tolist()
+    place = f'frame {frame[-1]}, ' if frame else ''
+    raise ValueError(
+        f'{what}: {len(bad)} NaN or infinite values, the first at {place}particle {particle}, '
+        f'axis {axis}'
+    )
