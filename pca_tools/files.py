@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import zipfile
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -48,6 +49,39 @@ def write_atomically(path: str, write: Callable[[str], None]) -> None:
             os.remove(temporary)
         raise
     _sync_folder(folder)
+
+
+def write_folder_atomically(path: str, fill: Callable[[str], None]) -> None:
+    """Fills a folder under a temporary name and moves it into place only when it is complete.
+
+    Args:
+        path: final name; a folder of that name is replaced, so ask before.
+        fill: called with the temporary folder, which lies beside `path`.
+
+    Raises:
+        OSError: a file could not be written; nothing is left under a new name, an older folder
+            stays.
+    """
+    path = os.path.abspath(path)
+    parent, name = os.path.split(path)
+    os.makedirs(parent, exist_ok=True)
+    temporary, old = (
+        os.path.join(parent, f'.{name}.{os.getpid()}.{end}') for end in ('tmp', 'old')
+    )
+    try:
+        os.mkdir(temporary)
+        fill(temporary)
+        if os.path.exists(path):
+            os.rename(path, old)
+        os.rename(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if os.path.exists(old) and not os.path.exists(path):
+            os.rename(old, path)
+        raise
+    if os.path.exists(old):
+        shutil.rmtree(old)
+    _sync_folder(parent)
 
 
 def _sync_folder(folder: str) -> None:

@@ -17,6 +17,8 @@ METADATA_NAME = 'metadata.json'
 SCHEMA_VERSION = 1
 DIM = 3
 SPLITS = ('train', 'valid', 'test')
+# What the projection does to each record, see `pca_tools.convert.projection_details`.
+PROJECTION_KEYS = ('projection_mse', 'projection_max_mm', 'motion_mse', 'motion_kept')
 RIGID_MOTIONS = ('none', 'prescribed', 'driven', 'predicted')
 _REQUIRED = (
     'bounds', 'sequence_length', 'default_connectivity_radius', 'dim', 'dt',
@@ -71,6 +73,7 @@ def metadata_problems(metadata: Any) -> list[str]:
     version = metadata.get('schema_version', SCHEMA_VERSION)
     if version != SCHEMA_VERSION:
         problems.append(f'schema_version is {version!r}, this program reads {SCHEMA_VERSION}')
+    problems += _record_problems(metadata)
     if 'scene' in metadata:
         problems += _scene_problems(metadata)
     return problems
@@ -101,6 +104,22 @@ def _statistics_problems(metadata: dict[str, Any], name: str, length: int | None
     if min(std, default=0.0) < 0:
         return [f'{name}_std has a negative value: {std!r}']
     return []
+
+
+def _record_problems(metadata: dict[str, Any]) -> list[str]:
+    """Checks the optional keys that hold one value per record of each split."""
+    problems = []
+    if not isinstance(metadata.get('pca', {}), dict):
+        problems.append(f'pca is {metadata["pca"]!r}, an object was expected')
+    for key in ('dataset_split', 'cases', *PROJECTION_KEYS):
+        value = metadata.get(key, {})
+        if not isinstance(value, dict) or not all(
+            isinstance(part, list) for part in value.values()
+        ):
+            problems.append(f'{key} must be an object with one list for each split')
+        elif key in PROJECTION_KEYS and not all(_is_numbers(part, None) for part in value.values()):
+            problems.append(f'{key} must hold one number for each record')
+    return problems
 
 
 def _scene_problems(metadata: dict[str, Any]) -> list[str]:

@@ -50,6 +50,8 @@ class Subspace:
         n_rows: rows of X = runs * frames * 3.
         centering: `configuration` or `scalar`.
         runs: names of the runs it was fitted on (training runs only).
+        initial: float64 [N, 3], frame 0 of the first of them, metres; says which particle a column
+            is.
     """
 
     mean: np.ndarray
@@ -59,6 +61,7 @@ class Subspace:
     n_rows: int
     centering: str
     runs: tuple[str, ...]
+    initial: np.ndarray
 
     @property
     def n_soil(self) -> int:
@@ -72,9 +75,9 @@ class Subspace:
 
     @functools.cached_property
     def digest(self) -> str:
-        """sha256 of mean, components and singular values."""
+        """sha256 of centering and arrays."""
         digest = hashlib.sha256(self.centering.encode())
-        for array in (self.mean, self.components, self.singular_values):
+        for array in (self.mean, self.components, self.singular_values, self.initial):
             digest.update(repr(array.shape).encode())
             digest.update(np.ascontiguousarray(array, '<f8').tobytes())
         return digest.hexdigest()
@@ -154,6 +157,7 @@ class Subspace:
             n_rows=self.n_rows,
             centering=self.centering,
             runs=np.array(self.runs, dtype=np.str_),
+            initial=self.initial,
             digest=self.digest,
         )
 
@@ -178,12 +182,14 @@ class Subspace:
             n_rows=int(arrays['n_rows']),
             centering=str(arrays['centering']),
             runs=tuple(arrays['runs'].tolist()),
+            initial=arrays['initial'],
         )
         mean_shapes = {'configuration': (len(subspace.components), DIM), 'scalar': ()}
         if (
             subspace.components.ndim != 2
             or mean_shapes.get(subspace.centering) != subspace.mean.shape
             or len(subspace.singular_values) < subspace.n_modes
+            or subspace.initial.shape != (subspace.n_soil, DIM)
         ):
             raise ValueError(
                 f'{path}: arrays do not fit: centering {subspace.centering!r}, mean '
@@ -267,6 +273,7 @@ def fit(
         n_rows=n_rows,
         centering=centering,
         runs=names,
+        initial=np.asarray(runs[0][0], np.float64),
     )
     if n_modes < rank and subspace.gaps[n_modes - 1] < CLUSTER_GAP:
         warnings.warn(
@@ -291,7 +298,8 @@ def _mean(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
             )
         if n_soil not in (None, run.shape[1]):
             raise ValueError(
-                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column must '
+                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column '
+                'must '
                 'be the same particle in all runs'
             )
         n_soil = run.shape[1]
@@ -346,7 +354,7 @@ def _decompose_covariance(runs, mean, n_soil, length, progress):
 
 
 def _fix_signs(vectors: np.ndarray) -> np.ndarray:
-    """Turns each column so that its largest entry in magnitude (lowest index on a tie) is positive."""
+    """Turns each column so that its largest entry (lowest index on a tie) is positive."""
     magnitudes = np.abs(vectors)
     largest = np.argmax(magnitudes >= (1.0 - _MAGNITUDE_TIE) * magnitudes.max(axis=0), axis=0)
     signs = np.sign(vectors[largest, np.arange(vectors.shape[1])])

@@ -1,0 +1,259 @@
+"""Pictures and numbers of a dataset's subspace: energy and error against r, the modes, kernel PCA
+beside PCA.
+
+Writes `energy_and_error.png`, `modes.png` and `modes.json`. Kernel PCA needs particles, so its row
+is measured only with --raw_path: RBF kernel, pre-image by kernel ridge regression (thesis 2.4.2),
+fitted on thinned frames of the training runs and measured on thinned frames of the others, as is a
+PCA of the same frames beside it.
+
+Examples:
+    python -m pca_tools.plot_modes datasets/Excavation --output_path=plots
+    python -m pca_tools.plot_modes datasets/Excavation --output_path=plots --raw_path=raw/excavation
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from absl import app, flags
+from matplotlib.figure import Figure
+from sklearn import decomposition
+
+from pca_tools import dataset, files
+from pca_tools.convert import SUBSPACE_NAME, progress_bar
+from pca_tools.raw_runs import RawRuns
+from pca_tools.subspace import DIM, Subspace
+
+# Columns of the printed table.
+_NAME_WIDTH = 52
+
+
+@dataclasses.dataclass(frozen=True)
+class ReductionRow:
+    """One measured row of the comparison of reductions.
+
+    Attributes:
+        method: name.
+        modes: components r.
+        train_mse: mean squared error on the frames of the fit, m^2.
+        test_mse: the same on held-out runs.
+        fit_seconds: time to fit.
+        decode_ms: time to rebuild the particles of one frame, milliseconds.
+    """
+
+    method: str
+    modes: int
+    train_mse: float
+    test_mse: float
+    fit_seconds: float
+    decode_ms: float
+
+
+def plot_energy_and_error(space: Subspace, path: str) -> None:
+    """Draws energy left out and RMS error against the number of modes."""
+    counts = np.arange(1, len(space.singular_values) + 1)
+    figure = Figure(figsize=(10, 4), layout='constrained')  # no pyplot: no display is needed
+    left, right = figure.subplots(1, 2)
+    left.semilogy(counts, space.explained_variance_ratio, 'o-', markersize=3, label='of the mode')
+    rest = space.projection_floors[1:] / space.projection_floors[0]
+    left.semilogy(counts, rest, 's-', markersize=3, label='left out after it')
+    left.set(xlabel='mode', ylabel='share of the energy', title='Energy')
+    left.legend()
+    right.semilogy(counts, 1e3 * np.sqrt(space.projection_floors[1:]), 'o-', markersize=3)
+    right.set(
+        xlabel='modes kept r',
+        ylabel='RMS per coordinate [mm]',
+        title=f'Projection error of the {len(space.runs)} training runs',
+    )
+    for axes in (left, right):
+        axes.axvline(space.n_modes, color='0.5', linestyle='--', linewidth=1)
+        axes.grid(True, which='both', alpha=0.3)
+    _save(figure, path)
+
+
+def plot_modes(space: Subspace, path: str) -> None:
+    """Draws each mode as particles coloured by their weight, from the side and from above."""
+    x, y, z = space.initial.T
+    figure = Figure(figsize=(10, 2.1 * space.n_modes), layout='constrained')
+    grid = figure.subplots(space.n_modes, 2, squeeze=False)
+    for mode, row in enumerate(grid):
+        weights = space.components[:, mode]
+        limit = np.abs(weights).max()
+        order = np.argsort(np.abs(weights))  # the strongest on top, else others hide them
+        for axes, across, name in ((row[0], y, 'y up [m]'), (row[1], z, 'z [m]')):
+            points = axes.scatter(
+                x[order],
+                across[order],
+                c=weights[order],
+                s=3,
+                cmap='RdBu_r',
+                vmin=-limit,
+                vmax=limit,
+            )
+            axes.set(aspect='equal', ylabel=name)
+        share = 100 * space.explained_variance_ratio[mode]
+        row[0].set_title(f'mode {mode + 1}: {share:.3g} % of the energy, side', fontsize=9)
+        row[1].set_title('from above', fontsize=9)
+        figure.colorbar(points, ax=row.tolist(), shrink=0.8)
+    for axes in grid[-1]:
+        axes.set_xlabel('x [m]')
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: str) -> None:
+    files.write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110, format='png'))
+
+
+def compare_reductions(
+    space: Subspace, runs: RawRuns, gamma: float, alphas: Sequence[float], max_rows: int
+) -> list[ReductionRow]:
+    """Measures PCA and kernel PCA on held-out runs.
+
+    Args:
+        space: the subspace; its runs are the training runs, all other raw runs are held out.
+        runs: the raw runs.
+        gamma: of the RBF kernel, 1/m^2.
+        alphas: ridges of the pre-image, one row each.
+        max_rows: rows (frame x axis) of the fit; frames are thinned evenly to this.
+
+    Returns:
+        A row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA.
+
+    Raises:
+        ValueError: the raw folder has no training run or no held-out run of this subspace.
+    """
+    training = [i for i, case in enumerate(runs.cases) if str(case) in space.runs]
+    held_out = [i for i in range(len(runs)) if i not in training]
+    if not training or not held_out:
+        raise ValueError(
+            f'{runs.folder}: has {len(training)} training and {len(held_out)} held-out runs of '
+            'this subspace, both are needed'
+        )
+    train = _thinned_rows(space, runs, training, max_rows)
+    test = _thinned_rows(space, runs, held_out, max_rows)
+    rows = []
+    models = {
+        'PCA, the stored subspace': _StoredSubspace(space.components),
+        'PCA of the thinned frames': decomposition.PCA(space.n_modes, svd_solver='full'),
+    }
+    for alpha in alphas:
+        name = f'kernel PCA of the same (RBF {gamma:g}, ridge {alpha:g})'
+        models[name] = decomposition.KernelPCA(
+            space.n_modes, kernel='rbf', gamma=gamma, fit_inverse_transform=True, alpha=alpha
+        )
+    for name, model in models.items():
+        start = time.perf_counter()
+        model.fit(train)
+        rows.append(_measure(name, space.n_modes, model, time.perf_counter() - start, train, test))
+    return rows
+
+
+def _thinned_rows(space: Subspace, runs: RawRuns, indices: list[int], max_rows: int) -> np.ndarray:
+    """Returns centred rows [rows, N] of evenly chosen frames of the given runs."""
+    rows = []
+    for index in progress_bar(indices, 'frames'):
+        positions = runs[index].positions
+        frames = max(max_rows // (DIM * len(indices)), 2)
+        chosen = np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))
+        rows.append((positions[chosen] - space.mean).transpose(0, 2, 1).reshape(-1, space.n_soil))
+    return np.concatenate(rows)
+
+
+class _StoredSubspace:
+    """The stored components behind the interface of scikit-learn's reductions."""
+
+    def __init__(self, components: np.ndarray):
+        self._components = components
+
+    def fit(self, rows: np.ndarray) -> None:
+        """Does nothing: it is fitted already."""
+
+    def transform(self, rows: np.ndarray) -> np.ndarray:
+        return rows @ self._components
+
+    def inverse_transform(self, scores: np.ndarray) -> np.ndarray:
+        return scores @ self._components.T
+
+
+def _measure(method, modes, model, fit_seconds, train, test) -> ReductionRow:
+    errors = [
+        float(np.mean((model.inverse_transform(model.transform(rows)) - rows) ** 2))
+        for rows in (train, test)
+    ]
+    scores = model.transform(test)
+    start = time.perf_counter()
+    model.inverse_transform(scores)
+    seconds = time.perf_counter() - start
+    return ReductionRow(method, modes, *errors, fit_seconds, 1e3 * seconds * DIM / len(test))
+
+
+def table(space: Subspace, reductions: Sequence[ReductionRow]) -> str:
+    """Returns the numbers as text."""
+    lines = ['modes   energy of the mode   energy left out   RMS [mm]']
+    floors = space.projection_floors
+    for count in range(1, space.n_modes + 1):
+        lines.append(
+            f'{count:>5}{100 * space.explained_variance_ratio[count - 1]:>19.4f}%'
+            f'{100 * floors[count] / floors[0]:>17.4f}%{1e3 * floors[count] ** 0.5:>11.3f}'
+        )
+    if reductions:
+        lines += ['', f'{"reduction":<{_NAME_WIDTH}}  r  train RMS [mm]  held-out RMS [mm]'
+                      '  held-out MSE [m^2]  fit [s]  decode [ms]']  # fmt: skip
+    for row in reductions:
+        lines.append(
+            f'{row.method:<{_NAME_WIDTH}}{row.modes:>3}{1e3 * row.train_mse**0.5:>16.3f}'
+            f'{1e3 * row.test_mse**0.5:>19.3f}{row.test_mse:>20.3e}{row.fit_seconds:>9.2f}'
+            f'{row.decode_ms:>13.3f}'
+        )
+    return '\n'.join(lines)
+
+
+def define_flags() -> None:
+    """Defines the flags; not at import, so that several commands can be imported together."""
+    flags.DEFINE_string('output_path', None, 'Folder for pictures and numbers.', required=True)
+    flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, for the kernel PCA row.')
+    flags.DEFINE_float('kernel_gamma', 0.04, 'Gamma of the RBF kernel in 1/m^2.')
+    flags.DEFINE_list('kernel_alpha', ['1', '1e-6'], 'Ridges of the kernel pre-image.')
+    flags.DEFINE_integer('kernel_rows', 1500, 'Rows (frame x axis) kernel PCA is fitted on.')
+
+
+def main(argv: Sequence[str]) -> None:
+    """Runs the command."""
+    values = flags.FLAGS
+    if len(argv) != 2:
+        sys.exit('usage: python -m pca_tools.plot_modes DATASET --output_path=PLOTS')
+    try:
+        dataset.read_metadata(argv[1])
+        space = Subspace.load(os.path.join(argv[1], SUBSPACE_NAME))
+        reductions: list[ReductionRow] = []
+        if values.raw_path:
+            reductions = compare_reductions(
+                space,
+                RawRuns(values.raw_path),
+                values.kernel_gamma,
+                [float(alpha) for alpha in values.kernel_alpha],
+                values.kernel_rows,
+            )
+        os.makedirs(values.output_path, exist_ok=True)
+        plot_energy_and_error(space, os.path.join(values.output_path, 'energy_and_error.png'))
+        plot_modes(space, os.path.join(values.output_path, 'modes.png'))
+        numbers = {
+            'explained_variance_ratio': space.explained_variance_ratio.tolist(),
+            'projection_floors': space.projection_floors.tolist(),
+            'reductions': [dataclasses.asdict(row) for row in reductions],
+        }
+        files.write_json(os.path.join(values.output_path, 'modes.json'), numbers)
+    except (ValueError, OSError) as error:
+        sys.exit(f'error: {error}')
+    print(table(space, reductions))
+    print(f'\n{values.output_path}: energy_and_error.png, modes.png, modes.json')
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)

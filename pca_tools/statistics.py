@@ -1,0 +1,73 @@
+"""Statistics of a dataset: what its metadata holds and what its errors are measured against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from pca_tools.dataset import KINEMATIC_PARTICLE_ID, Trajectory
+
+
+def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[float]]:
+    """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
+
+    Args:
+        trajectories: training runs.
+
+    Returns:
+        `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
+        v_{t-1}, not divided by dt), over all nodes that are not kinematic; `rigid_body_force_mean,
+        rigid_body_force_std` [3] and `context_mean, context_std` [C] where the runs have them.
+    """
+    velocity = _moments(np.diff(_moving(run), axis=0) for run in trajectories)
+    acceleration = _moments(np.diff(_moving(run), n=2, axis=0) for run in trajectories)
+    statistics = {
+        'vel_mean': velocity[0],
+        'vel_std': velocity[1],
+        'acc_mean': acceleration[0],
+        'acc_std': acceleration[1],
+    }
+    if trajectories[0].force is not None:
+        mean, std = _moments(run.force.astype(np.float64) for run in trajectories)
+        statistics |= {'rigid_body_force_mean': mean, 'rigid_body_force_std': std}
+    if trajectories[0].step_context is not None:
+        mean, std = _moments(run.step_context.astype(np.float64) for run in trajectories)
+        statistics |= {'context_mean': mean, 'context_std': std}
+    return statistics
+
+
+def _moving(run: Trajectory) -> np.ndarray:
+    return run.position[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
+
+
+def _moments(samples: Iterable[np.ndarray]) -> tuple[list[float], list[float]]:
+    """Returns mean and standard deviation over all but the last axis of all samples."""
+    rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in samples])
+    return rows.mean(axis=0).tolist(), rows.std(axis=0).tolist()
+
+
+def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = 6) -> dict[str, float]:
+    """Measures the predictors that need no model, on the soil, inside the subspace.
+
+    Args:
+        trajectory: one run.
+        n_soil: N; W is orthonormal, so squared score errors / (3 N) are mean squared particle
+            errors.
+        history: frames a model is given (H); prediction starts after them.
+
+    Returns:
+        `stay_still` and `constant_velocity` mean squared errors in m^2, mean over the predicted
+        frames.
+    """
+    scores = trajectory.position[:, trajectory.n_rigid :].astype(np.float64)
+    last, truth = scores[history - 1], scores[history:]
+    steps = np.arange(1, len(truth) + 1)[:, None, None]
+    velocity = last - scores[history - 2]
+    return {
+        name: float(np.mean(np.sum((prediction - truth) ** 2, axis=(1, 2))) / (3 * n_soil))
+        for name, prediction in (
+            ('stay_still', last),
+            ('constant_velocity', last + steps * velocity),
+        )
+    }
