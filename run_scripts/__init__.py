@@ -1,0 +1,1 @@
+"""What a person runs: demonstration, tests, reports. Run everything from the project root."""

@@ -1,0 +1,56 @@
+"""Installs the simulator, the solver and the tools.
+
+    pip install -c constraints.txt -e .[cpu,viz,dev]
+
+TensorFlow is left to an extra, `cpu` or `gpu`: the two wheels overwrite each other's files, so a
+hard requirement would break one of the installs. `constraints.txt` pins the set that was tested.
+"""
+
+import pathlib
+
+import setuptools
+
+README = pathlib.Path(__file__).with_name('README.md')
+
+EXTRAS = {
+    'cpu': ['tensorflow-cpu>=2.21,<2.22'],
+    'gpu': ['tensorflow[and-cuda]>=2.21,<2.22'],
+    'viz': ['matplotlib>=3.9', 'imageio[ffmpeg]>=2.36', 'pillow>=11'],
+    'dev': ['hypothesis', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'tensorboard'],
+}
+
+setuptools.setup(
+    name='learning-to-simulate-soil',
+    version='0.1.0',
+    description='Graph-network simulation of granular soil driven by a rigid body',
+    long_description=README.read_text(encoding='utf-8') if README.exists() else '',
+    long_description_content_type='text/markdown',
+    author='The learning_to_simulate_soil authors',
+    license='Apache-2.0',
+    license_files=['LICENSE'],
+    classifiers=[
+        'Intended Audience :: Science/Research',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering :: Physics',
+    ],
+    python_requires='>=3.11',
+    packages=setuptools.find_packages(
+        include=[
+            pattern
+            for name in ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'run_scripts')
+            for pattern in (name, f'{name}.*')
+        ]
+    ),
+    install_requires=[
+        'absl-py>=2.1',
+        'dm-sonnet>=2.0.2',
+        'dm-tree>=0.1.9',
+        'graph_nets>=1.1.0',
+        'numba>=0.61',
+        'numpy>=2.0',
+        'scikit-learn>=1.5',
+        'scipy>=1.14',
+        'tqdm>=4.66',
+    ],
+    extras_require=EXTRAS,
+)

@@ -1,0 +1,131 @@
+"""Holds the arrows between the folders: who may import whom, and what must stay unloaded.
+
+Two views: the source text (every `import`, also those inside functions) and a fresh interpreter
+(what an import really pulls in).
+"""
+
+import ast
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PACKAGES = ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'run_scripts')
+MAX_LINES = 400
+
+# Folder -> project modules it may import beside its own.
+MAY_IMPORT = {
+    'mpm': (),
+    'pca_tools': (),
+    'learning_to_simulate': ('pca_tools',),
+    'nri': ('pca_tools', 'learning_to_simulate.connectivity_utils'),
+}
+# Folder -> outside packages it must not name anywhere.
+MUST_NOT_NAME = {
+    'mpm': ('tensorflow', 'sonnet', 'graph_nets', 'sklearn'),
+}
+# Outside package -> the only files (or folders) of the project that may name it. Commands and
+# reports in run_scripts/ are free, tests too.
+ONLY_IN = {
+    'tensorflow': ('learning_to_simulate/', 'nri/', 'pca_tools/tfrecord_io.py'),
+    'graph_nets': ('learning_to_simulate/graph_network.py',),
+    'pickle': ('pca_tools/legacy_pickles.py',),
+    'dill': (),
+    'joblib': (),
+    'cloudpickle': (),
+}
+# Modules -> packages that they must import without. (Keras loads scikit-learn and matplotlib where
+# they are installed, so a look at what is loaded afterwards would blame the wrong one.)
+IMPORTS_WITHOUT = [
+    (
+        ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
+        ('tensorflow', 'matplotlib'),
+    ),
+    (('mpm.run', 'mpm.scenes', 'mpm.solver'), ('tensorflow', 'sklearn', 'pca_tools')),
+    (
+        ('learning_to_simulate.learned_simulator', 'learning_to_simulate.rollout'),
+        ('matplotlib', 'imageio', 'sklearn', 'numba', 'mpm', 'nri'),
+    ),
+    (('learning_to_simulate.render_rollout',), ('tensorflow', 'matplotlib', 'imageio')),
+]
+
+
+def source_files():
+    """All Python files of the project, tests included."""
+    folders = (*PACKAGES, 'tests')
+    return sorted(p for folder in folders for p in (ROOT / folder).rglob('*.py'))
+
+
+def package_files():
+    """All Python files of the packages, as paths relative to the root."""
+    paths = [path.relative_to(ROOT) for path in source_files()]
+    return [path for path in paths if path.parts[0] != 'tests']
+
+
+def imported_names(path):
+    """Yields (dotted name, line) of everything that a file imports, at any depth."""
+    package = path.parent.parts
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            parts = (*base, *filter(None, [node.module]))
+            yield from (('.'.join((*parts, alias.name)), node.lineno) for alias in node.names)
+
+
+def is_within(name, module):
+    return name == module or name.startswith(module + '.')
+
+
+@pytest.mark.parametrize('path', package_files(), ids=str)
+def test_imports_follow_the_arrows(path):
+    folder = path.parts[0]
+    wrong = []
+    for name, line in imported_names(path):
+        top = name.split('.')[0]
+        allowed = MAY_IMPORT.get(folder)
+        if (
+            allowed is not None
+            and top in PACKAGES
+            and top != folder
+            and not any(is_within(name, module) for module in allowed)
+        ):
+            wrong.append(f'{path}:{line} imports {name}; {folder} may import {allowed}')
+        if top in MUST_NOT_NAME.get(folder, ()):
+            wrong.append(f'{path}:{line} imports {name}, which {folder} must not')
+        if folder != 'run_scripts' and top in ONLY_IN:
+            places = ONLY_IN[top]
+            if not any(path.as_posix().startswith(place) for place in places):
+                wrong.append(f'{path}:{line} imports {name}; only {places} may')
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_the_scan_sees_imports_inside_functions():
+    """The guard itself: a lazy import that is known to exist must be found."""
+    names = {name for name, _ in imported_names(pathlib.Path('pca_tools/tfrecord_io.py'))}
+    assert 'tensorflow' in names
+
+
+@pytest.mark.parametrize('path', source_files(), ids=lambda p: str(p.relative_to(ROOT)))
+def test_file_is_short_and_loads_no_pickle(path):
+    text = path.read_text(encoding='utf-8')
+    lines = text.count('\n')
+    assert lines <= MAX_LINES, f'{path} has {lines} lines, split it by idea'
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.keyword) and node.arg == 'allow_pickle':
+            assert isinstance(node.value, ast.Constant) and node.value.value is False, (
+                f'{path}:{node.value.lineno} lets numpy load pickles'
+            )
+
+
+@pytest.mark.parametrize('modules, absent', IMPORTS_WITHOUT, ids=lambda names: '+'.join(names))
+def test_imports_without(modules, absent):
+    """A fresh interpreter in which `absent` cannot be imported."""
+    code = f'import sys; sys.modules.update(dict.fromkeys({absent!r})); import {", ".join(modules)}'
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f'{modules} need one of {absent}:\n{done.stderr}'
