@@ -26,11 +26,15 @@ is_new_enough() {
     "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
 }
 
+version_of() {
+    { "$1" --version 2>&1 || true; } | head -n 1
+}
+
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
         is_new_enough "$PYTHON" ||
-            fail "PYTHON=$PYTHON does not run or is older than 3.11: $("$PYTHON" --version 2>&1)"
+            fail "PYTHON=$PYTHON is not Python 3.11 or newer: $(version_of "$PYTHON")"
         printf '%s\n' "$PYTHON"
         return
     fi
@@ -40,7 +44,7 @@ find_python() {
             return
         fi
     done
-    fail "Python 3.11 or newer is needed, but python3 is $(python3 --version 2>&1 || true)." \
+    fail "Python 3.11 or newer is needed, python3 here is: $(version_of python3)." \
         'Install it (Debian, Ubuntu: apt install python3.11 python3.11-venv), or name an' \
         'interpreter: PYTHON=/path/to/python3.11 bash run_scripts/setup_env.sh'
 }
@@ -60,7 +64,7 @@ if [ ! -x "$venv/bin/python" ]; then
             "apt install python3-venv"
 fi
 is_new_enough "$venv/bin/python" ||
-    fail "$venv holds $("$venv/bin/python" --version 2>&1), Python 3.11 or newer is needed:" \
+    fail "$venv holds $(version_of "$venv/bin/python"), Python 3.11 or newer is needed:" \
         "remove the folder and start again"
 
 stamp="$venv/installed"
@@ -71,7 +75,7 @@ wanted=$(
 if [ "$(cat "$stamp" 2>/dev/null || true)" = "$wanted" ]; then
     exit 0
 fi
-printf 'setup_env: installing into %s (some 300 MB on the first run, 1 to 3 minutes) ...\n' "$venv"
+printf 'setup_env: installing into %s (first run: 1 to 3 minutes, 2.3 GB on disk) ...\n' "$venv"
 rm -f "$stamp"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --constraint constraints.txt --editable ".[$extras]" ||
