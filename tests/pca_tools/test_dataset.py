@@ -1,0 +1,248 @@
+"""Dataset folders: round trip, and every disagreement between records, metadata and manifest."""
+
+import dataclasses
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from pca_tools import dataset, files
+from pca_tools.dataset import Trajectory
+
+
+def make_trajectory(key=0, frames=5, rigid=3, modes=2, context=None, seed=0):
+    rng = np.random.default_rng(seed)
+    return Trajectory(
+        key=key,
+        particle_type=np.array([3] * rigid + [6] * modes, np.int64),
+        position=rng.random((frames, rigid + modes, 3)).astype(np.float32),
+        force=rng.random((frames, 3)).astype(np.float32),
+        step_context=context,
+    )
+
+
+def make_metadata(**changes):
+    metadata = {
+        'bounds': [[0.1, 0.9]] * 3,
+        'sequence_length': 4,
+        'default_connectivity_radius': 0.025,
+        'dim': 3,
+        'dt': 1 / 60,
+        'vel_mean': [0.0] * 3,
+        'vel_std': [1.0] * 3,
+        'acc_mean': [0.0] * 3,
+        'acc_std': [1.0] * 3,
+        'rigid_body_force_mean': [0.0] * 3,
+        'rigid_body_force_std': [1.0] * 3,
+        'mode_number': 2,
+        'particles_rigid': 3,
+    }
+    metadata.update(changes)
+    return {key: value for key, value in metadata.items() if value is not ...}
+
+
+def make_folder(path, trajectories, manifest=True, **changes):
+    os.makedirs(path, exist_ok=True)
+    folder = str(path)
+    with open(f'{folder}/metadata.json', 'w', encoding='utf-8') as file:
+        json.dump(make_metadata(**changes), file)
+    dataset.write_split(f'{folder}/train.tfrecord', trajectories)
+    if manifest:
+        listed = {'metadata.json': {}, 'train.tfrecord': {'records': len(trajectories)}}
+        files.write_manifest(folder, listed)
+    return folder
+
+
+def assert_equal(first, second):
+    for field in dataclasses.fields(Trajectory):
+        a, b = getattr(first, field.name), getattr(second, field.name)
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a, b)
+            assert np.asarray(a).dtype == np.asarray(b).dtype
+
+
+def test_round_trip_with_different_node_counts(tmp_path):
+    context = np.tile(np.float32([9.81, 30, 100]), (5, 1))
+    runs = [make_trajectory(i, rigid=3 + i, context=context, seed=i) for i in range(3)]
+    changes = {'context_mean': [0.0] * 3, 'context_std': [1.0] * 3}
+    read = dataset.read_split(make_folder(tmp_path, runs, **changes), 'train')
+    for first, second in zip(runs, read, strict=True):
+        assert_equal(first, second)
+    assert [run.n_rigid for run in read] == [3, 4, 5]
+    assert [run.n_modes for run in read] == [2, 2, 2]
+
+
+def test_no_force_and_no_context(tmp_path):
+    run = dataclasses.replace(make_trajectory(), force=None)
+    folder = make_folder(tmp_path, [run], rigid_body_force_mean=..., rigid_body_force_std=...)
+    assert_equal(dataset.read_split(folder, 'train')[0], run)
+
+
+@pytest.mark.parametrize(
+    'changes, text',
+    [
+        ({'sequence_length': 5}, r'record 0: has 5 frames, sequence_length \+ 1 = 6'),
+        ({'mode_number': 3}, 'record 0: has 2 mode nodes .* among 5, mode_number says the last 3'),
+        (
+            {'rigid_body_force_mean': ..., 'rigid_body_force_std': ...},
+            'the record has force but metadata lacks rigid_body_force_mean',
+        ),
+        (
+            {'context_mean': [0.0], 'context_std': [0.0]},
+            'metadata has context_mean but the record lacks step_context',
+        ),
+        ({'bounds': ...}, 'metadata.json: lacks bounds'),
+        ({'dim': 2}, 'dim is 2'),
+        ({'dt': 0}, 'dt is 0'),
+        ({'dt': float('nan')}, 'dt is nan'),
+        ({'dt': '1/60'}, "dt is '1/60'"),
+        ({'sequence_length': 4.0}, 'sequence_length is 4.0'),
+        ({'mode_number': True}, 'mode_number is True'),
+        ({'particles_rigid': -1}, 'particles_rigid is -1'),
+        ({'bounds': [[0.1, 0.9]] * 2}, '3 pairs'),
+        ({'bounds': [[0.9, 0.1]] * 3}, 'low < high'),
+        ({'vel_std': [1.0, -1.0, 1.0]}, 'vel_std has a negative value'),
+        ({'vel_mean': [0.0] * 2}, 'vel_mean is .*3 numbers'),
+        ({'acc_std': None}, 'acc_std is None'),
+        ({'context_mean': [1.0, 2.0], 'context_std': [1.0]}, 'context_mean has 2 values but'),
+        ({'schema_version': 2}, 'schema_version is 2, this program reads 1'),
+        ({'pca': 'subspace.npz'}, 'pca is'),
+        ({'dataset_split': [1]}, 'dataset_split must be an object'),
+        ({'projection_mse': {'train': ['a']}}, 'projection_mse must hold one number'),
+        ({'scene': {'rigid_motion': 'flying', 'force': True}}, "rigid_motion is 'flying'"),
+        ({'scene': {'rigid_motion': 'prescribed', 'force': False}}, 'scene.force'),
+        (
+            {'scene': {'rigid_motion': 'driven', 'force': True, 'rigid_edges': [[0, 3]]}},
+            r'rigid_edges has \[0, 3\], two of 3',
+        ),
+        (
+            {'scene': {'rigid_motion': 'driven', 'force': True, 'context_names': ['g']}},
+            'context_names has 1 names but context_mean has 0',
+        ),
+    ],
+)
+def test_metadata_that_does_not_fit(tmp_path, changes, text):
+    folder = make_folder(tmp_path, [make_trajectory()], **changes)
+    with pytest.raises(ValueError, match=text):
+        dataset.read_split(folder, 'train')
+
+
+def test_all_problems_of_the_metadata_are_listed_at_once(tmp_path):
+    folder = make_folder(tmp_path, [make_trajectory()], dim=2, dt=-1)
+    with pytest.raises(ValueError, match='dim is 2.*dt is -1'):
+        dataset.read_metadata(folder)
+
+
+def test_metadata_that_is_no_json_object(tmp_path):
+    folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
+    for text, expected in (('{"dim": 3,', 'not a JSON file'), ('[1]', 'must be a JSON object')):
+        (tmp_path / 'metadata.json').write_text(text)
+        with pytest.raises(ValueError, match=expected):
+            dataset.read_metadata(folder)
+
+
+def test_nan_is_located(tmp_path):
+    run = make_trajectory()
+    run.position[3, 4, 1] = np.nan
+    with pytest.raises(ValueError, match='record 1: position holds 1 NaN .* frame 3, node 4'):
+        dataset.write_split(str(tmp_path / 'train.tfrecord'), [make_trajectory(), run])
+    assert not os.listdir(tmp_path)
+    # A file from elsewhere may hold one: write it past the check.
+    folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
+    path = f'{folder}/train.tfrecord'
+    whole = dataset.read_records_as_trajectories(path)[0]
+    from pca_tools import tfrecord_io
+
+    record = next(tfrecord_io.read_records(path))
+    frames = record.frames['force']
+    frames[2] = np.float32([1, np.inf, 3]).tobytes()
+    tfrecord_io.write_records(path, [record])
+    with pytest.raises(ValueError, match='record 0: force holds 1 NaN or infinite .* frame 2'):
+        dataset.read_split(folder, 'train')
+    assert whole.n_frames == 5
+
+
+def test_buffers_of_the_wrong_size_are_named(tmp_path):
+    from pca_tools import tfrecord_io
+
+    folder = make_folder(tmp_path, [make_trajectory()], manifest=False)
+    path = f'{folder}/train.tfrecord'
+    good = next(tfrecord_io.read_records(path))
+    for change, text in (
+        ({'particle_type': good.particle_type[:-1]}, 'particle_type has 39 bytes'),
+        ({'particle_type': good.particle_type[:-8]}, 'frame 0 has 60 bytes, 48 were expected'),
+        ({'frames': {'position': []}}, 'position: has no frames'),
+    ):
+        tfrecord_io.write_records(path, [dataclasses.replace(good, **change)])
+        with pytest.raises(ValueError, match='record 0.*' + text):
+            dataset.read_split(folder, 'train')
+
+
+def test_node_types_are_checked(tmp_path):
+    for types, text in (
+        ([6, 3, 3, 3, 6], 'mode_number says the last 2'),
+        ([3, 3, 5, 6, 6], 'rigid nodes must be 0 or 3'),
+    ):
+        run = dataclasses.replace(make_trajectory(), particle_type=np.array(types))
+        with pytest.raises(ValueError, match=text):
+            dataset.read_split(make_folder(tmp_path, [run]), 'train')
+
+
+def test_file_cut_at_a_record_boundary_is_found_by_the_manifest(tmp_path):
+    folder = make_folder(tmp_path, [make_trajectory(i) for i in range(3)])
+    path = tmp_path / 'train.tfrecord'
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 3 * 2])
+    with pytest.raises(ValueError, match='train.tfrecord: has .* bytes, the manifest says'):
+        dataset.read_split(folder, 'train')
+    os.remove(tmp_path / 'manifest.json')
+    assert len(dataset.read_split(folder, 'train')) == 2
+
+
+def test_missing_things_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match='no such dataset folder'):
+        dataset.read_metadata(str(tmp_path / 'nowhere'))
+    with pytest.raises(FileNotFoundError, match='metadata.json'):
+        dataset.read_metadata(str(tmp_path))
+    folder = make_folder(tmp_path, [make_trajectory()])
+    with pytest.raises(FileNotFoundError, match=r"test.tfrecord: no such file; .*\['train'\]"):
+        dataset.read_split(folder, 'test')
+    with pytest.raises(ValueError, match="split 'evaluation' is not one of"):
+        dataset.read_split(folder, 'evaluation')
+
+
+def test_writer_refuses_shapes_that_do_not_fit(tmp_path):
+    path = str(tmp_path / 'train.tfrecord')
+    run = make_trajectory()
+    for change in (
+        {'position': run.position[:, :4]},
+        {'force': run.force[:4]},
+        {'force': run.force[:, :2]},
+        {'step_context': np.zeros((4, 3), np.float32)},
+    ):
+        with pytest.raises(ValueError, match='record 0: '):
+            dataset.write_split(path, [dataclasses.replace(run, **change)])
+    assert not os.listdir(tmp_path)
+
+
+def test_authors_folder_is_read_as_it_is(original, tmp_path):
+    for split, runs in (('train', (8, 9)), ('valid', (3,))):
+        read = dataset.read_split(original, split)
+        assert len(read) in runs
+        for run in read:
+            assert run.n_rigid in (15, 16, 20)
+            assert run.n_modes == 8
+            assert run.position.shape == (321, run.n_rigid + 8, 3)
+            assert run.force.shape == (321, 3)
+        # what we write of it has the same bytes of data, in the same places up to the order of maps
+        path = str(tmp_path / f'{split}.tfrecord')
+        dataset.write_split(path, read)
+        assert os.path.getsize(path) == os.path.getsize(f'{original}/{split}.tfrecord')
+        for first, second in zip(read, dataset.read_records_as_trajectories(path), strict=True):
+            assert_equal(first, second)
+    with pytest.raises(ValueError, match='git-lfs pointer'):
+        shutil.copy(f'{original}/pca_eigen_vectors.pkl', tmp_path / 'train.tfrecord')
+        dataset.read_records_as_trajectories(str(tmp_path / 'train.tfrecord'))

@@ -1,0 +1,148 @@
+"""Files are written whole or not at all, and read only when they are what they claim."""
+
+import json
+import os
+import zipfile
+
+import numpy as np
+import pytest
+
+from pca_tools import files
+
+POINTER = (
+    b'version https://git-lfs.github.com/spec/v1\n'
+    b'oid sha256:2ca3be6d46fd0dd60cbf5da1121a13dc3c847df3691b9cb9ca7c11b6080c88cf\n'
+    b'size 190515362\n'
+)
+
+
+def test_npz_round_trip_and_equal_bytes(tmp_path):
+    arrays = {'a': np.arange(6.0).reshape(2, 3), 'name': np.array('text'), 'scalar': np.float64(3)}
+    files.write_npz(str(tmp_path / 'x.npz'), **arrays)
+    files.write_npz(str(tmp_path / 'y.npz'), **arrays)
+    read = files.read_npz(str(tmp_path / 'x.npz'))
+    assert read.keys() == arrays.keys()
+    np.testing.assert_array_equal(read['a'], arrays['a'])
+    assert str(read['name']) == 'text'
+    assert (tmp_path / 'x.npz').read_bytes() == (tmp_path / 'y.npz').read_bytes()
+
+
+def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / 'x.json'
+    files.write_json(str(path), [1])
+
+    def fail(temporary):
+        with open(temporary, 'w', encoding='utf-8') as file:
+            file.write('half')
+        raise OSError('disk full')
+
+    with pytest.raises(OSError, match='disk full'):
+        files.write_atomically(str(path), fail)
+    assert os.listdir(tmp_path) == ['x.json']
+    assert json.loads(path.read_text()) == [1]
+
+
+def test_failed_folder_leaves_the_old_folder_and_nothing_else(tmp_path):
+    path = tmp_path / 'set'
+    files.write_folder_atomically(str(path), lambda folder: files.write_json(f'{folder}/a', 1))
+
+    def fail(folder):
+        files.write_json(f'{folder}/b', 2)
+        raise OSError('disk full')
+
+    with pytest.raises(OSError, match='disk full'):
+        files.write_folder_atomically(str(path), fail)
+    assert os.listdir(tmp_path) == ['set']
+    assert os.listdir(path) == ['a']
+    files.write_folder_atomically(str(path), lambda folder: files.write_json(f'{folder}/c', 3))
+    assert os.listdir(tmp_path) == ['set']
+    assert os.listdir(path) == ['c']
+
+
+def test_json_refuses_nan(tmp_path):
+    with pytest.raises(ValueError, match='x.json.*JSON'):
+        files.write_json(str(tmp_path / 'x.json'), {'a': float('nan')})
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize('read', [files.read_npz, files.read_json])
+def test_pointer_empty_missing_and_folder_are_named(tmp_path, read):
+    pointer, empty = tmp_path / 'pointer', tmp_path / 'empty'
+    pointer.write_bytes(POINTER)
+    empty.touch()
+    with pytest.raises(ValueError, match='git-lfs pointer.*190515362 bytes.*git lfs pull'):
+        read(str(pointer))
+    with pytest.raises(ValueError, match='is empty'):
+        read(str(empty))
+    with pytest.raises(FileNotFoundError, match='nowhere'):
+        read(str(tmp_path / 'nowhere'))
+    with pytest.raises(ValueError, match='is a folder'):
+        read(str(tmp_path))
+
+
+def test_damaged_and_foreign_npz(tmp_path):
+    path = tmp_path / 'x.npz'
+    files.write_npz(str(path), a=np.random.default_rng(0).random(4000))
+    whole = path.read_bytes()
+    for data in (b'hello world', whole[: len(whole) // 2]):
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match='x.npz'):
+            files.read_npz(str(path))
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    path.write_bytes(bytes(flipped))
+    with pytest.raises(ValueError, match='x.npz'):
+        files.read_npz(str(path))
+
+
+def test_npz_bomb_objects_and_lying_headers_are_refused(tmp_path):
+    path = str(tmp_path / 'x.npz')
+    np.savez_compressed(path, zeros=np.zeros(10**6))
+    with pytest.raises(ValueError, match='8000128 bytes, more than the limit of 1000'):
+        files.read_npz(path, max_member_bytes=1000)
+    np.savez(path, evil=np.array([object()], dtype=object))
+    with pytest.raises(ValueError, match='Python objects'):
+        files.read_npz(path)
+    with pytest.raises(ValueError, match='Python objects'):
+        files.write_npz(path, evil=[object()])
+    np.save(str(tmp_path / 'a.npy'), np.zeros(8))
+    data = (tmp_path / 'a.npy').read_bytes().replace(b'(8,)', b'(9,)')
+    with zipfile.ZipFile(path, 'w') as archive:
+        archive.writestr('a.npy', data)
+    with pytest.raises(ValueError, match=r'says \(9,\) x float64 = 72 bytes but holds 64'):
+        files.read_npz(path)
+    with zipfile.ZipFile(path, 'w') as archive:
+        archive.writestr('../evil.sh', b'echo')
+    with pytest.raises(ValueError, match='not a numpy array'):
+        files.read_npz(path)
+
+
+def test_manifest_notices_every_change(tmp_path):
+    folder = str(tmp_path)
+    assert files.check_manifest(folder) is None
+    files.write_json(f'{folder}/a.json', [1, 2])
+    files.write_manifest(folder, {'a.json': {'records': 3}})
+    entries = files.check_manifest(folder)
+    assert entries['a.json']['records'] == 3
+    assert entries['a.json']['bytes'] == os.path.getsize(f'{folder}/a.json')
+    with pytest.raises(ValueError, match='does not list b.json'):
+        files.check_manifest(folder, ['b.json'])
+    files.write_json(f'{folder}/a.json', [1, 3])
+    with pytest.raises(ValueError, match='content differs from the manifest'):
+        files.check_manifest(folder)
+    files.write_json(f'{folder}/a.json', [1, 2, 3])
+    with pytest.raises(ValueError, match='the manifest says'):
+        files.check_manifest(folder)
+    os.remove(f'{folder}/a.json')
+    with pytest.raises(ValueError, match='is missing'):
+        files.check_manifest(folder)
+
+
+def test_manifest_that_points_out_of_its_folder_is_refused(tmp_path):
+    entry = {'bytes': 1, 'sha256': 'x'}
+    files.write_json(str(tmp_path / 'manifest.json'), {'files': {'../a': entry}})
+    with pytest.raises(ValueError, match='points out of the folder'):
+        files.check_manifest(str(tmp_path))
+    files.write_json(str(tmp_path / 'manifest.json'), ['a'])
+    with pytest.raises(ValueError, match='is not a manifest'):
+        files.check_manifest(str(tmp_path))

@@ -1,0 +1,238 @@
+"""Inspection: good datasets pass, each defect is named with its level."""
+
+import dataclasses
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from pca_tools import dataset, files
+from pca_tools.findings import Level
+from pca_tools.inspect import motion_shares, report
+from pca_tools.inspection import inspect_folder
+from pca_tools.statistics import trivial_errors
+from pca_tools.subspace import Subspace
+from tests.pca_tools.conftest import REPOSITORY
+from tests.pca_tools.test_convert import run_command
+
+
+@pytest.fixture
+def copy(excavation, tmp_path):
+    """A copy of the excavation dataset that may be changed."""
+    return shutil.copytree(excavation, tmp_path / 'copy')
+
+
+def change_metadata(folder, **changes):
+    """Changes the metadata and lets the manifest follow."""
+    path = os.path.join(folder, 'metadata.json')
+    files.write_json(path, {**files.read_json(path), **changes})
+    renew_manifest(folder)
+
+
+def renew_manifest(folder):
+    listed = {
+        name: {}
+        for name in os.listdir(folder)
+        if name.endswith(('.tfrecord', '.npz')) or name == 'metadata.json'
+    }
+    files.write_manifest(str(folder), listed)
+
+
+def change_runs(folder, split, change):
+    runs = [change(i, run) for i, run in enumerate(dataset.read_split(str(folder), split))]
+    dataset.write_split(dataset.split_path(str(folder), split), runs)
+    renew_manifest(folder)
+
+
+def texts(folder, level):
+    found = inspect_folder(str(folder)).findings
+    return ' | '.join(finding.text for finding in found if finding.level is level)
+
+
+@pytest.mark.parametrize('name', ['excavation', 'wheel'])
+def test_good_datasets_pass(name, request):
+    inspection = inspect_folder(request.getfixturevalue(name))
+    assert not inspection.failed, inspection.findings
+    text = report(inspection)
+    assert f'scene {name}' in text and '<- kept' in text and 'motion energy kept, test' in text
+    assert len(inspection.runs) == 12 and inspection.n_soil == 140
+
+
+def test_authors_folders_pass_with_their_defects_named(original):
+    inspection = inspect_folder(original)
+    assert not inspection.failed, inspection.findings
+    warnings = texts(original, Level.WARN)
+    for defect in (
+        'no manifest.json',
+        'begin with the same frame twice',
+        'keys are [0], not the index',
+        'it was drawn with replacement',
+        'is a git-lfs pointer',
+        'were fitted on all runs',
+    ):
+        assert defect in warnings
+    if 'Excavation' in original:
+        assert 'particles_rigid says 15 but 4 of 11 runs have 15, 7 of 11 runs have 20' in warnings
+        assert 'eigenvalues of 200 runs' in warnings
+        # seed-facts: the published floor of 8 modes is 0.158e-4 m^2
+        assert 1e4 * inspection.floors[8] == pytest.approx(0.158, abs=0.001)
+    else:
+        assert '155 of 6005 values are negative' in warnings and 'complex128' in warnings
+        assert 'eigenvalues of 243 runs' in warnings
+    assert 'constant velocity' in report(inspection)
+
+
+def test_command_line_exit_codes(excavation, tmp_path):
+    good = run_command('pca_tools.inspect', '--modes=3', excavation)
+    assert good.returncode == 0, good.stderr
+    assert '0 ERROR' in good.stdout
+    bad = run_command('pca_tools.inspect', str(tmp_path))
+    assert bad.returncode == 1 and 'metadata.json: no such file' in bad.stdout
+    usage = run_command('pca_tools.inspect')
+    assert usage.returncode == 1 and usage.stderr.strip().endswith('DATASET')
+
+
+def test_damaged_files(copy):
+    path = os.path.join(copy, 'valid.tfrecord')
+    with open(path, 'rb+') as file:
+        file.truncate(os.path.getsize(path) - 3)
+    errors = texts(copy, Level.ERROR)
+    assert 'the manifest says' in errors and 'ends 3 bytes too early' in errors
+    with open(path, 'wb') as file:
+        file.write(b'version https://git-lfs.github.com/spec/v1\nsize 99\n')
+    assert 'git-lfs pointer' in texts(copy, Level.ERROR)
+
+
+def test_nan_and_wrong_counts_are_located(copy):
+    change_metadata(copy, mode_number=7)
+    errors = texts(copy, Level.ERROR)
+    assert 'train.tfrecord: record 9: has 8 mode nodes' in errors
+    assert 'mode_number is 8, the metadata says 7' in errors
+
+
+def test_statistics_divided_by_dt(copy):
+    held = dataset.read_metadata(str(copy))
+    faster = {key: (np.array(held[key]) * 60).tolist() for key in ('vel_mean', 'vel_std')}
+    change_metadata(copy, **faster)
+    assert 'vel_std is [' in texts(copy, Level.ERROR)
+    # a folder that does not say which cases its statistics are of, as the authors'
+    path = os.path.join(copy, 'metadata.json')
+    held = {key: value for key, value in files.read_json(path).items() if key != 'cases'}
+    files.write_json(path, held)
+    renew_manifest(copy)
+    assert 'vel_std is 60 times that of the training records (1 / dt is 60)' in texts(
+        copy, Level.ERROR
+    )
+
+
+def test_dt_and_units(copy):
+    change_metadata(copy, dt=60.0)
+    assert 'is it in frames per second?' in texts(copy, Level.ERROR)
+    change_metadata(copy, dt=2e-4)
+    assert 'dt or the unit of length is wrong' in texts(copy, Level.ERROR)
+
+
+def test_zero_deviation_still_run_and_no_force(copy):
+    change_metadata(copy, vel_std=[0.0, 1.0, 1.0])
+    assert 'vel_std is 0 at [0]' in texts(copy, Level.WARN)
+
+    def freeze(index, run):
+        position = np.broadcast_to(run.position[:1], run.position.shape).copy()
+        return dataclasses.replace(run, position=position, force=np.zeros_like(run.force))
+
+    change_runs(copy, 'valid', freeze)
+    warnings = texts(copy, Level.WARN)
+    assert "nothing moves from first to last frame in the records ['valid 0']" in warnings
+    assert '1 runs have no force' in warnings
+    assert '1 of 12 runs begin with the same frame twice' in warnings
+
+
+def test_duplicates_in_and_between_splits(copy):
+    runs = dataset.read_split(str(copy), 'train')
+    change_runs(copy, 'train', lambda index, run: runs[0] if index == 4 else run)
+    assert 'the same run lies in the file more than once: train 0 = train 4' in texts(
+        copy, Level.WARN
+    )
+    change_runs(copy, 'test', lambda index, run: runs[0])
+    assert 'the same run lies in different splits: train 0 = train 4 = test 0' in texts(
+        copy, Level.ERROR
+    )
+
+
+def test_leaking_cases(copy):
+    held = dataset.read_metadata(str(copy))
+    split = {**held['dataset_split'], 'test': held['dataset_split']['train'][:1]}
+    change_metadata(copy, dataset_split=split)
+    assert 'are in train and test' in texts(copy, Level.ERROR)
+    cases = {**held['cases'], 'test': held['cases']['train'][:1]}
+    change_metadata(copy, cases=cases)
+    assert 'which are not training runs' in texts(copy, Level.ERROR)
+
+
+def test_body_that_bends_or_has_the_wrong_type(copy):
+    def bend(index, run):
+        run.position[10:, 0, 1] += 0.05
+        return run
+
+    change_runs(copy, 'valid', bend)
+    assert 'the rigid body changes its shape' in texts(copy, Level.ERROR)
+
+    def retype(index, run):
+        return dataclasses.replace(run, particle_type=np.array([0] * 20 + [6] * 8))
+
+    change_runs(copy, 'test', retype)
+    assert '1 runs have rigid nodes that are not of type 3' in texts(copy, Level.ERROR)
+
+
+def test_subspace_of_another_fit(copy, wheel):
+    shutil.copy(f'{wheel}/subspace.npz', os.path.join(copy, 'subspace.npz'))
+    renew_manifest(copy)
+    assert 'digest is' in texts(copy, Level.ERROR)
+    os.remove(os.path.join(copy, 'subspace.npz'))
+    assert 'subspace.npz: no such file' in texts(copy, Level.ERROR)
+
+
+def test_missing_split_and_foreign_metadata(copy):
+    os.remove(os.path.join(copy, 'test.tfrecord'))
+    assert 'there is no test.tfrecord' in texts(copy, Level.WARN)
+    with open(os.path.join(copy, 'metadata.json'), 'w', encoding='utf-8') as file:
+        json.dump({'dim': 3}, file)
+    inspection = inspect_folder(str(copy))
+    assert inspection.failed and 'lacks bounds' in report(inspection)
+
+
+def test_trivial_errors_and_motion_shares_against_particles(excavation, raw_excavation):
+    """In the subspace, squared score errors / (3 N) are mean squared particle errors."""
+    metadata = dataset.read_metadata(excavation)
+    space = Subspace.load(f'{excavation}/subspace.npz')
+    run = dataset.read_split(excavation, 'valid')[0]
+    particles = space.decode(run.position[:, run.n_rigid :])
+    found = trivial_errors(run, metadata['n_soil'])
+    velocity = particles[5] - particles[4]
+    still, constant = [], []
+    for frame in range(6, len(particles)):
+        still.append(np.mean((particles[5] - particles[frame]) ** 2))
+        straight = particles[5] + (frame - 5) * velocity
+        constant.append(np.mean((straight - particles[frame]) ** 2))
+    assert found['stay_still'] == pytest.approx(np.mean(still), rel=1e-9)
+    assert found['constant_velocity'] == pytest.approx(np.mean(constant), rel=1e-9)
+    shares = motion_shares([run])
+    assert shares.sum() == pytest.approx(1)
+    moved = run.position[:, 20:].astype(np.float64) - run.position[0, 20:]
+    assert shares[0] == pytest.approx(np.sum(moved[:, 0] ** 2) / np.sum(moved**2))
+
+
+def test_trivial_errors_of_the_authors_records(original):
+    """Seed-facts 9: constant velocity on `valid` 2.57e-4 (excavation) and 0.0063e-4 m^2 (wheel)."""
+    n_soil, expected = (4880, 2.57e-4) if 'Excavation' in original else (6005, 0.0063e-4)
+    errors = [
+        trivial_errors(run, n_soil)['constant_velocity']
+        for run in dataset.read_split(original, 'valid')
+    ]
+    assert np.mean(errors) == pytest.approx(expected, rel=5e-3)
+
+
+def test_repository_root_is_right():
+    assert (REPOSITORY / 'pca_tools' / 'inspect.py').is_file()

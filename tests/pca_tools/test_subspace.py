@@ -1,0 +1,186 @@
+"""Subspace against numpy's SVD, and its refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from pca_tools import files, subspace
+from pca_tools.subspace import CENTERINGS, Subspace, fit
+
+# small enough that the matrix does not fit but the covariance of 140 particles does
+COVARIANCE_MB = 0.5
+
+
+def make_runs(count=4, frames=20, particles=140, rank=12, seed=0, offset=0.0):
+    """Runs whose motion has exactly `rank` columns of falling size."""
+    rng = np.random.default_rng(seed)
+    start = rng.random((particles, 3)) + offset
+    shapes = np.linalg.qr(rng.standard_normal((particles, rank)))[0] * 0.6 ** np.arange(rank)
+    return [start + shapes @ rng.standard_normal((frames, rank, 3)) for _ in range(count)]
+
+
+def twin(runs, centering):
+    """Singular values, right vectors and centred rows by numpy, straight from the definition."""
+    stacked = np.concatenate(runs)
+    mean = stacked.mean(axis=0) if centering == 'configuration' else stacked.mean()
+    rows = np.concatenate([frame.T for frame in stacked - mean])
+    _, values, vectors = np.linalg.svd(rows, full_matrices=False)
+    return values, vectors.T, rows
+
+
+@pytest.mark.parametrize('centering', CENTERINGS)
+@pytest.mark.parametrize('memory', [1024, COVARIANCE_MB], ids=['matrix', 'covariance'])
+def test_agrees_with_numpy(centering, memory):
+    runs = make_runs()
+    space = fit(runs, 8, centering, memory)
+    values, vectors, rows = twin(runs, centering)
+    # measured: 1e-15 from the matrix, 8e-15 from the covariance; angles 8e-14, floor 4e-12
+    tolerance = 2e-14 if memory > 1 else 1e-13
+    np.testing.assert_allclose(space.singular_values[:8], values[:8], rtol=tolerance)
+    angles = linalg.subspace_angles(space.components, vectors[:, :8])
+    assert angles.max() < 1e-12
+    assert space.total_energy == pytest.approx(np.sum(rows**2), rel=1e-12)
+    left = np.mean((rows - rows @ vectors[:, :8] @ vectors[:, :8].T) ** 2)
+    assert space.projection_floor() == pytest.approx(left, rel=1e-10)
+    assert np.abs(space.components.T @ space.components - np.eye(8)).max() < 1e-14
+
+
+@pytest.mark.parametrize('centering', CENTERINGS)
+def test_projection_is_idempotent_and_splits_the_energy(centering):
+    runs = make_runs()
+    space = fit(runs, 5, centering)
+    x = runs[1]
+    once = space.decode(space.encode(x))
+    assert once.shape == x.shape and once.dtype == np.float64
+    np.testing.assert_allclose(space.decode(space.encode(once)), once, atol=1e-13)
+    total, kept, left = (np.sum(y**2) for y in (x - space.mean, once - space.mean, x - once))
+    assert total == pytest.approx(kept + left, rel=1e-12)
+    assert np.sum(space.encode(x) ** 2) == pytest.approx(kept, rel=1e-12)
+
+
+def test_mode_is_shared_by_the_axes():
+    space = fit(make_runs(), 3)
+    x = make_runs(1)[0][0]
+    expected = np.stack([space.components.T @ (x - space.mean)[:, axis] for axis in range(3)], -1)
+    np.testing.assert_allclose(space.encode(x), expected, atol=1e-14)
+
+
+def test_signs_and_order_of_rows_do_not_matter():
+    runs = make_runs()
+    space = fit(runs, 8)
+    largest = np.abs(space.components).argmax(axis=0)
+    assert np.all(space.components[largest, np.arange(8)] > 0)
+    shuffled = np.random.default_rng(1).permutation(np.concatenate(runs))
+    again = fit([shuffled[:30], shuffled[30:]], 8)
+    # measured 3e-15; the smallest of 8 singular values is 3 % of the largest
+    np.testing.assert_allclose(again.components, space.components, atol=1e-13)
+    assert fit(runs, 8).digest == space.digest
+
+
+def test_large_mean_and_float32_input():
+    runs = make_runs(offset=1e3)
+    values, _, _ = twin(runs, 'configuration')
+    np.testing.assert_allclose(fit(runs, 8).singular_values[:8], values[:8], rtol=1e-9)
+    single = [run.astype(np.float32) for run in make_runs()]
+    double = [run.astype(np.float64) for run in single]
+    assert fit(single, 8).digest == fit(double, 8).digest
+
+
+def test_particles_that_never_move_are_kept_by_the_mean():
+    runs = make_runs()
+    for run in runs:
+        run[:, 10] = [0.1, 0.2, 0.3]
+    space = fit(runs, 6)
+    assert np.abs(space.components[10]).max() < 1e-14
+    back = space.decode(space.encode(runs[0]))
+    np.testing.assert_allclose(back[:, 10], np.tile([0.1, 0.2, 0.3], (20, 1)), atol=1e-15)
+
+
+@pytest.mark.parametrize('memory', [1024, COVARIANCE_MB])
+def test_more_modes_than_rank(memory):
+    with pytest.raises(ValueError, match='asked for 13 modes, data rank is 12'):
+        fit(make_runs(), 13, max_memory_mb=memory)
+    with pytest.raises(ValueError, match='18 modes.*6 rows.*140 particles have at most 6'):
+        fit(make_runs(1, 2), 18)
+
+
+@pytest.mark.parametrize('memory', [1024, COVARIANCE_MB])
+@pytest.mark.parametrize('centering', CENTERINGS)
+def test_no_motion(memory, centering):
+    with pytest.raises(ValueError, match='constant'):
+        fit([np.full((40, 140, 3), 0.3, np.float32)] * 2, 2, centering, memory)
+
+
+def test_no_motion_of_a_real_layout():
+    with pytest.raises(ValueError, match='constant'):
+        fit([np.tile(make_runs(1)[0][:1], (30, 1, 1))] * 2, 2)
+
+
+def test_refusals_name_run_frame_and_particle():
+    runs = make_runs(3)
+    runs[2][4, 17, 1] = np.nan
+    with pytest.raises(ValueError, match='run case 9: 1 NaN.*frame 4, particle 17, axis 1'):
+        fit(runs, 3, names=['case 7', 'case 8', 'case 9'])
+    with pytest.raises(ValueError, match='particle 17'):
+        fit(make_runs(), 3).encode(runs[2])
+    with pytest.raises(ValueError, match='at least 2 frames'):
+        fit([make_runs(1)[0][:1]], 1)
+    with pytest.raises(ValueError, match='at least 2 frames'):
+        fit([], 1)
+    with pytest.raises(ValueError, match='run 1 has 120 particles, the runs before it 140'):
+        fit([make_runs(1)[0], make_runs(1, particles=120)[0]], 3)
+    with pytest.raises(ValueError, match='centering'):
+        fit(make_runs(), 3, 'median')
+    with pytest.raises(ValueError, match='0 modes'):
+        fit(make_runs(), 0)
+    with pytest.raises(ValueError, match='1 names were given for 4 runs'):
+        fit(make_runs(), 3, names=['a'])
+    with pytest.raises(ValueError, match=r'needs 0 MiB.*raise --max_memory_mb'):
+        fit(make_runs(), 3, max_memory_mb=0.01)
+
+
+def test_shapes_are_checked():
+    space = fit(make_runs(), 3)
+    with pytest.raises(ValueError, match=r'\(139, 3\), \[\.\.\., 140, 3\]'):
+        space.encode(np.zeros((139, 3)))
+    with pytest.raises(ValueError, match=r'\(4, 3\), \[\.\.\., 3, 3\]'):
+        space.decode(np.zeros((4, 3)))
+
+
+def test_cut_inside_a_cluster_warns():
+    rng = np.random.default_rng(0)
+    shapes = np.linalg.qr(rng.standard_normal((50, 3)))[0]
+    scores = np.linalg.qr(rng.standard_normal((3 * 40, 3)))[0].reshape(40, 3, 3)
+    scores = scores.transpose(0, 2, 1) * np.array([1.0, 0.5, 0.49])[:, None]
+    run = rng.random((50, 3)) + shapes @ scores
+    with pytest.warns(UserWarning, match='cut after mode 2 lies inside a cluster'):
+        space = fit([run], 2)
+    assert space.gaps[1] < 0.05 < space.gaps[0]
+
+
+def test_save_and_load(tmp_path):
+    path = str(tmp_path / 'subspace.npz')
+    space = fit(make_runs(), 4, 'scalar', names=['1', '2', '3', '4'])
+    space.save(path)
+    loaded = Subspace.load(path)
+    for field in dataclasses.fields(Subspace):
+        np.testing.assert_array_equal(getattr(loaded, field.name), getattr(space, field.name))
+    assert loaded.digest == space.digest
+    arrays = files.read_npz(path)
+    arrays['components'] = arrays['components'] * 1.001
+    files.write_npz(path, **arrays)
+    with pytest.raises(ValueError, match='the digest does not fit'):
+        Subspace.load(path)
+    del arrays['mean']
+    files.write_npz(path, **arrays)
+    with pytest.raises(ValueError, match=r"lacks \['mean'\]"):
+        Subspace.load(path)
+
+
+def test_rows_of_the_matrix_are_those_of_the_format():
+    run = make_runs(1)[0]
+    rows = subspace._rows(run, np.zeros(()))
+    for frame, axis in ((0, 0), (3, 2), (19, 1)):
+        np.testing.assert_array_equal(rows[axis + 3 * frame], run[frame, :, axis])
