@@ -1,0 +1,131 @@
+"""Constitutive law of dry granular soil: elastic, frictional, free of tension.
+
+Notation: p = mean pressure (positive in compression), tau = |dev sigma| / sqrt(2), the
+equivalent shear stress, gamma_dot = sqrt(2) |dev D| the equivalent shear rate, and
+I = gamma_dot d sqrt(rho_s / p) the inertial number. All in SI units.
+
+Sources:
+  mu(I) rheology: Jop, Forterre, Pouliquen (2006), Nature 441, 727.
+  closed-form implicit update: Dunatunga, Kamrin (2015), J. Fluid Mech. 779, 483.
+  nonlocal granular fluidity: Henann, Kamrin (2013), PNAS 110, 6730; explicit form for material
+  points: Haeri, Skonieczny (2022), Comput. Methods Appl. Mech. Eng. 394, 114904.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+
+
+class Soil(NamedTuple):
+    """Parameters of the soil (SI units). A NamedTuple, so that a Numba kernel can take it."""
+
+    bulk_density: float  # kg/m3, of the packing: grain density x packing fraction
+    grain_density: float  # kg/m3
+    grain_diameter: float  # m
+    bulk_modulus: float  # Pa
+    shear_modulus: float  # Pa
+    mu_s: float  # static friction coefficient tau / p
+    mu_2: float  # friction coefficient at a large inertial number
+    inertial_number_0: float  # I0 of mu(I)
+    nonlocal_amplitude: float  # A of the granular fluidity
+    nonlocal_time: float  # t0 of the granular fluidity, s
+
+
+GRAIN_DENSITY = 2583.0
+PACKING_FRACTION = 0.67
+GRAIN_DIAMETER = 3.0e-4
+INERTIAL_NUMBER_0 = 0.278
+MU_RANGE = 0.9616 - 0.76  # mu_2 - mu_s
+NONLOCAL_AMPLITUDE = 0.48
+NONLOCAL_TIME = 1.0e-4
+POISSON_RATIO = 0.3
+
+
+def friction_coefficient(friction_angle_deg: float) -> float:
+    """Returns mu_s = tan(phi) for a friction angle phi in degrees.
+
+    The cone tau = mu_s p is a circle around the Mohr-Coulomb hexagon's axis: no mu_s meets the
+    hexagon everywhere. It does in plane strain at constant volume with sin(phi), in triaxial
+    compression with 6 sin(phi) / (sqrt(3) (3 - sin(phi))): 0.60 and 0.87 at 37 degrees. Under a
+    wheel, or in front of a blade with free sides, the soil is in between; so is tan(phi), 0.75,
+    which is also what the published constant 0.76 (37.2 degrees) says.
+
+    Raises:
+        ValueError: if the angle does not lie between 0 and 90 degrees.
+    """
+    if not 0.0 < friction_angle_deg < 90.0:
+        raise ValueError(f'friction angle must lie between 0 and 90 deg, got {friction_angle_deg}')
+    return math.tan(math.radians(friction_angle_deg))
+
+
+def make_soil(youngs_modulus: float, mu_s: float, poisson_ratio: float = POISSON_RATIO) -> Soil:
+    """Builds the soil of both scenes from its stiffness (Pa) and its static friction.
+
+    Raises:
+        ValueError: if a parameter lies outside its physical range.
+    """
+    if not (math.isfinite(youngs_modulus) and youngs_modulus > 0.0):
+        raise ValueError(f"Young's modulus must be positive, got {youngs_modulus} Pa")
+    if not 0.0 <= poisson_ratio < 0.49:
+        raise ValueError(
+            f"Poisson's ratio must lie in [0, 0.49), got {poisson_ratio}: near 0.5 the wave speed, "
+            'and with it the cost, has no bound'
+        )
+    if not (math.isfinite(mu_s) and mu_s > 0.0):
+        raise ValueError(f'static friction mu_s must be positive, got {mu_s}')
+    return Soil(
+        bulk_density=GRAIN_DENSITY * PACKING_FRACTION,
+        grain_density=GRAIN_DENSITY,
+        grain_diameter=GRAIN_DIAMETER,
+        bulk_modulus=youngs_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio)),
+        shear_modulus=youngs_modulus / (2.0 * (1.0 + poisson_ratio)),
+        mu_s=mu_s,
+        mu_2=mu_s + MU_RANGE,
+        inertial_number_0=INERTIAL_NUMBER_0,
+        nonlocal_amplitude=NONLOCAL_AMPLITUDE,
+        nonlocal_time=NONLOCAL_TIME,
+    )
+
+
+@numba.njit(cache=True, inline='always')
+def relax_local(tau_trial, p, dt, soil):
+    """Returns the relaxed tau (Pa) of the local mu(I) law, implicit in the step `dt`.
+
+    The positive root of tau = tau_trial - G dt gamma_dot(tau, p), where mu(I) = tau / p
+    (Dunatunga and Kamrin 2015, eq. 4.6); written so that nothing cancels.
+    """
+    if tau_trial <= soil.mu_s * p:
+        return tau_trial
+    s2 = soil.mu_2 * p
+    a = (
+        soil.shear_modulus
+        * soil.inertial_number_0
+        * dt
+        * math.sqrt(p / soil.grain_density)
+        / soil.grain_diameter
+    )
+    b = s2 + tau_trial + a
+    h = s2 * tau_trial + soil.mu_s * p * a
+    return 2.0 * h / (b + math.sqrt(max(b * b - 4.0 * h, 0.0)))
+
+
+@numba.njit(cache=True, inline='always')
+def fluidity_source(g, tau, p, soil):
+    """Returns the local part of dg/dt (1/s2) of the granular fluidity g (1/s).
+
+    t0 dg/dt = A2 d2 lap g - (mu_s - mu) g - ((mu_2 - mu_s) / I0) sqrt(rho_s d2 / p) mu g2
+    (Haeri and Skonieczny 2022) without the Laplacian; mu = tau / p of the relaxed stress.
+    """
+    if p <= 0.0:
+        return 0.0
+    mu = tau / p
+    b = (soil.mu_2 - soil.mu_s) / soil.inertial_number_0
+    inertia = soil.grain_diameter * math.sqrt(soil.grain_density / p)
+    return (-(soil.mu_s - mu) * g - b * inertia * mu * g * g) / soil.nonlocal_time
+
+
+@numba.njit(cache=True, inline='always')
+def relax_nonlocal(tau_trial, p, g, dt, soil):
+    """Returns the relaxed tau (Pa) for a granular fluidity `g`: gamma_dot = g tau / p."""
+    return tau_trial * p / (p + soil.shear_modulus * dt * g)

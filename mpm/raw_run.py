@@ -1,0 +1,136 @@
+"""Raw runs on disk: one `.npz` per run and a manifest that says which are complete.
+
+Files appear whole or not at all: they are written under a temporary name in the same folder
+and renamed. The manifest is rewritten after every run; a run that it does not list, or whose file
+has other bytes than it says, does not count as done.
+"""
+
+import hashlib
+import json
+import os
+
+import numpy as np
+
+from mpm import scenes
+from mpm.files import write_arrays, write_whole
+from mpm.run import RawRun
+
+MANIFEST = 'manifest.json'
+
+
+def file_name(case: int) -> str:
+    """Returns the name of the file of a case."""
+    return f'run_{case:03d}.npz'
+
+
+def write_run(folder: str, run: RawRun) -> dict:
+    """Writes one run and returns its entry of the manifest."""
+    case = run.parameters['case']
+    path = os.path.join(folder, file_name(case))
+    write_arrays(
+        path,
+        positions=run.positions,
+        rigid_positions=run.rigid_positions,
+        force=run.force,
+        parameters=np.array(json.dumps(run.parameters)),
+    )
+    return {
+        'file': file_name(case),
+        'case': case,
+        'bytes': os.path.getsize(path),
+        'sha256': digest(path),
+        'parameters': run.parameters,
+    }
+
+
+def read_run(path: str) -> RawRun:
+    """Reads one run.
+
+    Raises:
+        ValueError: if the file is not a raw run.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return RawRun(
+            positions=arrays['positions'],
+            rigid_positions=arrays['rigid_positions'],
+            force=arrays['force'],
+            parameters=json.loads(str(arrays['parameters'])),
+        )
+    except (KeyError, OSError, ValueError) as error:
+        raise ValueError(f'{path} is not a raw run: {error}') from error
+
+
+def digest(path: str) -> str:
+    """Returns the sha256 of a file, in hexadecimal."""
+    with open(path, 'rb') as file:
+        return hashlib.file_digest(file, 'sha256').hexdigest()
+
+
+def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
+    """Writes the manifest of a folder of raw runs, sorted by case."""
+    content = {
+        'scene': scenes.describe(scene),
+        'dt': 1.0 / scenes.FRAME_RATE,
+        'bounds': [list(axis) for axis in scene.bin.bounds],
+        'runs': sorted(runs, key=lambda run: run['case']),
+    }
+
+    def write(temporary):
+        with open(temporary, 'w', encoding='utf-8') as file:
+            json.dump(content, file, indent=1)
+            file.write('\n')
+
+    write_whole(os.path.join(folder, MANIFEST), write)
+
+
+def read_manifest(folder: str) -> dict | None:
+    """Returns the manifest of a folder, or None if it has none.
+
+    Raises:
+        ValueError: if the manifest is not readable as one.
+    """
+    path = os.path.join(folder, MANIFEST)
+    if not os.path.exists(path):
+        return None
+    try:
+        with open(path, encoding='utf-8') as file:
+            manifest = json.load(file)
+        manifest['scene']['name'], manifest['runs']
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f'{path} is not a manifest of raw runs: {error}') from error
+    return manifest
+
+
+def finished_runs(folder: str, scene: scenes.Scene, settings: dict) -> list[dict]:
+    """Returns the manifest entries of the runs that are complete on disk.
+
+    Args:
+        folder: of raw runs; may be empty.
+        scene: that the folder must belong to.
+        settings: parameters that every run of the folder must share.
+
+    Raises:
+        ValueError: if the folder holds another scene, or runs with other settings.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return []
+    if manifest['scene']['name'] != scene.name:
+        raise ValueError(
+            f'{folder} holds runs of the scene {manifest["scene"]["name"]!r}, not {scene.name!r}; '
+            'name another folder'
+        )
+    finished = []
+    for entry in manifest['runs']:
+        for name, value in settings.items():
+            if entry['parameters'][name] != value:
+                raise ValueError(
+                    f'{folder}: {entry["file"]} was made with {name} = '
+                    f'{entry["parameters"][name]!r}, not {value!r}; name another folder'
+                )
+        path = os.path.join(folder, entry['file'])
+        if os.path.exists(path) and os.path.getsize(path) == entry['bytes']:
+            finished.append(entry)
+    return finished
