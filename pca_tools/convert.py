@@ -350,6 +350,8 @@ def define_flags() -> None:
 
 def main(_: Sequence[str]) -> None:
     """Runs the command."""
+    # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
+    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
     values = flags.FLAGS
     try:
         metadata = convert(

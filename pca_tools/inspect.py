@@ -9,6 +9,7 @@ Examples:
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -164,6 +165,8 @@ def define_flags() -> None:
 
 def main(argv: Sequence[str]) -> None:
     """Runs the command."""
+    # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
+    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
     if len(argv) != 2:
         sys.exit('usage: python -m pca_tools.inspect [--modes=12] DATASET')
     inspection = inspect_folder(argv[1])

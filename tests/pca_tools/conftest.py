@@ -7,8 +7,7 @@ import pytest
 
 from pca_tools import convert
 from tests.pca_tools import synthetic
-
-REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
+from tests.pca_tools.commands import REPOSITORY
 
 
 @pytest.fixture(scope='session')

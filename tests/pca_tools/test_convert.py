@@ -13,7 +13,8 @@ from pca_tools.metadata import SPLITS
 from pca_tools.raw_runs import RawRuns
 from pca_tools.splits import split_cases
 from pca_tools.subspace import Subspace
-from tests.pca_tools import conftest, synthetic
+from tests.pca_tools import synthetic
+from tests.pca_tools.commands import REPOSITORY, run_command
 
 
 def raw_of(folder, case):
@@ -258,16 +259,6 @@ def test_raw_folder_against_its_manifest(tmp_path):
         RawRuns(raw)
 
 
-def run_command(*arguments):
-    return subprocess.run(
-        [sys.executable, '-m', *arguments],
-        cwd=conftest.REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_command_line(raw_excavation, tmp_path):
     output = str(tmp_path / 'out')
     arguments = ['pca_tools.convert', f'--raw_path={raw_excavation}', f'--output_path={output}']
@@ -292,6 +283,6 @@ def test_maths_is_free_of_tensorflow():
     imports = ', '.join(f'pca_tools.{name}' for name in modules)
     code = f'import {imports}, sys; sys.exit("tensorflow" in sys.modules)'
     done = subprocess.run(
-        [sys.executable, '-c', code], cwd=conftest.REPOSITORY, check=False, capture_output=True
+        [sys.executable, '-c', code], cwd=REPOSITORY, check=False, capture_output=True
     )
     assert done.returncode == 0

@@ -14,8 +14,7 @@ from pca_tools.inspect import motion_shares, report
 from pca_tools.inspection import inspect_folder
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
-from tests.pca_tools.conftest import REPOSITORY
-from tests.pca_tools.test_convert import run_command
+from tests.pca_tools.commands import run_command
 
 
 @pytest.fixture
@@ -232,7 +231,3 @@ def test_trivial_errors_of_the_authors_records(original):
         for run in dataset.read_split(original, 'valid')
     ]
     assert np.mean(errors) == pytest.approx(expected, rel=5e-3)
-
-
-def test_repository_root_is_right():
-    assert (REPOSITORY / 'pca_tools' / 'inspect.py').is_file()

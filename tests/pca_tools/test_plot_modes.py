@@ -10,7 +10,7 @@ pytest.importorskip('matplotlib')
 from pca_tools import plot_modes
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
-from tests.pca_tools.test_convert import run_command
+from tests.pca_tools.commands import run_command
 
 
 @pytest.fixture(scope='module')
