@@ -1,0 +1,200 @@
+"""Model folders: what a trained model is, on disk.
+
+  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest and package versions
+  weights.npz    weights for evaluation (moving averages where the config has them), no code, no
+  pickle ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
+
+A folder that ships with the project holds the first two only.
+"""
+
+import dataclasses
+import importlib.metadata
+import os
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.connectivity_utils import build
+from learning_to_simulate.learned_simulator import (
+    KnownMotion,
+    Layout,
+    LearnedSimulator,
+    SimulatorState,
+)
+from learning_to_simulate.normalization import Statistics
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.scene import Scene
+from pca_tools import files
+
+CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
+SCHEMA_VERSION = 1
+
+
+@dataclasses.dataclass
+class Model:
+    """A simulator with what is needed to run it on graphs of any number of rigid particles.
+
+    Attributes:
+      simulator: the network with its scene, config and statistics.
+      mode_mask: bool [r, r] of the ranked mode edges, for adjacency 'algorithm2'; else None.
+      loaded_mask: bool [V, V] or [r, r] from an edge file; else None.
+    """
+
+    simulator: LearnedSimulator
+    mode_mask: np.ndarray | None
+    loaded_mask: np.ndarray | None
+
+    def __post_init__(self):
+        self._layouts = {}
+
+    def layout(self, n_rigid: int) -> Layout:
+        """The graph for R rigid particles, built once.
+
+        Raises:
+          ValueError: if the model's edges do not fit graphs of that size.
+        """
+        if n_rigid not in self._layouts:
+            s = self.simulator
+            adjacency = build(
+                s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
+            )
+            self._layouts[n_rigid] = Layout(
+                adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
+            )
+        return self._layouts[n_rigid]
+
+    def create_variables(self, n_rigid: int):
+        """Makes all variables (deterministic in the config's seed) by running one frame of
+        zeros."""
+        s, layout = self.simulator, self.layout(n_rigid)
+        tf.random.set_seed(s.config.seed)
+        state = SimulatorState(
+            tf.zeros([1, layout.n_node, s.dim]),
+            tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),
+        )
+        body = tf.zeros([1, n_rigid, s.dim])
+        s.predict(state, KnownMotion(body, body), tf.zeros([1, len(s.scene.context_names)]), layout)
+
+
+def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
+    """Writes config.json.
+
+    Args:
+      path: model folder.
+      model: the model.
+      n_rigid: any R the model runs on; used to rebuild its variables.
+      data: where the training data came from (path, digests), for the record.
+    """
+    s = model.simulator
+    files.write_json(
+        os.path.join(path, CONFIG_FILE),
+        {
+            'schema_version': SCHEMA_VERSION,
+            'config': dataclasses.asdict(s.config),
+            'scene': s.scene.to_json(),
+            'particle_types': list(s.particle_types),
+            'n_rigid': n_rigid,
+            'edges': {str(n): layout.n_edge for n, layout in model._layouts.items()},
+            'mode_mask': None if model.mode_mask is None else model.mode_mask.astype(int).tolist(),
+            'loaded_mask': None
+            if model.loaded_mask is None
+            else model.loaded_mask.astype(int).tolist(),
+            'statistics': s.statistics.to_json(),
+            'data': data,
+            'packages': {
+                name: importlib.metadata.version(name)
+                for name in ('numpy', 'dm-sonnet', 'graph_nets')
+            }
+            | {'tensorflow': tf.__version__},
+        },
+    )
+
+
+def _weights(simulator):
+    """Variables by a name that does not change between processes: their order of creation and shape
+    role."""
+    return {
+        f'{i:03d}.{v.name.split(":")[0]}': v for i, v in enumerate(simulator.trainable_variables)
+    }
+
+
+def save_weights(path: str, simulator: LearnedSimulator, values=None) -> None:
+    """Writes weights.npz whole or not at all.
+
+    Args:
+      path: model folder.
+      simulator: the model.
+      values: arrays in the order of `simulator.trainable_variables`, e.g. moving averages; default:
+        its own.
+
+    Raises:
+      ValueError: if a weight is not finite; the file of before stays.
+    """
+    names = list(_weights(simulator))
+    values = [np.asarray(v) for v in (simulator.trainable_variables if values is None else values)]
+    bad = [n for n, v in zip(names, values, strict=True) if not np.isfinite(v).all()]
+    if bad:
+        raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
+    files.write_npz(os.path.join(path, WEIGHTS_FILE), **dict(zip(names, values, strict=True)))
+
+
+def read_config(path: str) -> dict:
+    """Reads and checks config.json.
+
+    Raises:
+      FileNotFoundError: if the folder holds no model.
+      ValueError: if the file is of another kind or version.
+    """
+    name = os.path.join(path, CONFIG_FILE)
+    if not os.path.isfile(name):
+        raise FileNotFoundError(
+            f'{path}: holds no model (no {CONFIG_FILE}); train one with --mode=train '
+            f'--model_path={path}'
+        )
+    values = files.read_json(name)
+    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(f'{name}: not a model config of schema version {SCHEMA_VERSION}')
+    return values
+
+
+def load_model(path: str) -> Model:
+    """Loads a model for evaluation from config.json and weights.npz.
+
+    Raises:
+      FileNotFoundError, ValueError: no model there, or weights that are not those of the config.
+    """
+    values = read_config(path)
+    try:
+        config = TrainConfig(**values['config'])
+        scene = Scene.from_json(values['scene'])
+        statistics = Statistics.from_json(values['statistics'])
+        masks = [
+            None if values[k] is None else np.array(values[k], bool)
+            for k in ('mode_mask', 'loaded_mask')
+        ]
+        simulator = LearnedSimulator(scene, config, statistics, tuple(values['particle_types']))
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f'{path}/{CONFIG_FILE}: a field is missing or unknown ({error})'
+        ) from error
+    model = Model(simulator, *masks)
+    model.create_variables(values['n_rigid'])
+    weights_path = os.path.join(path, WEIGHTS_FILE)
+    if not os.path.isfile(weights_path):
+        raise FileNotFoundError(
+            f'{weights_path}: no such file; the training of {path} has not saved any weights yet'
+        )
+    stored, variables = files.read_npz(weights_path), _weights(simulator)
+    wanted = {n: tuple(v.shape) for n, v in variables.items()}
+    found = {n: v.shape for n, v in stored.items()}
+    if wanted != found:
+        differing = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
+        raise ValueError(
+            f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
+            f'{differing[:4]}'
+        )
+    for name, variable in variables.items():
+        if not np.isfinite(stored[name]).all():
+            raise ValueError(f'{weights_path}: {name} is not finite')
+        variable.assign(stored[name])
+    return model

@@ -1,0 +1,212 @@
+"""`Adjacency`: the edges of the graph, built once per scene and never per step.
+
+An edge list comes from a rule (fully connected, Algorithm 2 of Usmani & Skonieczny 2023) or from a
+file (`edges.json`, `mask.npy`). Conventions: node order is R rigid particles, then r modes; a mask
+is [receiver, sender]; edges are sorted by receiver, then sender, so that equal graphs are equal
+arrays.
+"""
+
+import dataclasses
+import json
+import os
+
+import numpy as np
+
+from learning_to_simulate.scene import RigidMotion, Scene
+from pca_tools import files
+
+
+@dataclasses.dataclass(frozen=True)
+class Adjacency:
+    """Directed edges between V nodes.
+
+    Attributes:
+      senders, receivers: int32 [E].
+      n_node: V.
+
+    Raises:
+      ValueError: on construction, for an index outside [0, V), a repeated edge, or arrays of
+        unequal length.
+    """
+
+    senders: np.ndarray
+    receivers: np.ndarray
+    n_node: int
+
+    def __post_init__(self):
+        if self.senders.shape != self.receivers.shape or self.senders.ndim != 1:
+            raise ValueError(
+                f'senders {self.senders.shape} and receivers {self.receivers.shape} must be two '
+                f'equal lists'
+            )
+        ends = np.concatenate([self.senders, self.receivers])
+        if ends.size and not (ends.min() >= 0 and ends.max() < self.n_node):
+            raise ValueError(
+                f'edge ends reach from {ends.min()} to {ends.max()}, but there are {self.n_node} '
+                f'nodes'
+            )
+        if len(np.unique(self.senders * self.n_node + self.receivers)) != self.n_edge:
+            raise ValueError('an edge is listed twice')
+
+    @property
+    def n_edge(self) -> int:
+        """E."""
+        return len(self.senders)
+
+    def mask(self) -> np.ndarray:
+        """bool [V, V], entry [receiver, sender]."""
+        mask = np.zeros((self.n_node, self.n_node), bool)
+        mask[self.receivers, self.senders] = True
+        return mask
+
+    @classmethod
+    def from_mask(cls, mask) -> 'Adjacency':
+        """Edges of a boolean [receiver, sender] mask [V, V]."""
+        receivers, senders = np.nonzero(mask)
+        return cls(senders.astype(np.int32), receivers.astype(np.int32), len(mask))
+
+
+def fully_connected(n_node: int) -> Adjacency:
+    """All V² edges, self-edges included (Haeri & Skonieczny 2021: 28 nodes, 784 edges)."""
+    return Adjacency.from_mask(np.ones((n_node, n_node), bool))
+
+
+def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
+    """The partial graph of Usmani & Skonieczny 2023, Algorithm 2.
+
+    modes -> modes as in `mode_mask`; rigid -> modes all; modes -> rigid only where the motion of
+    the body is (at least in part) predicted; rigid -> rigid along `scene.rigid_edges` only where
+    all of it is predicted.
+
+    Args:
+      scene: says which motion is predicted and which rigid particles are neighbours.
+      n_rigid: R of this graph.
+      mode_mask: bool [r, r], entry [receiver, sender].
+
+    Raises:
+      ValueError: if the mask is not r x r, or a geometry edge names a rigid particle beyond R.
+    """
+    r = scene.n_modes
+    if mode_mask.shape != (r, r):
+        raise ValueError(f'the mode mask is {mode_mask.shape}, the scene has {r} modes')
+    mask = np.zeros((n_rigid + r, n_rigid + r), bool)
+    mask[n_rigid:, n_rigid:] = mode_mask
+    mask[n_rigid:, :n_rigid] = True
+    if scene.rigid_motion in (RigidMotion.PREDICTED, RigidMotion.DRIVEN):
+        mask[:n_rigid, n_rigid:] = True
+    if scene.rigid_motion == RigidMotion.PREDICTED:
+        for sender, receiver in scene.rigid_edges:
+            if not (0 <= sender < n_rigid and 0 <= receiver < n_rigid):
+                raise ValueError(
+                    f'rigid edge {sender} -> {receiver} is outside the {n_rigid} rigid particles'
+                )
+            mask[receiver, sender] = True
+    return Adjacency.from_mask(mask)
+
+
+def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, int], ...]:
+    """Directed edges to every rigid particle from its nearest others, for folders that state none.
+
+    On a wheel of two rings these are the two neighbours on a particle's own ring, as in the thesis,
+    unless the rings stand closer together than the particles of a ring.
+
+    Args:
+      points: [R, D] positions of one frame, m.
+      n_neighbours: edges per particle.
+    """
+    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    nearest = np.argsort(distance, axis=1, kind='stable')[:, :n_neighbours]
+    return tuple((int(s), r) for r in range(len(points)) for s in nearest[r])
+
+
+def rank_mode_edges(velocities, keep: int) -> np.ndarray:
+    """The `keep` mode -> mode edges with the strongest one-frame-lagged velocity correlation.
+
+    Stands in for a learned edge list. Self-edges always correlate best, so they come first.
+
+    Args:
+      velocities: float [S, T, r, D] of the modes on training runs, m/frame.
+      keep: number of edges, at most r².
+
+    Returns:
+      bool [r, r] mask, entry [receiver, sender].
+
+    Raises:
+      ValueError: if `keep` is negative or above r².
+    """
+    r = velocities.shape[2]
+    if not 0 <= keep <= r * r:
+        raise ValueError(f'mode_edges is {keep}, must lie in [0, {r * r}]')
+    scale = velocities.std(axis=(0, 1), keepdims=True)
+    unit = (velocities - velocities.mean(axis=(0, 1), keepdims=True)) / np.where(
+        scale > 0, scale, 1.0
+    )
+    score = np.abs(np.einsum('stid,stjd->ij', unit[:, 1:], unit[:, :-1]))
+    np.fill_diagonal(score, np.inf)
+    mask = np.zeros(r * r, bool)
+    mask[np.argsort(-score, axis=None, kind='stable')[:keep]] = True
+    return mask.reshape(r, r)
+
+
+def load_mask(path: str) -> np.ndarray:
+    """Reads an adjacency mask: `.npy` (bool [V, V], [receiver, sender]) or `edges.json`.
+
+    `edges.json` holds `senders`, `receivers` (lists of E indices) and `node_names` (V names).
+
+    Raises:
+      ValueError: missing file, git-lfs pointer, foreign content, or a mask that is not square.
+    """
+    if not os.path.isfile(path):
+        raise ValueError(f'{path}: no such edge file')
+    files.refuse_git_lfs_pointer(path)
+    if path.endswith('.npy'):
+        try:
+            mask = np.load(path, allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise ValueError(f'{path}: not a plain .npy array ({error})') from error
+        if mask.ndim != 2 or mask.shape[0] != mask.shape[1] or not np.isin(mask, (0, 1)).all():
+            raise ValueError(
+                f'{path}: a mask must be a square array of 0 and 1, got shape {mask.shape}'
+            )
+        return mask.astype(bool)
+    try:
+        with open(path, encoding='utf-8') as file:
+            values = json.load(file)
+        n_node = len(values['node_names'])
+        ends = [np.asarray(values[key], np.int32).reshape(-1) for key in ('senders', 'receivers')]
+        return Adjacency(*ends, n_node).mask()
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(
+            f'{path}: not an edges.json with senders, receivers and node_names ({error})'
+        ) from error
+
+
+def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> Adjacency:
+    """The adjacency for a graph of R rigid particles and r modes.
+
+    Args:
+      kind: 'fully_connected', 'algorithm2', or anything else for a loaded mask.
+      scene: the scene.
+      n_rigid: R.
+      mode_mask: bool [r, r] for 'algorithm2'.
+      loaded_mask: bool [V, V], used as it is, or [r, r], completed by Algorithm 2.
+
+    Raises:
+      ValueError: if a loaded mask fits neither V nor r.
+    """
+    n_node = n_rigid + scene.n_modes
+    if kind == 'fully_connected':
+        return fully_connected(n_node)
+    if kind == 'algorithm2':
+        return algorithm2(scene, n_rigid, mode_mask)
+    if len(loaded_mask) == n_node:
+        return Adjacency.from_mask(loaded_mask)
+    if len(loaded_mask) == scene.n_modes:
+        return algorithm2(scene, n_rigid, loaded_mask)
+    raise ValueError(
+        f'the mask of {kind} is {len(loaded_mask)} x {len(loaded_mask)}, but this dataset has '
+        f'graphs of {n_node} nodes '
+        f'({n_rigid} rigid + {scene.n_modes} modes): give a mask of {n_node} or of '
+        f'{scene.n_modes} nodes'
+    )

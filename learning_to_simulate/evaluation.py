@@ -1,0 +1,184 @@
+"""Rollouts of a model over a split: result files and `metrics.json`.
+
+Each run is rolled out on its own (batch 1), as it is used; a loop is compiled once per number of
+rigid particles and warmed up before it is timed.
+"""
+
+import json
+import os
+
+import numpy as np
+
+from learning_to_simulate import metrics
+from learning_to_simulate.checkpoints import Model
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout import RolloutFunction, roll_out
+from pca_tools import files
+
+
+class Evaluator:
+    """Keeps the compiled rollouts of one model, so that evaluation during training compiles once.
+
+    Args:
+      model: the model.
+      metadata: of the dataset; its projection errors are used where it states them.
+      rigid_correction: whether predicted bodies are kept rigid.
+    """
+
+    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True):
+        self._model, self._metadata, self._correct = model, metadata, rigid_correction
+        self._functions = {}
+
+    def roll_out(self, group):
+        """`Rollout` of one `RunGroup` (its runs as one batch)."""
+        key = group.position.shape
+        if key not in self._functions:
+            layout = self._model.layout(group.n_rigid)
+            self._functions[key] = RolloutFunction(self._model.simulator, layout, self._correct)
+        return roll_out(self._functions[key], group)
+
+    def run(self, groups, split: str, progress=iter):
+        """Rolls out every run of a split.
+
+        Args:
+          groups: list of `RunGroup`.
+          split: names the projection errors in the metadata.
+          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+
+        Returns:
+          list of (record index, one-run `RunGroup`, `Rollout`), sorted by record, and the metrics
+          dict.
+        """
+        runs = sorted(
+            ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
+            key=lambda item: item[0],
+        )
+        results = [(record, group, self.roll_out(group)) for record, group in progress(runs)]
+        return results, self.metrics(results, split)
+
+    def metrics(self, results, split: str) -> dict:
+        """The metrics of rolled-out runs: per run, their mean, the trivial predictors and the
+        skill."""
+        scene = self._model.simulator.scene
+        statistics = self._model.simulator.statistics
+        floors = self._metadata.get('projection_mse', {}).get(split)
+        methods: dict[str, list] = {'model': [], 'stay_still': [], 'constant_velocity': []}
+        for record, group, rollout in results:
+            truth = group.position[:, H:]
+            n_frame = truth.shape[1]
+            force, forces = None, dict.fromkeys(methods)
+            if scene.has_force:
+                force = group.force[:, H:]
+                held = np.repeat(group.force[:, H - 1 : H], n_frame, axis=1)
+                mean = np.broadcast_to(statistics.force_mean, force.shape)
+                forces = {'model': rollout.force, 'stay_still': held, 'constant_velocity': mean}
+            positions = {
+                'model': rollout.position,
+                'stay_still': metrics.stay_still(group.position[:, :H], n_frame),
+                'constant_velocity': metrics.constant_velocity(group.position[:, :H], n_frame),
+            }
+            floor = None if floors is None else np.array([floors[record]])
+            for name, rows in methods.items():
+                errors = metrics.run_errors(
+                    positions[name], truth, forces[name], force, group.n_rigid, scene.n_soil, floor
+                )
+                rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
+            methods['model'][-1] |= {
+                'status': str(rollout.status[0]),
+                'first_bad_frame': int(rollout.first_bad_frame[0]),
+                'edges': len(self._model.layout(group.n_rigid).senders),
+                'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
+                'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
+            }
+        return _summary(methods, floors, scene)
+
+
+def _summary(methods, floors, scene):
+    """Means over runs (timing: median) of each method, and the skill of the model."""
+    mean = {}
+    for name, rows in methods.items():
+        keys = [k for k, v in rows[0].items() if isinstance(v, float)]
+        mean[name] = {k: float(np.mean([row[k] for row in rows])) for k in keys}
+        for key in ('milliseconds_per_step', 'seconds_per_simulated_second'):
+            if key in mean[name]:
+                mean[name][key] = float(np.median([row[key] for row in rows]))
+        if 'force_mpe' in mean[name]:
+            mean[name]['force_abs_mpe'] = float(np.mean([abs(row['force_mpe']) for row in rows]))
+    trivial = [mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity')]
+    summary = {
+        'scene': scene.name,
+        'rigid_motion': str(scene.rigid_motion),
+        'mean': mean,
+        'soil_skill': metrics.skill(mean['model']['soil_mse'], trivial),
+        'soil_mse_over_best_trivial': mean['model']['soil_mse'] / min(trivial)
+        if min(trivial) > 0
+        else None,
+        'projection_mse': None if floors is None else float(np.mean(floors)),
+        'force_of_trivial_predictors': 'stay_still: last input force; constant_velocity: mean '
+        'force of the training runs',
+        'runs': methods,
+    }
+    return json.loads(
+        json.dumps(summary), parse_constant=lambda _: None
+    )  # JSON has no NaN: a failed run shows null
+
+
+def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict) -> list[str]:
+    """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json`; returns the file
+    names.
+
+    Every file is written whole or not at all.
+    """
+    os.makedirs(path, exist_ok=True)
+    written = []
+    for record, group, rollout in results:
+        truth = group.all_particles(group.position)[0]
+        arrays = {
+            'initial_positions': truth[:H].astype(np.float32),
+            'predicted_rollout': group.all_particles(rollout.position)[0].astype(np.float32),
+            'ground_truth_rollout': truth[H:].astype(np.float32),
+            'particle_types': group.all_particle_types(),
+            'metadata': np.array(json.dumps(metadata)),
+        }
+        if group.context is not None:
+            arrays['global_context'] = group.context.astype(np.float32)
+        if rollout.force is not None:
+            arrays |= {
+                'initial_forces': group.force[0, :H].astype(np.float32),
+                'predicted_forces': rollout.force[0],
+                'ground_truth_forces': group.force[0, H:].astype(np.float32),
+            }
+        written.append(os.path.join(path, f'rollout_{split}_{record}.npz'))
+        files.write_npz(written[-1], **arrays)
+    written.append(os.path.join(path, 'metrics.json'))
+    files.write_json(written[-1], summary)
+    return written
+
+
+def table(summary: dict) -> str:
+    """The metrics as text: the model and its trivial neighbours, one row each."""
+    columns = (
+        ('soil_mse', 'soil MSE 1e-4 m2', 1e4),
+        ('soil_rms_mm', 'soil RMS mm', 1),
+        ('rigid_mse', 'rigid MSE 1e-4 m2', 1e4),
+        ('force_relative_l2', 'force rel. L2', 1),
+        ('force_rmse', 'force RMSE N', 1),
+        ('force_abs_mpe', '|MPE| %', 1),
+        ('seconds_per_simulated_second', 's per simulated s', 1),
+        ('milliseconds_per_step', 'ms/step', 1),
+    )
+    present = [c for c in columns if any(c[0] in m for m in summary['mean'].values())]
+    lines = ['  '.join([f'{"method":18s}', *(f'{title:>18s}' for _, title, _ in present)])]
+    for name, mean in summary['mean'].items():
+        cells = (
+            f'{mean[k] * f:18.4g}' if mean.get(k) is not None else f'{"-":>18s}'
+            for k, _, f in present
+        )
+        lines.append('  '.join([f'{name:18s}', *cells]))
+    if summary['projection_mse'] is not None:
+        lines.append(
+            f'projection floor (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
+            f'to the soil MSE'
+        )
+    lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')
+    return '\n'.join(lines)

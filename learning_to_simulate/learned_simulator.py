@@ -1,0 +1,360 @@
+"""`LearnedSimulator`: features, network, heads and integration of one frame.
+
+State inside the model is float32 offset from a float64 origin plus float32 velocities (per frame);
+absolute mode scores reach 18 while their steps are 1e-5, so float32 positions would lose the
+motion. Callers add the origin back in float64 when positions are written.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import sonnet as snt
+import tensorflow as tf
+
+from learning_to_simulate import graph_network, normalization
+from learning_to_simulate.connectivity_utils import Adjacency
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.scene import RigidMotion, Scene
+
+EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
+NUM_PARTICLE_TYPES = 9
+RATE_FLOOR = (
+    0.05  # of the mean speed of the body: below it the soil's own motion is no longer scaled
+)
+
+
+class SimulatorState(NamedTuple):
+    """State of B graphs.
+
+    Attributes:
+      offset: float32 [B, V, D], position minus origin, m.
+      velocity: float32 [B, V, H - 1, D], displacement of the last H - 1 frames, newest last.
+    """
+
+    offset: tf.Tensor
+    velocity: tf.Tensor
+
+
+class KnownMotion(NamedTuple):
+    """What is given of the coming frame of the rigid body.
+
+    Where the motion is driven, the up component holds the shape only: its mean over the R particles
+      is 0,
+    and the predicted height is added to it.
+
+    Attributes:
+      offset: float32 [B, R, D], m.
+      velocity: float32 [B, R, D], m/frame.
+    """
+
+    offset: tf.Tensor
+    velocity: tf.Tensor
+
+
+class Layout:
+    """Constants of the graph for one number of rigid particles: edges and statistics per node and
+    edge.
+
+    Args:
+      adjacency: edges of V = R + r nodes.
+      n_rigid: R.
+      scene: the scene.
+      statistics: by node class.
+      conditioned: whether losses are weighted by each component's motion.
+    """
+
+    def __init__(
+        self,
+        adjacency: Adjacency,
+        n_rigid: int,
+        scene: Scene,
+        statistics: normalization.Statistics,
+        conditioned: bool,
+    ):
+        self.n_rigid = n_rigid
+        self.n_node = adjacency.n_node
+        self.senders, self.receivers = adjacency.senders, adjacency.receivers
+        self.n_edge = adjacency.n_edge
+        self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
+        self.origin = statistics.origin[self.node_class]
+        s = statistics
+        pair = (self.node_class[self.receivers], self.node_class[self.senders])
+        edge_std = s.displacement_std[pair]
+        edge_origin = self.origin[self.senders] - self.origin[self.receivers]
+
+        def per_node(values):
+            return values[self.node_class].astype(np.float32)
+
+        self.position_std = per_node(s.position_std)
+        self.velocity_mean, self.velocity_std = per_node(s.velocity_mean), per_node(s.velocity_std)
+        self.acceleration_mean = per_node(s.acceleration_mean)
+        self.acceleration_std = per_node(s.acceleration_std)
+        self.target_mean, self.target_std = per_node(s.target_mean), per_node(s.target_std)
+        self.edge_std = edge_std.astype(np.float32)
+        self.edge_shift = ((edge_origin - s.displacement_mean[pair]) / edge_std).astype(np.float32)
+        # Which components the network decides: all of the modes; of the body none, its height, or
+        # all.
+        moving = np.ones((self.n_node, self.origin.shape[1]), np.float32)
+        if scene.rigid_motion.is_known:
+            moving[:n_rigid] = 0.0
+        if scene.rigid_motion == RigidMotion.DRIVEN:
+            # R particles share one degree of freedom: together they count as one component.
+            moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
+        self.moving = moving
+        self.loss_weight = moving.copy()
+        if conditioned:
+            # Quiet components cost less: an error counts by its share of the loudest component's
+            # motion. Lateral scores are mostly noise, and equal weights would spend the network on
+            # them.
+            self.loss_weight[n_rigid:] *= (s.velocity_std[1:] / s.velocity_std[1:].max()).astype(
+                np.float32
+            )
+
+
+class LearnedSimulator(snt.Module):
+    """One frame of the simulation of B graphs.
+
+    Args:
+      scene: what exists.
+      config: what the model is.
+      statistics: of the training runs.
+      particle_types: (type of the rigid particles, type of the modes), for the published type
+        embedding.
+    """
+
+    def __init__(
+        self, scene: Scene, config: TrainConfig, statistics, particle_types=(0, 6), name=None
+    ):
+        super().__init__(name=name)
+        self.scene, self.config, self.statistics = scene, config, statistics
+        self.particle_types = particle_types
+        dim = statistics.origin.shape[1]
+        self.dim = dim
+        self._network = graph_network.EncodeProcessDecode(
+            config.latent_size,
+            config.hidden_layers,
+            config.message_passing_steps,
+            output_size=dim * (2 if scene.has_force else 1),
+            mean_aggregation=config.conditioned,
+        )
+        n_embedding = scene.n_modes + 1 if config.conditioned else NUM_PARTICLE_TYPES
+        initial = tf.random.stateless_normal([n_embedding, EMBEDDING_SIZE], [config.seed, 0])
+        self._embedding = tf.Variable(initial, name='embedding')
+
+    @property
+    def knows_next_frame(self) -> bool:
+        """Whether the coming frame of the body is an input; the published presets do not look at
+        it."""
+        return self.config.conditioned and self.scene.rigid_motion.is_known
+
+    def features(self, state: SimulatorState, known, context, layout: Layout):
+        """Network inputs.
+
+        Args:
+          state: of B graphs.
+          known: `KnownMotion` of the coming frame, or None.
+          context: float32 [B, C] or None.
+          layout: of the graphs.
+
+        Returns:
+          nodes [B, V, F], edges [B, E, D + 1].
+        """
+        n_graph = state.offset.shape[0]
+
+        def flat(history):
+            return tf.reshape(history, [n_graph, layout.n_node, -1])
+
+        count = self.config.velocity_inputs
+        rate = self.rate(known)
+        history = state.velocity[:, :, -count:] / rate[..., None]
+        nodes = [flat((history - layout.velocity_mean[:, None]) / layout.velocity_std[:, None])]
+        if self.config.conditioned:
+            nodes.append(state.offset / layout.position_std)
+            if count > 1:
+                acceleration = history[:, :, 1:] - history[:, :, :-1]
+                nodes.append(
+                    flat(
+                        (acceleration - layout.acceleration_mean[:, None])
+                        / layout.acceleration_std[:, None]
+                    )
+                )
+        if self.config.rate_scaled:
+            # What does depend on the rate (inertia, a body at rest) is left to the network.
+            nodes.append(tf.tile(tf.concat([tf.math.log(rate), rate], -1), [1, layout.n_node, 1]))
+        if self.knows_next_frame:
+            to_come = (
+                known.velocity / rate - layout.velocity_mean[: layout.n_rigid]
+            ) / layout.velocity_std[: layout.n_rigid]
+            nodes.append(self._of_rigid(to_come, layout))
+        if self.scene.rigid_motion == RigidMotion.DRIVEN and self.config.conditioned:
+            nodes.append(self._of_rigid(self._height_features(state, layout), layout))
+        if self.config.conditioned:
+            embedding = tf.gather(self._embedding, layout.node_class)
+        else:
+            types = np.where(layout.node_class == 0, *self.particle_types)
+            embedding = tf.gather(self._embedding, types)
+        nodes.append(tf.tile(embedding[None], [n_graph, 1, 1]))
+        if self.scene.context_names:
+            s = self.statistics
+            value = (context - s.context_mean.astype(np.float32)) / s.context_std.astype(np.float32)
+            nodes.append(tf.tile(value[:, None], [1, layout.n_node, 1]))
+        ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
+            state.offset, layout.receivers, axis=1
+        )
+        displacement = ends / layout.edge_std + layout.edge_shift
+        # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
+        length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
+        return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
+
+    def _of_rigid(self, values, layout):
+        """Pads features [B, R, F] of the rigid particles with zeros for the modes."""
+        return tf.pad(values, [[0, 0], [0, layout.n_node - layout.n_rigid], [0, 0]])
+
+    def _height_features(self, state, layout):
+        """Height of the body and its H - 1 last changes, the same for every rigid particle: [B, R,
+        H]."""
+        up = self.scene.up_axis
+        s = self.statistics
+        height = tf.reduce_mean(state.offset[:, : layout.n_rigid, up], axis=1, keepdims=True)
+        change = tf.reduce_mean(state.velocity[:, : layout.n_rigid, :, up], axis=1)
+        values = tf.concat(
+            [height / np.float32(s.height_std[0]), change / np.float32(s.height_velocity_std[0])],
+            axis=-1,
+        )
+        return tf.tile(values[:, None], [1, layout.n_rigid, 1])
+
+    def predict(self, state: SimulatorState, known, context, layout: Layout):
+        """Normalised predictions.
+
+        Returns:
+          target [B, V, D] (displacement or acceleration over its statistics), and the force over
+          its statistics [B, D] (mean over the nodes' decoded forces, Haeri & Skonieczny 2021) or
+          None.
+        """
+        nodes, edges = self.features(state, known, context, layout)
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers)
+        target = decoded[..., : self.dim]
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:
+            body = tf.reduce_mean(target[:, : layout.n_rigid], axis=1, keepdims=True)
+            target = tf.concat(
+                [tf.tile(body, [1, layout.n_rigid, 1]), target[:, layout.n_rigid :]], axis=1
+            )
+        force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
+        return target, force
+
+    def rate(self, known):
+        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1]; 1 if
+        not scaled."""
+        if not self.config.rate_scaled:
+            return tf.ones([1, 1, 1])
+        speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
+            self.statistics.body_speed[0]
+        )
+        return tf.maximum(speed, RATE_FLOOR)[:, None, None]
+
+    def normalized_target(self, next_velocity, state: SimulatorState, known, layout: Layout):
+        """What `predict` should have said, [B, V, D], for the true next velocity [B, V, D].
+
+        The velocities of `state` may carry noise: an acceleration target then corrects it, as in
+        Sanchez-Gonzalez et al. 2020.
+        """
+        target = self._of_height(next_velocity, layout) - self._base_velocity(state, layout)
+        return (target / self.rate(known) - layout.target_mean) / layout.target_std
+
+    def step(self, state: SimulatorState, known, context, layout: Layout):
+        """One frame.
+
+        Args:
+          state: of B graphs.
+          known: `KnownMotion` of the coming frame where the rigid motion is prescribed or driven,
+            else None.
+          context: float32 [B, C] or None.
+          layout: of the graphs.
+
+        Returns:
+          the next `SimulatorState` and the force on the body [B, D] in N, or None.
+        """
+        target, force = self.predict(
+            state, known if self.knows_next_frame else None, context, layout
+        )
+        velocity = (target * layout.target_std + layout.target_mean) * self.rate(
+            known
+        ) + self._base_velocity(state, layout)
+        offset = state.offset + velocity
+        if self.scene.rigid_motion.is_known:
+            velocity, offset = self._place_body(state, velocity, offset, known, layout)
+        history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
+        if force is not None:
+            s = self.statistics
+            force = force * s.force_std.astype(np.float32) + s.force_mean.astype(np.float32)
+        return SimulatorState(offset, history), force
+
+    def _base_velocity(self, state, layout):
+        """The velocity that the prediction is added to: none (order 1) or the last one (order
+        2)."""
+        last = self._of_height(state.velocity[:, :, -1], layout)
+        order = np.where(layout.node_class == 0, self.config.rigid_order, self.config.mode_order)
+        return last * (order == 2).astype(np.float32)[:, None]
+
+    def _of_height(self, velocity, layout):
+        """Replaces each rigid particle's velocity by the body's mean where only the height is
+        predicted."""
+        if self.scene.rigid_motion != RigidMotion.DRIVEN:
+            return velocity
+        body = tf.reduce_mean(velocity[:, : layout.n_rigid], axis=1, keepdims=True)
+        return tf.concat(
+            [tf.tile(body, [1, layout.n_rigid, 1]), velocity[:, layout.n_rigid :]], axis=1
+        )
+
+    def _place_body(self, state, velocity, offset, known, layout):
+        """Overwrites the given part of the rigid motion."""
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:
+            up = np.eye(self.dim, dtype=np.float32)[self.scene.up_axis]
+            height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
+            change = velocity[:, :1]
+            body_offset = known.offset + (height + change) * up
+            body_velocity = known.velocity + change * up
+        else:
+            body_offset, body_velocity = known
+        return (
+            tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
+            tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),
+        )
+
+
+def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
+    """The given part of true rigid motion.
+
+    Args:
+      offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
+        displacement of the frame; numpy or TensorFlow.
+      scene: decides what is given.
+
+    Returns:
+      `KnownMotion`, or None where nothing is given.
+    """
+    if not scene.rigid_motion.is_known:
+        return None
+    if scene.rigid_motion == RigidMotion.PRESCRIBED:
+        return KnownMotion(offset, velocity)
+    up = np.eye(offset.shape[-1], dtype=np.float32)[scene.up_axis]
+    return KnownMotion(
+        *(x - up * tf.reduce_mean(x, axis=-2, keepdims=True) for x in (offset, velocity))
+    )
+
+
+def initial_state(offset, velocity) -> SimulatorState:
+    """State after H frames.
+
+    Args:
+      offset: [B, H, V, D] of the first H frames.
+      velocity: [B, H - 1, V, D] of the frames 1 .. H - 1.
+    """
+    if offset.shape[1] != INPUT_SEQUENCE_LENGTH or velocity.shape[1] != INPUT_SEQUENCE_LENGTH - 1:
+        raise ValueError(
+            f'a history has {INPUT_SEQUENCE_LENGTH} frames, got {offset.shape} and {velocity.shape}'
+        )
+    return SimulatorState(
+        tf.cast(offset[:, -1], tf.float32),
+        tf.cast(tf.transpose(velocity, [0, 2, 1, 3]), tf.float32),
+    )

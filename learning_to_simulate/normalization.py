@@ -1,0 +1,264 @@
+"""Statistics of a training set, and the affine maps that the network's inputs and outputs go
+through.
+
+Two families. *Dataset-wide* (published): one mean and standard deviation per axis from
+`metadata.json`, edge displacement divided by the connectivity radius. *Conditioned*: every node
+class (the rigid body, each mode) has its own statistics per axis, and every pair of classes its own
+displacement statistics; mode scores reach 18 while their steps are 1e-5..1e-2, so one scale for all
+hides most modes from the network.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.scene import RigidMotion, Scene
+
+# A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
+# symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
+STD_FLOOR = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Means and standard deviations by node class; class 0 is the rigid body, class 1 + k is mode
+    k.
+
+    Attributes:
+      origin: [1 + r, D] mean position, m; node states are offsets from it.
+      position_std: [1 + r, D], m.
+      velocity_mean, velocity_std, acceleration_mean, acceleration_std: [1 + r, D], per frame.
+      displacement_mean, displacement_std: [1 + r, 1 + r, D], sender minus receiver, [receiver,
+        sender].
+      force_mean, force_std: [D], N; None without a force. Conditioned: one scale for all axes,
+        since the lateral force is noise.
+      context_mean, context_std: [C]; None without a context.
+      target_mean, target_std: [1 + r, D] of what a node of the class predicts, per frame.
+      height_std, height_velocity_std: [1] of the body's height, m, and its change per frame; only
+        where the motion is driven.
+      body_speed: [1] mean RMS displacement of the rigid particles, m/frame; only where it scales
+        the rate.
+    """
+
+    origin: np.ndarray
+    position_std: np.ndarray
+    velocity_mean: np.ndarray
+    velocity_std: np.ndarray
+    acceleration_mean: np.ndarray
+    acceleration_std: np.ndarray
+    displacement_mean: np.ndarray
+    displacement_std: np.ndarray
+    target_mean: np.ndarray
+    target_std: np.ndarray
+    height_std: np.ndarray | None
+    height_velocity_std: np.ndarray | None
+    body_speed: np.ndarray | None
+    force_mean: np.ndarray | None
+    force_std: np.ndarray | None
+    context_mean: np.ndarray | None
+    context_std: np.ndarray | None
+
+    def to_json(self) -> dict:
+        """Nested lists of float64, exact under `from_json`."""
+        return {k: None if v is None else v.tolist() for k, v in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, values: dict) -> 'Statistics':
+        """Rebuilds the statistics of `to_json`."""
+        return cls(
+            **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
+        )
+
+
+def _floored(std, largest=None):
+    """Standard deviations with still axes raised to a share of the loudest axis (1 where all are
+    still)."""
+    largest = std.max(axis=-1, keepdims=True) if largest is None else largest
+    floor = np.where(largest > 0, STD_FLOOR * largest, 1.0)
+    return np.maximum(std, floor)
+
+
+def _by_class(arrays, n_modes):
+    """Pools arrays [S, T, V, D] of runs with any R into per-class samples: list of [samples, D]."""
+    rigid = [a[:, :, :-n_modes].reshape(-1, a.shape[-1]) for a in arrays]
+    classes = (
+        [np.concatenate(rigid)] if sum(map(len, rigid)) else [np.zeros((1, arrays[0].shape[-1]))]
+    )
+    return classes + [
+        np.concatenate([a[:, :, k - n_modes].reshape(-1, a.shape[-1]) for a in arrays])
+        for k in range(n_modes)
+    ]
+
+
+def compute_statistics(
+    positions, forces, contexts, metadata, scene: Scene, config: TrainConfig
+) -> Statistics:
+    """Statistics of the training runs in float64.
+
+    Args:
+      positions: list of float64 [S, T, V, D], one per rigid node count; the last r nodes are modes.
+      forces: list of [S, T, D], or None.
+      contexts: list of [S, T, C], or None.
+      metadata: validated metadata; the published presets take their statistics from it.
+      scene: the scene.
+      config: decides the family.
+
+    Raises:
+      ValueError: if a run is shorter than three frames.
+    """
+    if min(p.shape[1] for p in positions) < 3:
+        raise ValueError('statistics need at least three frames per run')
+    r = scene.n_modes
+    samples = _by_class(positions, r)
+    origin = np.stack([s.mean(axis=0) for s in samples])
+    velocities = [np.diff(p, axis=1) for p in positions]
+    force = (
+        np.concatenate([f.reshape(-1, f.shape[-1]) for f in forces]) if scene.has_force else None
+    )
+    context = (
+        np.concatenate([c.reshape(-1, c.shape[-1]) for c in contexts])
+        if scene.context_names
+        else None
+    )
+    heights = None
+    if scene.rigid_motion == RigidMotion.DRIVEN:
+        heights = [p[:, :, :-r, scene.up_axis].mean(axis=2) for p in positions]
+    values = {
+        'origin': origin,
+        'position_std': _floored(np.stack([s.std(axis=0) for s in samples])),
+        'height_std': _height_std(heights, 0),
+        'height_velocity_std': _height_std(heights, 1),
+        'body_speed': _body_speed(velocities, r) if config.rate_scaled else None,
+        'context_mean': None if context is None else context.mean(axis=0),
+        'context_std': None
+        if context is None
+        else _floored(context.std(axis=0), context.std(axis=0)),
+    }
+    values |= (
+        _by_node_class(positions, velocities, force, origin, r)
+        if config.conditioned
+        else _dataset_wide(metadata, scene, config, origin)
+    )
+    return Statistics(**values, **_targets(values, heights, scene, config))
+
+
+def _body_speed(velocities, n_modes):
+    """[1] mean over frames of the rigid particles' RMS displacement, m/frame."""
+    speeds = [
+        np.sqrt((v[:, :, :-n_modes] ** 2).sum(axis=-1).mean(axis=-1)).reshape(-1)
+        for v in velocities
+    ]
+    mean = np.concatenate(speeds).mean()
+    if not mean > 0:
+        raise ValueError(
+            'rate_scaled needs a body that moves, but no rigid particle moves in the training runs'
+        )
+    return np.array([mean])
+
+
+def _height_std(heights, order):
+    """[1] standard deviation of the order-th difference of the heights [S, T] of each group of
+    runs."""
+    if heights is None:
+        return None
+    return _floored(
+        np.concatenate([np.diff(h, n=order, axis=1).reshape(-1, 1) for h in heights]).std(axis=0)
+    )
+
+
+def _by_node_class(positions, velocities, force, origin, r):
+    """Conditioned family: statistics of each node class and each pair of classes."""
+    velocity_classes = _by_class(velocities, r)
+    acceleration_classes = _by_class([np.diff(v, axis=1) for v in velocities], r)
+    displacement_mean, displacement_std = _displacements(positions, origin, r)
+    return {
+        'velocity_mean': np.stack([v.mean(axis=0) for v in velocity_classes]),
+        'velocity_std': _floored(np.stack([v.std(axis=0) for v in velocity_classes])),
+        'acceleration_mean': np.stack([a.mean(axis=0) for a in acceleration_classes]),
+        'acceleration_std': _floored(np.stack([a.std(axis=0) for a in acceleration_classes])),
+        'displacement_mean': displacement_mean,
+        'displacement_std': _floored(displacement_std),
+        'force_mean': None if force is None else force.mean(axis=0),
+        'force_std': None
+        if force is None
+        else np.full(force.shape[1], max(force.std(axis=0).max(), np.finfo(float).tiny)),
+    }
+
+
+def _targets(values, heights, scene, config):
+    """Statistics of what is predicted: displacement (order 1) or acceleration (order 2) of each
+    class."""
+    target = {}
+    for name in ('mean', 'std'):
+        by_order = {1: values[f'velocity_{name}'], 2: values[f'acceleration_{name}']}
+        target[f'target_{name}'] = np.concatenate(
+            [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
+        )
+    if heights is not None and config.conditioned:
+        # The body's height moves far less than the particles of a turning wheel do.
+        change = np.concatenate(
+            [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]
+        )
+        target['target_mean'][0, scene.up_axis] = change.mean()
+        target['target_std'][0, scene.up_axis] = _floored(change.std(axis=0))[0]
+    return target
+
+
+def _dataset_wide(metadata, scene, config, origin):
+    """Published family: metadata statistics, noise added in quadrature (SG 2020), displacement /
+    radius."""
+    n_class = len(origin)
+    noise = config.noise_std
+
+    def tile(key):
+        return np.tile(np.asarray(metadata[key], np.float64), (n_class, 1))
+
+    shape = (n_class, n_class, origin.shape[-1])
+    return {
+        'velocity_mean': tile('vel_mean'),
+        'velocity_std': np.hypot(_floored(tile('vel_std')), noise),
+        'acceleration_mean': tile('acc_mean'),
+        'acceleration_std': np.hypot(_floored(tile('acc_std')), noise),
+        # The published feature is the absolute displacement: offsets get the origins back.
+        'displacement_mean': np.zeros(shape),
+        'displacement_std': np.full(shape, scene.connectivity_radius),
+        'force_mean': np.asarray(metadata['rigid_body_force_mean']) if scene.has_force else None,
+        'force_std': _floored(np.asarray(metadata['rigid_body_force_std']))
+        if scene.has_force
+        else None,
+    }
+
+
+def _displacements(positions, origin, n_modes):
+    """Mean and std of x_sender - x_receiver per pair of classes, [1 + r, 1 + r, D], exact from
+    moments.
+
+    The pair of a rigid particle with a mode pools all rigid particles; the pair of two rigid
+    particles pools all pairs of them.
+    """
+    n_class = n_modes + 1
+    dim = origin.shape[-1]
+    total = np.zeros((n_class, n_class, dim))
+    square = np.zeros_like(total)
+    count = np.zeros((n_class, n_class, 1))
+    for p in positions:
+        n_rigid = p.shape[2] - n_modes
+        node_class = node_classes(n_rigid, n_modes)
+        offset = p - origin[node_class]
+        for i in range(p.shape[2]):  # receiver by receiver keeps the memory at one position array
+            difference = offset - offset[:, :, i : i + 1]
+            for j in range(n_class):
+                d = difference[:, :, node_class == j]
+                total[node_class[i], j] += d.sum(axis=(0, 1, 2))
+                square[node_class[i], j] += (d**2).sum(axis=(0, 1, 2))
+                count[node_class[i], j] += d[..., 0].size
+    count = np.maximum(count, 1)
+    mean = total / count
+    std = np.sqrt(np.maximum(square / count - mean**2, 0.0))
+    return mean + origin[None, :] - origin[:, None], std
+
+
+def node_classes(n_rigid: int, n_modes: int) -> np.ndarray:
+    """int [V]: 0 for a rigid particle, 1 + k for mode k."""
+    return np.concatenate([np.zeros(n_rigid, np.int32), 1 + np.arange(n_modes, dtype=np.int32)])

@@ -1,0 +1,157 @@
+"""`TrainConfig` and the three presets: published FCG, published PCG, and this project's PCG.
+
+A preset is a frozen config; flags override single fields; the whole config is stored as JSON beside
+the checkpoint, so that no flag can change the meaning of stored weights.
+"""
+
+import dataclasses
+
+INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """Everything that decides what a model is and how it is trained.
+
+    Attributes:
+      preset: name of the preset the config started from.
+      adjacency: 'fully_connected', 'algorithm2', or the edge file that was loaded.
+      mode_edges: mode -> mode edges that Algorithm 2 keeps when no file gives them.
+      rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
+        keeps all. Only
+        where the motion is prescribed: a blade cuts with its lower edge, and the rest follows from
+          it.
+      conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
+        aggregation; otherwise the published inputs with dataset-wide statistics and sum
+        aggregation.
+      velocity_inputs: how many of the H - 1 last velocities are inputs.
+      rate_scaled: velocities in and displacements out are counted per displacement of the body in
+        the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
+        order 1.
+      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
+      noise_std: random-walk noise of the last input step; m/frame, or a fraction of each node's own
+        velocity scale if `noise_relative`.
+      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M.
+      batch_size, num_steps: single-step stage.
+      unroll_length, unroll_steps, unroll_batch_size: N-step stage with gradients through the
+        rollout.
+      unroll_noise: noise of the unrolled stage, as a share of `noise_std`.
+      unroll_learning_rate: rate that the unrolled stage starts from.
+      learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
+        floor.
+      weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
+        none.
+      seed: of weights, batches and noise.
+    """
+
+    preset: str
+    adjacency: str = 'algorithm2'
+    mode_edges: int = 28
+    rigid_particles: int = 0
+    conditioned: bool = True
+    velocity_inputs: int = 1
+    rate_scaled: bool = True
+    mode_order: int = 1
+    rigid_order: int = 1
+    noise_std: float = 0.5
+    noise_relative: bool = True
+    latent_size: int = 64
+    hidden_layers: int = 2
+    message_passing_steps: int = 1
+    batch_size: int = 16
+    num_steps: int = 3000
+    unroll_length: int = 16
+    unroll_steps: int = 1000
+    unroll_batch_size: int = 8
+    unroll_noise: float = 0.0
+    unroll_learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
+    learning_rate_floor: float = 1e-5
+    decay_steps: float = 3000.0
+    weight_average: float = 0.998
+    seed: int = 0
+
+    def __post_init__(self):
+        for name, low in (
+            ('mode_edges', 0),
+            ('latent_size', 1),
+            ('hidden_layers', 1),
+            ('message_passing_steps', 1),
+            ('batch_size', 1),
+            ('num_steps', 0),
+            ('unroll_length', 2),
+            ('unroll_steps', 0),
+            ('unroll_batch_size', 1),
+            ('noise_std', 0.0),
+            ('rigid_particles', 0),
+            ('velocity_inputs', 1),
+        ):
+            if not getattr(self, name) >= low:
+                raise ValueError(f'{name} is {getattr(self, name)!r}, must be at least {low}')
+        for name in ('mode_order', 'rigid_order'):
+            if getattr(self, name) not in (1, 2):
+                raise ValueError(
+                    f'{name} is {getattr(self, name)!r}, must be 1 (displacement) or 2 '
+                    f'(acceleration)'
+                )
+        if self.velocity_inputs >= INPUT_SEQUENCE_LENGTH:
+            raise ValueError(
+                f'velocity_inputs is {self.velocity_inputs}, a history has '
+                f'{INPUT_SEQUENCE_LENGTH - 1} velocities'
+            )
+        if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
+            raise ValueError(
+                'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
+                'with the rate'
+            )
+        if not 0 <= self.weight_average < 1:
+            raise ValueError(f'weight_average is {self.weight_average}, must lie in [0, 1)')
+
+
+_PUBLISHED = {
+    'conditioned': False,
+    'velocity_inputs': 5,
+    'rate_scaled': False,
+    'weight_average': 0.0,
+    'latent_size': 128,
+    'mode_order': 2,
+    'rigid_order': 2,
+    'noise_relative': False,
+    'batch_size': 2,
+    'unroll_steps': 0,
+    'learning_rate': 1e-4,
+    'learning_rate_floor': 1e-6,
+    'decay_steps': 5e6,
+}
+
+PRESETS = {
+    # Haeri & Skonieczny 2021: full graph with self-edges, dataset-wide statistics, noise 6.7e-4.
+    'fcg_original': TrainConfig(
+        'fcg_original',
+        adjacency='fully_connected',
+        noise_std=6.7e-4,
+        num_steps=20_000,
+        **_PUBLISHED,
+    ),
+    # Usmani & Skonieczny 2023: partial graph (their Algorithm 2), noise 6.7e-6.
+    'pcg_thesis': TrainConfig('pcg_thesis', noise_std=6.7e-6, num_steps=20_000, **_PUBLISHED),
+    # This project's default: partial graph, conditioned inputs, displacement outputs, unrolled
+    # training.
+    'pcg': TrainConfig('pcg'),
+}
+
+
+def make_config(preset: str, **overrides) -> TrainConfig:
+    """The config of a preset with single fields replaced; None means 'not given'.
+
+    Raises:
+      ValueError: unknown preset or field, or a value outside its range.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f'unknown preset {preset!r}; there are {", ".join(PRESETS)}')
+    known = {f.name for f in dataclasses.fields(TrainConfig)}
+    if unknown := set(overrides) - known:
+        raise ValueError(f'unknown config fields {sorted(unknown)}')
+    return dataclasses.replace(
+        PRESETS[preset], **{k: v for k, v in overrides.items() if v is not None}
+    )

@@ -1,0 +1,194 @@
+"""Records in memory: runs of one dataset split, grouped by their number of rigid particles.
+
+Subspace records are small (about 100 kB a run), so a split is read once, and training windows are
+gathered
+from it inside the compiled step: no input pipeline, no py_function, and which windows a step sees
+  is a
+function of (seed, step) alone.
+"""
+
+import dataclasses
+import os
+
+import numpy as np
+
+from learning_to_simulate import connectivity_utils
+from learning_to_simulate.scene import RigidMotion, Scene
+from pca_tools import dataset, legacy_pickles
+
+
+@dataclasses.dataclass(frozen=True)
+class RunGroup:
+    """S runs of graphs of the same size.
+
+    Attributes:
+      n_rigid: R, rigid particles that are nodes.
+      particle_type: int64 [V].
+      position: float64 [S, T, V, D], m.
+      force: float64 [S, T, D], N, or None.
+      context: float64 [S, C], or None.
+      record: int [S], index of each run in its file.
+      body: per run, float64 [T, R', D]: all rigid particles of the record; None if all of them are
+        nodes.
+      kept: int [S, R]: which of the record's rigid particles are the nodes; None for all.
+    """
+
+    n_rigid: int
+    particle_type: np.ndarray
+    position: np.ndarray
+    force: np.ndarray | None
+    context: np.ndarray | None
+    record: np.ndarray
+    body: tuple[np.ndarray, ...] | None = None
+    kept: np.ndarray | None = None
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """float64 [S, T, V, D], displacement since the frame before; 0 in frame 0."""
+        return np.diff(self.position, axis=1, prepend=self.position[:, :1])
+
+    def select(self, run: int) -> 'RunGroup':
+        """The group of one of its runs."""
+        one = slice(run, run + 1)
+
+        def part(values):
+            return None if values is None else values[one]
+
+        return dataclasses.replace(
+            self,
+            position=self.position[one],
+            record=self.record[one],
+            force=part(self.force),
+            context=part(self.context),
+            body=part(self.body),
+            kept=part(self.kept),
+        )
+
+    def all_particles(self, position) -> list[np.ndarray]:
+        """Puts the rigid particles that are not nodes back, for writing.
+
+        Args:
+          position: [S, T', V, D], predicted or true last T' frames.
+
+        Returns:
+          per run [T', V', D] with all rigid particles of the record; those left out as recorded.
+        """
+        if self.body is None:
+            return list(position)
+        whole = []
+        for nodes, body, kept in zip(position, self.body, self.kept, strict=True):
+            rigid = body[-len(nodes) :].copy()
+            rigid[:, kept] = nodes[:, : self.n_rigid]
+            whole.append(np.concatenate([rigid, nodes[:, self.n_rigid :]], axis=1))
+        return whole
+
+    def all_particle_types(self) -> np.ndarray:
+        """int64 [V'] of one run of the group, with the rigid particles that are not nodes."""
+        n_extra = 0 if self.body is None else self.body[0].shape[1] - self.n_rigid
+        return np.concatenate([np.full(n_extra, self.particle_type[0]), self.particle_type])
+
+
+def read_groups(
+    folder: str, split: str, metadata: dict, rigid_particles: int = 0
+) -> list[RunGroup]:
+    """Reads a split as groups of equal R and T, sorted by R.
+
+    Args:
+      folder: dataset folder.
+      split: train, valid or test.
+      metadata: its validated metadata.
+      rigid_particles: keep this many rigid particles, the lowest of the first frame; 0 keeps all.
+
+    Raises:
+      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a record with fewer rigid
+        particles than asked for; a context that changes in time.
+    """
+    up = metadata.get('scene', {}).get('up_axis', 1)
+    runs: dict[tuple, list] = {}
+    for index, run in enumerate(dataset.read_split(folder, split)):
+        where = f'{folder}: {split} record {index}'
+        if run.step_context is not None and np.ptp(run.step_context, axis=0).any():
+            raise ValueError(
+                f'{where}: step_context changes in time; this simulator takes constant context only'
+            )
+        kept = np.arange(run.n_rigid)
+        if rigid_particles:
+            if rigid_particles > run.n_rigid:
+                raise ValueError(
+                    f'{where} has {run.n_rigid} rigid particles, --rigid_particles asks for '
+                    f'{rigid_particles}'
+                )
+            kept = np.sort(
+                np.argsort(run.position[0, : run.n_rigid, up], kind='stable')[:rigid_particles]
+            )
+        runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
+    return [_stack(n_rigid, members) for (n_rigid, _), members in sorted(runs.items())]
+
+
+def _stack(n_rigid, members):
+    """One group of runs [(record, trajectory, kept rigid particles)]."""
+    nodes = [
+        np.concatenate([kept, np.arange(run.n_rigid, len(run.particle_type))])
+        for _, run, kept in members
+    ]
+    runs = [run for _, run, _ in members]
+    thinned = any(run.n_rigid != n_rigid for run in runs)
+    first = runs[0]
+    return RunGroup(
+        n_rigid=n_rigid,
+        particle_type=first.particle_type[nodes[0]],
+        position=np.stack([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]).astype(
+            np.float64
+        ),
+        force=None
+        if first.force is None
+        else np.stack([run.force for run in runs]).astype(np.float64),
+        context=None
+        if first.step_context is None
+        else np.stack([run.step_context[0] for run in runs]).astype(np.float64),
+        record=np.array([index for index, _, _ in members]),
+        body=tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
+        if thinned
+        else None,
+        kept=np.stack([kept for _, _, kept in members]) if thinned else None,
+    )
+
+
+def read_scene(
+    folder: str, metadata: dict, groups: list[RunGroup], rigid_motion: str | None
+) -> Scene:
+    """The scene of a dataset; what its metadata does not state is taken from the records.
+
+    Args:
+      folder: dataset folder.
+      metadata: its validated metadata.
+      groups: runs of any split.
+      rigid_motion: override, or None.
+
+    Raises:
+      ValueError: as `Scene.from_metadata`.
+    """
+    first = groups[0]
+    kind = int(first.particle_type[0]) if first.n_rigid else None
+    scene = Scene.from_metadata(
+        metadata,
+        rigid_particle_type=kind,
+        rigid_motion=rigid_motion or ('none' if not first.n_rigid else None),
+    )
+    if scene.rigid_motion == RigidMotion.PREDICTED and not scene.rigid_edges:
+        edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
+        scene = dataclasses.replace(scene, rigid_edges=edges)
+    if scene.n_soil is None:
+        scene = dataclasses.replace(scene, n_soil=_soil_particles_of_eigenvalues(folder))
+    return scene
+
+
+def _soil_particles_of_eigenvalues(folder):
+    """N from the authors' eigenvalue file, which holds one eigenvalue per particle."""
+    path = os.path.join(folder, 'pca_eigen_values.pkl')
+    if not os.path.exists(path):
+        raise ValueError(
+            f'{folder}: metadata.json states no n_soil (soil particles N), without which errors '
+            f'have no unit'
+        )
+    return int(np.size(legacy_pickles.read_array(path)))

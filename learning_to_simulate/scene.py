@@ -1,0 +1,117 @@
+"""`Scene`: what exists in a simulation, read from `metadata.json`.
+
+Everything that the model may leave out follows from the scene: a part that is absent costs no
+variable, no operation and no edge. Nothing in the package asks for the name of a scene.
+"""
+
+import dataclasses
+import enum
+
+
+class RigidMotion(enum.StrEnum):
+    """How the rigid body moves in a rollout.
+
+    PRESCRIBED: the pose of every frame is given (a blade on its path).
+    DRIVEN: rotation and travel are given, the height is predicted (a wheel under load).
+    PREDICTED: every rigid particle is predicted, then corrected to a rigid motion (the published
+      wheel).
+    NONE: there is no rigid body.
+    """
+
+    NONE = 'none'
+    PRESCRIBED = 'prescribed'
+    DRIVEN = 'driven'
+    PREDICTED = 'predicted'
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the coming frame of the body is (at least in part) given to the model."""
+        return self in (RigidMotion.PRESCRIBED, RigidMotion.DRIVEN)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Static description of a scene; SI units.
+
+    Attributes:
+      name: label for pictures and tables; nothing branches on it.
+      n_modes: r, the number of subspace modes (the last r nodes).
+      rigid_motion: see `RigidMotion`.
+      rigid_edges: directed geometry neighbours (sender, receiver) of the rigid particles, used
+        where the rigid motion is predicted.
+      has_force: whether the records hold the force on the body.
+      context_names: names of the C global values, () if there are none.
+      n_soil: N, the number of particles that the modes stand for, or None if unknown.
+      dt: seconds per frame.
+      up_axis: axis against gravity.
+      connectivity_radius: length that scales edge features of the published presets, m.
+    """
+
+    name: str
+    n_modes: int
+    rigid_motion: RigidMotion
+    rigid_edges: tuple[tuple[int, int], ...]
+    has_force: bool
+    context_names: tuple[str, ...]
+    n_soil: int | None
+    dt: float
+    up_axis: int = 1
+    connectivity_radius: float = 0.025
+
+    @classmethod
+    def from_metadata(cls, metadata, *, rigid_particle_type=None, rigid_motion=None) -> 'Scene':
+        """Reads a scene from validated metadata.
+
+        Args:
+          metadata: dict as `pca_tools.dataset.read_metadata` returns it.
+          rigid_particle_type: particle type of the first node of the records; decides the rigid
+            motion of folders that carry no scene (3, kinematic: prescribed; other: predicted).
+          rigid_motion: overrides the motion, e.g. 'driven' for the authors' wheel or 'predicted'
+            for the published way.
+
+        Raises:
+          ValueError: if the rigid motion is unknown, or neither stated nor deducible.
+        """
+        stated = metadata.get('scene', {})
+        motion = rigid_motion or stated.get('rigid_motion')
+        if motion is None:
+            if rigid_particle_type is None:
+                raise ValueError(
+                    "metadata.json has no 'scene' and no particle type was given: pass "
+                    '--rigid_motion'
+                )
+            motion = 'prescribed' if rigid_particle_type == 3 else 'predicted'
+        if motion not in list(RigidMotion):
+            raise ValueError(
+                f'rigid_motion is {motion!r}, must be one of {[str(m) for m in RigidMotion]}'
+            )
+        n_context = len(metadata.get('context_mean', ()))
+        names = stated.get('context_names') or [f'context_{i}' for i in range(n_context)]
+        return cls(
+            name=stated.get('name', 'unnamed'),
+            n_modes=int(metadata['mode_number']),
+            rigid_motion=RigidMotion(motion),
+            rigid_edges=tuple((int(s), int(r)) for s, r in stated.get('rigid_edges', ())),
+            has_force='rigid_body_force_mean' in metadata,
+            context_names=tuple(names),
+            n_soil=metadata.get('n_soil'),
+            dt=float(metadata['dt']),
+            up_axis=int(stated.get('up_axis', 1)),
+            connectivity_radius=float(metadata['default_connectivity_radius']),
+        )
+
+    def to_json(self) -> dict:
+        """The scene as JSON-able values; `from_json` is the inverse."""
+        return dataclasses.asdict(self) | {'rigid_motion': str(self.rigid_motion)}
+
+    @classmethod
+    def from_json(cls, values: dict) -> 'Scene':
+        """Rebuilds a scene from `to_json`."""
+        return cls(
+            **values
+            | {
+                'rigid_motion': RigidMotion(values['rigid_motion']),
+                'rigid_edges': tuple(map(tuple, values['rigid_edges'])),
+                'context_names': tuple(values['context_names']),
+            }
+        )

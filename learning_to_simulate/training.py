@@ -1,0 +1,280 @@
+"""`Trainer`: compiled training steps over runs held in memory.
+
+Two stages: single steps with noise on the history, then N-step rollouts with gradients through
+  them. A step
+is a function of (weights, optimiser, seed, step): killed and resumed training gives the same
+weights.
+"""
+
+import contextlib
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import losses, noise_utils
+from learning_to_simulate.learned_simulator import (
+    SimulatorState,
+    initial_state,
+    known_motion,
+)
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.scene import RigidMotion
+
+# Independent random streams of one (seed, step).
+_WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM = 1, 2, 3, 4
+
+
+class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
+    """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
+    stage.
+
+    The unrolled stage starts from a fraction of the first rate and decays to the floor by a cosine.
+    """
+
+    def __init__(self, config: TrainConfig):
+        self._config = config
+
+    def __call__(self, step):
+        c = self._config
+        step = tf.cast(step, tf.float32)
+        single = (c.learning_rate - c.learning_rate_floor) * 0.1 ** (
+            step / c.decay_steps
+        ) + c.learning_rate_floor
+        progress = tf.clip_by_value((step - c.num_steps) / max(c.unroll_steps, 1), 0.0, 1.0)
+        start = c.unroll_learning_rate
+        unrolled = c.learning_rate_floor + (start - c.learning_rate_floor) * 0.5 * (
+            1.0 + tf.cos(np.pi * progress)
+        )
+        return tf.where(step < c.num_steps, single, unrolled)
+
+    def get_config(self):
+        """Keras asks for it; the config is stored beside the checkpoint instead."""
+        return {}
+
+
+class _GroupTensors:
+    """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
+
+    def __init__(self, group, layout, statistics):
+        self.layout = layout
+        self.n_run, self.n_frame = group.position.shape[:2]
+        flat = (self.n_run * self.n_frame, *group.position.shape[2:])
+        # Differences in float64 before the cast: see the note on state in `learned_simulator`.
+        self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
+        self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
+        self.force = self.context = None
+        if statistics.force_mean is not None:
+            normalised = (group.force - statistics.force_mean) / statistics.force_std
+            self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
+        if statistics.context_mean is not None:
+            self.context = tf.constant(group.context, tf.float32)
+
+    def windows(self, batch_size, length, seed):
+        """Gathers `batch_size` windows of `length` frames; which ones is a function of `seed` int32
+        [2]."""
+        n_start = self.n_frame - length + 1
+        pick = tf.random.stateless_uniform(
+            [batch_size], seed, maxval=self.n_run * n_start, dtype=tf.int32
+        )
+        run, start = pick // n_start, pick % n_start
+        frames = (run * self.n_frame + start)[:, None] + tf.range(length)
+        return (
+            tf.gather(self.offset, frames),
+            tf.gather(self.velocity, frames),
+            None if self.force is None else tf.gather(self.force, frames),
+            None if self.context is None else tf.gather(self.context, run),
+        )
+
+
+class Trainer:
+    """Holds the data, the optimiser and one compiled step per group and stage.
+
+    Args:
+      model: `checkpoints.Model` whose variables exist.
+      groups: list of `RunGroup`.
+
+    Raises:
+      ValueError: if a run is shorter than the training windows.
+    """
+
+    def __init__(self, model, groups):
+        self.simulator, self.config = model.simulator, model.simulator.config
+        longest = INPUT_SEQUENCE_LENGTH + (
+            self.config.unroll_length if self.config.unroll_steps else 1
+        )
+        short = [g.position.shape[1] for g in groups if g.position.shape[1] < longest]
+        if short:
+            raise ValueError(
+                f'runs of {min(short)} frames are shorter than the training window of {longest} '
+                f'frames'
+            )
+        self._tensors = [
+            _GroupTensors(g, model.layout(g.n_rigid), self.simulator.statistics) for g in groups
+        ]
+        runs = np.array([t.n_run for t in self._tensors], float)
+        self._share = np.cumsum(runs / runs.sum())
+        self.learning_rate = TwoStageSchedule(self.config)
+        self.optimizer = tf.keras.optimizers.Adam(
+            self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
+        )
+        self.optimizer.build(self.simulator.trainable_variables)
+        self.averages = [tf.Variable(v, name='average') for v in self.simulator.trainable_variables]
+        self._steps = {}
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of both stages."""
+        return self.config.num_steps + self.config.unroll_steps
+
+    def step(self, step: int) -> dict[str, tf.Tensor]:
+        """Runs training step `step` (counted from 0) and returns its scalar losses."""
+        unrolled = step >= self.config.num_steps
+        draw = np.random.Generator(
+            np.random.Philox(key=self.config.seed, counter=[0, 0, _GROUP_STREAM, step])
+        ).random()
+        group = min(int(np.searchsorted(self._share, draw, side='right')), len(self._tensors) - 1)
+        if (group, unrolled) not in self._steps:
+            self._steps[group, unrolled] = self._compile(self._tensors[group], unrolled)
+        return self._steps[group, unrolled](tf.constant(step, tf.int32))
+
+    def _compile(self, tensors, unrolled):
+        variables = self.simulator.trainable_variables
+        config = self.config
+
+        @tf.function(jit_compile=True)
+        def train_step(step):
+            window_seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
+            noise_seed = tf.stack([config.seed * 8 + _NOISE_STREAM, step])
+            with tf.GradientTape() as tape:
+                if unrolled:
+                    values = self._unrolled_losses(
+                        tensors, config.unroll_batch_size, window_seed, noise_seed
+                    )
+                else:
+                    values = self._single_step_losses(
+                        tensors, config.batch_size, window_seed, noise_seed
+                    )
+            gradients = tape.gradient(values['loss'], variables)
+            self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
+            count = tf.cast(step, tf.float32)
+            keep = tf.minimum(
+                config.weight_average, (1.0 + count) / (10.0 + count)
+            )  # forgets the start sooner
+            for average, variable in zip(self.averages, variables, strict=True):
+                average.assign_sub((1.0 - keep) * (average - variable))
+            return values
+
+        return train_step
+
+    @contextlib.contextmanager
+    def averaged_weights(self):
+        """Puts the averaged weights in place for evaluation and saving, and the trained ones back
+        after."""
+        if not self.config.weight_average:
+            yield
+            return
+        variables = self.simulator.trainable_variables
+        trained = [v.numpy() for v in variables]
+        for variable, average in zip(variables, self.averages, strict=True):
+            variable.assign(average)
+        try:
+            yield
+        finally:
+            for variable, value in zip(variables, trained, strict=True):
+                variable.assign(value)
+
+    def one_step_errors(self, n_batch: int = 50) -> dict[str, float]:
+        """Mean one-step losses without noise over random windows, and the position error in m².
+
+        Args:
+          n_batch: batches of 64 windows per group of runs.
+        """
+        rows = []
+        for index, tensors in enumerate(self._tensors):
+
+            @tf.function(jit_compile=True)
+            def errors(i, tensors=tensors, index=index):
+                return self._single_step_losses(
+                    tensors, 64, tf.stack([_EVALUATION_STREAM + index, i]), None
+                )
+
+            rows += [
+                {k: float(v) for k, v in errors(tf.constant(i)).items()} for i in range(n_batch)
+            ]
+        return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
+
+    def _noisy_state(self, offset, velocity, layout, seed, scale=1.0):
+        """State after the first H frames of windows, with random-walk noise on the nodes that move
+        freely."""
+        h = INPUT_SEQUENCE_LENGTH
+        state = initial_state(offset[:, :h], velocity[:, 1:h])
+        if self.config.noise_std * scale == 0 or seed is None:
+            return state
+        std = np.full(layout.velocity_std.shape, self.config.noise_std * scale, np.float32)
+        if self.config.noise_relative:
+            std *= layout.velocity_std
+        noise = noise_utils.random_walk_velocity_noise(
+            state.velocity.shape, std * (layout.moving > 0), seed
+        )
+        scene = self.simulator.scene
+        if scene.rigid_motion == RigidMotion.DRIVEN:
+            # One degree of freedom: every rigid particle carries the same noise, on the scale of
+            # the height.
+            up = np.eye(self.simulator.dim, dtype=np.float32)[scene.up_axis]
+            s = self.simulator.statistics
+            factor = (
+                s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]
+                if self.config.noise_relative
+                else 1.0
+            )
+            body = noise[:, :1] * up * np.float32(factor)
+            noise = tf.concat(
+                [tf.tile(body, [1, layout.n_rigid, 1, 1]), noise[:, layout.n_rigid :]], axis=1
+            )
+        return SimulatorState(
+            state.offset + noise_utils.position_noise(noise), state.velocity + noise
+        )
+
+    def _known(self, offset, velocity, layout, frame):
+        n = layout.n_rigid
+        return known_motion(offset[:, frame, :n], velocity[:, frame, :n], self.simulator.scene)
+
+    def _single_step_losses(self, tensors, batch_size, window_seed, noise_seed):
+        h, layout = INPUT_SEQUENCE_LENGTH, tensors.layout
+        offset, velocity, force, context = tensors.windows(batch_size, h + 1, window_seed)
+        state = self._noisy_state(offset, velocity, layout, noise_seed)
+        known = self._known(offset, velocity, layout, h)
+        target = self.simulator.normalized_target(velocity[:, h], state, known, layout)
+        predicted, predicted_force = self.simulator.predict(state, known, context, layout)
+        true_force = None if force is None else force[:, h]
+        values = losses.one_step_loss(
+            target, predicted, true_force, predicted_force, layout.loss_weight
+        )
+        error = (
+            (predicted - target) * layout.target_std * self.simulator.rate(known) * layout.moving
+        )
+        return values | {'one_step_position_mse': tf.reduce_mean(error[:, layout.n_rigid :] ** 2)}
+
+    def _unrolled_losses(self, tensors, batch_size, window_seed, noise_seed):
+        h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
+        offset, velocity, force, context = tensors.windows(batch_size, h + n, window_seed)
+        state = self._noisy_state(offset, velocity, layout, noise_seed, self.config.unroll_noise)
+        offsets, forces = [], []
+        for k in range(n):
+            known = self._known(offset, velocity, layout, h + k)
+            state, predicted_force = self.simulator.step(state, known, context, layout)
+            offsets.append(state.offset)
+            forces.append(predicted_force)
+        s = self.simulator.statistics
+        predicted_forces = None
+        if force is not None:
+            force = force[:, h:]
+            predicted_forces = (
+                tf.stack(forces, 1) - s.force_mean.astype(np.float32)
+            ) / s.force_std.astype(np.float32)
+        scale = layout.velocity_std.copy()
+        if s.height_velocity_std is not None:
+            scale[: layout.n_rigid, self.simulator.scene.up_axis] = s.height_velocity_std[0]
+        return losses.unrolled_loss(
+            offset[:, h:], tf.stack(offsets, 1), force, predicted_forces, layout.loss_weight, scale
+        )
