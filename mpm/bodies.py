@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from mpm.columns import JIT
+
 BLADE_HEIGHT, BLADE_THICKNESS, BLADE_WIDTH = 0.305, 0.028, 0.457
 BLADE_FRICTION = 0.3
 POINT_SPACING = 0.1
@@ -104,7 +106,7 @@ def sample_points(body: Body, x: float, y: float, rotation: float) -> np.ndarray
     )
 
 
-@numba.njit(cache=True, inline='always')
+@numba.njit(inline='always', **JIT)
 def signed_distance(dims, rx, ry, z):
     """Signed distance (m, negative inside) and outward normal of the nearest face.
 

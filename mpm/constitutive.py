@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numba
 
+from mpm.columns import FLUIDITY, JIT, VOLUME_RATIO, C, S
+
 
 class Soil(NamedTuple):
     """Parameters of the soil (SI units). A NamedTuple, so that a Numba kernel can take it."""
@@ -39,6 +41,8 @@ INERTIAL_NUMBER_0 = 0.278
 MU_RANGE = 0.9616 - 0.76  # mu_2 - mu_s
 NONLOCAL_AMPLITUDE = 0.48
 NONLOCAL_TIME = 1.0e-4
+# Fluidity (1/s) from which flow starts: zero would be a fixed point. Creep at it is 1e-4 a second.
+FLUIDITY_SEED = 1.0e-4
 POISSON_RATIO = 0.3
 
 
@@ -88,7 +92,7 @@ def make_soil(youngs_modulus: float, mu_s: float, poisson_ratio: float = POISSON
     )
 
 
-@numba.njit(cache=True, inline='always')
+@numba.njit(inline='always', **JIT)
 def relax_local(tau_trial, p, dt, soil):
     """Returns the relaxed tau (Pa) of the local mu(I) law, implicit in the step `dt`.
 
@@ -110,7 +114,7 @@ def relax_local(tau_trial, p, dt, soil):
     return 2.0 * h / (b + math.sqrt(max(b * b - 4.0 * h, 0.0)))
 
 
-@numba.njit(cache=True, inline='always')
+@numba.njit(inline='always', **JIT)
 def fluidity_source(g, tau, p, soil):
     """Returns the local part of dg/dt (1/s2) of the granular fluidity g (1/s).
 
@@ -125,7 +129,57 @@ def fluidity_source(g, tau, p, soil):
     return (-(soil.mu_s - mu) * g - b * inertia * mu * g * g) / soil.nonlocal_time
 
 
-@numba.njit(cache=True, inline='always')
+@numba.njit(inline='always', **JIT)
 def relax_nonlocal(tau_trial, p, g, dt, soil):
     """Returns the relaxed tau (Pa) for a granular fluidity `g`: gamma_dot = g tau / p."""
     return tau_trial * p / (p + soil.shear_modulus * dt * g)
+
+
+@numba.njit(inline='always', **JIT)
+def pressure_of(ratio, bulk_modulus):
+    """Pressure (Pa) of soil at `ratio` of its packed volume: linear in density, no tension."""
+    if ratio >= 1.0:
+        return 0.0
+    return bulk_modulus * (1.0 / ratio - 1.0)
+
+
+@numba.njit(inline='always', **JIT)
+def update_stress(q, dt, soil, fluidity, g_new):
+    """Elastic trial stress of one particle row `q` from its velocity gradient, then relaxation."""
+    trace = q[C] + q[C + 4] + q[C + 8]
+    ratio = q[VOLUME_RATIO] * (1.0 + dt * trace)
+    q[VOLUME_RATIO] = ratio
+    p = pressure_of(ratio, soil.bulk_modulus)
+    if p <= 0.0:
+        for a in range(6):
+            q[S + a] = 0.0
+        q[FLUIDITY] = 0.0
+        return
+    # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.
+    h = 0.5 * dt
+    wxy, wyz, wzx = h * (q[C + 1] - q[C + 3]), h * (q[C + 5] - q[C + 7]), h * (q[C + 6] - q[C + 2])
+    sxx, syy, szz = q[S], q[S + 1], q[S + 2]
+    sxy, syz, szx = q[S + 3], q[S + 4], q[S + 5]
+    g2 = 2.0 * soil.shear_modulus * dt
+    third = trace / 3.0
+    txx = sxx + 2.0 * (wxy * sxy - wzx * szx) + g2 * (q[C] - third)
+    tyy = syy + 2.0 * (wyz * syz - wxy * sxy) + g2 * (q[C + 4] - third)
+    tzz = szz + 2.0 * (wzx * szx - wyz * syz) + g2 * (q[C + 8] - third)
+    g1 = soil.shear_modulus * dt
+    txy = sxy + wxy * (syy - sxx) - wzx * syz + wyz * szx + g1 * (q[C + 1] + q[C + 3])
+    tyz = syz + wyz * (szz - syy) - wxy * szx + wzx * sxy + g1 * (q[C + 5] + q[C + 7])
+    tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (q[C + 6] + q[C + 2])
+    tau = math.sqrt(
+        0.5 * (txx * txx + tyy * tyy + tzz * tzz) + txy * txy + tyz * tyz + tzx * tzx
+    )
+    if fluidity is not None:
+        g_new = max(g_new, FLUIDITY_SEED)
+        relaxed = relax_nonlocal(tau, p, g_new, dt, soil)
+        q[FLUIDITY] = g_new + dt * fluidity_source(g_new, relaxed, p, soil)
+    else:
+        relaxed = relax_local(tau, p, dt, soil)
+    factor = 1.0
+    if tau > 0.0:
+        factor = relaxed / tau
+    q[S], q[S + 1], q[S + 2] = factor * txx, factor * tyy, factor * tzz
+    q[S + 3], q[S + 4], q[S + 5] = factor * txy, factor * tyz, factor * tzx

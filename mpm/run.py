@@ -6,7 +6,7 @@ from typing import Callable
 
 import numpy as np
 
-from mpm import bodies, packing, scenes, solver, stability
+from mpm import bodies, columns, packing, scenes, solver, stability
 from mpm.constitutive import Soil, make_soil
 
 SORT_EVERY = 4  # frames
@@ -56,7 +56,7 @@ class Simulation:
     """Soil and body of one case, advanced frame by frame.
 
     Attributes:
-        particles: float64 [N, COLUMNS], sorted by cell now and then (see `solver.IDENTITY`).
+        particles: float64 [N, COLUMNS], sorted by cell now and then (see `columns.IDENTITY`).
         rider: float64 [4], see `solver.advance`: the wheel's height, speed, mass and load.
         dt: time step, s.
         time: s since driving began (negative at rest).
@@ -129,12 +129,12 @@ class Simulation:
             packing.particle_volume(self._scene.bin), self.gravity, 1.0, body.dims,
             body.friction, body.outset * self.grid.dx, self.drive.path(times), spin, self.rider, impulse, self._status,
         )
-        if self._status[0] != solver.OK:
+        if self._status[0] != columns.OK:
             raise ValueError(
                 f'particle {self._status[1]} left the grid at {self.time:.3f} s '
                 f'(step {self._status[2]})'
             )
-        speed = np.sqrt((self.particles[:, solver.V : solver.V + 3] ** 2).sum(axis=1).max())
+        speed = np.sqrt((self.particles[:, columns.V : columns.V + 3] ** 2).sum(axis=1).max())
         if not speed * self.dt <= stability.VELOCITY_CFL * self.grid.dx:
             raise ValueError(
                 f'soil at {speed:.3g} m/s crosses {speed * self.dt / self.grid.dx:.3g} cells a '
@@ -181,12 +181,12 @@ def run_case(
     soil = make_soil(settings.youngs_modulus, scenes.static_friction(scene, parameters))
     simulation = Simulation(scene, parameters, soil, packed[0], settings)
     kept = slice(None, None, scene.bin.keep_every)
-    positions = [simulation.positions()[kept]]
+    positions = [simulation.positions()[kept].astype(np.float32)]
     rigid = [simulation.rigid_points()]
     force = []
     for frame in range(1, scenes.FRAMES):
         force.append(simulation.frame())
-        positions.append(simulation.positions()[kept])
+        positions.append(simulation.positions()[kept].astype(np.float32))
         rigid.append(simulation.rigid_points())
         if on_frame is not None:
             on_frame(frame)

@@ -1,0 +1,32 @@
+"""What the kernels share: the columns of the particle array, and how Numba compiles them."""
+
+import hashlib
+import os
+
+import numba
+
+# Numba keeps compiled kernels beside the file that defines them and looks at that file alone when
+# it decides whether they are stale; a kernel inlines functions of other files. So the place
+# where they are kept is named by the contents of all files that define any.
+_FOLDER = os.path.dirname(os.path.abspath(__file__))
+_digest = hashlib.sha256()
+for _name in sorted(os.listdir(_FOLDER)):
+    if _name.endswith('.py'):
+        with open(os.path.join(_FOLDER, _name), 'rb') as _file:
+            _source = _file.read()
+        if b'@numba.njit' in _source:
+            _digest.update(_source)
+numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest()[:16])
+
+# Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
+# (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular
+# fluidity, number of the particle. One row is three cache lines.
+X, V, C, S, VOLUME_RATIO, FLUIDITY, IDENTITY, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 24
+
+# Status codes of `solver.advance`.
+OK, LEFT_GRID = 0, 1
+
+# Fused multiply-adds only: leave to reorder sums made the gather a third slower and hides NaN.
+JIT = dict(cache=True, fastmath={'contract'}, error_model='numpy')
+# Node numbers are unsigned: Numba then leaves out the test for an index counted from the end.
+index = numba.uintp
