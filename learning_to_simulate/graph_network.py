@@ -10,10 +10,10 @@ import sonnet as snt
 import tensorflow as tf
 
 
-def _mlp(width, hidden_layers, output_size=None):
+def _mlp(width, hidden_layers, output_size=None, name='mlp'):
     """`hidden_layers` ReLU layers of `width`, then a linear layer; LayerNorm unless it is the
     decoder."""
-    layers = [snt.nets.MLP([width] * hidden_layers + [output_size or width])]
+    layers = [snt.nets.MLP([width] * hidden_layers + [output_size or width], name=name)]
     if output_size is None:
         layers.append(snt.LayerNorm(axis=-1, create_scale=True, create_offset=True))
     return snt.Sequential(layers)
@@ -48,12 +48,16 @@ class EncodeProcessDecode(snt.Module):
         reducer = (
             tf.math.unsorted_segment_mean if mean_aggregation else tf.math.unsorted_segment_sum
         )
-        self._encoder = gn.modules.GraphIndependent(edge_model_fn=make, node_model_fn=make)
+        self._encoder = gn.modules.GraphIndependent(
+            edge_model_fn=make, node_model_fn=make, name='encoder'
+        )
         self._processors = [
-            gn.modules.InteractionNetwork(edge_model_fn=make, node_model_fn=make, reducer=reducer)
-            for _ in range(message_passing_steps)
+            gn.modules.InteractionNetwork(
+                edge_model_fn=make, node_model_fn=make, reducer=reducer, name=f'processor_{m}'
+            )
+            for m in range(message_passing_steps)
         ]
-        self._decoder = _mlp(latent_size, hidden_layers, output_size)
+        self._decoder = _mlp(latent_size, hidden_layers, output_size, name='decoder')
 
     def __call__(self, nodes, edges, senders, receivers):
         """Runs the network on B equal graphs.

@@ -47,7 +47,7 @@ class TrainConfig:
     preset: str
     adjacency: str = 'algorithm2'
     mode_edges: int = 28
-    rigid_particles: int = 0
+    rigid_particles: int = 5
     conditioned: bool = True
     velocity_inputs: int = 1
     rate_scaled: bool = True
@@ -110,6 +110,7 @@ class TrainConfig:
 
 _PUBLISHED = {
     'conditioned': False,
+    'rigid_particles': 0,
     'velocity_inputs': 5,
     'rate_scaled': False,
     'weight_average': 0.0,

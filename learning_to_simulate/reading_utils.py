@@ -97,11 +97,12 @@ def read_groups(
       folder: dataset folder.
       split: train, valid or test.
       metadata: its validated metadata.
-      rigid_particles: keep this many rigid particles, the lowest of the first frame; 0 keeps all.
+      rigid_particles: at most this many particles of a body with prescribed motion become nodes,
+        the lowest ones of the first frame; 0 keeps all.
 
     Raises:
-      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a record with fewer rigid
-        particles than asked for; a context that changes in time.
+      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a context that changes in
+        time.
     """
     up = metadata.get('scene', {}).get('up_axis', 1)
     runs: dict[tuple, list] = {}
@@ -112,15 +113,9 @@ def read_groups(
                 f'{where}: step_context changes in time; this simulator takes constant context only'
             )
         kept = np.arange(run.n_rigid)
-        if rigid_particles:
-            if rigid_particles > run.n_rigid:
-                raise ValueError(
-                    f'{where} has {run.n_rigid} rigid particles, --rigid_particles asks for '
-                    f'{rigid_particles}'
-                )
-            kept = np.sort(
-                np.argsort(run.position[0, : run.n_rigid, up], kind='stable')[:rigid_particles]
-            )
+        if rigid_particles and run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID:
+            height = run.position[0, : run.n_rigid, up]
+            kept = np.sort(np.argsort(height, kind='stable')[:rigid_particles])
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
     return [_stack(n_rigid, members) for (n_rigid, _), members in sorted(runs.items())]
 

@@ -277,36 +277,47 @@ def _log_rollout(summary, step, bar):
     bar.write(text)
 
 
-def _load_for_evaluation(overrides):
-    """The model, its dataset's metadata and the runs of the split; contradicting flags are
-    refused."""
-    model = checkpoints.load_model(_MODEL_PATH.value)
+def load_for_evaluation(model_path, data_path, split, overrides):
+    """The model, its dataset's metadata and the runs of the split.
+
+    Raises:
+      FileNotFoundError: no model, dataset or split there.
+      ValueError: an override contradicts the model, or the dataset does not fit it.
+    """
+    model = checkpoints.load_model(model_path)
     config = model.simulator.config
     for field, value in overrides.items():
         if value != getattr(config, field):
             raise ValueError(
-                f'--{field}={value} contradicts the model in {_MODEL_PATH.value}, which has '
-                f'{getattr(config, field)!r}: '
-                'leave the flag out'
+                f'--{field}={value} contradicts the model in {model_path}, which has '
+                f'{getattr(config, field)!r}: leave the flag out'
             )
-    metadata = dataset.read_metadata(_DATA_PATH.value)
-    if metadata['mode_number'] != model.simulator.scene.n_modes:
+    metadata = dataset.read_metadata(data_path)
+    scene = model.simulator.scene
+    if metadata['mode_number'] != scene.n_modes:
         raise ValueError(
-            f'{_DATA_PATH.value} has {metadata["mode_number"]} modes, the model in '
-            f'{_MODEL_PATH.value} was trained on '
-            f'{model.simulator.scene.n_modes}'
+            f'{data_path} has {metadata["mode_number"]} modes, the model in {model_path} was '
+            f'trained on {scene.n_modes}'
         )
-    return (
-        model,
-        metadata,
-        reading_utils.read_groups(
-            _DATA_PATH.value, _EVAL_SPLIT.value, metadata, config.rigid_particles
-        ),
-    )
+    for key, wanted in (
+        ('rigid_body_force_mean', scene.has_force),
+        ('context_mean', bool(scene.context_names)),
+    ):
+        if (key in metadata) != wanted:
+            has = 'has' if key in metadata else 'lacks'
+            raise ValueError(
+                f'{data_path}/metadata.json {has} {key}, unlike the data of {model_path}'
+            )
+    groups = reading_utils.read_groups(data_path, split, metadata, config.rigid_particles)
+    for group in groups:
+        model.layout(group.n_rigid)
+    return model, metadata, groups
 
 
 def _evaluate_one_step(overrides):
-    model, _, groups = _load_for_evaluation(overrides)
+    model, _, groups = load_for_evaluation(
+        _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides
+    )
     print(f'one-step errors on {_EVAL_SPLIT.value} of {_DATA_PATH.value}')
     for name, value in Trainer(model, groups).one_step_errors().items():
         print(f'  {name:24s} {value:.6g}')
@@ -315,14 +326,15 @@ def _evaluate_one_step(overrides):
 def _evaluate_rollouts(overrides):
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
-    model, metadata, groups = _load_for_evaluation(overrides)
+    split = _EVAL_SPLIT.value
+    model, metadata, groups = load_for_evaluation(
+        _MODEL_PATH.value, _DATA_PATH.value, split, overrides
+    )
     evaluator = evaluation.Evaluator(model, metadata, _RIGID_CORRECTION.value)
     results, summary = evaluator.run(
-        groups, _EVAL_SPLIT.value, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
+        groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
     )
-    written = evaluation.save_rollouts(
-        _OUTPUT_PATH.value, _EVAL_SPLIT.value, results, summary, metadata
-    )
+    written = evaluation.save_rollouts(_OUTPUT_PATH.value, split, results, summary, metadata)
     print(evaluation.table(summary))
     print(f'wrote {len(written)} files to {_OUTPUT_PATH.value}')
 

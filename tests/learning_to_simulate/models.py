@@ -1,0 +1,17 @@
+"""Models on synthetic data, shared by the tests of the simulator."""
+
+from learning_to_simulate import presets, reading_utils, train
+from pca_tools import dataset
+from tests.learning_to_simulate import synthetic
+
+SMALL = {'latent_size': 16, 'batch_size': 4, 'mode_edges': 5}
+
+
+def make(folder, preset='pcg', motion='prescribed', rigid_motion=None, overrides=None, **data):
+    """Writes a dataset and makes an untrained small model for it; returns (model, groups,
+    metadata)."""
+    synthetic.write_dataset(folder, motion=motion, **data)
+    config = presets.make_config(preset, **SMALL | (overrides or {}))
+    metadata = dataset.read_metadata(str(folder))
+    groups = reading_utils.read_groups(str(folder), 'train', metadata, config.rigid_particles)
+    return train.make_model(str(folder), metadata, groups, config, rigid_motion), groups, metadata

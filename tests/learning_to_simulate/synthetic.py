@@ -1,0 +1,107 @@
+"""Small datasets whose soil follows the body by a known law, for tests of the simulator."""
+
+import os
+
+import numpy as np
+
+from pca_tools import dataset, files
+
+N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
+RADIUS = 0.1
+
+
+def _body(rng, n_rigid, motion):
+    """Positions [T, R, 3] of a rigid body: a plate that travels, or a ring that rolls and sinks."""
+    t = np.arange(N_FRAMES)[:, None, None]
+    if motion == 'prescribed':
+        rows = np.arange(n_rigid)[:, None] * np.array([0.0, 0.03, 0.01])
+        speed = rng.uniform(0.5e-3, 2e-3)
+        # Unsteady, so that constant velocity is a poor prediction.
+        travel = speed * (t + 12.0 * (1.0 - np.cos(t / 8.0)))
+        return rows + np.array([0.8, 0.3, 0.2]) - travel * np.array([1.0, 0.3, 0.0])
+    angle = 2 * np.pi * np.arange(n_rigid) / n_rigid + t[..., 0] * rng.uniform(0.005, 0.02)
+    ring = RADIUS * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    ring[..., 2] += 0.01 * (np.arange(n_rigid) % 2)
+    sinkage = 1e-2 * (1 - np.exp(-t * rng.uniform(0.01, 0.05)))
+    return (
+        ring
+        + np.array([0.2, 0.3, 0.2])
+        + t * 1e-3 * np.array([1.0, 0.0, 0.0])
+        - sinkage * [0, 1, 0]
+    )
+
+
+def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=True):
+    """One run: modes move in proportion to the body, the force follows its depth and speed."""
+    rng = np.random.default_rng(seed)
+    body = _body(rng, n_rigid, motion)
+    step = np.diff(body.mean(axis=1), axis=0, prepend=body[:1].mean(axis=1))
+    gain = np.array([[3.0, 0.5, 0.0], [-1.0, 0.2, 0.1], [0.1, 2.0, 0.0]])
+    modes = np.array([9.0, -4.0, 0.5])[None, :, None] + np.cumsum(step[:, None] * gain, axis=0)
+    depth = body[:1, :, 1].mean() - body[:, :, 1].mean(axis=1)
+    forces = np.stack([100 * (depth + 0.01) * 50, 40 * depth, 0 * depth], axis=-1)
+    forces += rng.normal(0, 0.1, forces.shape)
+    types = np.array([3 if motion == 'prescribed' else 0] * n_rigid + [6] * N_MODES)
+    values = np.array([9.81, 30.0 + seed]) if context else None
+    return dataset.Trajectory(
+        key=seed,
+        particle_type=types,
+        position=np.concatenate([body, modes], axis=1).astype(np.float32),
+        force=forces.astype(np.float32) if force else None,
+        step_context=np.tile(values, (N_FRAMES, 1)).astype(np.float32) if context else None,
+    )
+
+
+def write_dataset(
+    folder, rigid_counts=(4,), motion='prescribed', context=False, force=True, n_run=4
+):
+    """Writes train, valid and test splits with metadata; returns the folder as a string.
+
+    `rigid_counts` are taken in turn, so that a folder can hold two sizes of the body.
+    """
+    os.makedirs(folder, exist_ok=True)
+    runs = {}
+    for offset, (split, count) in enumerate((('train', n_run), ('valid', 2), ('test', 2))):
+        runs[split] = [
+            make_trajectory(
+                100 * offset + i, rigid_counts[i % len(rigid_counts)], motion, context, force
+            )
+            for i in range(count)
+        ]
+        dataset.write_split(dataset.split_path(str(folder), split), runs[split])
+    train = runs['train']
+    velocity = np.concatenate(
+        [np.diff(r.position[:, r.n_rigid :], axis=0).reshape(-1, 3) for r in train]
+    )
+    acceleration = np.concatenate(
+        [np.diff(r.position[:, r.n_rigid :], n=2, axis=0).reshape(-1, 3) for r in train]
+    )
+    metadata = {
+        'bounds': [[0.0, 1.0]] * 3,
+        'sequence_length': N_FRAMES - 1,
+        'default_connectivity_radius': 0.025,
+        'dim': 3,
+        'dt': 1 / 60,
+        'mode_number': N_MODES,
+        'n_soil': N_SOIL,
+        'particles_rigid': rigid_counts[0],
+        'scene': {
+            'name': 'synthetic',
+            'rigid_motion': motion,
+            'rigid_edges': [[0, 1], [1, 0]] if motion == 'predicted' else [],
+            'context_names': ['gravity', 'friction_angle_deg'] if context else [],
+            'force': force,
+            'up_axis': 1,
+        },
+    }
+    for name, values in (('vel', velocity), ('acc', acceleration)):
+        metadata |= {f'{name}_mean': values.mean(0).tolist(), f'{name}_std': values.std(0).tolist()}
+    if force:
+        values = np.concatenate([r.force for r in train])
+        metadata['rigid_body_force_mean'] = values.mean(0).tolist()
+        metadata['rigid_body_force_std'] = values.std(0).tolist()
+    if context:
+        values = np.concatenate([r.step_context for r in train])
+        metadata |= {'context_mean': values.mean(0).tolist(), 'context_std': values.std(0).tolist()}
+    files.write_json(os.path.join(folder, 'metadata.json'), metadata)
+    return str(folder)
