@@ -169,9 +169,7 @@ def update_stress(q, dt, soil, fluidity, g_new):
     txy = sxy + wxy * (syy - sxx) - wzx * syz + wyz * szx + g1 * (q[C + 1] + q[C + 3])
     tyz = syz + wyz * (szz - syy) - wxy * szx + wzx * sxy + g1 * (q[C + 5] + q[C + 7])
     tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (q[C + 6] + q[C + 2])
-    tau = math.sqrt(
-        0.5 * (txx * txx + tyy * tyy + tzz * tzz) + txy * txy + tyz * tyz + tzx * tzx
-    )
+    tau = math.sqrt(0.5 * (txx * txx + tyy * tyy + tzz * tzz) + txy * txy + tyz * tyz + tzx * tzx)
     if fluidity is not None:
         g_new = max(g_new, FLUIDITY_SEED)
         relaxed = relax_nonlocal(tau, p, g_new, dt, soil)

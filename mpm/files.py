@@ -1,7 +1,7 @@
 """Files that appear whole or not at all."""
 
 import os
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 

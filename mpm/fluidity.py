@@ -7,7 +7,7 @@ from mpm.transfers import weights
 
 
 @numba.njit(**JIT)
-def diffuse_fluidity(particles, grid, work, shape, top, origin, dx, dt, soil):
+def diffuse_fluidity(particles, work, shape, top, origin, dx, dt, soil):
     """Fills work[:, 2] with the diffusive increment of the fluidity over a step, per node.
 
     The fluidity goes to the nodes as a mass-weighted mean; a 7-point Laplacian between nodes that

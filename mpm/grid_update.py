@@ -72,9 +72,7 @@ def contact(grid, shape, top, origin, dx, walls, dims, friction, outset, pose, m
                 m = grid[node + index(3)]
                 if m <= 0.0:
                     continue
-                distance, n_x, n_y, n_z = signed_distance(
-                    dims, rx, ry, origin[2] + k * dx
-                )
+                distance, n_x, n_y, n_z = signed_distance(dims, rx, ry, origin[2] + k * dx)
                 share = min(1.0, (outset - distance) / dx)
                 if share <= 0.0:
                     continue

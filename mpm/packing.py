@@ -105,9 +105,26 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
         # The last tenths are undamped: what is left at rest is rest.
         keep = 1.0 - SETTLE_DAMPING * dt if part < 8 else 1.0
         solver.advance(
-            particles, work, None, grid.shape, grid.origin, grid.dx, dt, grid.walls, soil,
-            particle_volume(box), EARTH_GRAVITY, keep, None, 0.0,
-            0.0, np.zeros((steps // 10 + 1, 2)), 0.0, np.zeros(4), np.zeros(3), status,
+            particles,
+            work,
+            None,
+            grid.shape,
+            grid.origin,
+            grid.dx,
+            dt,
+            grid.walls,
+            soil,
+            particle_volume(box),
+            EARTH_GRAVITY,
+            keep,
+            None,
+            0.0,
+            0.0,
+            np.zeros((steps // 10 + 1, 2)),
+            0.0,
+            np.zeros(4),
+            np.zeros(3),
+            status,
         )
     particles = in_identity_order(particles)
     speed = float(np.linalg.norm(particles[:, columns.V : columns.V + 3], axis=1).max())

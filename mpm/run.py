@@ -1,8 +1,8 @@
 """One run of a case: from the settled packing to the arrays of a raw run."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 
@@ -124,10 +124,26 @@ class Simulation:
         body = self.drive.body
         impulse = np.zeros(3)
         solver.advance(
-            self.particles, self._work, self._fluidity, self.grid.shape, self.grid.origin,
-            self.grid.dx, self.dt, self.grid.walls, self.soil,
-            packing.particle_volume(self._scene.bin), self.gravity, 1.0, body.dims,
-            body.friction, body.outset * self.grid.dx, self.drive.path(times), spin, self.rider, impulse, self._status,
+            self.particles,
+            self._work,
+            self._fluidity,
+            self.grid.shape,
+            self.grid.origin,
+            self.grid.dx,
+            self.dt,
+            self.grid.walls,
+            self.soil,
+            packing.particle_volume(self._scene.bin),
+            self.gravity,
+            1.0,
+            body.dims,
+            body.friction,
+            body.outset * self.grid.dx,
+            self.drive.path(times),
+            spin,
+            self.rider,
+            impulse,
+            self._status,
         )
         if self._status[0] != columns.OK:
             raise ValueError(

@@ -64,8 +64,16 @@ def advance(
     before = np.empty(3)
     for step in range(path.shape[0] - 1):
         top = particles_to_grid(
-            particles, grid, shape, origin, dx, dt, mass, particle_volume,
-            soil.bulk_modulus, status,
+            particles,
+            grid,
+            shape,
+            origin,
+            dx,
+            dt,
+            mass,
+            particle_volume,
+            soil.bulk_modulus,
+            status,
         )
         if status[0] != OK:
             return
@@ -78,15 +86,23 @@ def advance(
                 y, vy = rider[0], rider[1]
             before[:] = impulse
             contact(
-                grid, shape, top, origin, dx, walls, dims, friction, outset,
-                (path[step, 0], y), (vx, vy, spin), impulse,
+                grid,
+                shape,
+                top,
+                origin,
+                dx,
+                walls,
+                dims,
+                friction,
+                outset,
+                (path[step, 0], y),
+                (vx, vy, spin),
+                impulse,
             )
             if free:
                 rider[1] += (impulse[1] - before[1] - rider[3] * dt) / rider[2]
                 rider[0] += dt * rider[1]
         if fluidity is not None:
-            diffuse_fluidity(particles, grid, fluidity, shape, top, origin, dx, dt, soil)
-        grid_to_particles(
-            particles, grid, shape, origin, dx, dt, soil, fluidity
-        )
+            diffuse_fluidity(particles, fluidity, shape, top, origin, dx, dt, soil)
+        grid_to_particles(particles, grid, shape, origin, dx, dt, soil, fluidity)
         status[2] += 1

@@ -17,9 +17,7 @@ class UnstableTimeStepError(ValueError):
 
 def wave_speed(soil: Soil) -> float:
     """Returns the speed of the pressure wave sqrt((K + 4 G / 3) / rho) in m/s."""
-    return math.sqrt(
-        (soil.bulk_modulus + 4.0 * soil.shear_modulus / 3.0) / soil.bulk_density
-    )
+    return math.sqrt((soil.bulk_modulus + 4.0 * soil.shear_modulus / 3.0) / soil.bulk_density)
 
 
 def max_time_step(soil: Soil, dx: float, is_nonlocal: bool = False, cfl: float = CFL) -> float:

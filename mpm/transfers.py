@@ -13,14 +13,12 @@ from mpm.constitutive import pressure_of, update_stress
 
 @numba.njit(inline='always', **JIT)
 def weights(f):
-    """Quadratic B-spline weights of three nodes; the first lies f + 0.5 cells below, f in [0, 1)."""
+    """Quadratic B-spline weights of three nodes; the first lies f + 0.5 cells below (f < 1)."""
     return 0.5 * (1.0 - f) ** 2, 0.75 - (f - 0.5) ** 2, 0.5 * f**2
 
 
 @numba.njit(**JIT)
-def particles_to_grid(
-    particles, grid, shape, origin, dx, dt, mass, volume, bulk_modulus, status
-):
+def particles_to_grid(particles, grid, shape, origin, dx, dt, mass, volume, bulk_modulus, status):
     """Scatters mass and momentum (stress included) to `grid` [4 nodes]; returns the top row.
 
     Nodes are numbered (j nx + i) nz + k with j up, so that the rows above the soil, which are

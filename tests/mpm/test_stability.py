@@ -1,0 +1,114 @@
+"""The limits as numbers, and what happens on both sides of them."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from mpm import columns, experiments, run, scenes, stability
+from mpm.constitutive import make_soil
+from mpm.scenes import Bin
+
+
+@pytest.mark.parametrize(('modulus', 'limit'), [(0.15e6, 1.65e-3), (1.5e6, 4.5e-4), (15e6, 1.5e-4)])
+def test_limit_is_below_the_measured_onset_of_divergence(modulus, limit):
+    """Measured onsets at dx 13.3 mm, CFL 1.14 to 1.34; the default takes 0.8 of a cell."""
+    step = stability.max_time_step(make_soil(modulus, 0.76), 0.0133)
+    assert 0.55 * limit < step < 0.8 * limit
+
+
+def test_wave_speed_is_that_of_the_elastic_solid(soil):
+    modulus, nu = 1.5e6, 0.3
+    expected = math.sqrt(modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu) * soil.bulk_density))
+    assert stability.wave_speed(soil) == pytest.approx(expected, rel=1e-12)
+
+
+def test_too_long_a_step_is_refused_with_its_numbers(soil):
+    limit = stability.max_time_step(soil, 0.01)
+    stability.check_time_step(limit, soil, 0.01)
+    with pytest.raises(stability.UnstableTimeStepError) as error:
+        stability.check_time_step(1.01 * limit, soil, 0.01)
+    text = str(error.value)
+    assert f'{1.01 * limit:.4g}' in text and f'{limit:.4g}' in text and 'CFL number 0.808' in text
+
+
+def test_a_run_refuses_a_given_step_above_the_limit(coarse_excavation, excavation_packing, soil):
+    settings = run.Settings(steps_per_frame=10)
+    with pytest.raises(stability.UnstableTimeStepError, match='CFL'):
+        run.Simulation(
+            coarse_excavation,
+            scenes.EXCAVATION.parameters(1),
+            soil,
+            excavation_packing[0],
+            settings,
+        )
+
+
+def test_frame_is_divided_into_the_fewest_stable_steps(soil):
+    steps = stability.steps_per_frame(1 / 60, soil, 0.01)
+    stability.check_time_step(1 / 60 / steps, soil, 0.01)
+    with pytest.raises(stability.UnstableTimeStepError):
+        stability.check_time_step(1 / 60 / (steps - 1), soil, 0.01)
+
+
+def test_nonlocal_limits(soil):
+    fine = 1e-5
+    wave = stability.max_time_step(soil, fine)
+    diffusion = stability.max_time_step(soil, fine, is_nonlocal=True)
+    assert diffusion < wave
+    # dx2 t0 / (2 A2 d2) is the one-dimensional limit.
+    assert diffusion <= fine**2 * 1e-4 / (2 * 0.48**2 * 3e-4**2)
+    # At the cells of the scenes the elastic wave is what limits.
+    assert stability.max_time_step(soil, 0.0133, is_nonlocal=True) == pytest.approx(
+        stability.max_time_step(soil, 0.0133)
+    )
+
+
+def test_nonlocal_friction_condition():
+    limit = math.sqrt(3) * (1 - 2 * 0.3) / (1 + 0.3)
+    stability.check_friction(make_soil(1.5e6, 1.01 * limit))
+    with pytest.raises(ValueError, match='nonlocal'):
+        stability.check_friction(make_soil(1.5e6, 0.99 * limit))
+
+
+def test_bad_cell_size_is_refused(soil):
+    with pytest.raises(ValueError, match='cell size'):
+        stability.max_time_step(soil, 0.0)
+
+
+def drop(soil, factor, steps):
+    """Largest speed of a block that settles on the floor with a step of `factor` x the limit."""
+    box = Bin((0.2, 0.1, 0.2), 0.02, (15, 8, 15), 1, 0.3, ())
+    experiment = experiments.Experiment(box, box, soil)
+    experiment.dt *= factor
+    try:
+        for _ in range(10):
+            experiment.advance(steps // 10)
+    except ValueError:
+        return math.inf
+    velocity = experiment.particles[:, columns.V : columns.V + 3]
+    return float(np.linalg.norm(velocity, axis=1).max())
+
+
+@pytest.mark.parametrize('modulus', [1.5e5, 1.5e6, 1.5e8])
+def test_soil_stays_calm_at_the_limit_whatever_its_stiffness(modulus):
+    """Free fall over the settling would be 0.5 m/s and more."""
+    assert drop(make_soil(modulus, 0.76), 1.0, 1500) < 0.05
+
+
+def test_soil_diverges_well_above_the_limit(soil):
+    assert drop(soil, 2.5, 1500) > 1.0
+
+
+def test_soil_too_fast_for_the_step_is_an_error(coarse_excavation, excavation_packing, soil):
+    fast = excavation_packing[0].copy()
+    fast[:, columns.V + 2] = 0.0
+    fast[0, columns.V + 1] = 0.0
+    scene = dataclasses.replace(coarse_excavation)
+    simulation = run.Simulation(scene, scenes.EXCAVATION.parameters(1), soil, fast, run.Settings())
+    # A grain that flies up through the air keeps its speed for the whole frame.
+    simulation.particles[0, 1] += 0.1
+    simulation.particles[0, columns.V + 1] = 25.0
+    with pytest.raises(ValueError, match='cells a step|left the grid'):
+        simulation.frame()
