@@ -15,7 +15,7 @@ README = pathlib.Path(__file__).with_name('README.md')
 EXTRAS = {
     'cpu': ['tensorflow-cpu>=2.21,<2.22'],
     'gpu': ['tensorflow[and-cuda]>=2.21,<2.22'],
-    'viz': ['matplotlib>=3.9', 'imageio[ffmpeg]>=2.36', 'pillow>=11'],
+    'viz': ['imageio-ffmpeg>=0.6', 'matplotlib>=3.9', 'pillow>=11'],
     'dev': ['hypothesis', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'tensorboard'],
 }
 

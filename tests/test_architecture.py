@@ -46,9 +46,12 @@ IMPORTS_WITHOUT = [
     (('mpm.run', 'mpm.scenes', 'mpm.solver'), ('tensorflow', 'sklearn', 'pca_tools')),
     (
         ('learning_to_simulate.learned_simulator', 'learning_to_simulate.rollout'),
-        ('matplotlib', 'imageio', 'sklearn', 'numba', 'mpm', 'nri'),
+        ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
     ),
-    (('learning_to_simulate.render_rollout',), ('tensorflow', 'matplotlib', 'imageio')),
+    (
+        ('learning_to_simulate.render_rollout',),
+        ('tensorflow', 'matplotlib', 'imageio_ffmpeg', 'PIL'),
+    ),
 ]
 
 

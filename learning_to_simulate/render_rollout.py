@@ -1,0 +1,184 @@
+"""Draws a rollout: truth and prediction side by side, with the force and the errors over time.
+
+Examples:
+    # a strip of moments, a GIF and a movie
+    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+        --data_path=datasets/excavation --output_path=pictures
+
+    # from above, coloured by the error of the prediction
+    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+        --data_path=datasets/excavation --output_path=pictures --color_by=error --plane=xz
+
+    # for ParaView: open truth.pvd and prediction.pvd of pictures/rollout_test_0_vtk
+    python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
+        --data_path=datasets/excavation --output_path=pictures --format=vtp
+
+Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is rebuilt from the
+modes with the dataset's subspace.npz; without one the body and the mode scores are drawn.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+import tqdm
+from absl import app, flags
+
+from learning_to_simulate import rollout_captions, rollout_frames, vtk_export
+from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from pca_tools import files
+
+FORMATS = ('png', 'gif', 'mp4', 'vtp')
+COLOR_CHOICES = ('speed', 'error')
+# Pixels per inch of a page 9.6 inches wide.
+_PNG_DPI, _GIF_DPI, _MP4_DPI = 200, 100, 150
+_PALETTE_SAMPLES = 6
+
+
+def render(
+    rollout_path: str,
+    data_path: str | None,
+    output_path: str,
+    formats: Iterable[str] = ('png', 'gif', 'mp4'),
+    step_stride: int = 3,
+    color_by: str = 'speed',
+    plane: str = 'xy',
+    progress: Callable = lambda frames, label: frames,
+) -> tuple[RolloutFrames, list[str]]:
+    """Draws a rollout in one or several formats.
+
+    Args:
+        rollout_path: `rollout_{split}_{i}.npz`.
+        data_path: dataset folder with `subspace.npz`, or None.
+        output_path: folder, made if missing; the files take the rollout's name.
+        formats: some of `FORMATS`.
+        step_stride: draw every so many frames.
+        color_by: `speed` (mm/s) or `error` (mm).
+        plane: `xy`, `xz` or `zy`.
+        progress: wraps the frames of a movie, called with them and a label (for a progress bar).
+
+    Returns:
+        The rollout, and the files written (of the `vtp`, the two collections).
+
+    Raises:
+        FileNotFoundError: the rollout or the dataset folder is missing.
+        ValueError: an unknown format, an input that `rollout_frames.load` refuses, or a package
+            for pictures is missing.
+    """
+    formats = tuple(dict.fromkeys(formats))
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown or not formats:
+        raise ValueError(f'--format has {unknown or "no name"}; there are {", ".join(FORMATS)}')
+    frames = rollout_frames.load(rollout_path, data_path)
+    drawn = np.arange(0, frames.n_frames, step_stride)
+    target = os.path.join(output_path, frames.name)
+    os.makedirs(output_path, exist_ok=True)
+    written = []
+    pictures = [name for name in formats if name != 'vtp']
+    if pictures:
+        written += _write_pictures(target, pictures, frames, drawn, color_by, plane, progress)
+    if 'vtp' in formats:
+        folder = f'{target}_vtk'
+        vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
+        written += [os.path.join(folder, f'{which}.pvd') for which in (TRUTH, PREDICTION)]
+    return frames, written
+
+
+def _write_pictures(
+    target: str,
+    formats: Sequence[str],
+    frames: RolloutFrames,
+    drawn: np.ndarray,
+    color_by: str,
+    plane: str,
+    progress: Callable,
+) -> list[str]:
+    """Writes PNG, GIF and MP4; returns the paths."""
+    try:
+        from learning_to_simulate import movie_files, particle_views, rollout_figures
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does not)'
+        ) from error
+    view = particle_views.setup(frames, plane, drawn)
+    frame_seconds = frames.dt * int(drawn[1] - drawn[0] if len(drawn) > 1 else 1)
+
+    def moving(figure, label):
+        return (figure.draw(int(frame)) for frame in progress(drawn, label))
+
+    written = []
+    for name in formats:
+        path = f'{target}.{name}'
+        if name == 'png':
+            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI)
+            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
+        elif name == 'gif':
+            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _GIF_DPI)
+            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
+            samples = [figure.draw(int(frame)) for frame in drawn[chosen]]
+            movie_files.write_gif(path, moving(figure, name), frame_seconds, samples)
+        else:
+            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _MP4_DPI)
+            movie_files.write_mp4(path, moving(figure, name), frame_seconds)
+        written.append(path)
+    return written
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string(
+        'rollout_path',
+        None,
+        'rollout_{split}_{i}.npz, as train --mode=eval_rollout writes it.',
+        required=True,
+    )
+    flags.DEFINE_string(
+        'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
+    )
+    flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
+    flags.DEFINE_integer('step_stride', 3, 'Draw every so many frames.', 1)
+    flags.DEFINE_enum('color_by', 'speed', COLOR_CHOICES, 'What colours the soil.')
+    flags.DEFINE_enum(
+        'plane',
+        'xy',
+        list(rollout_frames.PLANES),
+        'Axes of the view: xy from the side, xz from above, zy along the drive.',
+    )
+    flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
+
+
+def main(argv: Sequence[str]) -> None:
+    """Runs the command; bad input ends with its message and exit code 1."""
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+    values, started = flags.FLAGS, time.perf_counter()
+    try:
+        frames, written = render(
+            values.rollout_path,
+            values.data_path,
+            values.output_path,
+            formats=values.format,
+            step_stride=values.step_stride,
+            color_by=values.color_by,
+            plane=values.plane,
+            progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
+        )
+    except (ValueError, OSError) as error:
+        sys.exit(f'error: {error}')
+    print(frames.title)
+    print(rollout_captions.summary_line(frames))
+    for note in frames.notes:
+        print(f'note: {note}')
+    for path in written:
+        print(f'{path}  {os.path.getsize(path) / 2**20:.2f} MB')
+    print(f'{time.perf_counter() - started:.1f} s')
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)

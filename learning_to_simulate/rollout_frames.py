@@ -1,0 +1,339 @@
+"""One rollout, truth and prediction, ready to be drawn: particles, body, force, errors per frame.
+
+Reads the `rollout_{split}_{i}.npz` of `learning_to_simulate.train --mode=eval_rollout` (DeepMind's
+key names) and, where the dataset has one, the subspace that turns mode scores back into particles.
+Decoding is linear: velocities and errors of particles are decoded from differences of scores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import os
+import re
+from typing import Any
+
+import numpy as np
+
+from learning_to_simulate import metrics
+from pca_tools import files
+from pca_tools.subspace import Subspace
+
+SUBSPACE_NAME = 'subspace.npz'
+SOIL_PARTICLE_TYPE = 6
+DIM = 3
+TRUTH, PREDICTION = 'truth', 'prediction'
+# Views: indices of the horizontal and the vertical axis.
+PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1)}
+_REQUIRED = (
+    'initial_positions',
+    'predicted_rollout',
+    'ground_truth_rollout',
+    'particle_types',
+    'metadata',
+)
+_FORCES = ('initial_forces', 'predicted_forces', 'ground_truth_forces')
+_FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
+# A rigid error below this is round-off of a motion that was given.
+_GIVEN_MOTION_MM = 1e-3
+_SEPARATOR = '  ·  '
+# What differs from case to case but does not describe the case.
+_NOT_A_PARAMETER = ('case', 'seed', 'solver_cpu_s')
+# Longest first, so that m_s2 is not read as s2.
+_UNITS = {'_m_s2': ' m/s²', '_m_s': ' m/s', '_deg': '°', '_percent': ' %', '_m': ' m', '_N': ' N'}
+
+
+@dataclasses.dataclass(frozen=True)
+class RolloutFrames:
+    """A run of T frames (H given, T - H predicted), as it is drawn.
+
+    Attributes:
+        name: file name without its ending.
+        title: scene, case and its parameters, one line.
+        scores: {truth, prediction} -> float64 [T, r, 3], m.
+        rigid: {truth, prediction} -> float64 [T, R, 3], m.
+        force: {truth, prediction} -> float64 [T, 3], N, or None.
+        rigid_type: particle type of the rigid points.
+        first_predicted: H, index of the first predicted frame.
+        dt: seconds per frame.
+        n_soil: N, or None if neither the subspace nor the metadata says it.
+        projection_mse: m², what the subspace cuts off this run, or None if it is not known.
+        subspace: rebuilds the particles, or None: then there is no soil to draw.
+        notes: what the reader of a picture should know, one sentence each.
+    """
+
+    name: str
+    title: str
+    scores: dict[str, np.ndarray]
+    rigid: dict[str, np.ndarray]
+    force: dict[str, np.ndarray] | None
+    rigid_type: int
+    first_predicted: int
+    dt: float
+    n_soil: int | None
+    projection_mse: float | None
+    subspace: Subspace | None
+    notes: tuple[str, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """T."""
+        return len(self.rigid[TRUTH])
+
+    @functools.cached_property
+    def time(self) -> np.ndarray:
+        """[T] s."""
+        return self.dt * np.arange(self.n_frames)
+
+    def soil(self, which: str, frame: int) -> np.ndarray:
+        """[N, 3] particle positions of a frame, m."""
+        return self.subspace.decode(self.scores[which][frame])
+
+    def soil_displacement(self, which: str, frame: int) -> np.ndarray:
+        """[N, 3] way of the particles since the first frame, m."""
+        return self.subspace.components @ (self.scores[which][frame] - self.scores[which][0])
+
+    def soil_velocity(self, which: str, frame: int) -> np.ndarray:
+        """[N, 3] velocity over the frame interval that ends at `frame`, m/s (first frame: zero)."""
+        before = self.scores[which][max(frame - 1, 0)]
+        return self.subspace.components @ ((self.scores[which][frame] - before) / self.dt)
+
+    def soil_error(self, frame: int) -> np.ndarray:
+        """[N, 3] prediction minus truth within the subspace, m."""
+        return self.subspace.components @ (
+            self.scores[PREDICTION][frame] - self.scores[TRUTH][frame]
+        )
+
+    def rigid_velocity(self, which: str, frame: int) -> np.ndarray:
+        """[R, 3] velocity over the frame interval that ends at `frame`, m/s (first frame: zero)."""
+        before = self.rigid[which][max(frame - 1, 0)]
+        return (self.rigid[which][frame] - before) / self.dt
+
+    @functools.cached_property
+    def soil_rms_mm(self) -> dict[str, np.ndarray]:
+        """[T] RMS soil error per coordinate in mm: prediction and its trivial neighbours.
+
+        Keys `prediction`, `stay still`, `constant velocity`. Without N the RMS is that of the mode
+        scores.
+        """
+        truth, start = self.scores[TRUTH], self.first_predicted
+        given, n_predicted = truth[None, :start], self.n_frames - start
+        predictions = {
+            PREDICTION: self.scores[PREDICTION][start:],
+            'stay still': metrics.stay_still(given, n_predicted)[0],
+            'constant velocity': metrics.constant_velocity(given, n_predicted)[0],
+        }
+        count = self.n_soil or truth.shape[1]
+        # Frames take the place of runs: one error for each of them.
+        later = truth[start:, None]
+        return {
+            name: np.concatenate(
+                [np.zeros(start), metrics.rms_mm(metrics.soil_mse(x[:, None], later, 0, count))]
+            )
+            for name, x in predictions.items()
+        }
+
+    @functools.cached_property
+    def rigid_rms_mm(self) -> np.ndarray:
+        """[T] RMS error of the rigid points per coordinate, mm; zero where they are given."""
+        n_rigid = self.rigid[TRUTH].shape[1]
+        if not n_rigid:
+            return np.zeros(self.n_frames)
+        prediction, truth = (self.rigid[which][:, None] for which in (PREDICTION, TRUTH))
+        return metrics.rms_mm(metrics.rigid_mse(prediction, truth, n_rigid))
+
+    @property
+    def body_is_predicted(self) -> bool:
+        """Whether the body's motion is predicted, at least in part."""
+        return bool(self.rigid_rms_mm.max() > _GIVEN_MOTION_MM)
+
+    @functools.cached_property
+    def errors(self) -> dict[str, float]:
+        """Errors of the whole rollout, as `metrics.run_errors` names them."""
+        position, truth = (
+            np.concatenate([self.rigid[which], self.scores[which]], axis=1)[None]
+            for which in (PREDICTION, TRUTH)
+        )
+        force, true_force = (
+            (None, None)
+            if self.force is None
+            else (self.force[which][None] for which in (PREDICTION, TRUTH))
+        )
+        later = slice(self.first_predicted, None)
+        errors = metrics.run_errors(
+            position[:, later],
+            truth[:, later],
+            None if force is None else force[:, later],
+            None if true_force is None else true_force[:, later],
+            self.rigid[TRUTH].shape[1],
+            self.n_soil or self.scores[TRUTH].shape[1],
+        )
+        return {name: float(value[0]) for name, value in errors.items()}
+
+
+def load(rollout_path: str, data_path: str | None) -> RolloutFrames:
+    """Reads a rollout and, from the dataset folder, the subspace it was made in.
+
+    Args:
+        rollout_path: `rollout_{split}_{i}.npz`.
+        data_path: dataset folder; without one, or without `subspace.npz` in it, there is no soil.
+
+    Returns:
+        The rollout, cut before the first frame that is not finite.
+
+    Raises:
+        FileNotFoundError: a file or the folder is missing.
+        ValueError: not an `.npz`, a git-lfs pointer, missing keys, shapes that do not fit, NaN in
+            the truth, nothing finite predicted, or a subspace other than the rollout's.
+    """
+    if rollout_path.endswith(('.pkl', '.pickle')):
+        raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
+    arrays = files.read_npz(rollout_path)
+    metadata = _metadata(rollout_path, arrays)
+    truth, prediction, force = _joined(rollout_path, arrays)
+    n_modes = metadata['mode_number']
+    if not 0 < n_modes <= truth.shape[1]:
+        raise ValueError(
+            f'{rollout_path}: has {truth.shape[1]} nodes but its metadata says mode_number '
+            f'{n_modes!r}'
+        )
+    start = len(arrays['initial_positions'])
+    notes = []
+    length = _finite_length(prediction, None if force is None else force[PREDICTION])
+    if length <= start:
+        raise ValueError(f'{rollout_path}: no predicted frame is finite, there is nothing to draw')
+    if length < len(prediction):
+        notes.append(f'The prediction is not finite from frame {length} on; drawn up to there.')
+    subspace = _subspace(data_path, metadata, n_modes)
+    if subspace is None:
+        notes.append('Without subspace.npz there are no particles: mode scores are drawn instead.')
+    n_rigid = truth.shape[1] - n_modes
+    split, record = _place(rollout_path)
+    floors = metadata.get('projection_mse', {}).get(split, [])
+    both = {TRUTH: truth[:length], PREDICTION: prediction[:length]}
+    return RolloutFrames(
+        name=os.path.splitext(os.path.basename(rollout_path))[0],
+        title=_title(metadata, split, record),
+        scores={which: nodes[:, n_rigid:] for which, nodes in both.items()},
+        rigid={which: nodes[:, :n_rigid] for which, nodes in both.items()},
+        force=None if force is None else {which: f[:length] for which, f in force.items()},
+        rigid_type=int(arrays['particle_types'][0]),
+        first_predicted=start,
+        dt=float(metadata['dt']),
+        n_soil=metadata.get('n_soil') if subspace is None else subspace.n_soil,
+        projection_mse=floors[record] if record is not None and record < len(floors) else None,
+        subspace=subspace,
+        notes=tuple(notes),
+    )
+
+
+def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    missing = [key for key in _REQUIRED if key not in arrays]
+    if missing:
+        raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
+    try:
+        metadata = json.loads(str(arrays['metadata']))
+    except json.JSONDecodeError as error:
+        raise ValueError(f'{path}: its metadata is not JSON: {error}') from error
+    lacking = [key for key in ('dt', 'mode_number') if key not in metadata]
+    if lacking:
+        raise ValueError(f'{path}: its metadata lacks {lacking}')
+    return metadata
+
+
+def _joined(path: str, arrays: dict[str, np.ndarray]):
+    """Returns truth and prediction [T, V, 3], and {truth, prediction} -> forces [T, 3] or None."""
+    given, predicted, truth = (np.asarray(arrays[key], np.float64) for key in _REQUIRED[:3])
+    nodes = (len(arrays['particle_types']), DIM)
+    if not all(a.ndim == 3 and a.shape[1:] == nodes for a in (given, predicted, truth)) or len(
+        predicted
+    ) != len(truth):
+        raise ValueError(
+            f'{path}: shapes do not fit: {len(arrays["particle_types"])} particle types, '
+            f'initial_positions {given.shape}, predicted_rollout {predicted.shape}, '
+            f'ground_truth_rollout {truth.shape}'
+        )
+    if not np.isfinite(given).all() or not np.isfinite(truth).all():
+        raise ValueError(f'{path}: the ground truth has NaN or infinite values')
+    force = None
+    if any(key in arrays for key in _FORCES):
+        missing = [key for key in _FORCES if key not in arrays]
+        if missing:
+            raise ValueError(f'{path}: has forces but lacks {missing}')
+        force = {
+            which: np.concatenate([arrays['initial_forces'], arrays[key]]).astype(np.float64)
+            for which, key in ((TRUTH, 'ground_truth_forces'), (PREDICTION, 'predicted_forces'))
+        }
+        expected = (len(given) + len(truth), DIM)
+        for which, values in force.items():
+            if values.shape != expected:
+                raise ValueError(
+                    f'{path}: forces of the {which} have shape {values.shape}, {expected} was '
+                    'expected'
+                )
+    return np.concatenate([given, truth]), np.concatenate([given, predicted]), force
+
+
+def _finite_length(prediction: np.ndarray, force: np.ndarray | None) -> int:
+    """Number of frames before the first that is not finite."""
+    finite = np.isfinite(prediction).all(axis=(1, 2))
+    if force is not None:
+        finite &= np.isfinite(force).all(axis=1)
+    return len(finite) if finite.all() else int(np.argmin(finite))
+
+
+def _subspace(data_path: str | None, metadata: dict[str, Any], n_modes: int) -> Subspace | None:
+    if data_path is None:
+        return None
+    if not os.path.isdir(data_path):
+        raise FileNotFoundError(f'{data_path}: no such dataset folder')
+    path = os.path.join(data_path, SUBSPACE_NAME)
+    if not os.path.exists(path):
+        return None
+    subspace = Subspace.load(path)
+    if subspace.n_modes != n_modes:
+        raise ValueError(
+            f'{path}: has {subspace.n_modes} modes, the rollout has {n_modes}; give the dataset '
+            'folder that the rollout was made from'
+        )
+    digest = metadata.get('pca', {}).get('digest')
+    if digest not in (None, subspace.digest):
+        raise ValueError(
+            f'{path}: is not the subspace of this rollout (digest {subspace.digest[:12]}..., the '
+            f'rollout has {digest[:12]}...); give the dataset folder that it was made from'
+        )
+    return subspace
+
+
+def _place(rollout_path: str) -> tuple[str | None, int | None]:
+    """Split and record number that the file name states."""
+    match = _FILE_NAME.fullmatch(os.path.basename(rollout_path))
+    return (match['split'], int(match['record'])) if match else (None, None)
+
+
+def _title(metadata: dict[str, Any], split: str | None, record: int | None) -> str:
+    """Scene, case and the parameters in which the cases of the dataset differ."""
+    parts = [str(metadata.get('scene', {}).get('name', 'rollout')).capitalize()]
+    if record is None:
+        return parts[0]
+    cases = metadata.get('cases', {})
+    if record >= len(cases.get(split, [])):
+        return _SEPARATOR.join([*parts, f'{split} record {record}'])
+    this, everyone = cases[split][record], [case for part in cases.values() for case in part]
+    parts.append(f'case {this["case"]}' if 'case' in this else f'{split} record {record}')
+    for key, value in this.items():
+        if (
+            key not in _NOT_A_PARAMETER
+            and isinstance(value, (int, float))
+            and any(case.get(key) != value for case in everyone)
+        ):
+            parts.append(_with_unit(key, value))
+    return _SEPARATOR.join(parts)
+
+
+def _with_unit(key: str, value: float) -> str:
+    for ending, unit in _UNITS.items():
+        if key.endswith(ending):
+            return f'{key[: -len(ending)].replace("_", " ")} {value:g}{unit}'
+    return f'{key.replace("_", " ")} {value:g}'

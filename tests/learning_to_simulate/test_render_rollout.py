@@ -1,0 +1,375 @@
+"""Pictures and VTK files of a rollout, on a made-up excavation."""
+
+import base64
+import json
+import os
+import subprocess
+import sys
+import zlib
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from learning_to_simulate import (
+    movie_files,
+    particle_views,
+    render_rollout,
+    rollout_captions,
+    rollout_figures,
+    rollout_frames,
+    vtk_export,
+)
+from learning_to_simulate.rollout_frames import PREDICTION, TRUTH
+from pca_tools import files
+from tests.learning_to_simulate import synthetic_rollout
+from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
+
+N_FRAMES = 60
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+    """(rollout path, dataset folder, particles before any projection)."""
+    return synthetic_rollout.write(str(tmp_path_factory.mktemp('rollout')), N_FRAMES)
+
+
+@pytest.fixture(scope='module')
+def frames(made):
+    return rollout_frames.load(*made[:2])
+
+
+@pytest.fixture(scope='module')
+def view(frames):
+    return particle_views.setup(frames, 'xy', np.arange(0, N_FRAMES, 3))
+
+
+def changed(made, tmp_path, **changes):
+    """Path of a copy of the rollout with some arrays replaced, or left out where None."""
+    arrays = files.read_npz(made[0]) | changes
+    path = str(tmp_path / 'rollout_test_0.npz')
+    files.write_npz(path, **{name: array for name, array in arrays.items() if array is not None})
+    return path
+
+
+@pytest.fixture(scope='module')
+def folder(made, tmp_path_factory):
+    """VTK files of the rollout, every tenth frame."""
+    output = str(tmp_path_factory.mktemp('vtk'))
+    _, written = render_rollout.render(*made[:2], output, formats=['vtp'], step_stride=10)
+    folder = os.path.join(output, 'rollout_test_0_vtk')
+    assert written == [os.path.join(folder, f'{which}.pvd') for which in (TRUTH, PREDICTION)]
+    return folder
+
+
+class TestFrames:
+    def test_particles_and_their_errors_are_those_of_the_decoded_scores(self, made, frames):
+        soil = {
+            which: np.stack([frames.soil(which, t) for t in range(N_FRAMES)])
+            for which in (TRUTH, PREDICTION)
+        }
+        # Eight modes hold most of the motion of 50 mm: measured 0.74 mm RMS left out. This guards
+        # the pairing of particles and times, not the subspace.
+        assert np.sqrt(np.mean((soil[TRUTH] - made[2]) ** 2)) < 5e-3
+        error = soil[PREDICTION] - soil[TRUTH]
+        rms = 1e3 * np.sqrt((error**2).mean(axis=(1, 2)))
+        # All in float64; measured 2e-15 mm.
+        np.testing.assert_allclose(frames.soil_rms_mm[PREDICTION], rms, rtol=1e-12, atol=1e-12)
+        still = soil[TRUTH] - soil[TRUTH][N_GIVEN - 1]
+        rms = 1e3 * np.sqrt((still**2).mean(axis=(1, 2)))[N_GIVEN:]
+        np.testing.assert_allclose(frames.soil_rms_mm['stay still'][N_GIVEN:], rms, rtol=1e-12)
+        np.testing.assert_allclose(frames.soil_error(40), error[40], atol=1e-12)
+        velocity = (soil[TRUTH][40] - soil[TRUTH][39]) / DT
+        np.testing.assert_allclose(frames.soil_velocity(TRUTH, 40), velocity, atol=1e-12)
+        way = soil[TRUTH][40] - soil[TRUTH][0]
+        np.testing.assert_allclose(frames.soil_displacement(TRUTH, 40), way, atol=1e-12)
+
+    def test_title_names_case_and_what_differs_between_cases(self, frames):
+        assert frames.title == 'Excavation  ·  case 125  ·  depth 0.08 m  ·  angle 10°'
+
+    def test_captions_hold_the_errors(self, frames):
+        assert 'nothing predicted yet' in rollout_captions.status_line(frames, N_GIVEN - 1)
+        truth, predicted = (frames.force[which][N_GIVEN:] for which in (TRUTH, PREDICTION))
+        share = 100 * np.linalg.norm(predicted - truth) / np.linalg.norm(truth)
+        last = rollout_captions.status_line(frames, N_FRAMES - 1)
+        assert f'force error so far {share:.0f} %' in last
+        assert f'{frames.soil_rms_mm[PREDICTION][-1]:.2f} mm' in last
+        summary = rollout_captions.summary_line(frames)
+        assert f'{frames.errors["soil_rms_mm"]:.2f} mm' in summary
+        assert 'body' not in summary  # its motion is given
+
+    def test_rollout_that_blew_up_is_cut(self, made, tmp_path):
+        predicted = files.read_npz(made[0])['predicted_rollout']
+        predicted[30:] = np.nan
+        path = changed(made, tmp_path, predicted_rollout=predicted)
+        frames = rollout_frames.load(path, made[1])
+        assert frames.n_frames == len(frames.force[TRUTH]) == N_GIVEN + 30
+        assert 'not finite from frame 36' in frames.notes[0]
+
+    def test_without_a_subspace_there_is_a_note(self, made):
+        frames = rollout_frames.load(made[0], None)
+        assert frames.subspace is None
+        assert 'mode scores' in frames.notes[0]
+
+
+class TestBadInput:
+    def check(self, path, data_path, message, error=ValueError):
+        with pytest.raises(error, match=message):
+            rollout_frames.load(path, data_path)
+
+    def test_files_that_are_not_rollouts(self, made, tmp_path):
+        self.check(str(tmp_path / 'none.npz'), made[1], 'no such file', FileNotFoundError)
+        self.check(str(tmp_path / 'rollout.pkl'), made[1], 'is a pickle, which is never read')
+        self.check(made[0], str(tmp_path / 'none'), 'no such dataset', FileNotFoundError)
+        pointer = tmp_path / 'pointer.npz'
+        pointer.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n')
+        self.check(str(pointer), made[1], 'git-lfs pointer')
+        text = tmp_path / 'text.npz'
+        text.write_text('hello')
+        self.check(str(text), made[1], 'not a complete .npz')
+        foreign = str(tmp_path / 'foreign.npz')
+        files.write_npz(foreign, positions=np.zeros(3))
+        self.check(foreign, made[1], r"lacks \['initial_positions'.*it has \['positions'\]")
+
+    def test_arrays_that_do_not_fit(self, made, tmp_path):
+        arrays = files.read_npz(made[0])
+        metadata = json.loads(str(arrays['metadata']))
+
+        def check(message, data_path=made[1], **changes):
+            self.check(changed(made, tmp_path, **changes), data_path, message)
+
+        check('shapes do not fit: 27 particle types', particle_types=arrays['particle_types'][1:])
+        check('shapes do not fit', predicted_rollout=arrays['predicted_rollout'][1:])
+        check("lacks .'predicted_forces'", predicted_forces=None)
+        check('forces of the prediction', predicted_forces=arrays['predicted_forces'][1:])
+        check('ground truth has NaN', ground_truth_rollout=arrays['ground_truth_rollout'] * np.nan)
+        check(
+            'no predicted frame is finite', predicted_rollout=arrays['predicted_rollout'] * np.nan
+        )
+        check('is not JSON', metadata=np.array('{'))
+        check("lacks .'dt'", metadata=np.array(json.dumps({'mode_number': 8})))
+        many = json.dumps(metadata | {'mode_number': 99})
+        check('has 28 nodes but its metadata says mode_number 99', metadata=np.array(many))
+        fewer = json.dumps(metadata | {'mode_number': 7})
+        check('has 8 modes, the rollout has 7', metadata=np.array(fewer))
+        other = json.dumps(metadata | {'pca': {'digest': 'f' * 64}})
+        check('not the subspace of this rollout', metadata=np.array(other))
+
+    def test_unknown_format(self, made, tmp_path):
+        with pytest.raises(ValueError, match=r"--format has \['avi'\]; there are png, gif"):
+            render_rollout.render(*made[:2], str(tmp_path), formats=['gif', 'avi'])
+        assert not os.listdir(tmp_path)
+
+
+class TestPictures:
+    def test_frames_do_not_depend_on_what_was_drawn_before(self, frames, view):
+        moved = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
+        for frame in (0, 59, 30):
+            pixels = moved.draw(frame)
+        fresh = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60).draw(30)
+        np.testing.assert_array_equal(pixels, fresh)
+        assert pixels.shape[0] % 2 == pixels.shape[1] % 2 == 0
+
+    def test_soil_is_where_and_as_fast_as_it_should_be(self, frames, view):
+        figure = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
+        figure.draw(40)
+        drawn = figure.views[1].soil
+        chosen = view.particles
+        place = frames.soil(PREDICTION, 40)[chosen]
+        speed = np.linalg.norm(place - frames.soil(PREDICTION, 39)[chosen], axis=1) / DT
+        order = np.argsort(place[:, 2], kind='stable')
+        np.testing.assert_allclose(drawn.get_offsets(), place[order][:, :2])
+        np.testing.assert_allclose(drawn.get_array(), 1e3 * speed[order], atol=1e-6)
+
+    def test_force_arrow_starts_at_the_body_and_shows_the_force(self, frames, view):
+        figure = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
+        figure.draw(40)
+        for which, drawn in zip((TRUTH, PREDICTION), figure.views):
+            centre = frames.rigid[which][40].mean(axis=0)[:2]
+            np.testing.assert_allclose(drawn.arrow.get_offsets()[0], centre)
+            np.testing.assert_allclose(
+                [drawn.arrow.U[0], drawn.arrow.V[0]], frames.force[which][40, :2]
+            )
+
+    def test_error_colours_only_the_prediction(self, frames, view):
+        figure = rollout_figures.AnimatedFigure(frames, view, 'error', dpi=60)
+        figure.draw(50)
+        truth, prediction = (drawn.soil for drawn in figure.views)
+        assert truth.get_array() is None
+        error = 1e3 * np.linalg.norm(frames.soil_error(50)[view.particles], axis=1)
+        np.testing.assert_allclose(np.sort(prediction.get_array()), np.sort(error))
+
+    def test_blade_is_a_line_from_the_side_and_a_wheel_a_circle(self, made, tmp_path):
+        frames = rollout_frames.load(*made[:2])
+        view = particle_views.setup(frames, 'xy', np.arange(N_FRAMES))
+        drawn = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
+        drawn.draw(20)
+        ends = drawn.views[0].body.get_xy()[:2]
+        body = frames.rigid[TRUTH][20]
+        np.testing.assert_allclose(ends[np.argsort(ends[:, 1])], body[[0, 15]][:, :2], atol=1e-6)
+
+        angle = np.arange(N_RIGID) * np.pi / 5 + 0.1
+        ring = np.stack(
+            [0.5 + 0.15 * np.cos(angle), 0.4 + 0.15 * np.sin(angle), np.repeat([0.3, 0.4], 10)],
+            axis=-1,
+        )
+        arrays = files.read_npz(made[0])
+        for key in ('initial_positions', 'predicted_rollout', 'ground_truth_rollout'):
+            arrays[key][:, :N_RIGID] = ring
+        frames = rollout_frames.load(changed(made, tmp_path, **arrays), made[1])
+        drawn = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
+        drawn.draw(20)
+        outline = drawn.views[0].body.get_xy()
+        radius = np.linalg.norm(outline - [0.5, 0.4], axis=1)
+        np.testing.assert_allclose(radius, 0.15, rtol=1e-5)
+        assert len(drawn.views[0].spokes.get_segments()) == N_RIGID
+
+    @pytest.mark.parametrize(
+        'plane, left_out',
+        [
+            *((plane, 'nothing') for plane in rollout_frames.PLANES),
+            *(('xy', part) for part in ('subspace', 'force', 'body')),
+        ],
+    )
+    def test_every_scene_can_be_drawn(self, made, tmp_path, plane, left_out):
+        changes, data_path = {}, made[1]
+        if left_out == 'subspace':
+            data_path = None
+        elif left_out == 'force':
+            changes = dict.fromkeys(('initial_forces', 'ground_truth_forces', 'predicted_forces'))
+        elif left_out == 'body':
+            arrays = files.read_npz(made[0])
+            changes = {
+                key: arrays[key][:, N_RIGID:]
+                for key in ('initial_positions', 'predicted_rollout', 'ground_truth_rollout')
+            } | {'particle_types': arrays['particle_types'][N_RIGID:]}
+        frames = rollout_frames.load(changed(made, tmp_path, **changes), data_path)
+        drawn = np.arange(0, N_FRAMES, 20)
+        view = particle_views.setup(frames, plane, drawn)
+        figure = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=50)
+        pixels = np.stack([figure.draw(int(frame)) for frame in drawn])
+        assert (pixels[0] != pixels[1]).any()
+        rollout_figures.strip_figure(frames, view, drawn.tolist(), dpi=50).canvas.draw()
+
+
+class TestMovies:
+    def test_gif_shows_the_frames_it_was_given(self, tmp_path):
+        image = pytest.importorskip('PIL.Image')
+        frames = np.full((4, 20, 30, 3), 255, np.uint8)
+        for i, frame in enumerate(frames):
+            frame[2:8, 5 * i : 5 * i + 5] = (200, 40 * i, 10)
+        path = str(tmp_path / 'a.gif')
+        movie_files.write_gif(path, iter(frames), 0.05, frames)
+        with image.open(path) as gif:
+            assert gif.n_frames == 4
+            for i, frame in enumerate(frames):
+                gif.seek(i)
+                np.testing.assert_array_equal(np.asarray(gif.convert('RGB')), frame)
+                assert gif.info['duration'] == (50 if i < 3 else 1500)
+
+    def test_mp4_has_the_frames_it_was_given(self, tmp_path):
+        ffmpeg = pytest.importorskip('imageio_ffmpeg')
+        levels = [20, 120, 220]
+        frames = [np.full((64, 96, 3), level, np.uint8) for level in levels]
+        path = str(tmp_path / 'a.mp4')
+        movie_files.write_mp4(path, iter(frames), 0.05)
+        reader = ffmpeg.read_frames(path)
+        about = next(reader)
+        assert about['size'] == (96, 64) and about['fps'] == 20
+        means = [np.frombuffer(frame, np.uint8).mean() for frame in reader]
+        # H.264 is lossy; flat frames come back within 2 levels.
+        np.testing.assert_allclose(means, levels, atol=4)
+
+
+def decoded(element):
+    """An inline binary array of a `.vtp`, read by hand: header and zlib block, both base64."""
+    text = element.text.strip()
+    header = np.frombuffer(base64.b64decode(text[:24]), '<u4')  # 16 bytes are 24 characters
+    blocks, size, last, packed = header
+    assert (blocks, last) == (1, 0)
+    data = zlib.decompress(base64.b64decode(text[24:]))
+    assert len(data) == size and len(base64.b64decode(text[24:])) == packed
+    kinds = {'Float32': '<f4', 'Float64': '<f8', 'Int32': '<i4'}
+    values = np.frombuffer(data, kinds[element.get('type')])
+    columns = int(element.get('NumberOfComponents'))
+    return values.reshape(-1, columns) if columns > 1 else values
+
+
+class TestVtk:
+    def test_collection_has_the_times(self, folder):
+        sets = ElementTree.parse(os.path.join(folder, 'truth.pvd')).getroot().iter('DataSet')
+        listed = [(float(entry.get('timestep')), entry.get('file')) for entry in sets]
+        assert [name for _, name in listed] == [f'truth/{t:05d}.vtp' for t in range(0, 60, 10)]
+        np.testing.assert_allclose([time for time, _ in listed], DT * np.arange(0, 60, 10))
+        assert all(os.path.exists(os.path.join(folder, name)) for _, name in listed)
+
+    def test_arrays_read_by_hand(self, folder, frames):
+        root = ElementTree.parse(os.path.join(folder, 'prediction', '00040.vtp')).getroot()
+        assert root.get('type') == 'PolyData'
+        piece = root.find('PolyData/Piece')
+        count = N_RIGID + frames.n_soil
+        assert piece.get('NumberOfPoints') == piece.get('NumberOfVerts') == str(count)
+        points = decoded(piece.find('Points/DataArray'))
+        soil = frames.soil(PREDICTION, 40)
+        # float32 in the file.
+        np.testing.assert_allclose(points[N_RIGID:], soil, rtol=1e-6)
+        np.testing.assert_allclose(points[:N_RIGID], frames.rigid[PREDICTION][40], rtol=1e-6)
+        data = {e.get('Name'): decoded(e) for e in piece.find('PointData')}
+        assert data.keys() == {'displacement', 'velocity', 'error', 'particle_type'}
+        assert data['particle_type'].tolist() == [3] * N_RIGID + [6] * frames.n_soil
+        way = soil - frames.soil(PREDICTION, 0)
+        np.testing.assert_allclose(data['displacement'][N_RIGID:], way, atol=1e-7)
+        velocity = (soil - frames.soil(PREDICTION, 39)) / DT
+        np.testing.assert_allclose(data['velocity'][N_RIGID:], velocity, atol=1e-6)
+        error = soil - frames.soil(TRUTH, 40)
+        np.testing.assert_allclose(data['error'][N_RIGID:], error, atol=1e-7)
+        verts = {e.get('Name'): decoded(e) for e in piece.find('Verts')}
+        np.testing.assert_array_equal(verts['connectivity'], np.arange(count))
+        np.testing.assert_array_equal(verts['offsets'], np.arange(1, count + 1))
+        field = {e.get('Name'): decoded(e) for e in root.find('PolyData/FieldData')}
+        np.testing.assert_allclose(field['time'], 40 * DT)
+        np.testing.assert_allclose(field['force'][0], frames.force[PREDICTION][40])
+
+    def test_a_vtk_reader_agrees(self, folder, frames):
+        pyvista = pytest.importorskip('pyvista')
+        reader = pyvista.get_reader(os.path.join(folder, 'truth.pvd'))
+        reader.set_active_time_value(reader.time_values[3])
+        cloud = reader.read()[0]
+        np.testing.assert_allclose(cloud.points[N_RIGID:], frames.soil(TRUTH, 30), rtol=1e-6)
+        np.testing.assert_allclose(cloud.field_data['force'][0], frames.force[TRUTH][30])
+
+    def test_refuses_arrays_that_do_not_fit(self, tmp_path):
+        path = str(tmp_path / 'a.vtp')
+        with pytest.raises(ValueError, match=r'points have shape \(4, 2\)'):
+            vtk_export.write_points(path, np.zeros((4, 2)), {}, {})
+        with pytest.raises(ValueError, match="'speed' has 3 values for 4 points"):
+            vtk_export.write_points(path, np.zeros((4, 3)), {'speed': np.zeros(3)}, {})
+        with pytest.raises(ValueError, match='has type complex128'):
+            vtk_export.write_points(path, np.zeros((4, 3), complex), {}, {})
+        assert not os.listdir(tmp_path)
+
+
+class TestCommand:
+    def run(self, *arguments):
+        return subprocess.run(
+            [sys.executable, '-m', 'learning_to_simulate.render_rollout', *arguments],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    def test_writes_all_formats_and_a_summary(self, made, tmp_path):
+        done = self.run(
+            f'--rollout_path={made[0]}', f'--data_path={made[1]}', f'--output_path={tmp_path}',
+            '--step_stride=20', '--color_by=error', '--format=png,gif,mp4,vtp',
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        written = {name for name in os.listdir(tmp_path) if not name.startswith('.')}
+        assert written == {f'rollout_test_0{end}' for end in ('.png', '.gif', '.mp4', '_vtk')}
+        for end in ('.png', '.gif', '.mp4', '_vtk/truth.pvd'):
+            assert str(tmp_path / f'rollout_test_0{end}') in done.stdout
+        assert 'Excavation' in done.stdout and 'soil error' in done.stdout
+
+    def test_bad_input_ends_with_its_message(self, tmp_path):
+        done = self.run(f'--rollout_path={tmp_path}/none.npz', f'--output_path={tmp_path}/out')
+        assert done.returncode == 1
+        assert done.stderr.strip() == f'error: {tmp_path}/none.npz: no such file'
+        assert not os.listdir(tmp_path)
