@@ -1,7 +1,7 @@
-"""Converts raw solver runs to a dataset: `{train,valid,test}.tfrecord`, metadata, subspace,
-manifest.
+"""Converts raw solver runs to a dataset.
 
-The subspace is fitted on the training runs only. All files are made in a folder beside the output,
+A dataset is `{train,valid,test}.tfrecord`, metadata, subspace and manifest. The subspace is fitted
+on the training runs only. All files are made in a folder beside the output,
 which takes its name at the very end: the output is there whole or not at all.
 
 Examples:
@@ -39,7 +39,7 @@ from pca_tools.metadata import (
 )
 from pca_tools.raw_runs import RawRun, RawRuns, SoilPositions
 from pca_tools.splits import split_cases
-from pca_tools.statistics import motion_statistics
+from pca_tools.statistics import mean_share, motion_statistics
 
 SUBSPACE_NAME = 'subspace.npz'
 # DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
@@ -126,8 +126,7 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
     if foreign:
         raise ValueError(
             f'{output_path}: holds files that are not of the dataset ({sorted(foreign)[:5]}); '
-            'nothing was changed, '
-            'name another folder'
+            'nothing was changed, name another folder'
         )
     if not overwrite:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
@@ -143,10 +142,11 @@ def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subsp
     for key in sorted(scene.keys() | runs.scene.keys()):
         if scene.get(key) != runs.scene.get(key):
             raise ValueError(
-                f'{like}: is of another scene: its {key} is {scene.get(key)!r}, that of the raw '
-                'runs '
-                f'{runs.scene.get(key)!r}'
+                f'{like}: is of another scene: its {key} is {scene.get(key)!r}, that of the '
+                f'raw runs {runs.scene.get(key)!r}'
             )
+    if base['dt'] != runs.dt:
+        raise ValueError(f'{like}: has dt {base["dt"]}, the raw runs have {runs.dt}')
     known = sorted(set(space.runs) & {str(case) for case in runs.cases})
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
@@ -180,8 +180,8 @@ def _refuse_other_particles(run: RawRun, space: subspace.Subspace, spacing: floa
     if shift > spacing:
         raise ValueError(
             f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
-            f'{space.runs[0]}, more than '
-            f'their spacing of {spacing:.3g} m: not the same packing or not the same order'
+            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same packing or '
+            'not the same order'
         )
 
 
@@ -317,7 +317,7 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
     ]
     for name, values in metadata['projection_mse'].items():
         mse = float(np.mean(values))
-        kept = np.average(metadata['motion_kept'][name], weights=metadata['motion_mse'][name])
+        kept = mean_share(metadata['motion_kept'][name], metadata['motion_mse'][name])
         lines.append(
             f'{name:<8}{len(values):>5}{mse:>22.3e}{1e3 * mse**0.5:>11.3f}'
             f'{max(metadata["projection_max_mm"][name]):>15.2f}{100 * kept:>13.2f}%'

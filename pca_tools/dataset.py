@@ -28,7 +28,7 @@ MODE_PARTICLE_ID = 6
 NUM_PARTICLE_TYPES = 9
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Trajectory:
     """One run in the subspace: T frames of V = R + r nodes.
 

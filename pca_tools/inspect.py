@@ -19,7 +19,7 @@ from absl import app, flags
 from pca_tools.dataset import Trajectory
 from pca_tools.findings import Inspection, Level
 from pca_tools.inspection import inspect_folder
-from pca_tools.statistics import trivial_errors
+from pca_tools.statistics import mean_share, trivial_errors
 
 
 def report(inspection: Inspection, modes: int = 12) -> str:
@@ -136,9 +136,9 @@ def _motion(inspection: Inspection) -> list[str]:
     lines = ['']
     kept = inspection.metadata.get('motion_kept', {})
     for split, shares in kept.items():
-        weights = inspection.metadata['motion_mse'][split]
+        mean = mean_share(shares, inspection.metadata['motion_mse'][split])
         lines.append(
-            f'  motion energy kept, {split}: {100 * np.average(shares, weights=weights):.2f} % '
+            f'  motion energy kept, {split}: {100 * mean:.2f} % '
             f'(worst run {100 * min(shares):.2f} %)'
         )
     shares = 100 * motion_shares(runs)

@@ -1,8 +1,7 @@
-"""Raw solver runs: one `.npz` per run and a `manifest.json`, as the ground-truth solver writes
-them.
+"""Raw solver runs: one `.npz` per run and a `manifest.json`.
 
-The folder is trusted no further than its manifest: bytes and sha256 are checked when a run is first
-opened.
+The ground-truth solver writes them. The folder is trusted no further than its manifest: bytes and
+sha256 are checked when a run is first opened.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from pca_tools import files
 from pca_tools.metadata import DIM, RIGID_MOTIONS
 
 _RUN_KEYS = ('positions', 'rigid_positions', 'parameters')
+_ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
 _SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 
 
@@ -80,6 +80,11 @@ class RawRuns(Sequence):
                 f'{path}: scene {self.scene!r} lacks {lacking} or has an unknown rigid_motion'
             )
         self._entries = manifest['runs']
+        for entry in self._entries:
+            if not isinstance(entry, dict) or _ENTRY_KEYS - entry.keys():
+                raise ValueError(
+                    f'{path}: a run is listed as {entry!r}, without {sorted(_ENTRY_KEYS)}'
+                )
         self.cases = [entry['case'] for entry in self._entries]
         if not self.cases:
             raise ValueError(f'{path}: lists no runs; let the solver finish at least one')

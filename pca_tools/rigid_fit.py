@@ -55,8 +55,7 @@ class RigidMotion:
 
 
 def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
-    """Finds the rotation and translation that move `source` onto `target` with least squared
-    distance.
+    """Finds the rigid motion of `source` onto `target` with least squared distance.
 
     Args:
         source: [R, 3] points in metres, R >= 3.

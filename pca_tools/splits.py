@@ -52,7 +52,7 @@ def split_cases(
     if not train or (fractions[1] > 0 and not valid):
         raise ValueError(
             f'{len(cases)} cases with {len(forced)} held out do not fill the shares '
-            f'{list(fractions)}; let the solver '
-            'make more, or use --like to put them into an existing subspace'
+            f'{list(fractions)}; let the solver make more, or use --like to put them into '
+            'an existing subspace'
         )
     return {'train': sorted(train), 'valid': sorted(valid), 'test': sorted(test)}

@@ -47,6 +47,12 @@ def _moments(samples: Iterable[np.ndarray]) -> tuple[list[float], list[float]]:
     return rows.mean(axis=0).tolist(), rows.std(axis=0).tolist()
 
 
+def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
+    """Returns the mean of shares of energy, each weighted by its energy; 1 if there is none."""
+    total = float(np.sum(weights))
+    return float(np.dot(shares, weights)) / total if total > 0 else 1.0
+
+
 def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = 6) -> dict[str, float]:
     """Measures the predictors that need no model, on the soil, inside the subspace.
 

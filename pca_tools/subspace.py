@@ -37,7 +37,7 @@ _COVARIANCE_COPIES = 2
 _MAGNITUDE_TIE = 1e-9
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Subspace:
     """Mean and modes of the soil, with what is needed to judge them.
 
@@ -299,8 +299,7 @@ def _mean(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
         if n_soil not in (None, run.shape[1]):
             raise ValueError(
                 f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column '
-                'must '
-                'be the same particle in all runs'
+                'must be the same particle in all runs'
             )
         n_soil = run.shape[1]
         _refuse_non_finite(run, f'run {name}')

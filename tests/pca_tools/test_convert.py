@@ -250,6 +250,7 @@ def test_raw_folder_against_its_manifest(tmp_path):
         ({'runs': []}, 'lists no runs'),
         ({'runs': manifest['runs'][:1] * 2}, r'lists the cases \[1\] more than once'),
         ({'scene': {'name': 'x'}}, 'lacks .*rigid_motion'),
+        ({'runs': [{'file': 'run_001.npz', 'case': 1}]}, 'a run is listed as .*sha256'),
     ):
         files.write_json(f'{raw}/manifest.json', {**manifest, **change})
         with pytest.raises(ValueError, match=text):
@@ -272,10 +273,10 @@ def test_command_line(raw_excavation, tmp_path):
     assert 'Traceback' not in again.stderr
 
 
-@pytest.mark.parametrize('module', ['convert', 'inspect', 'plot_modes'])
-def test_help_shows_the_examples(module):
-    done = run_command(f'pca_tools.{module}', '--help')
-    assert f'python -m pca_tools.{module}' in done.stdout
+def test_help_shows_the_examples():
+    done = run_command('pca_tools.convert', '--help')
+    assert 'python -m pca_tools.convert --raw_path=' in done.stdout
+    assert '--centering: <configuration|scalar>' in done.stdout
 
 
 def test_maths_is_free_of_tensorflow():
