@@ -28,6 +28,8 @@ class TrainConfig:
       rate_scaled: velocities in and displacements out are counted per displacement of the body in
         the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
         order 1.
+      predict_driven_body: predict every particle of a body whose rotation and travel are given, the
+        published way, instead of its height alone.
       mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
       noise_std: random-walk noise of the last input step; m/frame, or a fraction of each node's own
         velocity scale if `noise_relative`.
@@ -51,6 +53,7 @@ class TrainConfig:
     conditioned: bool = True
     velocity_inputs: int = 1
     rate_scaled: bool = True
+    predict_driven_body: bool = False
     mode_order: int = 1
     rigid_order: int = 1
     noise_std: float = 0.5
@@ -115,6 +118,7 @@ _PUBLISHED = {
     'rate_scaled': False,
     'weight_average': 0.0,
     'latent_size': 128,
+    'predict_driven_body': True,
     'mode_order': 2,
     'rigid_order': 2,
     'noise_relative': False,

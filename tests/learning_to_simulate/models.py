@@ -1,6 +1,6 @@
 """Models on synthetic data, shared by the tests of the simulator."""
 
-from learning_to_simulate import presets, reading_utils, train
+from learning_to_simulate import experiment, presets, reading_utils
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
@@ -14,4 +14,8 @@ def make(folder, preset='pcg', motion='prescribed', rigid_motion=None, overrides
     config = presets.make_config(preset, **SMALL | (overrides or {}))
     metadata = dataset.read_metadata(str(folder))
     groups = reading_utils.read_groups(str(folder), 'train', metadata, config.rigid_particles)
-    return train.make_model(str(folder), metadata, groups, config, rigid_motion), groups, metadata
+    return (
+        experiment.make_model(str(folder), metadata, groups, config, rigid_motion),
+        groups,
+        metadata,
+    )

@@ -19,7 +19,12 @@ CASES = {
     'pcg, driven, context': {'motion': 'driven', 'context': True},
     'pcg, predicted': {'motion': 'predicted', 'overrides': {'rate_scaled': False}},
     'pcg_thesis': {'preset': 'pcg_thesis'},
-    'pcg_thesis, driven': {'preset': 'pcg_thesis', 'motion': 'driven', 'context': True},
+    'pcg_thesis, driven': {
+        'preset': 'pcg_thesis',
+        'motion': 'driven',
+        'context': True,
+        'rigid_motion': 'driven',
+    },
     'fcg_original, two steps': {
         'preset': 'fcg_original',
         'overrides': {'message_passing_steps': 2},

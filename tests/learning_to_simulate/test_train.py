@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, evaluation, presets, train, training
+from learning_to_simulate import checkpoints, evaluation, experiment, presets, training
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -37,7 +37,7 @@ def data(tmp_path_factory):
 def trained(data, tmp_path_factory):
     """A model trained for a few steps in this process. Not to be changed."""
     path = str(tmp_path_factory.mktemp('model') / 'pcg')
-    train.train(data, path, presets.make_config('pcg', **SHORT), save_every=12)
+    experiment.train(data, path, presets.make_config('pcg', **SHORT), save_every=12)
     return path
 
 
@@ -49,7 +49,7 @@ def test_short_training_beats_the_trivial_predictors(tmp_path):
         'pcg',
         **SHORT | {'num_steps': 600, 'unroll_steps': 0, 'latent_size': 32, 'learning_rate': 3e-3},
     )
-    summary = train.train(folder, str(tmp_path / 'model'), config, save_every=600)
+    summary = experiment.train(folder, str(tmp_path / 'model'), config, save_every=600)
     assert summary['soil_mse_over_best_trivial'] < 0.5
 
 
@@ -106,12 +106,12 @@ def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained,
     before = {p.name: p.read_bytes() for p in path.iterdir()}
     other = presets.make_config('pcg', **SHORT | {'latent_size': 8})
     with pytest.raises(ValueError, match='another config .*latent_size: 16 there, 8 now'):
-        train.train(data, str(path), other)
+        experiment.train(data, str(path), other)
     assert {p.name: p.read_bytes() for p in path.iterdir()} == before
     (tmp_path / 'full').mkdir()
     (tmp_path / 'full' / 'thesis.txt').write_text('mine')
     with pytest.raises(ValueError, match='not empty and not a model folder'):
-        train.train(data, str(tmp_path / 'full'), other)
+        experiment.train(data, str(tmp_path / 'full'), other)
     assert [p.name for p in (tmp_path / 'full').iterdir()] == ['thesis.txt']
 
 
@@ -120,7 +120,7 @@ def test_exported_weights_are_not_mistaken_for_a_training_state(data, trained, t
         shutil.copy(f'{trained}/{name}', tmp_path)
     checkpoints.load_model(str(tmp_path))
     with pytest.raises(ValueError, match='without training state'):
-        train.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
+        experiment.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
 
 
 def test_bad_input_is_a_message_and_not_a_traceback(data, tmp_path):
@@ -150,7 +150,7 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
     ):
         config = presets.make_config('pcg', **SHORT | overrides)
         with pytest.raises(ValueError, match=message):
-            train.train(str(folder), str(tmp_path / 'new'), config)
+            experiment.train(str(folder), str(tmp_path / 'new'), config)
         assert not (tmp_path / 'new').exists()
     with pytest.raises(ValueError, match='unknown preset'):
         presets.make_config('gns')
@@ -158,17 +158,17 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
-        train.load_for_evaluation(str(tmp_path), data, 'test', {})
+        experiment.load_for_evaluation(str(tmp_path), data, 'test', {})
     with pytest.raises(ValueError, match='contradicts the model'):
-        train.load_for_evaluation(trained, data, 'test', {'noise_std': 0.1})
+        experiment.load_for_evaluation(trained, data, 'test', {'noise_std': 0.1})
     other = synthetic.write_dataset(tmp_path / 'other', force=False)
     with pytest.raises(ValueError, match='lacks rigid_body_force_mean'):
-        train.load_for_evaluation(trained, other, 'test', {})
+        experiment.load_for_evaluation(trained, other, 'test', {})
 
 
 def test_one_step_errors_are_those_of_the_rollouts_first_frame(data, trained):
     """Windows over all of a split, so only the size can agree: within a factor of ten."""
-    model, metadata, groups = train.load_for_evaluation(trained, data, 'valid', {})
+    model, metadata, groups = experiment.load_for_evaluation(trained, data, 'valid', {})
     errors = training.Trainer(model, groups).one_step_errors(n_batch=3)
     results, _ = evaluation.Evaluator(model, metadata).run(groups, 'valid')
     first = [

@@ -1,0 +1,189 @@
+"""Simulates one unseen case per scene with the solver and with the shipped models, and compares
+them.
+
+The solver makes the ground truth of both cases side by side; the learned simulators roll them out
+from the first six frames; the table holds their errors and run times next to the trivial
+predictors.
+
+Examples:
+    python -m run_scripts.demo --output_path=demo_output
+
+    # another case of the excavation (1 to 250), with the solver run of before where there is one
+    python -m run_scripts.demo --scenes=excavation --cases=127 --output_path=demo_output
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import tqdm
+from absl import app, flags
+
+from mpm import scenes
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+MODELS = ('fcg_original', 'pcg')
+COLUMNS = (
+    ('method', 24, '{}'),
+    ('edges', 6, '{}'),
+    ('soil RMS mm', 12, '{:.3g}'),
+    ('with cut-off', 12, '{:.3g}'),
+    ('force rel. L2', 13, '{:.3g}'),
+    ('s per simulated s', 17, '{:.3g}'),
+    ('times faster', 12, '{:.0f}'),
+)
+
+
+def simulate(name: str, case: int, folder: str, position: int) -> subprocess.Popen:
+    """Starts the solver on one case; its progress bar takes line `position` of the terminal."""
+    command = [
+        sys.executable, '-m', 'mpm.generate', f'--scene={name}', f'--cases={case}',
+        f'--output_path={folder}',
+    ]  # fmt: skip
+    environment = os.environ | {'TQDM_POSITION': str(position)}
+    return subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
+
+
+def evaluate(name: str, raw: str, out: str) -> list[dict]:
+    """Rolls out the shipped models on a raw run.
+
+    Args:
+        name: scene, names the folders in `datasets/` and `models/`.
+        raw: folder of raw runs.
+        out: folder for dataset, rollouts and pictures.
+
+    Returns:
+        One dict per row of the table.
+    """
+    from learning_to_simulate import evaluation, experiment
+    from pca_tools import convert
+
+    data = os.path.join(out, 'dataset')
+    metadata = convert.convert(
+        raw, data, like=os.path.join(ROOT, 'datasets', name), overwrite=os.path.isdir(data)
+    )
+    parameters = metadata['cases']['test'][0]
+    simulated = metadata['sequence_length'] * metadata['dt']
+    solver = parameters['solver_cpu_s'] / simulated
+    rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
+    for preset in MODELS:
+        model, metadata, groups = experiment.load_for_evaluation(
+            os.path.join(ROOT, 'models', name, preset), data, 'test', {}
+        )
+        evaluator = evaluation.Evaluator(model, metadata)
+        results, summary = evaluator.run(groups, 'test')
+        evaluation.save_rollouts(os.path.join(out, preset), 'test', results, summary, metadata)
+        mean = summary['mean']
+        if len(rows) == 1:
+            for trivial in ('stay_still', 'constant_velocity'):
+                rows.append(_row(trivial.replace('_', ' '), mean[trivial]))
+        row = _row(preset, mean['model'])
+        row['edges'] = summary['runs']['model'][0]['edges']
+        row['s per simulated s'] = mean['model']['seconds_per_simulated_second']
+        row['times faster'] = solver / row['s per simulated s']
+        rows.append(row)
+    floor = 1e3 * summary['projection_mse'] ** 0.5
+    rows.append({'method': 'projection floor', 'soil RMS mm': 0.0, 'with cut-off': floor})
+    return rows
+
+
+def _row(name, mean):
+    return {
+        'method': name,
+        'soil RMS mm': mean['soil_rms_mm'],
+        'with cut-off': mean['soil_rms_mm_full'],
+        'force rel. L2': mean['force_relative_l2'],
+    }
+
+
+def table(name: str, case: int, rows: list[dict]) -> str:
+    """The rows as aligned text."""
+    lines = [f'{name}, case {case}']
+    lines.append('  '.join(f'{title:>{width}}' for title, width, _ in COLUMNS))
+    for row in rows:
+        cells = (
+            f'{form.format(row[title]) if row.get(title) is not None else "-":>{width}}'
+            for title, width, form in COLUMNS
+        )
+        lines.append('  '.join(cells))
+    return '\n'.join(lines)
+
+
+def _bar(drawn, label):
+    return tqdm.tqdm(drawn, desc=label, unit='frame', disable=None)
+
+
+def draw(out: str) -> list[str]:
+    """Pictures and films of every model's rollout; returns the files."""
+    from learning_to_simulate import render_rollout
+
+    written = []
+    for preset in MODELS:
+        _, paths = render_rollout.render(
+            os.path.join(out, preset, 'rollout_test_0.npz'),
+            os.path.join(out, 'dataset'),
+            os.path.join(out, preset),
+            formats=['png', 'gif'],
+            step_stride=4,
+            progress=_bar,
+        )
+        written += paths
+    return written
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('output_path', 'demo_output', 'Folder for everything that is written.')
+    flags.DEFINE_list('scenes', sorted(scenes.SCENES), 'Scenes to simulate.')
+    flags.DEFINE_list('cases', None, 'One case per scene; default: a case that no model has seen.')
+
+
+def main(_) -> None:
+    """Runs the command; bad input ends with its message."""
+    started = time.perf_counter()
+    values = flags.FLAGS
+    out = os.path.abspath(values.output_path)
+    try:
+        chosen = [scenes.scene_named(name) for name in values.scenes]
+        cases = [scene.demo_case for scene in chosen]
+        if values.cases:
+            if len(values.cases) != len(chosen):
+                raise ValueError(f'{len(values.cases)} cases for {len(chosen)} scenes')
+            cases = [
+                scenes.select_cases(scene, case)[0] for scene, case in zip(chosen, values.cases)
+            ]
+    except ValueError as error:
+        sys.exit(f'error: {error}')
+    raw = [os.path.join(out, s.name, f'raw_{case}') for s, case in zip(chosen, cases)]
+    print('solver: ' + ', '.join(f'{s.name} case {c}' for s, c in zip(chosen, cases)))
+    running = [
+        simulate(scene.name, case, folder, line)
+        for line, (scene, case, folder) in enumerate(zip(chosen, cases, raw))
+    ]
+    if any([process.wait() for process in running]):
+        sys.exit('error: the solver failed, see above')
+    print('\n' * len(running) + 'learned simulators: rolling out')
+    results, pictures = {}, []
+    for scene, case, folder in zip(chosen, cases, raw):
+        rows = evaluate(scene.name, folder, os.path.join(out, scene.name))
+        results[scene.name] = {'case': case, 'rows': rows}
+        pictures += draw(os.path.join(out, scene.name))
+    text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
+    with open(os.path.join(out, 'table.txt'), 'w', encoding='utf-8') as file:
+        file.write(text + '\n')
+    with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as file:
+        json.dump(results, file, indent=2)
+    print('\n' + text + '\n')
+    print('soil RMS: error within the 8 modes; with cut-off: including what the modes leave out.')
+    print('force of the trivial rows: the last known force, the mean force of the training runs.')
+    print('one core each: solver CPU seconds against wall seconds of one compiled rollout.\n')
+    for path in pictures:
+        print(os.path.relpath(path))
+    print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)
