@@ -195,9 +195,8 @@ class LearnedSimulator(snt.Module):
             embedding = tf.gather(self._embedding, types)
         nodes.append(tf.tile(embedding[None], [n_graph, 1, 1]))
         if self.scene.context_names:
-            s = self.statistics
-            value = (context - s.context_mean.astype(np.float32)) / s.context_std.astype(np.float32)
-            nodes.append(tf.tile(value[:, None], [1, layout.n_node, 1]))
+            values = self._context_features(context)
+            nodes.append(tf.tile(values[:, None], [1, layout.n_node, 1]))
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
             state.offset, layout.receivers, axis=1
         )
@@ -205,6 +204,16 @@ class LearnedSimulator(snt.Module):
         # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
         length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
         return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
+
+    def _context_features(self, context):
+        """Normalised context [B, C], with its normalised logarithm where there is one [B, 2 C]."""
+        s = self.statistics
+        linear = (context - s.context_mean.astype(np.float32)) / s.context_std.astype(np.float32)
+        if s.log_context_mean is None:
+            return linear
+        mean, std = s.log_context_mean.astype(np.float32), s.log_context_std.astype(np.float32)
+        # The floor is far below any positive context; it keeps a zero from becoming infinite.
+        return tf.concat([linear, (tf.math.log(tf.maximum(context, 1e-6)) - mean) / std], axis=-1)
 
     def _of_rigid(self, values, layout):
         """Pads features [B, R, F] of the rigid particles with zeros for the modes."""

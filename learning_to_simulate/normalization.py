@@ -34,6 +34,8 @@ class Statistics:
       force_mean, force_std: [D], N; None without a force. Conditioned: one scale for all axes,
         since the lateral force is noise.
       context_mean, context_std: [C]; None without a context.
+      log_context_mean, log_context_std: [C] of the logarithm, a second input of conditioned models
+        (loads and gravities span decades); None unless all values are positive.
       target_mean, target_std: [1 + r, D] of what a node of the class predicts, per frame.
       height_std, height_velocity_std: [1] of the body's height, m, and its change per frame; only
         where the motion is driven.
@@ -58,6 +60,8 @@ class Statistics:
     force_std: np.ndarray | None
     context_mean: np.ndarray | None
     context_std: np.ndarray | None
+    log_context_mean: np.ndarray | None
+    log_context_std: np.ndarray | None
 
     def to_json(self) -> dict:
         """Nested lists of float64, exact under `from_json`."""
@@ -135,6 +139,11 @@ def compute_statistics(
         if context is None
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
+    logarithm = config.conditioned and context is not None and (context > 0).all()
+    for name, function in (('mean', np.mean), ('std', np.std)):
+        values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
+    if logarithm:
+        values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
         if config.conditioned

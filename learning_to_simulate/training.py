@@ -24,6 +24,11 @@ from learning_to_simulate.scene import RigidMotion
 _WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM = 1, 2, 3, 4
 
 
+# The force error of a run is counted in units of the run's own force, because that is how it is
+# judged (relative L2); a run with less than this share of the largest force counts as if it had it.
+FORCE_FLOOR = 0.02
+
+
 class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
     """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
     stage.
@@ -55,17 +60,24 @@ class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
 class _GroupTensors:
     """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
 
-    def __init__(self, group, layout, statistics):
+    def __init__(self, group, layout, statistics, relative_force):
         self.layout = layout
         self.n_run, self.n_frame = group.position.shape[:2]
         flat = (self.n_run * self.n_frame, *group.position.shape[2:])
         # Differences in float64 before the cast: see the note on state in `learned_simulator`.
         self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
         self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
-        self.force = self.context = None
+        self.force = self.context = self.force_weight = None
         if statistics.force_mean is not None:
             normalised = (group.force - statistics.force_mean) / statistics.force_std
             self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
+            if relative_force:
+                size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
+                size = np.maximum(size, FORCE_FLOOR * size.max())
+                weight = (statistics.force_std[0] / size) ** 2
+            else:
+                weight = np.ones(self.n_run)
+            self.force_weight = tf.constant(weight, tf.float32)
         if statistics.context_mean is not None:
             self.context = tf.constant(group.context, tf.float32)
 
@@ -83,6 +95,7 @@ class _GroupTensors:
             tf.gather(self.velocity, frames),
             None if self.force is None else tf.gather(self.force, frames),
             None if self.context is None else tf.gather(self.context, run),
+            1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
         )
 
 
@@ -109,7 +122,13 @@ class Trainer:
                 f'frames'
             )
         self._tensors = [
-            _GroupTensors(g, model.layout(g.n_rigid), self.simulator.statistics) for g in groups
+            _GroupTensors(
+                g,
+                model.layout(g.n_rigid),
+                self.simulator.statistics,
+                relative_force=self.config.conditioned,
+            )
+            for g in groups
         ]
         runs = np.array([t.n_run for t in self._tensors], float)
         self._share = np.cumsum(runs / runs.sum())
@@ -241,14 +260,16 @@ class Trainer:
 
     def _single_step_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, layout = INPUT_SEQUENCE_LENGTH, tensors.layout
-        offset, velocity, force, context = tensors.windows(batch_size, h + 1, window_seed)
+        offset, velocity, force, context, force_weight = tensors.windows(
+            batch_size, h + 1, window_seed
+        )
         state = self._noisy_state(offset, velocity, layout, noise_seed)
         known = self._known(offset, velocity, layout, h)
         target = self.simulator.normalized_target(velocity[:, h], state, known, layout)
         predicted, predicted_force = self.simulator.predict(state, known, context, layout)
         true_force = None if force is None else force[:, h]
         values = losses.one_step_loss(
-            target, predicted, true_force, predicted_force, layout.loss_weight
+            target, predicted, true_force, predicted_force, layout.loss_weight, force_weight
         )
         error = (
             (predicted - target) * layout.target_std * self.simulator.rate(known) * layout.moving
@@ -257,7 +278,9 @@ class Trainer:
 
     def _unrolled_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
-        offset, velocity, force, context = tensors.windows(batch_size, h + n, window_seed)
+        offset, velocity, force, context, force_weight = tensors.windows(
+            batch_size, h + n, window_seed
+        )
         state = self._noisy_state(offset, velocity, layout, noise_seed, self.config.unroll_noise)
         offsets, forces = [], []
         for k in range(n):
@@ -276,5 +299,11 @@ class Trainer:
         if s.height_velocity_std is not None:
             scale[: layout.n_rigid, self.simulator.scene.up_axis] = s.height_velocity_std[0]
         return losses.unrolled_loss(
-            offset[:, h:], tf.stack(offsets, 1), force, predicted_forces, layout.loss_weight, scale
+            offset[:, h:],
+            tf.stack(offsets, 1),
+            force,
+            predicted_forces,
+            layout.loss_weight,
+            scale,
+            force_weight,
         )

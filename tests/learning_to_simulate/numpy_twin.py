@@ -88,6 +88,8 @@ class Twin:
             row.append(table[k] if c.conditioned else table[self.types[0 if k == 0 else 1]])
             if context is not None:
                 row.append((context - s.context_mean) / s.context_std)
+                if c.conditioned:
+                    row.append((np.log(context) - s.log_context_mean) / s.log_context_std)
             nodes.append(np.concatenate(row))
         edges = []
         for sender, receiver in self.edges:

@@ -106,7 +106,7 @@ def test_scene_without_a_part_has_no_variable_for_it(tmp_path):
 
     inputs, outputs = width('plain')
     assert width('no force', force=False) == (inputs, outputs - 3)
-    assert width('context', context=True) == (inputs + 2, outputs)
+    assert width('context', context=True) == (inputs + 4, outputs)  # two values, two logarithms
     predicted = width('predicted', motion='predicted', overrides={'rate_scaled': False})
     assert predicted == (inputs - 3 - 2, outputs)
 

@@ -80,6 +80,14 @@ def test_one_step_loss_is_equation_13():
     assert set(without) == {'loss', 'loss_mse'}
 
 
+def test_force_error_is_weighted_graph_by_graph():
+    force = np.array([[1.0, 0, 0], [0, 2.0, 0]], np.float32)
+    none = np.zeros((2, 1, 3), np.float32)
+    weight = np.array([0.5, 3.0], np.float32)
+    values = losses.one_step_loss(none, none, force, 0 * force, np.ones((1, 3), np.float32), weight)
+    np.testing.assert_allclose(values['loss_force_mse'], (0.5 * 1 + 3.0 * 4) / 2)
+
+
 def test_unrolled_loss_weighs_frame_k_by_one_over_k():
     error = np.zeros((1, 4, 2, 3), np.float32)
     error[0, :, 1, 0] = [1, 2, 3, 4]
