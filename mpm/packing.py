@@ -21,7 +21,7 @@ PAD = 3  # nodes outside the bin on the low side
 JITTER = 0.1  # of the lattice spacing, half width of the uniform jitter
 SETTLE_TIME = 0.4  # s
 SETTLE_DAMPING = 20.0  # 1/s
-REST_SPEED = 5.0e-3  # m/s, largest speed of a settled soil; measured 0.9e-3 and less
+REST_SPEED = 0.02  # m/s, largest speed of a settled soil; the settling could fall at 3.9
 
 
 @dataclass(frozen=True)

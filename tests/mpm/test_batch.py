@@ -83,7 +83,7 @@ def test_wheel_runs_carry_context_and_edges(coarse_wheel, tmp_path, short, monke
     run = raw_run.read_run(str(tmp_path / 'run_154.npz'))
     # Prescribed: the axle's x and the turn of the points about it.
     axle = run.rigid_positions.astype(np.float64).mean(axis=1)
-    np.testing.assert_allclose(np.diff(axle[:, 0]), -0.012 / 60, atol=1e-7)
+    np.testing.assert_allclose(np.diff(axle[:, 0]), -0.00585 / 60, atol=1e-7)
     radius = run.rigid_positions[:, 0] - axle
     angle = np.unwrap(np.arctan2(radius[:, 1], radius[:, 0]))
     np.testing.assert_allclose(np.diff(angle), 0.78 / 60, atol=1e-5)
