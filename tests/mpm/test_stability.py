@@ -89,7 +89,7 @@ def disturbance(scene, soil, particles, factor):
 
 @pytest.mark.parametrize('modulus', [1.5e5, 1.5e6, 1.5e7])
 def test_soil_at_rest_stays_calm_at_the_limit(coarse_excavation, modulus):
-    """Measured 6 mm/s at 0.15 MPa, less when stiffer; 300 steps of free fall are 0.3 m/s and more."""
+    """Measured 6 mm/s at 0.15 MPa, less when stiffer; 300 steps of fall are 0.3 m/s and more."""
     soil = make_soil(modulus, 0.76)
     particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
     assert disturbance(coarse_excavation, soil, particles, 1.0) < 0.02
