@@ -48,6 +48,7 @@ def render(
     step_stride: int = 3,
     color_by: str = 'speed',
     plane: str = 'xy',
+    label: str = '',
     progress: Callable = lambda frames, label: frames,
 ) -> tuple[RolloutFrames, list[str]]:
     """Draws a rollout in one or several formats.
@@ -60,6 +61,7 @@ def render(
         step_stride: draw every so many frames.
         color_by: `speed` (mm/s) or `error` (mm).
         plane: `xy`, `xz` or `zy`.
+        label: name of the model, for the title of the prediction.
         progress: wraps the frames of a movie, called with them and a label (for a progress bar).
 
     Returns:
@@ -74,7 +76,7 @@ def render(
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise ValueError(f'--format has {unknown or "no name"}; there are {", ".join(FORMATS)}')
-    frames = rollout_frames.load(rollout_path, data_path)
+    frames = rollout_frames.load(rollout_path, data_path, label)
     drawn = np.arange(0, frames.n_frames, step_stride)
     target = os.path.join(output_path, frames.name)
     os.makedirs(output_path, exist_ok=True)
@@ -149,6 +151,7 @@ def define_flags() -> None:
         list(rollout_frames.PLANES),
         'Axes of the view: xy from the side, xz from above, zy along the drive.',
     )
+    flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
@@ -166,6 +169,7 @@ def main(argv: Sequence[str]) -> None:
             step_stride=values.step_stride,
             color_by=values.color_by,
             plane=values.plane,
+            label=values.label,
             progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
         )
     except (ValueError, OSError) as error:

@@ -109,5 +109,5 @@ def _legend_above(axes: Axes, columns: int) -> None:
     """A legend in one line that covers no curve."""
     axes.legend(
         loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=1.3,
-        columnspacing=0.9, handletextpad=0.4, borderaxespad=0.2,
+        columnspacing=0.8, handletextpad=0.4, borderaxespad=0.2,
     )  # fmt: skip

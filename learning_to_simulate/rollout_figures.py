@@ -31,7 +31,7 @@ STYLE = {
     'axes.titlesize': 10,
     'axes.titlelocation': 'left',
     'axes.axisbelow': True,
-    'legend.fontsize': 7.5,
+    'legend.fontsize': 7,
     'legend.frameon': False,
     'text.color': INK,
     'xtick.color': '#52606d',
@@ -41,7 +41,6 @@ STYLE = {
     'grid.color': '#e4e7eb',
     'grid.linewidth': 0.7,
 }
-TITLES = {TRUTH: 'Ground truth', PREDICTION: 'Prediction'}
 COLOR_LABELS = {'speed': 'soil speed (mm/s)', 'error': 'soil error (mm)'}
 WIDTH = 9.6  # inches
 # Margins and distances in inches.
@@ -77,7 +76,7 @@ class AnimatedFigure:
             page.write_footer(frames, view)
             self.views = []
             for column, which in enumerate((TRUTH, PREDICTION)):
-                axes = page.view_axes(0, column, view, title=TITLES[which])
+                axes = page.view_axes(0, column, view, title=_name(frames, which))
                 self.views.append(
                     ParticleView(axes, frames, which, view, color_by, show_key=column == 0)
                 )
@@ -127,7 +126,7 @@ def strip_figure(frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], d
     """
     later = [frame for frame in drawn if frame >= frames.first_predicted] or list(drawn)
     moments = [later[round(share * (len(later) - 1))] for share in _STRIP_MOMENTS]
-    rows = [(TRUTH, 'speed', 'ground truth'), (PREDICTION, 'speed', 'prediction')]
+    rows = [(which, 'speed', _name(frames, which)) for which in (TRUTH, PREDICTION)]
     if frames.subspace is not None:
         rows.append((PREDICTION, 'error', 'error of prediction'))
     with rc_context(STYLE):
@@ -150,6 +149,12 @@ def strip_figure(frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], d
             for frame in moments:
                 axes.axvline(frames.time[frame], color=FAINT, linewidth=0.8, zorder=1)
     return page.figure
+
+
+def _name(frames: RolloutFrames, which: str) -> str:
+    if which == TRUTH:
+        return 'ground truth'
+    return f'prediction ({frames.label})' if frames.label else 'prediction'
 
 
 class _Page:

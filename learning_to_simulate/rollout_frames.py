@@ -38,8 +38,11 @@ _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
 _SEPARATOR = '  ·  '
-# What differs from case to case but does not describe the case.
-_NOT_A_PARAMETER = ('case', 'seed', 'solver_cpu_s')
+# Numbers of a run that belong to its making and not to its case.
+_NOT_A_PARAMETER = (
+    'case', 'seed', 'solver_cpu_s', 'time_step_s', 'cell_size_m', 'youngs_modulus_Pa',
+    'body_friction',
+)  # fmt: skip
 # Longest first, so that m_s2 is not read as s2.
 _UNITS = {'_m_s2': ' m/s²', '_m_s': ' m/s', '_deg': '°', '_percent': ' %', '_m': ' m', '_N': ' N'}
 
@@ -51,6 +54,7 @@ class RolloutFrames:
     Attributes:
         name: file name without its ending.
         title: scene, case and its parameters, one line.
+        label: name of the model that predicted, or ''.
         scores: {truth, prediction} -> float64 [T, r, 3], m.
         rigid: {truth, prediction} -> float64 [T, R, 3], m.
         force: {truth, prediction} -> float64 [T, 3], N, or None.
@@ -65,6 +69,7 @@ class RolloutFrames:
 
     name: str
     title: str
+    label: str
     scores: dict[str, np.ndarray]
     rigid: dict[str, np.ndarray]
     force: dict[str, np.ndarray] | None
@@ -172,12 +177,13 @@ class RolloutFrames:
         return {name: float(value[0]) for name, value in errors.items()}
 
 
-def load(rollout_path: str, data_path: str | None) -> RolloutFrames:
+def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFrames:
     """Reads a rollout and, from the dataset folder, the subspace it was made in.
 
     Args:
         rollout_path: `rollout_{split}_{i}.npz`.
         data_path: dataset folder; without one, or without `subspace.npz` in it, there is no soil.
+        label: name of the model, for titles.
 
     Returns:
         The rollout, cut before the first frame that is not finite.
@@ -215,6 +221,7 @@ def load(rollout_path: str, data_path: str | None) -> RolloutFrames:
     return RolloutFrames(
         name=os.path.splitext(os.path.basename(rollout_path))[0],
         title=_title(metadata, split, record),
+        label=label,
         scores={which: nodes[:, n_rigid:] for which, nodes in both.items()},
         rigid={which: nodes[:, :n_rigid] for which, nodes in both.items()},
         force=None if force is None else {which: f[:length] for which, f in force.items()},
@@ -313,22 +320,17 @@ def _place(rollout_path: str) -> tuple[str | None, int | None]:
 
 
 def _title(metadata: dict[str, Any], split: str | None, record: int | None) -> str:
-    """Scene, case and the parameters in which the cases of the dataset differ."""
+    """Scene, case and its parameters."""
     parts = [str(metadata.get('scene', {}).get('name', 'rollout')).capitalize()]
-    if record is None:
-        return parts[0]
-    cases = metadata.get('cases', {})
-    if record >= len(cases.get(split, [])):
-        return _SEPARATOR.join([*parts, f'{split} record {record}'])
-    this, everyone = cases[split][record], [case for part in cases.values() for case in part]
-    parts.append(f'case {this["case"]}' if 'case' in this else f'{split} record {record}')
-    for key, value in this.items():
-        if (
-            key not in _NOT_A_PARAMETER
-            and isinstance(value, (int, float))
-            and any(case.get(key) != value for case in everyone)
-        ):
-            parts.append(_with_unit(key, value))
+    if record is not None:
+        cases = metadata.get('cases', {}).get(split, [])
+        case = cases[record] if record < len(cases) else {}
+        parts.append(f'case {case["case"]}' if 'case' in case else f'{split} record {record}')
+        parts += [
+            _with_unit(key, value)
+            for key, value in case.items()
+            if key not in _NOT_A_PARAMETER and isinstance(value, (int, float))
+        ]
     return _SEPARATOR.join(parts)
 
 

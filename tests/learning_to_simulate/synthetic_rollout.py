@@ -73,7 +73,7 @@ def write(
     drift[:, N_RIGID:] = growth[:, None, None] * rng.normal(0, 0.12, (n_modes, 3))
     prediction = truth + drift
     parameters = [
-        {'case': 125, 'depth_m': 0.08, 'speed_m_s': 0.1, 'angle_deg': 10.0, 'seed': 3},
+        {'case': 125, 'depth_m': 0.08, 'speed_m_s': 0.1, 'angle_deg': 10.0, 'seed': 3, 'soil': {}},
         {'case': 7, 'depth_m': 0.02, 'speed_m_s': 0.1, 'angle_deg': 3.8, 'seed': 4},
     ]
     metadata = {

@@ -84,8 +84,10 @@ class TestFrames:
         way = soil[TRUTH][40] - soil[TRUTH][0]
         np.testing.assert_allclose(frames.soil_displacement(TRUTH, 40), way, atol=1e-12)
 
-    def test_title_names_case_and_what_differs_between_cases(self, frames):
-        assert frames.title == 'Excavation  ·  case 125  ·  depth 0.08 m  ·  angle 10°'
+    def test_title_names_the_case(self, frames):
+        assert frames.title == (
+            'Excavation  ·  case 125  ·  depth 0.08 m  ·  speed 0.1 m/s  ·  angle 10°'
+        )
 
     def test_captions_hold_the_errors(self, frames):
         assert 'nothing predicted yet' in rollout_captions.status_line(frames, N_GIVEN - 1)
