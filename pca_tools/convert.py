@@ -70,6 +70,7 @@ def convert(
     split: Sequence[float] = (0.8, 0.1, 0.1),
     seed: int = 0,
     hold_out: Sequence[int | str] = (),
+    spread: bool = False,
     max_memory_mb: float = 1024.0,
     like: str | None = None,
     overwrite: bool = False,
@@ -86,7 +87,7 @@ def convert(
     refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
     if like is None:
-        parts = split_cases(runs.cases, split, seed, hold_out)
+        parts = split_cases(runs.cases, split, seed, hold_out, spread)
         space = subspace.fit(
             SoilPositions(runs, parts['train']), modes, centering, max_memory_mb,
             names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
@@ -339,6 +340,7 @@ def define_flags() -> None:
     flags.DEFINE_list('split', ['0.8', '0.1', '0.1'], 'Shares of train, valid and test.')
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
+    flags.DEFINE_bool('spread', False, 'Draw valid and test evenly over the order of the cases.')
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
         'like',
@@ -362,6 +364,7 @@ def main(_: Sequence[str]) -> None:
             split=[float(share) for share in values.split],
             seed=values.seed,
             hold_out=values.hold_out,
+            spread=values.spread,
             max_memory_mb=values.max_memory_mb,
             like=values.like,
             overwrite=values.overwrite,

@@ -14,15 +14,19 @@ def split_cases(
     fractions: Sequence[float],
     seed: int,
     hold_out: Sequence[int | str] = (),
+    spread: bool = False,
 ) -> dict[str, list[int]]:
-    """Deals cases to the splits by a seeded shuffle, without replacement.
+    """Deals cases to the splits by seed, without replacement.
 
     Args:
         cases: case ids.
         fractions: shares of train, valid and test; sum 1. Every share above 0 gets at least one
             case.
-        seed: of the shuffle.
-        hold_out: ids that go to test whatever the shuffle says; they count towards its share.
+        seed: of the draw.
+        hold_out: ids that go to test whatever the draw says; they count towards its share.
+        spread: draw valid and test evenly over the order of the cases instead of by a plain
+            shuffle. Case ids count through nested loops over the parameters, so neighbours are
+            alike, and a few cases then still cover the grid.
 
     Returns:
         split -> indices into `cases`, ascending.
@@ -36,23 +40,40 @@ def split_cases(
     unknown = held - {str(case) for case in cases}
     if unknown:
         raise ValueError(f'hold_out names {sorted(unknown)}, which are not among the cases')
-    shuffled = np.random.default_rng(seed).permutation(len(cases)).tolist()
+    rng = np.random.default_rng(seed)
+    shuffled = rng.permutation(len(cases)).tolist()
     forced = [index for index in shuffled if str(cases[index]) in held]
     free = [index for index in shuffled if str(cases[index]) not in held]
     sizes = {
         split: max(round(share * len(cases)), 1) if share > 0 else 0
         for split, share in zip(SPLITS, fractions)
     }
-    take = max(sizes['test'] - len(forced), 0)
-    test, valid, train = (
-        forced + free[:take],
-        free[take : take + sizes['valid']],
-        free[take + sizes['valid'] :],
-    )
-    if not train or (fractions[1] > 0 and not valid):
+    n_test, n_valid = max(sizes['test'] - len(forced), 0), sizes['valid']
+    if n_test + n_valid >= len(free):
         raise ValueError(
             f'{len(cases)} cases with {len(forced)} held out do not fill the shares '
             f'{list(fractions)}; let the solver make more, or use --like to put them into '
             'an existing subspace'
         )
-    return {'train': sorted(train), 'valid': sorted(valid), 'test': sorted(test)}
+    if spread:
+        free = _strata_first(sorted(free), n_test, n_valid, rng)
+    return {
+        'train': sorted(free[n_test + n_valid :]),
+        'valid': sorted(free[n_test : n_test + n_valid]),
+        'test': sorted(forced + free[:n_test]),
+    }
+
+
+def _strata_first(
+    free: list[int], n_test: int, n_valid: int, rng: np.random.Generator
+) -> list[int]:
+    """Returns `free` with one draw from each of n_test + n_valid equal strata in front."""
+    count = n_test + n_valid
+    if not count:
+        return free
+    drawn = [int(rng.choice(stratum)) for stratum in np.array_split(free, count)]
+    # Test takes every (count / n_test)-th stratum, valid the others.
+    is_test = np.diff(np.arange(count + 1) * n_test // count).astype(bool)
+    test = [index for index, chosen in zip(drawn, is_test) if chosen]
+    valid = [index for index, chosen in zip(drawn, is_test) if not chosen]
+    return test + valid + [index for index in free if index not in drawn]

@@ -21,15 +21,24 @@ def raw_of(folder, case):
     return np.load(f'{folder}/run_{case:03d}.npz')
 
 
+@pytest.mark.parametrize('spread', [False, True])
 @pytest.mark.parametrize('count, sizes', [(200, (160, 20, 20)), (40, (32, 4, 4)), (5, (3, 1, 1))])
-def test_split_deals_every_case_once(count, sizes):
+def test_split_deals_every_case_once(count, sizes, spread):
     cases = [f'case {index}' for index in range(count)]
-    parts = split_cases(cases, (0.8, 0.1, 0.1), seed=3)
+    parts = split_cases(cases, (0.8, 0.1, 0.1), seed=3, spread=spread)
     assert tuple(len(parts[name]) for name in SPLITS) == sizes
     assert sorted(sum(parts.values(), [])) == list(range(count))
-    assert split_cases(cases, (0.8, 0.1, 0.1), seed=3) == parts
+    assert split_cases(cases, (0.8, 0.1, 0.1), seed=3, spread=spread) == parts
     if count > 10:
-        assert split_cases(cases, (0.8, 0.1, 0.1), seed=4) != parts
+        assert split_cases(cases, (0.8, 0.1, 0.1), seed=4, spread=spread) != parts
+
+
+def test_spread_splits_cover_the_order_of_the_cases():
+    for seed in range(20):
+        parts = split_cases(range(40), (0.8, 0.1, 0.1), seed, spread=True)
+        # one of each in every quarter of the cases
+        for name in ('valid', 'test'):
+            assert [index // 10 for index in parts[name]] == [0, 1, 2, 3]
 
 
 def test_held_out_cases_are_tested():
