@@ -49,7 +49,7 @@ class TrainConfig:
     preset: str
     adjacency: str = 'algorithm2'
     mode_edges: int = 28
-    rigid_particles: int = 5
+    rigid_particles: int = 10
     conditioned: bool = True
     velocity_inputs: int = 1
     rate_scaled: bool = True
@@ -64,7 +64,7 @@ class TrainConfig:
     batch_size: int = 16
     num_steps: int = 3000
     unroll_length: int = 16
-    unroll_steps: int = 1000
+    unroll_steps: int = 2000
     unroll_batch_size: int = 8
     unroll_noise: float = 0.0
     unroll_learning_rate: float = 3e-4

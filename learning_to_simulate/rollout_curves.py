@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, ticker
 from matplotlib.axes import Axes
 
 from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
@@ -16,6 +16,8 @@ _COMPONENT_COLORS = ('#0072b2', '#d55e00')
 _ERROR_COLOR = '#7b1f6b'
 _RIGID_COLOR = '#009e73'
 _FLOOR_COLOR = '#c8a24a'
+# From this ratio of its ends on, a logarithmic axis is labelled at powers of ten only.
+_FEW_TICKS_FROM = 200.0
 
 
 def count(frames: RolloutFrames) -> int:
@@ -79,10 +81,14 @@ def _draw_errors(axes: Axes, frames: RolloutFrames) -> None:
         axes.axhline(floor, color=_FLOOR_COLOR, linewidth=1.2, label='projection floor')
     # Predictions may be orders of magnitude better than their neighbours.
     axes.set_yscale('log')
-    axes.yaxis.set_major_formatter('{x:g}')
     shown = [line.get_ydata() for line in axes.lines]
-    lowest = min(float(np.median(y)) for y in shown if np.median(y) > 0)
-    axes.set_ylim(lowest / 5.0, 2.0 * max(float(np.max(y)) for y in shown))
+    low = min(float(np.median(y)) for y in shown if np.median(y) > 0) / 5.0
+    high = 2.0 * max(float(np.max(y)) for y in shown)
+    axes.set_ylim(low, high)
+    steps = (1.0, 2.0, 5.0) if high < _FEW_TICKS_FROM * low else (1.0,)
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=steps))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_formatter(ticker.NullFormatter())
     axes.set_ylabel('soil error, RMS (mm)')
     _legend_above(axes, columns=5)
 

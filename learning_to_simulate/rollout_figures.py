@@ -76,7 +76,8 @@ class AnimatedFigure:
             page.write_footer(frames, view)
             self.views = []
             for column, which in enumerate((TRUTH, PREDICTION)):
-                axes = page.view_axes(0, column, view, title=_name(frames, which))
+                name = _name(frames, which)
+                axes = page.view_axes(0, column, view, title=name[0].upper() + name[1:])
                 self.views.append(
                     ParticleView(axes, frames, which, view, color_by, show_key=column == 0)
                 )
