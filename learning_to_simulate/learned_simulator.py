@@ -92,8 +92,7 @@ class Layout:
         self.target_mean, self.target_std = per_node(s.target_mean), per_node(s.target_std)
         self.edge_std = edge_std.astype(np.float32)
         self.edge_shift = ((edge_origin - s.displacement_mean[pair]) / edge_std).astype(np.float32)
-        # Which components the network decides: all of the modes; of the body none, its height, or
-        # all.
+        # What the network decides: all of the modes; of the body nothing, its height, or all.
         moving = np.ones((self.n_node, self.origin.shape[1]), np.float32)
         if scene.rigid_motion.is_known:
             moving[:n_rigid] = 0.0
@@ -143,9 +142,13 @@ class LearnedSimulator(snt.Module):
 
     @property
     def knows_next_frame(self) -> bool:
-        """Whether the coming frame of the body is an input; the published presets do not look at
-        it."""
+        """Whether the coming frame of the body is an input; not in the published presets."""
         return self.config.conditioned and self.scene.rigid_motion.is_known
+
+    @property
+    def rate_scaled(self) -> bool:
+        """Whether motion is counted per displacement of the body, which must be known for it."""
+        return self.config.rate_scaled and self.scene.rigid_motion.is_known
 
     def features(self, state: SimulatorState, known, context, layout: Layout):
         """Network inputs.
@@ -178,7 +181,7 @@ class LearnedSimulator(snt.Module):
                         / layout.acceleration_std[:, None]
                     )
                 )
-        if self.config.rate_scaled:
+        if self.rate_scaled:
             # What does depend on the rate (inertia, a body at rest) is left to the network.
             nodes.append(tf.tile(tf.concat([tf.math.log(rate), rate], -1), [1, layout.n_node, 1]))
         if self.knows_next_frame:
@@ -220,8 +223,7 @@ class LearnedSimulator(snt.Module):
         return tf.pad(values, [[0, 0], [0, layout.n_node - layout.n_rigid], [0, 0]])
 
     def _height_features(self, state, layout):
-        """Height of the body and its H - 1 last changes, the same for every rigid particle: [B, R,
-        H]."""
+        """Height of the body and its H - 1 last changes, repeated for its particles: [B, R, H]."""
         up = self.scene.up_axis
         s = self.statistics
         height = tf.reduce_mean(state.offset[:, : layout.n_rigid, up], axis=1, keepdims=True)
@@ -252,9 +254,11 @@ class LearnedSimulator(snt.Module):
         return target, force
 
     def rate(self, known):
-        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1]; 1 if
-        not scaled."""
-        if not self.config.rate_scaled:
+        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
+
+        1 where motion is not counted per displacement of the body.
+        """
+        if not self.rate_scaled:
             return tf.ones([1, 1, 1])
         speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
             self.statistics.body_speed[0]

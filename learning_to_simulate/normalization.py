@@ -128,12 +128,13 @@ def compute_statistics(
     heights = None
     if scene.rigid_motion == RigidMotion.DRIVEN:
         heights = [p[:, :, :-r, scene.up_axis].mean(axis=2) for p in positions]
+    rate_scaled = config.rate_scaled and scene.rigid_motion.is_known
     values = {
         'origin': origin,
         'position_std': _floored(np.stack([s.std(axis=0) for s in samples])),
         'height_std': _height_std(heights, 0),
         'height_velocity_std': _height_std(heights, 1),
-        'body_speed': _body_speed(velocities, r) if config.rate_scaled else None,
+        'body_speed': _body_speed(velocities, r) if rate_scaled else None,
         'context_mean': None if context is None else context.mean(axis=0),
         'context_std': None
         if context is None

@@ -31,6 +31,7 @@ class Twin:
             v.name.split(':')[0]: v.numpy().astype(float) for v in s.trainable_variables
         }
         self.types = s.particle_types
+        self.rated = self.config.rate_scaled and self.scene.rigid_motion in ('prescribed', 'driven')
 
     def _mlp(self, prefix, x, name='mlp'):
         w = {k[len(prefix) :]: v for k, v in self.weights.items() if k.startswith(prefix)}
@@ -59,7 +60,7 @@ class Twin:
         if driven:
             shape_change[:, up] -= coming[:, up].mean()
         rate = 1.0
-        if c.rate_scaled:
+        if self.rated:
             rate = max(np.sqrt((shape_change**2).sum(1).mean()) / s.body_speed[0], 0.05)
         nodes = []
         for i in range(n_node):
@@ -71,7 +72,7 @@ class Twin:
                 if c.velocity_inputs > 1:
                     a = np.diff(v, axis=0)
                     row.append(((a - s.acceleration_mean[k]) / s.acceleration_std[k]).ravel())
-            if c.rate_scaled:
+            if self.rated:
                 row.append([np.log(rate), rate])
             if c.conditioned and self.scene.rigid_motion in ('prescribed', 'driven'):
                 known = np.zeros(3)

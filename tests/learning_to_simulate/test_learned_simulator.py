@@ -17,7 +17,7 @@ CASES = {
         'overrides': {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
     },
     'pcg, driven, context': {'motion': 'driven', 'context': True},
-    'pcg, predicted': {'motion': 'predicted', 'overrides': {'rate_scaled': False}},
+    'pcg, predicted': {'motion': 'predicted'},
     'pcg_thesis': {'preset': 'pcg_thesis'},
     'pcg_thesis, driven': {
         'preset': 'pcg_thesis',
@@ -107,7 +107,7 @@ def test_scene_without_a_part_has_no_variable_for_it(tmp_path):
     inputs, outputs = width('plain')
     assert width('no force', force=False) == (inputs, outputs - 3)
     assert width('context', context=True) == (inputs + 4, outputs)  # two values, two logarithms
-    predicted = width('predicted', motion='predicted', overrides={'rate_scaled': False})
+    predicted = width('predicted', motion='predicted')
     assert predicted == (inputs - 3 - 2, outputs)
 
 
