@@ -79,18 +79,20 @@ def _draw_errors(axes: Axes, frames: RolloutFrames) -> None:
     if frames.projection_mse is not None:
         floor = 1e3 * frames.projection_mse**0.5
         axes.axhline(floor, color=_FLOOR_COLOR, linewidth=1.2, label='projection floor')
+    axes.set_ylabel('soil error, RMS (mm)')
+    _legend_above(axes, columns=5)
+    shown = [line.get_ydata() for line in axes.lines]
+    medians = [float(np.median(y)) for y in shown if np.median(y) > 0]
+    if not medians:
+        return  # soil that rests, and a prediction that says so
     # Predictions may be orders of magnitude better than their neighbours.
     axes.set_yscale('log')
-    shown = [line.get_ydata() for line in axes.lines]
-    low = min(float(np.median(y)) for y in shown if np.median(y) > 0) / 5.0
-    high = 2.0 * max(float(np.max(y)) for y in shown)
+    low, high = min(medians) / 5.0, 2.0 * max(float(np.max(y)) for y in shown)
     axes.set_ylim(low, high)
     steps = (1.0, 2.0, 5.0) if high < _FEW_TICKS_FROM * low else (1.0,)
     axes.yaxis.set_major_locator(ticker.LogLocator(subs=steps))
     axes.yaxis.set_major_formatter('{x:g}')
     axes.yaxis.set_minor_formatter(ticker.NullFormatter())
-    axes.set_ylabel('soil error, RMS (mm)')
-    _legend_above(axes, columns=5)
 
 
 def _draw_scores(axes: Axes, frames: RolloutFrames) -> None:

@@ -215,6 +215,11 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     if subspace is None:
         notes.append('Without subspace.npz there are no particles: mode scores are drawn instead.')
     n_rigid = truth.shape[1] - n_modes
+    if subspace is None and not n_rigid:
+        raise ValueError(
+            f'{rollout_path}: has modes only, and {data_path} no {SUBSPACE_NAME} to rebuild the '
+            'soil with: there is nothing to draw'
+        )
     split, record = _place(rollout_path)
     floors = metadata.get('projection_mse', {}).get(split, [])
     both = {TRUTH: truth[:length], PREDICTION: prediction[:length]}

@@ -157,6 +157,14 @@ class TestBadInput:
         other = json.dumps(metadata | {'pca': {'digest': 'f' * 64}})
         check('not the subspace of this rollout', metadata=np.array(other))
 
+    def test_modes_alone_cannot_be_drawn(self, made, tmp_path):
+        arrays = files.read_npz(made[0])
+        changes = {
+            key: arrays[key][:, N_RIGID:]
+            for key in ('initial_positions', 'predicted_rollout', 'ground_truth_rollout')
+        } | {'particle_types': arrays['particle_types'][N_RIGID:]}
+        self.check(changed(made, tmp_path, **changes), None, 'has modes only')
+
     def test_unknown_format(self, made, tmp_path):
         with pytest.raises(ValueError, match=r"--format has \['avi'\]; there are png, gif"):
             render_rollout.render(*made[:2], str(tmp_path), formats=['gif', 'avi'])
@@ -252,6 +260,22 @@ class TestPictures:
         pixels = np.stack([figure.draw(int(frame)) for frame in drawn])
         assert (pixels[0] != pixels[1]).any()
         rollout_figures.strip_figure(frames, view, drawn.tolist(), dpi=50).canvas.draw()
+
+    def test_soil_at_rest_can_be_drawn(self, made, tmp_path):
+        arrays = files.read_npz(made[0])
+        metadata = json.loads(str(arrays['metadata']))
+        del metadata['projection_mse']
+        still = {
+            key: np.broadcast_to(arrays['initial_positions'][0], arrays[key].shape)
+            for key in ('initial_positions', 'predicted_rollout', 'ground_truth_rollout')
+        }
+        path = changed(made, tmp_path, metadata=np.array(json.dumps(metadata)), **still)
+        frames = rollout_frames.load(path, made[1])
+        drawn = np.arange(0, N_FRAMES, 20)
+        view = particle_views.setup(frames, 'xy', drawn)
+        rollout_figures.strip_figure(frames, view, drawn.tolist(), dpi=50).canvas.draw()
+        figure = rollout_figures.AnimatedFigure(frames, view, 'error', dpi=50)
+        assert figure.draw(0).any()
 
 
 class TestMovies:
