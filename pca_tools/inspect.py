@@ -146,6 +146,10 @@ def _motion(inspection: Inspection) -> list[str]:
         '  share of the kept motion in each mode [%]: '
         + ' '.join(f'{share:.2f}' for share in shares)
     )
+    lines.append(
+        f'  share of the mode energy that lies between the first frames of the runs: '
+        f'{100 * initial_share(runs):.1f} %'
+    )
     return lines
 
 
@@ -156,6 +160,22 @@ def motion_shares(runs: Sequence[Trajectory]) -> np.ndarray:
         scores = run.position[:, run.n_rigid :].astype(np.float64)
         energy += np.sum((scores - scores[0]) ** 2, axis=(0, 2))
     return energy / max(energy.sum(), np.finfo(np.float64).tiny)
+
+
+def initial_share(runs: Sequence[Trajectory]) -> float:
+    """Returns the share of the scores' variance that is there before anything moves.
+
+    Modes that tell how runs differ at frame 0 (a wheel that sank in before it drove) are lost for
+    motion.
+    """
+    scores = [run.position[:, run.n_rigid :].astype(np.float64) for run in runs]
+    centre = np.concatenate(scores).mean(axis=0)
+    total = sum(np.sum((part - centre) ** 2) for part in scores)
+    first = np.stack([part[0] for part in scores])
+    between = sum(len(part) for part in scores) * np.mean(
+        np.sum((first - first.mean(axis=0)) ** 2, axis=(1, 2))
+    )
+    return float(between / max(total, np.finfo(np.float64).tiny))
 
 
 def define_flags() -> None:

@@ -80,6 +80,7 @@ def plot_modes(space: Subspace, path: str) -> None:
     """Draws each mode as particles coloured by their weight, from the side and from above."""
     x, y, z = space.initial.T
     figure = Figure(figsize=(10, 2.1 * space.n_modes), layout='constrained')
+    figure.suptitle(f'Modes on the particles as they lie at the start of run {space.runs[0]}')
     grid = figure.subplots(space.n_modes, 2, squeeze=False)
     for mode, row in enumerate(grid):
         weights = space.components[:, mode]

@@ -10,7 +10,7 @@ import pytest
 
 from pca_tools import dataset, files
 from pca_tools.findings import Level
-from pca_tools.inspect import motion_shares, report
+from pca_tools.inspect import initial_share, motion_shares, report
 from pca_tools.inspection import inspect_folder
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
@@ -221,6 +221,17 @@ def test_trivial_errors_and_motion_shares_against_particles(excavation, raw_exca
     assert shares.sum() == pytest.approx(1)
     moved = run.position[:, 20:].astype(np.float64) - run.position[0, 20:]
     assert shares[0] == pytest.approx(np.sum(moved[:, 0] ** 2) / np.sum(moved**2))
+
+
+def test_share_of_the_energy_before_anything_moves():
+    def run(start):
+        position = np.zeros((4, 5, 3), np.float32)
+        position[:, 4, 0] = start + np.array([0, 1, 2, 3])
+        return dataset.Trajectory(0, np.array([3, 3, 3, 6, 6]), position)
+
+    # scores s + (0 1 2 3) for s = -2 and 2: variance 4 between the starts, 1.25 within each run
+    assert initial_share([run(-2.0), run(2.0)]) == pytest.approx(4 / 5.25)
+    assert initial_share([run(1.0), run(1.0)]) == 0.0
 
 
 def test_trivial_errors_of_the_authors_records(original):
