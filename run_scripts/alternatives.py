@@ -26,10 +26,7 @@ ALTERNATIVES = {
     'displacements per frame, not per body displacement': {'rate_scaled': False},
     'five last velocities as inputs': {'velocity_inputs': 5},
     'all rigid particles': {'rigid_particles': 0},
-    'all mode -> mode edges': {'mode_edges': 64},
-    'L = 128': {'latent_size': 128},
-    'L = 32': {'latent_size': 32},
-    'noise 0.1 of the velocity scale': {'noise_std': 0.1},
+    'five lowest rigid particles': {'rigid_particles': 5},
     'published inputs (no conditioning)': {
         'conditioned': False, 'rate_scaled': False, 'velocity_inputs': 5, 'rigid_particles': 0,
     },
