@@ -1,12 +1,9 @@
-"""Pictures and VTK files of a rollout, on a made-up excavation."""
+"""Pictures and movies of a rollout, on a made-up excavation."""
 
-import base64
 import json
 import os
 import subprocess
 import sys
-import zlib
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from learning_to_simulate import (
     rollout_captions,
     rollout_figures,
     rollout_frames,
-    vtk_export,
 )
 from learning_to_simulate.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
@@ -50,16 +46,6 @@ def changed(made, tmp_path, **changes):
     path = str(tmp_path / 'rollout_test_0.npz')
     files.write_npz(path, **{name: array for name, array in arrays.items() if array is not None})
     return path
-
-
-@pytest.fixture(scope='module')
-def folder(made, tmp_path_factory):
-    """VTK files of the rollout, every tenth frame."""
-    output = str(tmp_path_factory.mktemp('vtk'))
-    _, written = render_rollout.render(*made[:2], output, formats=['vtp'], step_stride=10)
-    folder = os.path.join(output, 'rollout_test_0_vtk')
-    assert written == [os.path.join(folder, f'{which}.pvd') for which in (TRUTH, PREDICTION)]
-    return folder
 
 
 class TestFrames:
@@ -305,74 +291,6 @@ class TestMovies:
         means = [np.frombuffer(frame, np.uint8).mean() for frame in reader]
         # H.264 is lossy; flat frames come back within 2 levels.
         np.testing.assert_allclose(means, levels, atol=4)
-
-
-def decoded(element):
-    """An inline binary array of a `.vtp`, read by hand: header and zlib block, both base64."""
-    text = element.text.strip()
-    header = np.frombuffer(base64.b64decode(text[:24]), '<u4')  # 16 bytes are 24 characters
-    blocks, size, last, packed = header
-    assert (blocks, last) == (1, 0)
-    data = zlib.decompress(base64.b64decode(text[24:]))
-    assert len(data) == size and len(base64.b64decode(text[24:])) == packed
-    kinds = {'Float32': '<f4', 'Float64': '<f8', 'Int32': '<i4'}
-    values = np.frombuffer(data, kinds[element.get('type')])
-    columns = int(element.get('NumberOfComponents'))
-    return values.reshape(-1, columns) if columns > 1 else values
-
-
-class TestVtk:
-    def test_collection_has_the_times(self, folder):
-        sets = ElementTree.parse(os.path.join(folder, 'truth.pvd')).getroot().iter('DataSet')
-        listed = [(float(entry.get('timestep')), entry.get('file')) for entry in sets]
-        assert [name for _, name in listed] == [f'truth/{t:05d}.vtp' for t in range(0, 60, 10)]
-        np.testing.assert_allclose([time for time, _ in listed], DT * np.arange(0, 60, 10))
-        assert all(os.path.exists(os.path.join(folder, name)) for _, name in listed)
-
-    def test_arrays_read_by_hand(self, folder, frames):
-        root = ElementTree.parse(os.path.join(folder, 'prediction', '00040.vtp')).getroot()
-        assert root.get('type') == 'PolyData'
-        piece = root.find('PolyData/Piece')
-        count = N_RIGID + frames.n_soil
-        assert piece.get('NumberOfPoints') == piece.get('NumberOfVerts') == str(count)
-        points = decoded(piece.find('Points/DataArray'))
-        soil = frames.soil(PREDICTION, 40)
-        # float32 in the file.
-        np.testing.assert_allclose(points[N_RIGID:], soil, rtol=1e-6)
-        np.testing.assert_allclose(points[:N_RIGID], frames.rigid[PREDICTION][40], rtol=1e-6)
-        data = {e.get('Name'): decoded(e) for e in piece.find('PointData')}
-        assert data.keys() == {'displacement', 'velocity', 'error', 'particle_type'}
-        assert data['particle_type'].tolist() == [3] * N_RIGID + [6] * frames.n_soil
-        way = soil - frames.soil(PREDICTION, 0)
-        np.testing.assert_allclose(data['displacement'][N_RIGID:], way, atol=1e-7)
-        velocity = (soil - frames.soil(PREDICTION, 39)) / DT
-        np.testing.assert_allclose(data['velocity'][N_RIGID:], velocity, atol=1e-6)
-        error = soil - frames.soil(TRUTH, 40)
-        np.testing.assert_allclose(data['error'][N_RIGID:], error, atol=1e-7)
-        verts = {e.get('Name'): decoded(e) for e in piece.find('Verts')}
-        np.testing.assert_array_equal(verts['connectivity'], np.arange(count))
-        np.testing.assert_array_equal(verts['offsets'], np.arange(1, count + 1))
-        field = {e.get('Name'): decoded(e) for e in root.find('PolyData/FieldData')}
-        np.testing.assert_allclose(field['time'], 40 * DT)
-        np.testing.assert_allclose(field['force'][0], frames.force[PREDICTION][40])
-
-    def test_a_vtk_reader_agrees(self, folder, frames):
-        pyvista = pytest.importorskip('pyvista')
-        reader = pyvista.get_reader(os.path.join(folder, 'truth.pvd'))
-        reader.set_active_time_value(reader.time_values[3])
-        cloud = reader.read()[0]
-        np.testing.assert_allclose(cloud.points[N_RIGID:], frames.soil(TRUTH, 30), rtol=1e-6)
-        np.testing.assert_allclose(cloud.field_data['force'][0], frames.force[TRUTH][30])
-
-    def test_refuses_arrays_that_do_not_fit(self, tmp_path):
-        path = str(tmp_path / 'a.vtp')
-        with pytest.raises(ValueError, match=r'points have shape \(4, 2\)'):
-            vtk_export.write_points(path, np.zeros((4, 2)), {}, {})
-        with pytest.raises(ValueError, match="'speed' has 3 values for 4 points"):
-            vtk_export.write_points(path, np.zeros((4, 3)), {'speed': np.zeros(3)}, {})
-        with pytest.raises(ValueError, match='has type complex128'):
-            vtk_export.write_points(path, np.zeros((4, 3), complex), {}, {})
-        assert not os.listdir(tmp_path)
 
 
 class TestCommand:
