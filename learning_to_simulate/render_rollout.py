@@ -29,8 +29,8 @@ import numpy as np
 import tqdm
 from absl import app, flags
 
-from learning_to_simulate import rollout_captions, rollout_frames, vtk_export
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
 from pca_tools import files
 
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
@@ -102,7 +102,7 @@ def _write_pictures(
 ) -> list[str]:
     """Writes PNG, GIF and MP4; returns the paths."""
     try:
-        from learning_to_simulate import movie_files, particle_views, rollout_figures
+        from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
     except ModuleNotFoundError as error:
         raise ValueError(
             f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does not)'

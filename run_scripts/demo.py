@@ -127,6 +127,7 @@ def draw(out: str) -> list[str]:
             os.path.join(out, preset),
             formats=['png', 'gif'],
             step_stride=4,
+            label=preset,
             progress=_bar,
         )
         written += paths
@@ -178,7 +179,7 @@ def main(_) -> None:
     print('\n' + text + '\n')
     print('soil RMS: error within the 8 modes; with cut-off: including what the modes leave out.')
     print('force of the trivial rows: the last known force, the mean force of the training runs.')
-    print('one core each: solver CPU seconds against wall seconds of one compiled rollout.\n')
+    print('time: CPU seconds of the solver on one core; wall seconds of one compiled rollout.\n')
     for path in pictures:
         print(os.path.relpath(path))
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')

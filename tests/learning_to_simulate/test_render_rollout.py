@@ -8,15 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from learning_to_simulate import (
+from learning_to_simulate import render_rollout
+from learning_to_simulate.rendering import (
     movie_files,
     particle_views,
-    render_rollout,
     rollout_captions,
     rollout_figures,
     rollout_frames,
 )
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
 from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID

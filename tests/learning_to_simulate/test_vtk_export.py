@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from learning_to_simulate import render_rollout, rollout_frames, vtk_export
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH
+from learning_to_simulate import render_rollout
+from learning_to_simulate.rendering import rollout_frames, vtk_export
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_RIGID
 

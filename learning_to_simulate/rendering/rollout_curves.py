@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib import colormaps, ticker
 from matplotlib.axes import Axes
 
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
 
 INK, FAINT = '#1f2933', '#8693a0'
 # Okabe and Ito (2008): told apart with every kind of colour vision.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
 
 _GAP = '      '
 

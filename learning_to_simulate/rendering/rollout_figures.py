@@ -15,10 +15,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from learning_to_simulate import rollout_captions, rollout_curves
-from learning_to_simulate.particle_views import COLOR_MAPS, ParticleView, ViewSetup
-from learning_to_simulate.rollout_curves import FAINT, INK
-from learning_to_simulate.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering import rollout_captions, rollout_curves
+from learning_to_simulate.rendering.particle_views import COLOR_MAPS, ParticleView, ViewSetup
+from learning_to_simulate.rendering.rollout_curves import FAINT, INK
+from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
 
 STYLE = {
     'font.family': 'DejaVu Sans',

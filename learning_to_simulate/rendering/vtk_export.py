@@ -14,7 +14,7 @@ from xml.sax import saxutils
 
 import numpy as np
 
-from learning_to_simulate.rollout_frames import (
+from learning_to_simulate.rendering.rollout_frames import (
     PREDICTION,
     SOIL_PARTICLE_TYPE,
     TRUTH,

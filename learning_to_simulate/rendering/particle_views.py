@@ -16,7 +16,7 @@ from matplotlib.patches import Polygon
 from matplotlib.quiver import Quiver
 from scipy import spatial
 
-from learning_to_simulate.rollout_frames import PLANES, PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import PLANES, PREDICTION, TRUTH, RolloutFrames
 
 # Steps too small to see, but soil that hardly moves keeps its exact colour: a GIF of it is smaller.
 _COLOR_STEPS = 40

@@ -1,0 +1,1 @@
+"""Drawing and exporting rollouts, for `render_rollout`: frames, views, curves, movies, ParaView."""
