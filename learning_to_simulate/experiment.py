@@ -71,6 +71,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     for group in groups:
         model.layout(group.n_rigid)
     model.create_variables(groups[0].n_rigid)
+    if config.zero_decoder:
+        simulator.zero_decoder()
     return model
 
 

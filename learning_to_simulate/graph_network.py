@@ -59,6 +59,11 @@ class EncodeProcessDecode(snt.Module):
         ]
         self._decoder = _mlp(latent_size, hidden_layers, output_size, name='decoder')
 
+    def zero_decoder(self):
+        """Sets the last layer to zero: every output is 0 until it is trained."""
+        for variable in self._decoder.trainable_variables[-2:]:
+            variable.assign(tf.zeros_like(variable))
+
     def __call__(self, nodes, edges, senders, receivers):
         """Runs the network on B equal graphs.
 

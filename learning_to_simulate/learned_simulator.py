@@ -150,6 +150,10 @@ class LearnedSimulator(snt.Module):
         """Whether motion is counted per displacement of the body, which must be known for it."""
         return self.config.rate_scaled and self.scene.rigid_motion.is_known
 
+    def zero_decoder(self):
+        """Makes the untrained model predict the training mean: constant velocity in order 2."""
+        self._network.zero_decoder()
+
     def features(self, state: SimulatorState, known, context, layout: Layout):
         """Network inputs.
 

@@ -19,7 +19,7 @@ from pca_tools import files
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 HEADER = (
     'model', 'edges', 'soil MSE 1e-4 m²', 'soil RMS mm', 'of best trivial', 'rigid MSE 1e-4 m²',
-    'force rel. L2', '\\|MPE\\| %', 'ms per step',
+    'force rel. L2', '\\|MPE\\| %',
 )  # fmt: skip
 
 
@@ -29,28 +29,26 @@ def rows(folder: str, with_trivial: bool):
     mean = summary['mean']
     best = min(mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity'))
 
-    def cells(name, values, edges='', time=''):
+    def cells(name, values, edges=''):
         def number(key, factor=1.0):
             return f'{factor * values[key]:.3g}' if values.get(key) is not None else ''
 
         return (
             name, edges, number('soil_mse', 1e4), number('soil_rms_mm'),
             f'{values["soil_mse"] / best:.3g}', number('rigid_mse', 1e4),
-            number('force_relative_l2'), number('force_abs_mpe'), time,
+            number('force_relative_l2'), number('force_abs_mpe'),
         )  # fmt: skip
 
     if with_trivial:
         if summary['projection_mse'] is not None:
             floor = summary['projection_mse']
             yield ('*cut off by the modes*', '', f'{1e4 * floor:.3g}', f'{1e3 * floor**0.5:.3g}',
-                   f'{floor / best:.3g}', '', '', '', '')  # fmt: skip
+                   f'{floor / best:.3g}', '', '', '')  # fmt: skip
         for name in ('stay_still', 'constant_velocity'):
             yield cells(f'*{name.replace("_", " ")}*', mean[name])
     edges = sorted({row['edges'] for row in summary['runs']['model']})
     name = os.path.basename(folder.rstrip('/')).removesuffix('_rollouts')
-    model = mean['model']
-    time = f'{model["milliseconds_per_step"]:.3g}'
-    yield cells(name, model, ' / '.join(map(str, edges)), time)
+    yield cells(name, mean['model'], ' / '.join(map(str, edges)))
 
 
 def main(argv) -> None:

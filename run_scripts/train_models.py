@@ -19,8 +19,9 @@ import sys
 
 from absl import app, flags
 
-from learning_to_simulate import checkpoints, presets
+from learning_to_simulate import checkpoints
 
+SHIPPED = ['fcg_original', 'pcg_thesis', 'pcg']
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
@@ -51,7 +52,7 @@ def train(scene: str, preset: str, work: str, quiet: bool) -> str:
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_list('scenes', ['excavation', 'wheel'], 'Folders of datasets/ to train on.')
-    flags.DEFINE_list('presets', list(presets.PRESETS), 'Presets to train.')
+    flags.DEFINE_list('presets', SHIPPED, 'Presets to train.')
     flags.DEFINE_string('work_path', None, 'Folder for training states and logs.', required=True)
     flags.DEFINE_integer('num_processes', 1, 'Models trained at a time.', 1)
 

@@ -137,3 +137,18 @@ def test_rate_scaling_makes_motion_proportional_to_the_body(tmp_path):
 def test_history_of_wrong_length_is_refused():
     with pytest.raises(ValueError, match='6 frames'):
         learned_simulator.initial_state(np.zeros([1, 5, 4, 3]), np.zeros([1, 4, 4, 3]))
+
+
+def test_zero_decoder_starts_from_constant_velocity(tmp_path):
+    """In order 2 the untrained model repeats the last displacement, plus the mean acceleration."""
+    zero = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'zero_decoder': True}
+    model, (group,), _ = models.make(tmp_path, overrides=zero)
+    position, _ = first_step(model, group)
+    mean = model.simulator.statistics.target_mean[1:]
+    last = group.position[0, H - 1] + group.velocity[0, H - 1]
+    np.testing.assert_allclose(
+        position[group.n_rigid :],
+        last[group.n_rigid :] + mean,
+        atol=4e-8,  # float32 offsets of about 0.05 m: 4e-9 seen
+        rtol=0,
+    )
