@@ -253,7 +253,13 @@ def run_checks(raw_path: str, num_processes: int) -> list[Check]:
         )
     )
     rows.append(
-        Check('halved time step: change of mean draft', halved_step(), 0.0, 0.02, 'first second')
+        Check(
+            'halved time step: change of mean draft',
+            halved_step(),
+            0.0,
+            0.02,
+            'first second; APIC, see mpm/README.md',
+        )
     )
     folder = os.path.join(raw_path, 'wheel')
     generate(scenes.WHEEL, SLIP_CASES, folder, Settings(), num_processes)
