@@ -19,6 +19,63 @@ def _mlp(width, hidden_layers, output_size=None, name='mlp'):
     return snt.Sequential(layers)
 
 
+class _EdgeBlock(snt.Module):
+    """Messages from edges and their two ends; the first layer is applied node by node.
+
+    The first layer acts on [edge, receiver, sender], so its node parts are the same for all edges
+    of a node: computed per node and added per edge they give the same sum for a third of the work.
+    """
+
+    def __init__(self, make_model, name='edge_block'):
+        super().__init__(name=name)
+        self._model = make_model()
+
+    @snt.once
+    def _create_variables(self, width):
+        self._model(tf.zeros([1, 1, width]))
+
+    def __call__(self, edges, nodes, senders, receivers):
+        self._create_variables(3 * edges.shape[-1])
+        _, layer_norm, first, *rest = self._model.submodules
+        of_edge, of_receiver, of_sender = tf.split(first.w, 3)
+        hidden = tf.matmul(edges, of_edge) + first.b
+        hidden += tf.gather(tf.matmul(nodes, of_receiver), receivers, axis=1)
+        hidden += tf.gather(tf.matmul(nodes, of_sender), senders, axis=1)
+        for linear in rest:
+            hidden = linear(tf.nn.relu(hidden))
+        return layer_norm(hidden)
+
+
+class _InteractionNetwork(snt.Module):
+    """One message-passing step with residuals (Battaglia et al. 2016), on B equal graphs.
+
+    The same function and the same variables as graph_nets' InteractionNetwork; a test holds them
+    together.
+    """
+
+    def __init__(self, make_model, name):
+        super().__init__(name=name)
+        self._edge_block = _EdgeBlock(make_model)
+        self._node_block = _NodeBlock(make_model)
+
+    def __call__(self, nodes, edges, senders, receivers, incidence):
+        messages = self._edge_block(edges, nodes, senders, receivers)
+        # A small dense product compiles to faster code than a scatter of a few hundred rows.
+        received = tf.einsum('ve,bel->bvl', incidence, messages)
+        return nodes + self._node_block(received, nodes), edges + messages
+
+
+class _NodeBlock(snt.Module):
+    """Update of the nodes from what they received."""
+
+    def __init__(self, make_model, name='node_block'):
+        super().__init__(name=name)
+        self._model = make_model()
+
+    def __call__(self, received, nodes):
+        return self._model(tf.concat([received, nodes], axis=-1))
+
+
 class EncodeProcessDecode(snt.Module):
     """Encoder, M residual interaction networks, node decoder.
 
@@ -45,17 +102,12 @@ class EncodeProcessDecode(snt.Module):
         def make():
             return _mlp(latent_size, hidden_layers)
 
-        reducer = (
-            tf.math.unsorted_segment_mean if mean_aggregation else tf.math.unsorted_segment_sum
-        )
+        self._mean_aggregation = mean_aggregation
         self._encoder = gn.modules.GraphIndependent(
             edge_model_fn=make, node_model_fn=make, name='encoder'
         )
         self._processors = [
-            gn.modules.InteractionNetwork(
-                edge_model_fn=make, node_model_fn=make, reducer=reducer, name=f'processor_{m}'
-            )
-            for m in range(message_passing_steps)
+            _InteractionNetwork(make, name=f'processor_{m}') for m in range(message_passing_steps)
         ]
         self._decoder = _mlp(latent_size, hidden_layers, output_size, name='decoder')
 
@@ -77,6 +129,9 @@ class EncodeProcessDecode(snt.Module):
         """
         n_graph, n_node = nodes.shape[:2]
         n_edge = len(senders)
+        incidence = (np.arange(n_node)[:, None] == receivers).astype(np.float32)
+        if self._mean_aggregation:
+            incidence /= np.maximum(incidence.sum(axis=1, keepdims=True), 1.0)
         first_node = np.repeat(np.arange(n_graph, dtype=np.int32) * n_node, n_edge)
         graph = gn.graphs.GraphsTuple(
             nodes=tf.reshape(nodes, [n_graph * n_node, nodes.shape[2]]),
@@ -87,10 +142,9 @@ class EncodeProcessDecode(snt.Module):
             n_node=tf.fill([n_graph], n_node),
             n_edge=tf.fill([n_graph], n_edge),
         )
-        latent = self._encoder(graph)
+        graph = self._encoder(graph)
+        nodes = tf.reshape(graph.nodes, [n_graph, n_node, -1])
+        edges = tf.reshape(graph.edges, [n_graph, n_edge, -1])
         for processor in self._processors:
-            update = processor(latent)
-            latent = latent.replace(
-                nodes=latent.nodes + update.nodes, edges=latent.edges + update.edges
-            )
-        return tf.reshape(self._decoder(latent.nodes), [n_graph, n_node, -1])
+            nodes, edges = processor(nodes, edges, senders, receivers, incidence)
+        return self._decoder(nodes)

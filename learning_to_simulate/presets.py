@@ -157,9 +157,11 @@ PRESETS = {
         noise_std=0.1,
         zero_decoder=True,
         latent_size=32,
-        num_steps=400,
+        num_steps=100,
+        unroll_length=24,
         unroll_steps=1000,
-        unroll_learning_rate=1e-4,
+        unroll_batch_size=4,
+        unroll_learning_rate=2e-4,
     ),
 }
 
