@@ -118,20 +118,18 @@ def _weights(simulator):
     }
 
 
-def save_weights(path: str, simulator: LearnedSimulator, values=None) -> None:
+def save_weights(path: str, simulator: LearnedSimulator) -> None:
     """Writes weights.npz whole or not at all.
 
     Args:
       path: model folder.
       simulator: the model.
-      values: arrays in the order of `simulator.trainable_variables`, e.g. moving averages; default:
-        its own.
 
     Raises:
       ValueError: if a weight is not finite; the file of before stays.
     """
     names = list(_weights(simulator))
-    values = [np.asarray(v) for v in (simulator.trainable_variables if values is None else values)]
+    values = [v.numpy() for v in simulator.trainable_variables]
     bad = [n for n, v in zip(names, values, strict=True) if not np.isfinite(v).all()]
     if bad:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')

@@ -201,7 +201,8 @@ def train(data_path, model_path, config, rigid_motion=None, save_every=None) -> 
 
 
 def _log_rollout(summary, step, bar):
-    mean = summary['mean']['model']
+    # A rollout that blew up has no number (null in metrics.json); training goes on and says so.
+    mean = {k: float('nan') if v is None else v for k, v in summary['mean']['model'].items()}
     tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)
     ratio = summary['soil_mse_over_best_trivial'] or float('nan')
     text = f'step {step + 1}: valid rollout soil MSE {mean["soil_mse"] * 1e4:.4g}e-4 m2'

@@ -205,3 +205,18 @@ def test_impossible_settings_are_refused():
         overrides = {name: value} | ({'mode_order': 2} if name == 'rate_scaled' else {})
         with pytest.raises(ValueError, match=name):
             presets.make_config('pcg', **overrides)
+
+
+def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path, monkeypatch):
+    """Its errors have no number in the summary; the weights are saved all the same."""
+    whole = evaluation.Evaluator.roll_out
+
+    def blown_up(self, group):
+        rollout = whole(self, group)
+        return rollout._replace(position=np.full_like(rollout.position, np.nan))
+
+    monkeypatch.setattr(evaluation.Evaluator, 'roll_out', blown_up)
+    config = presets.make_config('pcg', **SHORT | {'num_steps': 3, 'unroll_steps': 0})
+    summary = experiment.train(data, str(tmp_path / 'model'), config, save_every=3)
+    assert summary['mean']['model']['soil_mse'] is None
+    checkpoints.load_model(str(tmp_path / 'model'))
