@@ -17,11 +17,15 @@ from learning_to_simulate import (
     evaluation,
     normalization,
     reading_utils,
+    training_state,
 )
 from learning_to_simulate.learned_simulator import LearnedSimulator
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.stop_signals import StopSignals
 from learning_to_simulate.training import Trainer
-from pca_tools import dataset, files
+from pca_tools import dataset, files, folder_lock
+
+LOG_EVERY = 50  # steps between looks at the losses
 
 
 def _digests(folder):
@@ -79,9 +83,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
 def _open_model_path(path, model, n_rigid, data):
     """Claims a model folder: writes config.json into a new one, compares with the config of an old
     one."""
-    os.makedirs(path, exist_ok=True)
     if not os.path.exists(os.path.join(path, checkpoints.CONFIG_FILE)):
-        if strangers := os.listdir(path):
+        if strangers := set(os.listdir(path)) - {folder_lock.LOCK_NAME}:
             raise ValueError(
                 f'{path}: not empty and not a model folder (holds {sorted(strangers)[:3]}); '
                 f'nothing was written'
@@ -109,7 +112,7 @@ def _open_model_path(path, model, n_rigid, data):
                 f'{path}: holds a model of another {part} ({listed}); nothing was written, give '
                 f'another --model_path'
             )
-    if not tf.train.latest_checkpoint(path) and os.path.exists(
+    if not training_state.stored_steps(path) and os.path.exists(
         os.path.join(path, checkpoints.WEIGHTS_FILE)
     ):
         raise ValueError(
@@ -122,13 +125,27 @@ def _plain(value):
     return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
-def train(data_path, model_path, config, rigid_motion=None, save_every=None) -> dict:
+def train(
+    data_path, model_path, config, rigid_motion=None, save_every=None, take_over_lock=False
+) -> dict:
     """Trains to the end of both stages, or resumes; returns the metrics of the last validation
     rollout.
 
+    Ctrl-C or SIGTERM end it after the step at hand, with a checkpoint of that step.
+
+    Args:
+      data_path: dataset folder.
+      model_path: model folder, made if absent; locked while the training runs.
+      config: `TrainConfig`.
+      rigid_motion: override of the scene's, or None.
+      save_every: steps between checkpoints; None for a tenth of all.
+      take_over_lock: whether a lock that a process of another machine left may be taken.
+
     Raises:
-      ValueError: bad data, edges or config; a model folder of something else; a loss that is not
-        finite.
+      ValueError: bad data, edges or config; a model folder of something else or with another
+        writer; only damaged checkpoints; a loss that is not finite.
+      OSError: a checkpoint could not be written.
+      SystemExit: with 130 after Ctrl-C, 143 after SIGTERM.
     """
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, config.rigid_particles)
@@ -141,44 +158,46 @@ def train(data_path, model_path, config, rigid_motion=None, save_every=None) -> 
     model = make_model(data_path, metadata, groups, config, rigid_motion)
     data = {'path': os.path.abspath(data_path), 'sha256': _digests(data_path)}
     trainer = Trainer(model, groups)
-    _open_model_path(model_path, model, groups[0].n_rigid, data)
-    step = tf.Variable(0, dtype=tf.int64)
-    checkpoint = tf.train.Checkpoint(
-        simulator=model.simulator, optimizer=trainer.optimizer, averages=trainer.averages, step=step
-    )
-    manager = tf.train.CheckpointManager(checkpoint, model_path, max_to_keep=2)
-    if manager.latest_checkpoint:
-        checkpoint.restore(manager.latest_checkpoint).assert_consumed()
-        print(f'resumed {model_path} at step {int(step)}')
+    with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
+        _open_model_path(model_path, model, groups[0].n_rigid, data)
+        state = training_state.TrainingState(model_path, trainer)
+        state.remove_leftovers()
+        start = state.restore()
+        if start:
+            print(f'resumed {model_path} at step {start}')
+        layouts = [model.layout(g.n_rigid) for g in groups]
+        print(
+            f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
+            f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
+            f'{sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)} weights, '
+            f'{trainer.total_steps} steps'
+        )
+        evaluator = evaluation.Evaluator(model, metadata)
+        return _train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop)
+
+
+def _train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop) -> dict:
+    """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
+    summary = {}
     total = trainer.total_steps
     save_every = save_every or max(total // 10, 1)
-    evaluator = evaluation.Evaluator(model, metadata)
-    writer = tf.summary.create_file_writer(model_path)
-    layouts = [model.layout(g.n_rigid) for g in groups]
-    print(
-        f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
-        f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
-        f'{sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)} weights, '
-        f'{total} steps'
-    )
-    summary = {}
-    start = int(step)
+    losses = []  # since the last look at them
     with (
         tqdm.tqdm(total=total, initial=start, unit='step', disable=None, smoothing=0.05) as bar,
-        writer.as_default(),
+        tf.summary.create_file_writer(model_path).as_default(),
     ):
         clock = time.perf_counter()
         for i in range(start, total):
             values = trainer.step(i)
+            losses.append(values['loss'])
             bar.update()
             last = i + 1 == total
-            if (i + 1) % 50 == 0 or last:
+            save = (i + 1) % save_every == 0 or last
+            if (i + 1) % LOG_EVERY == 0 or save or stop.number:
+                _refuse_non_finite(losses, i + 1, trainer, model_path)
+                losses = []
+            if (i + 1) % LOG_EVERY == 0 or last:
                 scalars = {k: float(v) for k, v in values.items()}
-                if not np.isfinite(scalars['loss']):
-                    raise ValueError(
-                        f'loss is {scalars["loss"]} at step {i}; the checkpoint of before stays '
-                        f'in {model_path}'
-                    )
                 bar.set_postfix({k: f'{v:.3g}' for k, v in scalars.items()})
                 rate = (i + 1 - start) / (time.perf_counter() - clock)
                 for name, value in (
@@ -186,18 +205,35 @@ def train(data_path, model_path, config, rigid_motion=None, save_every=None) -> 
                     | {'steps_per_sec': rate, 'lr': float(trainer.learning_rate(i))}.items()
                 ):
                     tf.summary.scalar(name, value, step=i)
-            if (i + 1) % save_every == 0 or last:
-                step.assign(i + 1)
+            if save and (last or not stop.number):
                 with trainer.averaged_weights():
                     if valid:
                         _, summary = evaluator.run(valid, 'valid')
                         _log_rollout(summary, i, bar)
-                    checkpoints.save_weights(model_path, model.simulator)
-                manager.save(checkpoint_number=i + 1)
+                    checkpoints.save_weights(model_path, trainer.simulator)
+            if save or stop.number:
+                state.save(i + 1)
+            if stop.number and not last:
+                bar.write(f'stopped; step {i + 1} is saved in {model_path}, go on by the same call')
+                raise SystemExit(stop.exit_code)
     if start >= total:
         print(f'{model_path}: already trained to step {total}')
     print(f'trained {total} steps: {model_path}')
     return summary
+
+
+def _refuse_non_finite(losses, end, trainer, model_path):
+    """Raises if one of the losses of the steps before step `end` is NaN or infinite."""
+    finite = np.isfinite([float(loss) for loss in losses])
+    if finite.all():
+        return
+    at = int(np.argmin(finite))
+    step = end - len(losses) + at
+    raise ValueError(
+        f'loss is {float(losses[at])} at step {step}, batch of (record, first frame) '
+        f'{trainer.batch_of(step)}; training stopped, the checkpoint of before stays in '
+        f'{model_path}'
+    )
 
 
 def _log_rollout(summary, step, bar):

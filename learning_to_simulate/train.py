@@ -61,6 +61,11 @@ _RIGID_CORRECTION = flags.DEFINE_bool(
 _SAVE_EVERY = flags.DEFINE_integer(
     'save_every', None, 'Steps between checkpoints; default: a tenth of all steps.', 1
 )
+_TAKE_OVER_LOCK = flags.DEFINE_bool(
+    'take_over_lock',
+    False,
+    'Train in a folder that a dead process of another machine left locked.',
+)
 _NUM_THREADS = flags.DEFINE_integer(
     'num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1
 )
@@ -120,13 +125,14 @@ def main(_):
         if _MODE.value == 'train':
             config = presets.make_config(_PRESET.value, **overrides)
             experiment.train(
-                _DATA_PATH.value, _MODEL_PATH.value, config, _RIGID_MOTION.value, _SAVE_EVERY.value
-            )
+                _DATA_PATH.value, _MODEL_PATH.value, config, _RIGID_MOTION.value,
+                _SAVE_EVERY.value, _TAKE_OVER_LOCK.value,
+            )  # fmt: skip
         elif _MODE.value == 'eval':
             _evaluate_one_step(overrides)
         else:
             _evaluate_rollouts(overrides)
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, OSError) as error:
         logging.debug('stack', exc_info=True)
         sys.exit(f'error: {error}')
 

@@ -63,6 +63,7 @@ class _GroupTensors:
     def __init__(self, group, layout, statistics, relative_force):
         self.layout = layout
         self.n_run, self.n_frame = group.position.shape[:2]
+        self.record = group.record
         flat = (self.n_run * self.n_frame, *group.position.shape[2:])
         # Differences in float64 before the cast: see the note on state in `learned_simulator`.
         self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
@@ -81,14 +82,18 @@ class _GroupTensors:
         if statistics.context_mean is not None:
             self.context = tf.constant(group.context, tf.float32)
 
-    def windows(self, batch_size, length, seed):
-        """Gathers `batch_size` windows of `length` frames; which ones is a function of `seed` int32
-        [2]."""
+    def picks(self, batch_size, length, seed):
+        """Run and first frame of `batch_size` windows of `length` frames, a function of `seed`
+        int32 [2]."""
         n_start = self.n_frame - length + 1
         pick = tf.random.stateless_uniform(
             [batch_size], seed, maxval=self.n_run * n_start, dtype=tf.int32
         )
-        run, start = pick // n_start, pick % n_start
+        return pick // n_start, pick % n_start
+
+    def windows(self, batch_size, length, seed):
+        """Gathers the windows that `picks` names."""
+        run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
         return (
             tf.gather(self.offset, frames),
@@ -148,13 +153,32 @@ class Trainer:
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
         unrolled = step >= self.config.num_steps
-        draw = np.random.Generator(
-            np.random.Philox(key=self.config.seed, counter=[0, 0, _GROUP_STREAM, step])
-        ).random()
-        group = min(int(np.searchsorted(self._share, draw, side='right')), len(self._tensors) - 1)
+        group = self._group_of(step)
         if (group, unrolled) not in self._steps:
             self._steps[group, unrolled] = self._compile(self._tensors[group], unrolled)
         return self._steps[group, unrolled](tf.constant(step, tf.int32))
+
+    def _group_of(self, step):
+        draw = np.random.Generator(
+            np.random.Philox(key=self.config.seed, counter=[0, 0, _GROUP_STREAM, step])
+        ).random()
+        return min(int(np.searchsorted(self._share, draw, side='right')), len(self._tensors) - 1)
+
+    def batch_of(self, step: int) -> list[tuple[int, int]]:
+        """The batch of training step `step`: (record of the training split, first frame) of each
+        window."""
+        config, tensors = self.config, self._tensors[self._group_of(step)]
+        size, length = config.batch_size, 1
+        if step >= config.num_steps:
+            size, length = config.unroll_batch_size, config.unroll_length
+
+        @tf.function(jit_compile=True)  # as in the training step: its draws need not be eager ones
+        def picks(step):
+            seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
+            return tensors.picks(size, INPUT_SEQUENCE_LENGTH + length, seed)
+
+        run, start = (values.numpy() for values in picks(tf.constant(step, tf.int32)))
+        return list(zip(tensors.record[run].tolist(), start.tolist()))
 
     def _compile(self, tensors, unrolled):
         variables = self.simulator.trainable_variables

@@ -248,32 +248,36 @@ def sha256_of_file(path: str) -> str:
     return digest.hexdigest()
 
 
-def write_manifest(folder: str, files: dict[str, dict[str, Any]]) -> None:
+def write_manifest(
+    folder: str, files: dict[str, dict[str, Any]], name: str = MANIFEST_NAME
+) -> None:
     """Writes `manifest.json`, the last file of a finished folder.
 
     Args:
         folder: holds the files.
         files: file name (no folders) -> facts to record beside bytes and sha256, such as
             `{'records': 32}`.
+        name: of the manifest, for a folder that has several.
 
     Raises:
         FileNotFoundError: a listed file is missing.
     """
     entries = {}
-    for name, facts in files.items():
-        path = os.path.join(folder, name)
-        entries[name] = {'bytes': os.path.getsize(path), 'sha256': sha256_of_file(path), **facts}
-    write_json(os.path.join(folder, MANIFEST_NAME), {'schema_version': 1, 'files': entries})
+    for file, facts in files.items():
+        path = os.path.join(folder, file)
+        entries[file] = {'bytes': os.path.getsize(path), 'sha256': sha256_of_file(path), **facts}
+    write_json(os.path.join(folder, name), {'schema_version': 1, 'files': entries})
 
 
 def check_manifest(
-    folder: str, names: Iterable[str] | None = None
+    folder: str, names: Iterable[str] | None = None, manifest_name: str = MANIFEST_NAME
 ) -> dict[str, dict[str, Any]] | None:
     """Holds the files of a folder against its manifest.
 
     Args:
         folder: the folder.
         names: only these files (each must be listed); None for all that the manifest lists.
+        manifest_name: of the manifest, for a folder that has several.
 
     Returns:
         file name -> its manifest entry, or None if the folder has no manifest (the authors'
@@ -283,7 +287,7 @@ def check_manifest(
         ValueError: a file is missing, unlisted, or differs in bytes or sha256; the message has both
             values.
     """
-    path = os.path.join(folder, MANIFEST_NAME)
+    path = os.path.join(folder, manifest_name)
     if not os.path.exists(path):
         return None
     manifest = read_json(path)
