@@ -1,0 +1,223 @@
+"""Trajectories for NRI: our subspace datasets and Kipf's `.npy` folders, through one loader.
+
+A folder with `metadata.json` is a dataset of this project; its features are position and velocity
+of the modes (and of the rigid particles, if asked for). Otherwise the folder holds loc_, vel_ and
+edges_*.npy (springs, charged) or feat_ and edges_*.npy (Kuramoto), as `nri.simulate` or Kipf et
+al. write them.
+"""
+
+import dataclasses
+import hashlib
+import os
+import re
+
+import numpy as np
+
+from pca_tools import dataset, files
+
+NODE_KINDS = ('modes', 'modes_and_rigid')
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NriData:
+    """One split.
+
+    Attributes:
+      features: float32 [S, V, T, F], in the units of the files.
+      edges: int32 [S, V (V - 1)] true edge types in Kipf's order, or None.
+      node_names: V names.
+      feature_groups: features that share one scale, such as ((0, 1), (2, 3)) for loc and vel.
+      same_scale: whether all nodes share one scale; not so for modes.
+      digest: sha256 over the files that were read.
+      source: folder and split, for messages.
+    """
+
+    features: np.ndarray
+    edges: np.ndarray | None
+    node_names: tuple[str, ...]
+    feature_groups: tuple[tuple[int, ...], ...]
+    same_scale: bool
+    digest: str
+    source: str
+
+
+def load(path: str, split: str, nodes: str = 'modes') -> NriData:
+    """Reads a split of either kind of folder.
+
+    Args:
+      path: folder.
+      split: train, valid or test.
+      nodes: 'modes' or 'modes_and_rigid', for datasets of this project only.
+
+    Raises:
+      FileNotFoundError: no such folder or split.
+      ValueError: a damaged or foreign file, arrays that do not fit each other, values that are not
+        finite; the message names the file.
+    """
+    if split not in dataset.SPLITS:
+        raise ValueError(f'split {split!r} is not one of {dataset.SPLITS}')
+    if nodes not in NODE_KINDS:
+        raise ValueError(f'nodes {nodes!r} is not one of {NODE_KINDS}')
+    if not os.path.isdir(path):
+        raise FileNotFoundError(f'{path}: no such folder')
+    if os.path.exists(os.path.join(path, 'metadata.json')):
+        data = _load_subspace(path, split, nodes)
+    else:
+        data = _load_kipf(path, split)
+    if data.features.shape[1] < 2:
+        raise ValueError(f'{data.source}: has one node, a relation needs at least two')
+    return data
+
+
+def _digest(paths) -> str:
+    return hashlib.sha256(''.join(files.sha256_of_file(p) for p in paths).encode()).hexdigest()
+
+
+def _load_subspace(path, split, nodes):
+    runs = dataset.read_split(path, split)
+    up = dataset.read_metadata(path).get('scene', {}).get('up_axis', 1)
+    n_modes = runs[0].n_modes
+    # The digest of the training runs says which dataset it is, whatever split is read.
+    names = [n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(f'{path}/{n}')]
+    n_rigid = 0
+    if nodes == 'modes_and_rigid':
+        n_rigid = min(run.n_rigid for run in runs)
+        if split != 'train':
+            n_rigid = min(n_rigid, min(r.n_rigid for r in dataset.read_split(path, 'train')))
+        if not n_rigid:
+            raise ValueError(
+                f'{path}: {split} has runs without rigid particles; take --nodes=modes'
+            )
+    n_frames = min(run.n_frames for run in runs)
+    positions = []
+    for run in runs:
+        # Blades of another tilt have more particles; the lowest ones touch the soil in every run.
+        height = run.position[0, : run.n_rigid, up]
+        rigid = np.sort(np.argsort(height, kind='stable')[:n_rigid])
+        kept = [*rigid, *range(run.n_rigid, run.n_rigid + n_modes)]
+        positions.append(run.position[:n_frames, kept].astype(np.float64))
+    position = np.stack(positions)  # [S, T, V, D]
+    velocity = np.diff(position, axis=1)
+    features = np.concatenate([position[:, 1:], velocity], -1).transpose(0, 2, 1, 3)
+    return NriData(
+        features.astype(np.float32),
+        None,
+        tuple(f'rigid_{i}' for i in range(n_rigid)) + tuple(f'mode_{k}' for k in range(n_modes)),
+        ((0, 1, 2), (3, 4, 5)),
+        False,
+        _digest(os.path.join(path, n) for n in names),
+        f'{path}: {split}',
+    )
+
+
+def _read_array(path, n_axes):
+    files.refuse_git_lfs_pointer(path)
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(f'{path}: not a plain .npy array ({error})') from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in 'fiub':
+        raise ValueError(f'{path}: not a .npy array of numbers')
+    if array.ndim != n_axes or 0 in array.shape:
+        raise ValueError(
+            f'{path}: has shape {array.shape}, an array of {n_axes} axes, none empty, was expected'
+        )
+    if not np.isfinite(array).all():
+        raise ValueError(f'{path}: holds {np.count_nonzero(~np.isfinite(array))} NaN or infinity')
+    return array
+
+
+def _load_kipf(path, split):
+    pattern = re.compile(rf'(loc|feat)_{split}_?(.*)\.npy')
+    found = [m for m in map(pattern.fullmatch, sorted(os.listdir(path))) if m]
+    if not found:
+        raise FileNotFoundError(
+            f'{path}: holds neither metadata.json (a dataset of this project) nor '
+            f'loc_{split}_*.npy or feat_{split}_*.npy (data of Kipf et al., see nri.simulate)'
+        )
+    if len(found) > 1:
+        raise ValueError(
+            f'{path}: holds {" and ".join(m.group() for m in found)}; one system per folder'
+        )
+    kind = found[0].group(1)
+    ending = found[0].group()[len(kind) :]
+    names = {k: os.path.join(path, k + ending) for k in (kind, 'vel', 'edges')}
+    if kind == 'feat':
+        del names['vel']
+    for name in names.values():
+        if not os.path.exists(name):
+            raise FileNotFoundError(f'{name}: no such file, but {found[0].group()} is there')
+    if kind == 'feat':
+        features = _read_array(names['feat'], 4)
+        groups = tuple((f,) for f in range(features.shape[3]))
+    else:
+        position, velocity = _read_array(names['loc'], 4), _read_array(names['vel'], 4)
+        if position.shape != velocity.shape:
+            raise ValueError(
+                f'{names["loc"]} has shape {position.shape}, {names["vel"]} {velocity.shape}: '
+                f'they are not of the same runs'
+            )
+        features = np.concatenate([position, velocity], axis=2).transpose(0, 3, 1, 2)
+        dim = position.shape[2]
+        groups = (tuple(range(dim)), tuple(range(dim, 2 * dim)))
+    n_run, n_node = features.shape[:2]
+    relations = _read_array(names['edges'], 3)
+    if relations.shape != (n_run, n_node, n_node):
+        raise ValueError(
+            f'{names["edges"]} has shape {relations.shape}, but there are {n_run} runs of '
+            f'{n_node} nodes: ({n_run}, {n_node}, {n_node}) was expected'
+        )
+    return NriData(
+        np.ascontiguousarray(features, np.float32),
+        edge_types(relations, names['edges']),
+        tuple(f'node_{i}' for i in range(n_node)),
+        groups,
+        True,
+        _digest(names.values()),
+        f'{path}: {split}',
+    )
+
+
+def edge_types(relations: np.ndarray, source: str = 'relations') -> np.ndarray:
+    """Edge types of all pairs, from [S, V, V] matrices with Kipf's values.
+
+    Springs and Kuramoto hold 0 and 1, charges -1 and 1: the lower value is type 0.
+
+    Returns:
+      int32 [S, V (V - 1)].
+
+    Raises:
+      ValueError: other values.
+    """
+    off = ~np.eye(relations.shape[1], dtype=bool)
+    values = relations[:, off]
+    if not (np.isin(values, (0, 1)).all() or np.isin(values, (-1, 1)).all()):
+        raise ValueError(
+            f'{source}: relations must be 0 and 1, or -1 and 1; found values from '
+            f'{values.min():.6g} to {values.max():.6g}'
+        )
+    return (values > 0).astype(np.int32)
+
+
+def normalization(data: NriData) -> tuple[np.ndarray, np.ndarray]:
+    """Offset and scale that take the features of a split to [-1, 1] (Kipf et al. 2018).
+
+    One scale per group of features (all axes of a position share it: a still axis is not blown
+    up), over all nodes, or for each node where their scales differ.
+
+    Returns:
+      offset, scale: float32 [1 or V, F]; normalised = (features - offset) / scale.
+    """
+    features = data.features.astype(np.float64)
+    axes = (0, 1, 2) if data.same_scale else (0, 2)
+    low, high = features.min(axis=axes), features.max(axis=axes)
+    low, high = np.atleast_2d(low), np.atleast_2d(high)
+    offset, scale = np.empty_like(low), np.empty_like(low)
+    for group in map(list, data.feature_groups):
+        if data.same_scale:
+            low[:, group] = low[:, group].min(axis=1, keepdims=True)
+            high[:, group] = high[:, group].max(axis=1, keepdims=True)
+        offset[:, group] = 0.5 * (low[:, group] + high[:, group])
+        half = 0.5 * (high[:, group] - low[:, group]).max(axis=1, keepdims=True)
+        scale[:, group] = np.where(half > 0, half, 1.0)
+    return offset.astype(np.float32), scale.astype(np.float32)

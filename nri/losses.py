@@ -1,0 +1,104 @@
+"""The negative evidence bound and its parts, all from log-softmax: no epsilon in any logarithm."""
+
+import itertools
+import math
+
+import numpy as np
+import tensorflow as tf
+
+
+def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
+    """float32 [K] log probabilities: uniform, or `no_edge_prior` for type 0 and the rest equally.
+
+    Raises:
+      ValueError: a probability outside (0, 1).
+    """
+    if no_edge_prior is None:
+        return np.full(n_types, -math.log(n_types), np.float32)
+    if not 0.0 < no_edge_prior < 1.0:
+        raise ValueError(f'no_edge_prior is {no_edge_prior}, must lie in (0, 1)')
+    rest = math.log1p(-no_edge_prior) - math.log(n_types - 1)
+    return np.array([math.log(no_edge_prior)] + [rest] * (n_types - 1), np.float32)
+
+
+def kl_to_prior(logits: tf.Tensor, log_prior_types) -> tf.Tensor:
+    """Kullback-Leibler divergence of the edge types from their prior, per pair.
+
+    Exact for saturated logits: p log p is 0 where p is 0, because log p stays finite.
+
+    Args:
+      logits: [..., K].
+      log_prior_types: [K].
+
+    Returns:
+      [...], not negative (rounding aside).
+    """
+    log_posterior = tf.nn.log_softmax(logits)
+    return tf.reduce_sum(tf.exp(log_posterior) * (log_posterior - log_prior_types), axis=-1)
+
+
+def gaussian_nll(prediction, target, variance: float) -> tf.Tensor:
+    """Negative log likelihood up to its constant, sum over all axes but the first: [B, ...] -> [B]."""
+    square = tf.math.squared_difference(prediction, target) / (2.0 * variance)
+    return tf.reduce_sum(square, axis=range(1, len(square.shape)))
+
+
+def confusion(predicted, true, n_types: int) -> np.ndarray:
+    """int64 [K, K] counts, entry [predicted type, true type]."""
+    flat = np.asarray(predicted).reshape(-1) * n_types + np.asarray(true).reshape(-1)
+    return np.bincount(flat, minlength=n_types**2).reshape(n_types, n_types)
+
+
+def edge_accuracy(predicted, true, n_types: int) -> tuple[float, tuple[int, ...]]:
+    """Share of right edge types under the best naming of the types, one for the whole data set.
+
+    Types found without labels have no names: type 0 of the model may be type 1 of the data.
+
+    Args:
+      predicted, true: integer arrays of equal shape, values 0 ... K - 1.
+      n_types: K.
+
+    Returns:
+      accuracy in [1 / K, 1]; naming: true type of each predicted type.
+
+    Raises:
+      ValueError: arrays of unequal shape or types outside 0 ... K - 1.
+    """
+    predicted, true = np.asarray(predicted), np.asarray(true)
+    if predicted.shape != true.shape:
+        raise ValueError(f'predicted edges {predicted.shape} and true edges {true.shape} differ')
+    for name, types in (('predicted', predicted), ('true', true)):
+        if types.min() < 0 or types.max() >= n_types:
+            raise ValueError(
+                f'{name} edge types reach from {types.min()} to {types.max()}, but there are '
+                f'{n_types} types'
+            )
+    counts = confusion(predicted, true, n_types)
+    namings = itertools.permutations(range(n_types))
+    best = max(namings, key=lambda naming: counts[range(n_types), naming].sum())
+    return float(counts[range(n_types), best].sum() / counts.sum()), best
+
+
+def edge_usage(probabilities) -> dict:
+    """How the posterior uses the edge types; tells a collapsed posterior.
+
+    Args:
+      probabilities: [..., K].
+
+    Returns:
+      usage: list of K shares of pairs whose likeliest type it is; entropy: mean over pairs, as a
+      share of log K; status: 'COLLAPSED' if a type is used by less than 1 % or more than 99 % of
+      the pairs, else 'OK'.
+    """
+    probabilities = np.asarray(probabilities, np.float64)
+    n_types = probabilities.shape[-1]
+    chosen = probabilities.argmax(axis=-1).reshape(-1)
+    usage = np.bincount(chosen, minlength=n_types) / chosen.size
+    logs = np.log(np.where(probabilities > 0, probabilities, 1.0))
+    entropy = -(probabilities * logs).sum(axis=-1).mean() / math.log(n_types)
+    collapsed = usage.min() < 0.01 or usage.max() > 0.99
+    return {
+        'usage': usage.tolist(),
+        'entropy': float(entropy),
+        'status': 'COLLAPSED' if collapsed else 'OK',
+    }

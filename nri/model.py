@@ -1,0 +1,319 @@
+"""`NriModel`: encoder and decoder behind one frozen config, saved as arrays and JSON.
+
+A model folder holds `config.json` (settings, node names, digest of the data) and `weights.npz`
+(arrays only: no code, no pickle).
+"""
+
+import dataclasses
+import os
+
+import numpy as np
+import sonnet as snt
+import tensorflow as tf
+
+from nri import gumbel, losses
+from nri.decoder import DECODERS, unroll
+from nri.encoder import ENCODERS
+from pca_tools import files
+
+CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
+SCHEMA_VERSION = 1
+MIN_CNN_FRAMES = 14
+
+
+@dataclasses.dataclass(frozen=True)
+class NriConfig:
+    """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
+
+    Attributes:
+      encoder, decoder: 'mlp' or 'cnn', 'mlp' or 'rnn'.
+      factor_graph: whether pairs exchange messages in the encoder.
+      skip_first: whether edge type 0 means that nothing is exchanged.
+      edge_types: K.
+      hidden: width of all layers.
+      window: frames that the encoder sees.
+      stride: frames of the data between two of the window.
+      segment: frames that the decoder predicts on its own; a random part of the window.
+      burn_in: true frames the decoder is fed before (the RNN needs some).
+      temperature: of the Gumbel-softmax, at least 0.05.
+      straight_through: sample edge types of exactly 0 and 1.
+      no_edge_prior: prior probability of type 0; None for the uniform prior.
+      output_variance: of the Gaussian likelihood, in normalised units.
+      learning_rate, decay, decay_epochs, decay_start: rate x decay each decay_epochs, first at
+        epoch decay_start.
+      epochs, batch_size, seed: of the training.
+      supervised: train the encoder alone, with the true edges.
+      nodes: which nodes of a dataset of this project; see `nri.data`.
+
+    Raises:
+      ValueError: a value outside its range, with the range.
+    """
+
+    encoder: str = 'mlp'
+    decoder: str = 'mlp'
+    factor_graph: bool = True
+    skip_first: bool = True
+    edge_types: int = 2
+    hidden: int = 256
+    window: int = 49
+    stride: int = 1
+    segment: int = 10
+    burn_in: int = 1
+    temperature: float = 0.5
+    straight_through: bool = False
+    no_edge_prior: float | None = None
+    output_variance: float = 5e-5
+    learning_rate: float = 5e-4
+    decay: float = 0.5
+    decay_epochs: int = 50
+    decay_start: int = 50
+    epochs: int = 200
+    batch_size: int = 128
+    seed: int = 0
+    supervised: bool = False
+    nodes: str = 'modes'
+
+    def __post_init__(self):
+        for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):
+            if getattr(self, name) not in choices:
+                raise ValueError(f'{name} is {getattr(self, name)!r}, not one of {list(choices)}')
+        lowest = {'edge_types': 2, 'window': 2, 'decay_start': 0}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.type is int and field.name != 'seed' and value < lowest.get(field.name, 1):
+                raise ValueError(
+                    f'{field.name} is {value}, must be at least {lowest.get(field.name, 1)}'
+                )
+            if field.type is float and not (np.isfinite(value) and value > 0):
+                raise ValueError(f'{field.name} is {value}, must be positive and finite')
+        gumbel.check_temperature(self.temperature)
+        losses.log_prior(self.edge_types, self.no_edge_prior)
+        if self.burn_in + self.segment > self.window:
+            raise ValueError(
+                f'burn_in {self.burn_in} and segment {self.segment} are more than the window of '
+                f'{self.window} frames'
+            )
+        if self.encoder == 'cnn' and self.window < MIN_CNN_FRAMES:
+            raise ValueError(
+                f'window is {self.window}, the convolutions need at least {MIN_CNN_FRAMES} frames'
+            )
+
+    @property
+    def span(self) -> int:
+        """Frames of the data from the first to the last of a window, both included."""
+        return (self.window - 1) * self.stride + 1
+
+
+class NriModel(snt.Module):
+    """Encoder, decoder and the normalisation of their features.
+
+    Args:
+      config: the settings.
+      node_names: V names.
+      offset, scale: float32 [1 or V, F], see `data.normalization`.
+      data_digest: of the data it is trained on.
+
+    Attributes:
+      digest: sha256 of the weights file it was loaded from or saved to; None before.
+    """
+
+    def __init__(self, config: NriConfig, node_names, offset, scale, data_digest, name='nri'):
+        super().__init__(name=name)
+        self.config = config
+        self.node_names = tuple(node_names)
+        self.data_digest = data_digest
+        self.digest = None
+        self.offset = np.asarray(offset, np.float32)
+        self.scale = np.asarray(scale, np.float32)
+        n_features = self.offset.shape[1]
+        tf.random.set_seed(config.seed)
+        self.encode = ENCODERS[config.encoder](
+            config.hidden, config.edge_types, config.factor_graph
+        )
+        self.decoder = DECODERS[config.decoder](
+            n_features, config.hidden, config.edge_types, config.skip_first
+        )
+        self._log_prior = losses.log_prior(config.edge_types, config.no_edge_prior)
+        frames = tf.zeros([1, len(self.node_names), config.window, n_features])
+        types = tf.nn.softmax(self.encode(frames))
+        unroll(self.decoder, frames[:, :, :2], types)
+        self._probabilities = tf.function(
+            lambda features: tf.nn.softmax(self.encode(self.normalized(features))),
+            jit_compile=True,
+        )
+
+    def normalized(self, features):
+        """[B, V, T, F] in the units of the files -> about [-1, 1]."""
+        return (features - self.offset[:, None]) / self.scale[:, None]
+
+    def losses(self, features, seed, true_edges=None) -> dict[str, tf.Tensor]:
+        """Negative evidence bound of a batch, the same in training and validation.
+
+        Args:
+          features: [B, V, window, F].
+          seed: int32 [2], of the edge sample and of the segment that is predicted.
+          true_edges: int32 [B, V (V - 1)]; used by supervised training alone.
+
+        Returns:
+          scalars: 'loss', and what it is made of: 'nll' and 'kl' per node, scaled to the whole
+          window; or 'loss' alone, the cross-entropy, if supervised.
+        """
+        c = self.config
+        frames = self.normalized(features)
+        logits = self.encode(frames)
+        if c.supervised:
+            cross_entropy = tf.nn.sparse_softmax_cross_entropy_with_logits(true_edges, logits)
+            return {'loss': tf.reduce_mean(cross_entropy)}
+        n_node = frames.shape[1]
+        sample_seed, segment_seed = tf.unstack(tf.random.experimental.stateless_split(seed, 2))
+        types = gumbel.gumbel_softmax(logits, c.temperature, sample_seed, c.straight_through)
+        length = c.burn_in + c.segment
+        start = tf.random.stateless_uniform(
+            [tf.shape(frames)[0], 1], segment_seed, maxval=c.window - length + 1, dtype=tf.int32
+        )
+        by_time = tf.transpose(frames, [0, 2, 1, 3])
+        segment = tf.gather(by_time, start + tf.range(length), batch_dims=1)
+        segment = tf.ensure_shape(segment, [None, length, n_node, frames.shape[3]])
+        segment = tf.transpose(segment, [0, 2, 1, 3])
+        predictions = unroll(self.decoder, segment, types, c.burn_in)
+        own = slice(c.burn_in - 1, None)
+        nll = losses.gaussian_nll(
+            predictions[:, :, own], segment[:, :, 1:][:, :, own], c.output_variance
+        )
+        nll = tf.reduce_mean(nll) / n_node * ((c.window - 1) / c.segment)
+        kl = losses.kl_to_prior(logits, self._log_prior)
+        kl = tf.reduce_mean(tf.reduce_sum(kl, axis=1)) / n_node
+        return {'loss': nll + kl, 'nll': nll, 'kl': kl}
+
+    def edge_probabilities(self, features) -> np.ndarray:
+        """Posterior of the edge types.
+
+        Runs longer than the window are cut into windows side by side, the last one ending with
+        the run, and their probabilities averaged.
+
+        Args:
+          features: float32 [S, V, T, F] as `data.load` gives them.
+
+        Returns:
+          float32 [S, V (V - 1), K], pairs in Kipf's order.
+
+        Raises:
+          ValueError: features of other nodes, or too few frames.
+        """
+        self.check_features(features)
+        span, n_frame = self.config.span, features.shape[2]
+        count = -(-n_frame // span)
+        starts = np.linspace(0, n_frame - span, count).round().astype(int)
+        total = sum(
+            self.window_probabilities(features[:, :, start : start + span : self.config.stride])
+            for start in starts
+        )
+        return (total / count).astype(np.float32)
+
+    def window_probabilities(self, windows, batch_size: int = 500) -> np.ndarray:
+        """Posterior of single windows: [S, V, window, F] -> float32 [S, V (V - 1), K]."""
+        parts = []
+        for first in range(0, len(windows), batch_size):
+            batch = windows[first : first + batch_size]
+            # A short last batch is filled up, so that nothing is compiled for it.
+            filled = np.resize(batch, (min(batch_size, len(windows)), *batch.shape[1:]))
+            parts.append(self._probabilities(tf.constant(filled))[: len(batch)].numpy())
+        return np.concatenate(parts)
+
+    def check_features(self, features):
+        """Refuses features that are not those of this model's nodes.
+
+        Raises:
+          ValueError: with both shapes.
+        """
+        n_features = self.offset.shape[1]
+        if features.ndim != 4 or features.shape[3] != n_features:
+            raise ValueError(
+                f'features have shape {features.shape}, (runs, nodes, frames, {n_features}) was '
+                f'expected'
+            )
+        if features.shape[1] != len(self.node_names):
+            raise ValueError(
+                f'the data has {features.shape[1]} nodes, the model {len(self.node_names)} '
+                f'({self.node_names[0]} ... {self.node_names[-1]})'
+            )
+        if features.shape[2] < self.config.span:
+            raise ValueError(
+                f'runs have {features.shape[2]} frames; a window of {self.config.window} frames '
+                f'with stride {self.config.stride} needs {self.config.span}'
+            )
+
+    def save(self, path: str) -> None:
+        """Writes config.json and weights.npz.
+
+        Raises:
+          ValueError: weights that are not finite; nothing is written then.
+        """
+        weights = {name: v.numpy() for name, v in self._weights().items()}
+        if bad := [n for n, w in weights.items() if not np.isfinite(w).all()]:
+            raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
+        os.makedirs(path, exist_ok=True)
+        files.write_json(os.path.join(path, CONFIG_FILE), self.to_json())
+        files.write_npz(os.path.join(path, WEIGHTS_FILE), **weights)
+        self.digest = files.sha256_of_file(os.path.join(path, WEIGHTS_FILE))
+
+    def _weights(self):
+        """Variables by names that do not change between processes."""
+        variables = enumerate(self.trainable_variables)
+        return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in variables}
+
+    def to_json(self) -> dict:
+        """What config.json holds."""
+        return {
+            'schema_version': SCHEMA_VERSION,
+            'kind': 'nri',
+            'config': dataclasses.asdict(self.config),
+            'node_names': list(self.node_names),
+            'offset': self.offset.astype(float).tolist(),
+            'scale': self.scale.astype(float).tolist(),
+            'data_digest': self.data_digest,
+        }
+
+
+def load_model(path: str) -> NriModel:
+    """Loads a saved model.
+
+    Raises:
+      FileNotFoundError: no model there.
+      ValueError: a damaged or foreign config, or weights that do not belong to it.
+    """
+    names = [os.path.join(path, n) for n in (CONFIG_FILE, WEIGHTS_FILE)]
+    for name in names:
+        if not os.path.isfile(name):
+            raise FileNotFoundError(f'{name}: no such file; train a model with nri.train')
+    values = files.read_json(names[0])
+    if not isinstance(values, dict) or values.get('kind') != 'nri':
+        raise ValueError(f'{names[0]}: not the config of an NRI model')
+    if values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(
+            f'{names[0]}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
+        )
+    try:
+        model = NriModel(
+            NriConfig(**values['config']),
+            values['node_names'],
+            values['offset'],
+            values['scale'],
+            values['data_digest'],
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f'{names[0]}: a field is missing or unknown ({error})') from error
+    stored, variables = files.read_npz(names[1]), model._weights()
+    wanted = {n: tuple(v.shape) for n, v in variables.items()}
+    found = {n: w.shape for n, w in stored.items()}
+    if wanted != found:
+        differing = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
+        raise ValueError(
+            f'{names[1]}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
+        )
+    for name, variable in variables.items():
+        if not np.isfinite(stored[name]).all():
+            raise ValueError(f'{names[1]}: {name} is not finite')
+        variable.assign(stored[name])
+    model.digest = files.sha256_of_file(names[1])
+    return model

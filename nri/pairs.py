@@ -1,0 +1,50 @@
+"""All ordered pairs of V nodes as dense tensors: only broadcasts, slices and reshapes.
+
+Pair (i, j), i receives and j sends, i != j, stands at place i (V - 1) + j - (j > i): Kipf's order.
+"""
+
+import numpy as np
+import tensorflow as tf
+
+
+def pair_indices(n_node: int) -> tuple[np.ndarray, np.ndarray]:
+    """receivers, senders: int32 [V (V - 1)]."""
+    receivers, senders = np.nonzero(~np.eye(n_node, dtype=bool))
+    return receivers.astype(np.int32), senders.astype(np.int32)
+
+
+def n_nodes_of(n_pair: int) -> int:
+    """V of V (V - 1) pairs.
+
+    Raises:
+      ValueError: if no V has that many pairs.
+    """
+    n_node = int(round((1 + (1 + 4 * n_pair) ** 0.5) / 2))
+    if n_node * (n_node - 1) != n_pair:
+        raise ValueError(f'{n_pair} is not V (V - 1) for any number of nodes V')
+    return n_node
+
+
+def pair_sums(of_receiver: tf.Tensor, of_sender: tf.Tensor) -> tf.Tensor:
+    """Sum of a receiver's and a sender's values for each pair.
+
+    A linear layer on [receiver, sender] is such a sum of two layers on nodes, for 2 / (V - 1) of
+    the work.
+
+    Args:
+      of_receiver, of_sender: [B, V, C].
+
+    Returns:
+      [B, V (V - 1), C].
+    """
+    n_node, width = of_sender.shape[1:]
+    dense = of_receiver[:, :, None] + of_sender[:, None]
+    flat = tf.reshape(dense, [-1, n_node * n_node, width])
+    # Without its first entry the flattened matrix has the diagonal in its last column.
+    rows = tf.reshape(flat[:, 1:], [-1, n_node - 1, n_node + 1, width])[:, :, :-1]
+    return tf.reshape(rows, [-1, n_node * (n_node - 1), width])
+
+
+def sum_to_receivers(of_pair: tf.Tensor, n_node: int) -> tf.Tensor:
+    """Sum over the senders of each receiver: [B, V (V - 1), C] -> [B, V, C]."""
+    return tf.reduce_sum(tf.reshape(of_pair, [-1, n_node, n_node - 1, of_pair.shape[-1]]), axis=2)

@@ -1,0 +1,256 @@
+"""Springs, charged particles and Kuramoto oscillators (Kipf et al. 2018, appendix B), in float64.
+
+All simulations of a batch advance together. Springs and charges move in a box with elastic walls
+and are integrated by the leapfrog, which is stable up to omega dt = 2; phases by Runge-Kutta 4. A
+time step above the limit is refused before anything is simulated.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+LEAPFROG_LIMIT = 2.0  # of omega dt
+RUNGE_KUTTA_LIMIT = 2.785  # of |eigenvalue| dt on the real axis
+
+
+def _check_positive(system):
+    for name, value in dataclasses.asdict(system).items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f'{name} is {value}, must be positive and finite')
+    if system.n_objects < 2:
+        raise ValueError(f'n_objects is {system.n_objects}, a relation needs at least 2')
+
+
+def _check_step(rate, dt, limit, what):
+    if not rate * dt < limit:
+        raise ValueError(
+            f'time step {dt:.4g} is unstable: {what} = {rate:.4g}, times dt = {rate * dt:.4g}, '
+            f'must be below {limit}; largest stable step {limit / rate:.4g}'
+        )
+
+
+def _random_graphs(rng, n_run, n_objects):
+    """Symmetric [S, V, V] of 0 and 1 without diagonal, each pair with probability 1/2."""
+    upper = np.triu(rng.integers(0, 2, (n_run, n_objects, n_objects)), 1)
+    return (upper + upper.transpose(0, 2, 1)).astype(np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Springs:
+    """Unit masses, each pair joined by an ideal spring of length zero or by nothing.
+
+    Attributes:
+      n_objects: V.
+      dt: time step.
+      interaction_strength: spring constant k.
+      box_size: half the side of the box; walls at +-box_size.
+      position_std, speed: of the initial state.
+
+    Raises:
+      ValueError: a value that is not positive, or omega dt >= 2. The Laplacian of a graph of V
+        nodes has no eigenvalue above V, so omega <= sqrt(k V).
+    """
+
+    n_objects: int = 5
+    dt: float = 0.001
+    interaction_strength: float = 0.1
+    box_size: float = 5.0
+    position_std: float = 0.5
+    speed: float = 0.5
+
+    def __post_init__(self):
+        _check_positive(self)
+        omega = math.sqrt(self.interaction_strength * self.n_objects)
+        _check_step(omega, self.dt, LEAPFROG_LIMIT, 'highest frequency sqrt(k V)')
+
+    def relations(self, rng, n_run):
+        """[S, V, V], 1 where a spring joins two objects."""
+        return _random_graphs(rng, n_run, self.n_objects)
+
+    def acceleration(self, position, relations):
+        """[S, V, D] from [S, V, D] and [S, V, V]."""
+        laplacian = relations - np.eye(self.n_objects) * relations.sum(-1, keepdims=True)
+        return self.interaction_strength * (laplacian @ position)
+
+    def energy(self, position, velocity, relations):
+        """[S]."""
+        square = ((position[:, :, None] - position[:, None]) ** 2).sum(-1)
+        # Every pair stands twice in the sum.
+        potential = 0.25 * self.interaction_strength * (relations * square).sum((1, 2))
+        return 0.5 * (velocity**2).sum((1, 2)) + potential
+
+
+@dataclasses.dataclass(frozen=True)
+class Charged:
+    """Unit masses with charge +1 or -1; like charges repel, unlike attract.
+
+    Inside `core_radius` the force falls linearly to zero, so that it stays finite and conserves
+    energy (Kipf et al. cut each component of the force off instead).
+
+    Attributes:
+      n_objects: V.
+      dt: time step.
+      interaction_strength: k of the force k q_i q_j / r².
+      box_size, position_std, speed: as in `Springs`.
+      core_radius: where the force is largest.
+
+    Raises:
+      ValueError: a value that is not positive, or omega dt >= 2 with omega² <= 2 k V / core³.
+    """
+
+    n_objects: int = 5
+    dt: float = 0.001
+    interaction_strength: float = 1.0
+    box_size: float = 5.0
+    position_std: float = 1.0
+    speed: float = 0.5
+    core_radius: float = 0.1
+
+    def __post_init__(self):
+        _check_positive(self)
+        omega = math.sqrt(2.0 * self.interaction_strength * self.n_objects / self.core_radius**3)
+        _check_step(omega, self.dt, LEAPFROG_LIMIT, 'highest frequency sqrt(2 k V / core^3)')
+
+    def relations(self, rng, n_run):
+        """[S, V, V], product of two objects' charges: 1 repels, -1 attracts."""
+        charge = rng.choice([-1.0, 1.0], (n_run, self.n_objects))
+        return charge[:, :, None] * charge[:, None]
+
+    def acceleration(self, position, relations):
+        """[S, V, D] from [S, V, D] and [S, V, V]."""
+        away = position[:, :, None] - position[:, None]
+        square = np.maximum((away**2).sum(-1), self.core_radius**2)
+        size = self.interaction_strength * relations / (square * np.sqrt(square))
+        return (size[..., None] * away).sum(2)
+
+    def energy(self, position, velocity, relations):
+        """[S]."""
+        distance = np.sqrt(((position[:, :, None] - position[:, None]) ** 2).sum(-1))
+        core = self.core_radius
+        of_pair = np.where(
+            distance < core,
+            (3.0 - (distance / core) ** 2) / (2.0 * core),
+            1.0 / np.maximum(distance, core),
+        )
+        of_pair *= 1.0 - np.eye(self.n_objects)
+        potential = 0.5 * self.interaction_strength * (relations * of_pair).sum((1, 2))
+        return 0.5 * (velocity**2).sum((1, 2)) + potential
+
+
+@dataclasses.dataclass(frozen=True)
+class Kuramoto:
+    """Phase oscillators d phi_i / dt = omega_i + k sum_j e_ij sin(phi_i - phi_j).
+
+    Attributes:
+      n_objects: V.
+      dt: time step.
+      interaction_strength: k.
+
+    Raises:
+      ValueError: a value that is not positive, or k V dt at or above the limit of Runge-Kutta 4.
+    """
+
+    n_objects: int = 5
+    dt: float = 0.01
+    interaction_strength: float = 1.0
+
+    def __post_init__(self):
+        _check_positive(self)
+        rate = self.interaction_strength * self.n_objects
+        _check_step(rate, self.dt, RUNGE_KUTTA_LIMIT, 'highest rate k V')
+
+    def relations(self, rng, n_run):
+        """[S, V, V], 1 where two oscillators are coupled."""
+        return _random_graphs(rng, n_run, self.n_objects)
+
+    def rate(self, phase, frequency, relations):
+        """d phi / dt [S, V] from phases and frequencies [S, V] and relations [S, V, V]."""
+        pull = relations * np.sin(phase[:, :, None] - phase[:, None])
+        return frequency + self.interaction_strength * pull.sum(2)
+
+
+SYSTEMS = {'springs': Springs, 'charged': Charged, 'kuramoto': Kuramoto}
+
+
+def reflect(position, velocity, box_size):
+    """Elastic walls: what is beyond +-box_size comes back; in place.
+
+    Raises:
+      ValueError: if an object went beyond a wall by more than the box is wide.
+    """
+    beyond = np.abs(position) > box_size
+    if not beyond.any():
+        return
+    side = np.sign(position[beyond])
+    position[beyond] = 2.0 * side * box_size - position[beyond]
+    velocity[beyond] = -side * np.abs(velocity[beyond])
+    if np.abs(position).max() > box_size:
+        raise ValueError(
+            f'an object left the box of half side {box_size} by more than its width in one step; '
+            f'take a smaller dt'
+        )
+
+
+def leapfrog(system, position, velocity, relations, n_steps, sample_every):
+    """Integrates Newton's equations; positions and velocities belong to the same instant.
+
+    Args:
+      system: `Springs` or `Charged`.
+      position, velocity: [S, V, D] at time 0.
+      relations: [S, V, V].
+      n_steps: steps of dt.
+      sample_every: steps between frames; the first frame is at sample_every dt.
+
+    Returns:
+      positions, velocities: [S, n_steps // sample_every, V, D].
+    """
+    position, velocity = position.copy(), velocity.copy()
+    acceleration = system.acceleration(position, relations)
+    positions, velocities = [], []
+    for step in range(1, n_steps + 1):
+        velocity += 0.5 * system.dt * acceleration
+        position += system.dt * velocity
+        reflect(position, velocity, system.box_size)
+        acceleration = system.acceleration(position, relations)
+        velocity += 0.5 * system.dt * acceleration
+        if step % sample_every == 0:
+            positions.append(position.copy())
+            velocities.append(velocity.copy())
+    return np.stack(positions, 1), np.stack(velocities, 1)
+
+
+def simulate_particles(system, n_run, n_steps, sample_every, rng):
+    """Draws initial states and relations of `Springs` or `Charged` and simulates them.
+
+    Returns:
+      positions, velocities: [S, T, V, 2]; relations: [S, V, V].
+    """
+    relations = system.relations(rng, n_run)
+    shape = (n_run, system.n_objects, 2)
+    position = rng.normal(0.0, system.position_std, shape).clip(-system.box_size, system.box_size)
+    velocity = rng.normal(size=shape)
+    velocity *= system.speed / np.linalg.norm(velocity, axis=-1, keepdims=True)
+    return (*leapfrog(system, position, velocity, relations, n_steps, sample_every), relations)
+
+
+def simulate_phases(system, n_run, n_steps, sample_every, rng):
+    """Draws initial states and relations of `Kuramoto` and simulates them.
+
+    Returns:
+      features [S, T, V, 3]: d phi / dt, sin phi, frequency; relations [S, V, V].
+    """
+    relations = system.relations(rng, n_run)
+    frequency = rng.uniform(1.0, 10.0, (n_run, system.n_objects))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n_run, system.n_objects))
+    frames = []
+    for step in range(1, n_steps + 1):
+        one = system.rate(phase, frequency, relations)
+        two = system.rate(phase + 0.5 * system.dt * one, frequency, relations)
+        three = system.rate(phase + 0.5 * system.dt * two, frequency, relations)
+        four = system.rate(phase + system.dt * three, frequency, relations)
+        phase = phase + system.dt / 6.0 * (one + 2.0 * two + 2.0 * three + four)
+        if step % sample_every == 0:
+            rate = system.rate(phase, frequency, relations)
+            frames.append(np.stack([rate, np.sin(phase), frequency], axis=-1))
+    return np.stack(frames, 1), relations

@@ -1,0 +1,71 @@
+"""Learns from trajectories which nodes act on which (Neural Relational Inference).
+
+Examples:
+  # our datasets: which modes act on which; then export the edges
+  python -m nri.train --data_path=datasets/excavation --model_path=/tmp/nri_excavation \\
+      --window=50 --hidden=64 --epochs=200
+  python -m nri.export_edges --data_path=datasets/excavation --model_path=/tmp/nri_excavation \\
+      --output_path=/tmp/edges
+
+  # data of Kipf et al., made here
+  python -m nri.simulate --system=springs --n_objects=5 --output_path=/tmp/springs5
+  python -m nri.train --data_path=/tmp/springs5 --model_path=/tmp/nri_springs5 \\
+      --hidden=64 --batch_size=64 --learning_rate=1e-3
+
+  # the encoder alone with the true edges: what the trajectories tell at all, in a minute
+  python -m nri.train --supervised --data_path=/tmp/springs5 --model_path=/tmp/nri_supervised \\
+      --hidden=64 --epochs=5
+
+The same command again resumes. The weights of the best validation loss are kept. A posterior that
+uses a type for less than 1 % or more than 99 % of the pairs is reported as COLLAPSED.
+"""
+
+import dataclasses
+import sys
+
+import tensorflow as tf
+from absl import app, flags
+
+from nri import data, experiment
+from nri.model import NriConfig
+
+_DEFINE = {
+    int: flags.DEFINE_integer,
+    float: flags.DEFINE_float,
+    bool: flags.DEFINE_bool,
+    str: flags.DEFINE_string,
+}
+
+
+def define_flags():
+    """Defines the command line: one flag for each field of `NriConfig`."""
+    flags.DEFINE_string('data_path', None, 'Dataset folder or folder of .npy files.', required=True)
+    flags.DEFINE_string('model_path', None, 'Model folder; training resumes.', required=True)
+    flags.DEFINE_float('max_minutes', None, 'Stop after the epoch in which this much is over.')
+    for field in dataclasses.fields(NriConfig):
+        if field.name == 'nodes':
+            flags.DEFINE_enum('nodes', field.default, data.NODE_KINDS, 'Nodes of a dataset.')
+            continue
+        define = _DEFINE.get(field.type, flags.DEFINE_float)
+        define(field.name, field.default, 'See NriConfig in nri/model.py.')
+
+
+def main(argv):
+    """Reads the flags and trains."""
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+    given = flags.FLAGS
+    fields = [field.name for field in dataclasses.fields(NriConfig)]
+    minutes = given.max_minutes
+    try:
+        config = NriConfig(**{name: given[name].value for name in fields})
+        experiment.train(
+            given.data_path, given.model_path, config, None if minutes is None else 60.0 * minutes
+        )
+    except (ValueError, OSError, tf.errors.OpError) as error:
+        sys.exit(f'error: {error}')
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)
