@@ -38,7 +38,7 @@ def kl_to_prior(logits: tf.Tensor, log_prior_types) -> tf.Tensor:
 
 
 def gaussian_nll(prediction, target, variance: float) -> tf.Tensor:
-    """Negative log likelihood up to its constant, sum over all axes but the first: [B, ...] -> [B]."""
+    """Negative log likelihood up to its constant, summed over all but the first axis: [B]."""
     square = tf.math.squared_difference(prediction, target) / (2.0 * variance)
     return tf.reduce_sum(square, axis=range(1, len(square.shape)))
 

@@ -1,9 +1,10 @@
 """Makes the springs, charged and Kuramoto data of Kipf et al. 2018 as `.npy` files.
 
 Examples:
-  python -m nri.simulate --system=springs --n_objects=5 --num_train=50000 --output_path=/tmp/springs5
-  python -m nri.simulate --system=charged --n_objects=10 --num_train=10000 --output_path=/tmp/charged10
-  python -m nri.simulate --system=kuramoto --dt=0.01 --sample_freq=10 --length=500 --output_path=/tmp/k5
+  python -m nri.simulate --system=springs --n_objects=5 --output_path=/tmp/springs5
+  python -m nri.simulate --system=charged --n_objects=10 --num_train=10000 --output_path=/tmp/c10
+  python -m nri.simulate --system=kuramoto --dt=0.01 --sample_freq=10 --length=500 \\
+      --output_path=/tmp/kuramoto5
 
 Writes loc_, vel_ and edges_{train,valid,test}_<system><V>.npy, float32 (S, T, 2, V), (S, T, 2, V)
 and (S, V, V); for Kuramoto feat_ (S, V, T, 3) and edges_. T = length / sample_freq - 1, as Kipf's.
