@@ -44,9 +44,11 @@ def write_atomically(path: str, write: Callable[[str], None]) -> None:
         with open(temporary, 'rb+') as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         if os.path.exists(temporary):
             os.remove(temporary)
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            error.filename = path  # a full disk does not say which file did not fit
         raise
     _sync_folder(folder)
 

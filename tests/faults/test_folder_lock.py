@@ -1,0 +1,120 @@
+"""One writer per folder, and what becomes of the lock of a writer that died."""
+
+import json
+import os
+import pathlib
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from pca_tools import folder_lock
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+HOLDER = """
+import sys, time
+from pca_tools import folder_lock
+with folder_lock.locked(sys.argv[1]):
+    print('held', flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that holds the lock of `tmp_path`."""
+    process = subprocess.Popen(
+        [sys.executable, '-c', HOLDER, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == 'held\n'
+    yield process
+    process.kill()
+    process.wait()
+
+
+def take(folder, **options):
+    with folder_lock.locked(str(folder), **options):
+        return json.loads((folder / folder_lock.LOCK_NAME).read_text())
+
+
+def test_second_writer_learns_who_the_first_is(tmp_path, holder):
+    with pytest.raises(ValueError, match=f'process {holder.pid} on {socket.gethostname()} writes'):
+        take(tmp_path)
+    with pytest.raises(ValueError, match='writes into this folder'):
+        take(tmp_path, take_over=True)  # a living owner is never pushed aside
+    assert os.listdir(tmp_path) == [folder_lock.LOCK_NAME]
+
+
+def test_lock_of_a_killed_process_is_taken_over_with_a_message(tmp_path, holder, capsys):
+    holder.send_signal(signal.SIGKILL)
+    # Not waited for: to the system it exists still, as a zombie.
+    assert os.waitid(os.P_PID, holder.pid, os.WEXITED | os.WNOWAIT)
+    assert take(tmp_path)['pid'] == os.getpid()
+    assert f'took over the lock of process {holder.pid}' in capsys.readouterr().out
+    assert os.listdir(tmp_path) == []
+
+
+def test_number_given_to_another_process_is_no_owner(tmp_path):
+    owner = {'host': socket.gethostname(), 'pid': os.getppid(), 'started': 1}
+    (tmp_path / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
+    assert take(tmp_path)['pid'] == os.getpid()
+
+
+def test_lock_of_another_machine_needs_the_flag(tmp_path):
+    owner = {'host': 'elsewhere', 'pid': 7, 'started': 1}
+    (tmp_path / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
+    with pytest.raises(ValueError, match='process 7 on elsewhere .* --take_over_lock'):
+        take(tmp_path)
+    assert json.loads((tmp_path / folder_lock.LOCK_NAME).read_text()) == owner
+    assert take(tmp_path, take_over=True)['pid'] == os.getpid()
+
+
+@pytest.mark.parametrize('text', ['[]', '{"host": "a", "pid": -1, "started": 0}', '{"pid"', '{}'])
+def test_foreign_lock_is_left_alone(tmp_path, text):
+    """-1 as a process id would ask about every process there is."""
+    path = tmp_path / folder_lock.LOCK_NAME
+    path.write_text(text)
+    with pytest.raises(ValueError, match='lock.json'):
+        take(tmp_path)
+    assert path.read_text() == text
+
+
+def test_lock_is_released_after_an_error(tmp_path):
+    with pytest.raises(KeyError), folder_lock.locked(str(tmp_path)):
+        raise KeyError
+    assert os.listdir(tmp_path) == []
+
+
+def test_of_many_at_once_one_wins(tmp_path):
+    """Eight processes meet a stale lock together; the one that passes waits for seven refusals."""
+    owner = {'host': socket.gethostname(), 'pid': os.getpid(), 'started': 1}
+    folder, refused = tmp_path / 'model', tmp_path / 'refused'
+    folder.mkdir()
+    refused.mkdir()
+    (folder / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
+    code = """
+import os, sys, time
+from pca_tools import folder_lock
+folder, refused = sys.argv[1:]
+children = []
+for number in range(8):
+    children.append(os.fork())
+    if not children[-1]:
+        try:
+            with folder_lock.locked(folder):
+                while len(os.listdir(refused)) < 7:
+                    time.sleep(0.01)
+        except ValueError:
+            open(f'{refused}/{number}', 'w').close()
+            os._exit(3)
+        os._exit(0)
+print(sorted(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children))
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code, str(folder), str(refused)],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1] == '[0, 3, 3, 3, 3, 3, 3, 3]'
+    assert os.listdir(folder) == []

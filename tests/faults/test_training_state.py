@@ -1,0 +1,310 @@
+"""Training that is stopped, starved of disk, damaged or fed with NaN: nothing good is lost.
+
+The compiled step is replaced by a cheap one that is a function of (weights, step), as the real one
+is; that a real training killed by SIGKILL resumes bit for bit is held by
+`tests/learning_to_simulate/test_train.py`.
+"""
+
+import json
+import os
+import pathlib
+import resource
+import shutil
+import signal
+import socket
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate import experiment, presets, reading_utils, training, training_state
+from pca_tools import dataset, files
+from tests.learning_to_simulate import synthetic
+
+TINY = {'latent_size': 4, 'num_steps': 12, 'unroll_steps': 0, 'mode_edges': 5}
+
+
+def config(**overrides):
+    return presets.make_config('pcg', **TINY | overrides)
+
+
+def cheap_step(self, step):
+    for variable, average in zip(self.simulator.trainable_variables, self.averages, strict=True):
+        variable.assign(variable * 0.9 + 0.01 * step)
+        average.assign(average * 0.5 + variable * 0.5)
+    self.optimizer.iterations.assign_add(1)
+    return {'loss': tf.constant(1.0)}
+
+
+@pytest.fixture(scope='module')
+def data(tmp_path_factory):
+    folder = synthetic.write_dataset(tmp_path_factory.mktemp('data'))
+    for split in ('valid', 'test'):  # no validation rollout, which would have to be compiled
+        os.remove(f'{folder}/{split}.tfrecord')
+    return folder
+
+
+@pytest.fixture
+def train(data, monkeypatch):
+    monkeypatch.setattr(training.Trainer, 'step', cheap_step)
+
+    def run(path, **overrides):
+        return experiment.train(data, str(path), config(**overrides), save_every=4)
+
+    return run
+
+
+@pytest.fixture(scope='module')
+def whole(data, tmp_path_factory):
+    """A model folder after training, with the checkpoints of steps 8 and 12. Not to be changed."""
+    path = tmp_path_factory.mktemp('whole') / 'model'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training.Trainer, 'step', cheap_step)
+        experiment.train(data, str(path), config(), save_every=4)
+    return path
+
+
+@pytest.fixture
+def model(whole, tmp_path):
+    return pathlib.Path(shutil.copytree(whole, tmp_path / 'model'))
+
+
+def flip(path, position):
+    data = bytearray(path.read_bytes())
+    data[position] ^= 4
+    path.write_bytes(data)
+
+
+def weights(path):
+    return files.read_npz(f'{path}/weights.npz')
+
+
+def make_trainer(data):
+    metadata = dataset.read_metadata(data)
+    groups = reading_utils.read_groups(data, 'train', metadata, config().rigid_particles)
+    return training.Trainer(experiment.make_model(data, metadata, groups, config()), groups)
+
+
+def assert_same_weights(first, second):
+    for name, value in weights(first).items():
+        np.testing.assert_array_equal(value, weights(second)[name])
+
+
+SHARD = 'data-00000-of-00001'
+DAMAGES = {
+    'truncated shard': lambda p: os.truncate(p / f'ckpt-12.{SHARD}', 1000),
+    'missing shard': lambda p: os.remove(p / f'ckpt-12.{SHARD}'),
+    'bit flip in shard': lambda p: flip(p / f'ckpt-12.{SHARD}', 2000),
+    'missing index': lambda p: os.remove(p / 'ckpt-12.index'),
+    'bit flip in index': lambda p: flip(p / 'ckpt-12.index', 100),
+    'empty index': lambda p: os.truncate(p / 'ckpt-12.index', 0),
+    'killed before its digests': lambda p: os.remove(p / 'ckpt-12.json'),
+    'bit flip in digests': lambda p: flip(p / 'ckpt-12.json', 40),
+    'digests of nothing': lambda p: (p / 'ckpt-12.json').write_text('{"files": {}}'),
+}
+
+
+@pytest.mark.parametrize('damage', DAMAGES.values(), ids=DAMAGES)
+def test_damaged_newest_checkpoint_gives_way_to_the_one_before(whole, model, train, damage, capsys):
+    damage(model)
+    train(model)
+    out = capsys.readouterr().out
+    assert 'skipped the damaged checkpoint of step 12' in out
+    assert f'resumed {model} at step 8' in out
+    assert_same_weights(whole, model)
+    assert training_state.stored_steps(str(model)) == [12, 8]
+    assert list(model.glob('ckpt-12.*.damaged'))
+
+
+def test_tensorflows_list_of_checkpoints_may_say_anything(model, train, capsys):
+    """`tf.train.latest_checkpoint` gives None for a damaged `checkpoint` file; it is not used."""
+    (model / 'checkpoint').write_bytes(b'\xff\x00 model_checkpoint_path: "../../evil"')
+    train(model)
+    assert 'already trained to step 12' in capsys.readouterr().out
+
+
+def test_folder_of_damaged_checkpoints_only_never_starts_fresh(model, train):
+    for step in (8, 12):
+        os.truncate(model / f'ckpt-{step}.{SHARD}', 10)
+    before = {p.name: p.read_bytes() for p in model.iterdir()}
+    with pytest.raises(ValueError, match=r'all checkpoints are damaged.*12\.data.*8\.data'):
+        train(model)
+    assert {p.name: p.read_bytes() for p in model.iterdir()} == before
+
+
+@pytest.mark.parametrize('other', [{'latent_size': 6}, {'hidden_layers': 1}], ids=str)
+def test_checkpoint_of_another_model_is_refused(model, train, tmp_path, other):
+    train(tmp_path / 'other', **other)
+    for path in (tmp_path / 'other').glob('ckpt-12.*'):
+        shutil.copy(path, model)
+    with pytest.raises(ValueError, match='ckpt-12: is a checkpoint of another model'):
+        train(model)
+
+
+def test_checkpoint_under_another_step_is_refused(model, train):
+    for path in model.glob('ckpt-8.*'):
+        path.rename(str(path).replace('ckpt-8', 'ckpt-99'))
+    listing = (model / 'ckpt-99.json').read_text().replace('ckpt-8', 'ckpt-99')
+    (model / 'ckpt-99.json').write_text(listing)
+    with pytest.raises(ValueError, match='holds step 8, not that of its name'):
+        train(model)
+
+
+@pytest.mark.parametrize('number, code', [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=str)
+def test_stop_signals_save_and_release(whole, tmp_path, train, monkeypatch, number, code):
+    def step(self, i):
+        if i == 5:
+            os.kill(os.getpid(), number)
+        return cheap_step(self, i)
+
+    before = signal.getsignal(number)
+    with monkeypatch.context() as patch:
+        patch.setattr(training.Trainer, 'step', step)
+        with pytest.raises(SystemExit) as stopped:
+            train(tmp_path / 'model')
+    assert stopped.value.code == code
+    assert signal.getsignal(number) is before
+    names = os.listdir(tmp_path / 'model')
+    assert 'ckpt-6.json' in names and '.lock.json' not in names
+    train(tmp_path / 'model')
+    assert_same_weights(whole, tmp_path / 'model')
+
+
+def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):
+    def step(self, i):
+        if i == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+        return cheap_step(self, i)
+
+    monkeypatch.setattr(training.Trainer, 'step', step)
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / 'model')
+    assert training_state.stored_steps(str(tmp_path / 'model')) == [4]
+    assert not (tmp_path / 'model' / '.lock.json').exists()
+
+
+@pytest.mark.parametrize('limit', [1000, 5000], ids='{} bytes a file'.format)
+def test_full_disk_stops_training_and_keeps_the_checkpoint(tmp_path, train, monkeypatch, limit):
+    """No file may grow above the limit from step 6 on, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def step(self, i):
+        if i == 6:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+        return cheap_step(self, i)
+
+    monkeypatch.setattr(training.Trainer, 'step', step)
+    try:
+        with pytest.raises(OSError, match='model'):
+            train(tmp_path / 'model')
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert training_state.stored_steps(str(tmp_path / 'model')) == [4]
+    training_state.check(str(tmp_path / 'model'), 4)
+    assert not [n for n in os.listdir(tmp_path / 'model') if n.endswith(('_temp', '.tmp'))]
+
+
+def test_checkpoint_on_a_full_disk_says_so(model, data, monkeypatch):
+    """The checkpoint itself, without the weights that are written before it."""
+    trainer = make_trainer(data)
+    state = training_state.TrainingState(str(model), trainer)
+    state.restore()
+    before = sorted(os.listdir(model))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(OSError, match='checkpoint of step 13 could not be written'):
+            state.save(13)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert sorted(os.listdir(model)) == before
+
+
+def test_leftovers_of_a_killed_writer_are_removed(model, train):
+    (model / 'ckpt-16_temp').mkdir()
+    (model / 'ckpt-16_temp' / 'part-00000').write_text('half')
+    (model / '.weights.npz.4711.tmp').write_text('half')
+    (model / 'notes.tmp').write_text('mine')
+    train(model)
+    names = os.listdir(model)
+    assert 'ckpt-16_temp' not in names and '.weights.npz.4711.tmp' not in names
+    assert 'notes.tmp' in names
+
+
+def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, monkeypatch):
+    def step(self, i):
+        values = cheap_step(self, i)
+        if i >= 6:  # as a gradient of NaN leaves them
+            for variable in self.simulator.trainable_variables:
+                variable.assign(variable * np.nan)
+            return {'loss': tf.constant(np.nan)}
+        return values
+
+    monkeypatch.setattr(training.Trainer, 'step', step)
+    path = tmp_path / 'model'
+    with pytest.raises(ValueError, match=r'loss is nan at step 6, batch .* \[\(\d+, \d+\), \('):
+        train(path)
+    assert training_state.stored_steps(str(path)) == [4]
+    assert all(np.isfinite(value).all() for value in weights(path).values())
+
+
+def test_named_batch_is_the_one_of_the_step(data):
+    """The windows of a step, gathered as training does, lie where `batch_of` says."""
+    trainer = make_trainer(data)
+    tensors = trainer._tensors[0]
+    named = trainer.batch_of(7)
+    seed = [trainer.config.seed * 8 + training._WINDOW_STREAM, 7]
+
+    @tf.function(jit_compile=True)
+    def gather(seed):
+        return tensors.windows(trainer.config.batch_size, 7, seed)[0]
+
+    offset = tf.reshape(tensors.offset, [tensors.n_run, tensors.n_frame, *tensors.offset.shape[1:]])
+    expected = [offset[record, start : start + 7] for record, start in named]
+    np.testing.assert_array_equal(gather(tf.constant(seed)), np.stack(expected))
+
+
+@pytest.mark.parametrize('what', ['weight', 'moment', 'average'])
+def test_variables_that_are_not_finite_are_never_saved(model, data, what):
+    """Also where the loss that produced them was finite."""
+    trainer = make_trainer(data)
+    state = training_state.TrainingState(str(model), trainer)
+    state.restore()
+    variable = {
+        'weight': trainer.simulator.trainable_variables[0],
+        'moment': trainer.optimizer.variables[-1],
+        'average': trainer.averages[0],
+    }[what]
+    variable.assign(np.full(variable.shape, np.inf))
+    before = sorted(os.listdir(model))
+    with pytest.raises(ValueError, match='no checkpoint at step 13, variables are not finite'):
+        state.save(13)
+    assert sorted(os.listdir(model)) == before
+
+
+def test_second_training_in_the_same_folder_is_refused(model, train):
+    """The parent of this process stands for a training that runs elsewhere."""
+    with open(f'/proc/{os.getppid()}/stat', encoding='utf-8') as file:
+        started = int(file.read().rpartition(')')[2].split()[19])
+    owner = {'host': socket.gethostname(), 'pid': os.getppid(), 'started': started}
+    (model / '.lock.json').write_text(json.dumps(owner))
+    before = {p.name: p.read_bytes() for p in model.iterdir()}
+    with pytest.raises(ValueError, match=f'process {os.getppid()} on .* writes into this folder'):
+        train(model)
+    assert {p.name: p.read_bytes() for p in model.iterdir()} == before
+
+
+def test_inputs_are_opened_for_reading_only(whole, data, tmp_path, train):
+    """Nothing in the data folder is written, renamed or touched, whatever its permissions."""
+    folder = tmp_path / 'data'
+    shutil.copytree(data, folder)
+    (folder / 'force.py').write_text('raise SystemExit("a data folder ran code")')
+    (folder / 'sitecustomize.py').write_text('raise SystemExit("a data folder ran code")')
+    before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
+    for path in (*folder.iterdir(), folder):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    experiment.train(str(folder), str(tmp_path / 'model'), config(), save_every=12)
+    assert_same_weights(whole, tmp_path / 'model')
+    folder.chmod(0o755)
+    assert before == {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
