@@ -4,7 +4,7 @@ import sonnet as snt
 import tensorflow as tf
 
 from nri import pairs
-from nri.layers import AfterFirst, Mlp, PairLinear
+from nri.layers import AfterFirst, Mlp, PairLinear, batch_norm
 
 
 class _FactorGraph(snt.Module):
@@ -21,12 +21,12 @@ class _FactorGraph(snt.Module):
         self._skip = snt.Linear(width, with_bias=False, name='skip')
         self._last = AfterFirst(width, name='last')
 
-    def __call__(self, of_pair, n_node):
+    def __call__(self, of_pair, n_node, is_training):
         hidden = of_pair
         if self._factor_graph:
             hidden = pairs.sum_to_receivers(of_pair, n_node) / (n_node - 1)
-        hidden = self._ends(self._middle(hidden))
-        return self._last(hidden + self._skip(of_pair))
+        hidden = self._ends(self._middle(hidden, is_training))
+        return self._last(hidden + self._skip(of_pair), is_training)
 
 
 class MlpEncoder(snt.Module):
@@ -46,12 +46,12 @@ class MlpEncoder(snt.Module):
         self._messages = _FactorGraph(width, factor_graph, name='messages')
         self._logits = snt.Linear(n_types, name='logits')
 
-    def __call__(self, features):
+    def __call__(self, features, is_training):
         """Logits float32 [B, V (V - 1), K] of features [B, V, T, F]."""
         n_node, n_frame, n_feature = features.shape[1:]
-        nodes = self._of_node(tf.reshape(features, [-1, n_node, n_frame * n_feature]))
-        of_pair = self._of_pair(self._ends(nodes))
-        return self._logits(self._messages(of_pair, n_node))
+        nodes = self._of_node(tf.reshape(features, [-1, n_node, n_frame * n_feature]), is_training)
+        of_pair = self._of_pair(self._ends(nodes), is_training)
+        return self._logits(self._messages(of_pair, n_node, is_training))
 
 
 class CnnEncoder(snt.Module):
@@ -68,16 +68,16 @@ class CnnEncoder(snt.Module):
         self._width = width
         self._receiver = snt.Conv1D(width, 5, padding='VALID', name='receiver')
         self._sender = snt.Conv1D(width, 5, padding='VALID', with_bias=False, name='sender')
-        self._norm = snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)
+        self._norm = batch_norm()
         self._second = snt.Conv1D(width, 5, padding='VALID', name='second')
-        self._second_norm = snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)
+        self._second_norm = batch_norm()
         self._value = snt.Linear(width, name='value')
         self._attention = snt.Linear(1, name='attention')
         self._of_pair = Mlp(width, name='of_pair')
         self._messages = _FactorGraph(width, factor_graph, name='messages')
         self._logits = snt.Linear(n_types, name='logits')
 
-    def __call__(self, features):
+    def __call__(self, features, is_training):
         """Logits float32 [B, V (V - 1), K] of features [B, V, T, F]."""
         n_node, n_frame, n_feature = features.shape[1:]
         series = tf.reshape(features, [-1, n_frame, n_feature])
@@ -88,13 +88,13 @@ class CnnEncoder(snt.Module):
         hidden = pairs.pair_sums(of_nodes(self._receiver), of_nodes(self._sender))
         n_pair = hidden.shape[1]
         hidden = tf.reshape(hidden, [-1, n_frame - 4, self._width])
-        hidden = self._norm(tf.nn.relu(hidden))
+        hidden = self._norm(tf.nn.relu(hidden), is_training)
         hidden = tf.nn.max_pool1d(hidden, 2, 2, 'VALID')
-        hidden = self._second_norm(tf.nn.relu(self._second(hidden)))
+        hidden = self._second_norm(tf.nn.relu(self._second(hidden)), is_training)
         weight = tf.nn.softmax(self._attention(hidden), axis=1)
         hidden = tf.reduce_sum(weight * self._value(hidden), axis=1)
-        of_pair = self._of_pair(tf.reshape(hidden, [-1, n_pair, self._width]))
-        return self._logits(self._messages(of_pair, n_node))
+        of_pair = self._of_pair(tf.reshape(hidden, [-1, n_pair, self._width]), is_training)
+        return self._logits(self._messages(of_pair, n_node, is_training))
 
 
 ENCODERS = {'mlp': MlpEncoder, 'cnn': CnnEncoder}

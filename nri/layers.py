@@ -6,21 +6,26 @@ import tensorflow as tf
 from nri import pairs
 
 
-class AfterFirst(snt.Module):
-    """ELU, Linear, ELU, LayerNorm: what follows the first linear layer.
+def batch_norm():
+    """Batch statistics in training, their running averages otherwise."""
+    return snt.BatchNorm(create_scale=True, create_offset=True, decay_rate=0.99)
 
-    Kipf et al. normalise over the batch, which makes what is found for one run depend on the
-    others; LayerNorm does not.
+
+class AfterFirst(snt.Module):
+    """ELU, Linear, ELU, BatchNorm: what follows the first linear layer.
+
+    The normalisation over the batch takes out what all pairs have in common. Without it (LayerNorm
+    instead) the encoder soon gives all pairs the same type for certain and learns nothing more.
     """
 
     def __init__(self, width, name=None):
         super().__init__(name=name)
         self._second = snt.Linear(width)
-        self._norm = snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)
+        self._norm = batch_norm()
 
-    def __call__(self, hidden):
+    def __call__(self, hidden, is_training):
         """[..., width] -> [..., width]."""
-        return self._norm(tf.nn.elu(self._second(tf.nn.elu(hidden))))
+        return self._norm(tf.nn.elu(self._second(tf.nn.elu(hidden))), is_training)
 
 
 class Mlp(snt.Module):
@@ -31,9 +36,9 @@ class Mlp(snt.Module):
         self._first = snt.Linear(width)
         self._rest = AfterFirst(width)
 
-    def __call__(self, inputs):
+    def __call__(self, inputs, is_training):
         """[..., C] -> [..., width]."""
-        return self._rest(self._first(inputs))
+        return self._rest(self._first(inputs), is_training)
 
 
 class PairLinear(snt.Module):

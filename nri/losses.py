@@ -37,10 +37,24 @@ def kl_to_prior(logits: tf.Tensor, log_prior_types) -> tf.Tensor:
     return tf.reduce_sum(tf.exp(log_posterior) * (log_posterior - log_prior_types), axis=-1)
 
 
-def gaussian_nll(prediction, target, variance: float) -> tf.Tensor:
-    """Negative log likelihood up to its constant, summed over all but the first axis: [B]."""
-    square = tf.math.squared_difference(prediction, target) / (2.0 * variance)
-    return tf.reduce_sum(square, axis=range(1, len(square.shape)))
+def gaussian_nll(prediction, target, least_variance: float) -> tf.Tensor:
+    """Mean negative log likelihood of one value, up to a constant, under the best variance.
+
+    The variance is the mean square error of the batch itself, but not below `least_variance`
+    (Kipf et al. keep it there from the start). While predictions are still poor a fixed small
+    variance makes the likelihood outweigh the prior thousands of times, and the posterior
+    saturates before it has learned anything.
+
+    Args:
+      prediction, target: equal shapes.
+      least_variance: floor; where the error is below it the result is Kipf's.
+
+    Returns:
+      scalar, 0 for a perfect prediction.
+    """
+    mean_square = tf.reduce_mean(tf.math.squared_difference(prediction, target))
+    variance = tf.maximum(tf.stop_gradient(mean_square), least_variance)
+    return 0.5 * (mean_square / variance + tf.math.log(variance / least_variance))
 
 
 def confusion(predicted, true, n_types: int) -> np.ndarray:

@@ -135,10 +135,12 @@ class NriModel(snt.Module):
         )
         self._log_prior = losses.log_prior(config.edge_types, config.no_edge_prior)
         frames = tf.zeros([1, len(self.node_names), config.window, n_features])
-        types = tf.nn.softmax(self.encode(frames))
+        types = tf.nn.softmax(self.encode(frames, is_training=True))
         unroll(self.decoder, frames[:, :, :2], types)
         self._probabilities = tf.function(
-            lambda features: tf.nn.softmax(self.encode(self.normalized(features))),
+            lambda features: tf.nn.softmax(
+                self.encode(self.normalized(features), is_training=False)
+            ),
             jit_compile=True,
         )
 
@@ -146,13 +148,14 @@ class NriModel(snt.Module):
         """[B, V, T, F] in the units of the files -> about [-1, 1]."""
         return (features - self.offset[:, None]) / self.scale[:, None]
 
-    def losses(self, features, seed, true_edges=None) -> dict[str, tf.Tensor]:
+    def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
         """Negative evidence bound of a batch, the same in training and validation.
 
         Args:
           features: [B, V, window, F].
           seed: int32 [2], of the edge sample and of the segment that is predicted.
           true_edges: int32 [B, V (V - 1)]; used by supervised training alone.
+          is_training: whether layers are normalised with the statistics of this batch.
 
         Returns:
           scalars: 'loss', and what it is made of: 'nll' and 'kl' per node, scaled to the whole
@@ -160,7 +163,7 @@ class NriModel(snt.Module):
         """
         c = self.config
         frames = self.normalized(features)
-        logits = self.encode(frames)
+        logits = self.encode(frames, is_training)
         if c.supervised:
             cross_entropy = tf.nn.sparse_softmax_cross_entropy_with_logits(true_edges, logits)
             return {'loss': tf.reduce_mean(cross_entropy)}
@@ -180,7 +183,7 @@ class NriModel(snt.Module):
         nll = losses.gaussian_nll(
             predictions[:, :, own], segment[:, :, 1:][:, :, own], c.output_variance
         )
-        nll = tf.reduce_mean(nll) / n_node * ((c.window - 1) / c.segment)
+        nll *= (c.window - 1) * frames.shape[3]
         kl = losses.kl_to_prior(logits, self._log_prior)
         kl = tf.reduce_mean(tf.reduce_sum(kl, axis=1)) / n_node
         return {'loss': nll + kl, 'nll': nll, 'kl': kl}
@@ -259,7 +262,7 @@ class NriModel(snt.Module):
 
     def _weights(self):
         """Variables by names that do not change between processes."""
-        variables = enumerate(self.trainable_variables)
+        variables = enumerate(self.variables)
         return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in variables}
 
     def to_json(self) -> dict:

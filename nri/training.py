@@ -98,7 +98,7 @@ class Trainer:
             edges = None if self._edges is None else tf.gather(self._edges, runs)
             with tf.GradientTape() as tape:
                 values = model.losses(
-                    features, tf.stack([config.seed * 8 + _TRAIN_STREAM, step]), edges
+                    features, tf.stack([config.seed * 8 + _TRAIN_STREAM, step]), edges, True
                 )
             gradients = tape.gradient(values['loss'], variables)
             self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
