@@ -7,6 +7,7 @@ from tqdm import tqdm
 
 from mpm import packing, raw_run, scenes
 from mpm.constitutive import make_soil
+from mpm.files import one_writer
 from mpm.run import Settings, run_case
 
 
@@ -32,9 +33,15 @@ def generate(
         The manifest entries of the new runs.
 
     Raises:
-        ValueError: if the folder holds another scene or other settings, or a run fails.
+        ValueError: if the folder holds another scene or other settings, another process writes into
+            it, or a run fails.
     """
     os.makedirs(output_path, exist_ok=True)
+    with one_writer(output_path):
+        return _generate(scene, cases, output_path, settings, num_processes, show_progress)
+
+
+def _generate(scene, cases, output_path, settings, num_processes, show_progress) -> list[dict]:
     finished = raw_run.finished_runs(
         output_path,
         scene,

@@ -1,9 +1,15 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, in folders with one writer."""
 
+import contextlib
+import fcntl
 import os
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Iterator
 
 import numpy as np
+
+# A run of 5000 particles has 20 MB.
+MAX_BYTES = 2**30
 
 
 def write_whole(path: str, write: Callable[[str], None]) -> None:
@@ -29,3 +35,45 @@ def write_arrays(path: str, **arrays: np.ndarray) -> None:
             np.savez_compressed(file, **arrays)
 
     write_whole(path, write)
+
+
+def read_arrays(path: str) -> dict[str, np.ndarray]:
+    """Reads a `.npz` of plain arrays.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is damaged, holds Python objects, or unpacks to over `MAX_BYTES`.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = sum(member.file_size for member in archive.infolist())
+        if total > MAX_BYTES:
+            raise ValueError(f'unpacks to {total} bytes, the limit is {MAX_BYTES}')
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
+        raise ValueError(f'{path} is damaged or not an .npz of arrays: {error!r}') from error
+
+
+@contextlib.contextmanager
+def one_writer(folder: str) -> Iterator[None]:
+    """Keeps other processes out of a folder; the system lets go of it when this process ends.
+
+    Raises:
+        ValueError: if another process writes into the folder.
+    """
+    with open(os.path.join(folder, '.lock'), 'a+', encoding='utf-8') as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise ValueError(
+                f'{folder}: process {file.read().strip()} writes into this folder; wait for it or '
+                'name another folder'
+            ) from None
+        file.truncate(0)
+        file.write(f'{os.getpid()}\n')
+        file.flush()
+        yield

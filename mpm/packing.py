@@ -13,7 +13,7 @@ import numpy as np
 
 from mpm import columns, solver, stability
 from mpm.constitutive import Soil
-from mpm.files import write_arrays
+from mpm.files import read_arrays, write_arrays
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 
 PACKING_FILE = 'packing.npz'
@@ -158,8 +158,8 @@ def settled(box: Bin, soil: Soil, seed: int, folder: str) -> tuple[np.ndarray, d
     if not os.path.exists(path):
         particles, statistics = settle(box, soil, seed)
         write_arrays(path, particles=particles, statistics=np.array(json.dumps(statistics)))
-    with np.load(path, allow_pickle=False) as file:
-        particles, statistics = file['particles'], json.loads(str(file['statistics']))
+    arrays = read_arrays(path)
+    particles, statistics = arrays['particles'], json.loads(str(arrays['statistics']))
     asked = {
         'seed': seed,
         'particles': int(np.prod(box.lattice)),

@@ -12,7 +12,7 @@ import os
 import numpy as np
 
 from mpm import scenes
-from mpm.files import write_arrays, write_whole
+from mpm.files import read_arrays, write_arrays, write_whole
 from mpm.run import RawRun
 
 MANIFEST = 'manifest.json'
@@ -50,8 +50,7 @@ def read_run(path: str) -> RawRun:
         ValueError: if the file is not a raw run.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(path)
         return RawRun(
             positions=arrays['positions'],
             rigid_positions=arrays['rigid_positions'],
@@ -97,9 +96,13 @@ def read_manifest(folder: str) -> dict | None:
     try:
         with open(path, encoding='utf-8') as file:
             manifest = json.load(file)
-        manifest['scene']['name'], manifest['runs']
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f'{path} is not a manifest of raw runs: {error}') from error
+        manifest['scene']['name'], manifest['dt'], manifest['bounds']
+        for entry in manifest['runs']:
+            if os.path.basename(entry['file']) != entry['file']:
+                raise ValueError(f'{entry["file"]!r} points out of the folder')
+            entry['case'] + 0, entry['bytes'] + 0, entry['sha256'] + '', entry['parameters'].keys()
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f'{path} is not a manifest of raw runs: {error!r}') from error
     return manifest
 
 

@@ -111,12 +111,8 @@ def _load_subspace(path, split, nodes):
 
 
 def _read_array(path, n_axes):
-    files.refuse_git_lfs_pointer(path)
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise ValueError(f'{path}: not a plain .npy array ({error})') from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in 'fiub':
+    array = files.read_npy(path)
+    if array.dtype.kind not in 'fiub':
         raise ValueError(f'{path}: not a .npy array of numbers')
     if array.ndim != n_axes or 0 in array.shape:
         raise ValueError(

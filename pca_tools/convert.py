@@ -101,7 +101,7 @@ def convert(
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
-    _write_dataset(output_path, encoded, space, metadata)
+    _write_dataset(output_path, encoded, space, metadata, overwrite)
     return metadata
 
 
@@ -287,6 +287,7 @@ def _write_dataset(
     encoded: dict[str, list[EncodedRun]],
     space: subspace.Subspace,
     metadata: dict[str, Any],
+    overwrite: bool,
 ) -> None:
     """Writes all files beside the output, the manifest last, and then gives the folder its name."""
 
@@ -300,7 +301,7 @@ def _write_dataset(
             listed[os.path.basename(path)] = {'records': records}
         files.write_manifest(folder, listed)
 
-    files.write_folder_atomically(output_path, fill)
+    files.write_folder_atomically(output_path, fill, replace=overwrite)
 
 
 def progress_bar(sequence, label: str):

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 MANIFEST_NAME = 'manifest.json'
-# A raw run of 321 frames x 5000 particles is 19 MB; one member of a file we read is never near
-# this.
-MAX_MEMBER_BYTES = 2**30
+# A raw run of 321 frames x 5000 particles is 19 MB; a file we read is never near this.
+MAX_BYTES = 2**30
 _LFS_PREFIX = b'version https://git-lfs'
 
 
@@ -53,16 +52,18 @@ def write_atomically(path: str, write: Callable[[str], None]) -> None:
     _sync_folder(folder)
 
 
-def write_folder_atomically(path: str, fill: Callable[[str], None]) -> None:
+def write_folder_atomically(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
     """Fills a folder under a temporary name and moves it into place only when it is complete.
 
     Args:
-        path: final name; a folder of that name is replaced, so ask before.
+        path: final name.
         fill: called with the temporary folder, which lies beside `path`.
+        replace: whether a folder of that name is replaced, so ask before; else it must be empty or
+            absent, also by the time that the new one is complete.
 
     Raises:
-        OSError: a file could not be written; nothing is left under a new name, an older folder
-            stays.
+        OSError: a file could not be written, or another writer was faster; nothing is left under a
+            new name, an older folder stays.
     """
     path = os.path.abspath(path)
     parent, name = os.path.split(path)
@@ -73,9 +74,9 @@ def write_folder_atomically(path: str, fill: Callable[[str], None]) -> None:
     try:
         os.mkdir(temporary)
         fill(temporary)
-        if os.path.exists(path):
+        if replace and os.path.exists(path):
             os.rename(path, old)
-        os.rename(temporary, path)
+        os.rename(temporary, path)  # refuses to replace a folder that is not empty
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         if os.path.exists(old) and not os.path.exists(path):
@@ -153,66 +154,97 @@ def write_npz(path: str, **arrays: Any) -> None:
     write_atomically(path, write)
 
 
-def read_npz(path: str, max_member_bytes: int = MAX_MEMBER_BYTES) -> dict[str, np.ndarray]:
+def read_npz(path: str, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
     """Reads all arrays of a `.npz` file, without pickles and never more than the headers promise.
 
     Args:
         path: the file.
-        max_member_bytes: an array that unpacks to more than this is refused before it is unpacked.
+        max_bytes: a file whose arrays together unpack to more than this is refused before it is
+            unpacked.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, a member
-            larger than the limit, or a member whose header disagrees with its size.
+        ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, more bytes
+            than the limit, or a member whose header disagrees with its size.
     """
     refuse_git_lfs_pointer(path)
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     try:
         with zipfile.ZipFile(path) as archive:
-            for member in archive.infolist():
-                if not member.filename.endswith('.npy'):
-                    raise ValueError(f'{path}: member {member.filename!r} is not a numpy array')
-                if member.file_size > max_member_bytes:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if total > max_bytes:
+                raise ValueError(f'unpacks to {total} bytes, more than the limit of {max_bytes}')
+            for member in members:
+                name, ending = os.path.splitext(member.filename)
+                if ending != '.npy' or name in arrays:
                     raise ValueError(
-                        f'{path}: member {member.filename!r} unpacks to {member.file_size} bytes, '
-                        f'more than the limit of {max_member_bytes}'
+                        f'member {member.filename!r} is not a numpy array or comes twice'
                     )
-                arrays[member.filename[: -len('.npy')]] = _read_member(path, archive, member)
-    except zipfile.BadZipFile as error:
+                # What numpy writes; others may ask for more memory than the file has bytes.
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError(f'member {member.filename!r} is packed in an unknown way')
+                with archive.open(member) as file:
+                    arrays[name] = _read_array(file, member.file_size, max_bytes)
+    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
         raise ValueError(
-            f'{path}: is not a complete .npz file ({error}); copy or make it again'
+            f'{path}: is not a complete .npz file of plain arrays ({_reason(error)}); copy or make '
+            'it again'
         ) from error
-    except (zipfile.LargeZipFile, EOFError, OSError, NotImplementedError) as error:
-        raise ValueError(f'{path}: cannot be read as .npz: {error}') from error
-    except Exception as error:
-        if type(error).__module__ == 'zlib':
-            raise ValueError(f'{path}: is damaged ({error}); copy or make it again') from error
-        raise
     return arrays
 
 
-def _read_member(path: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """Reads one array after holding its header (shape x item size) against the member's size."""
-    with archive.open(member) as file:
-        try:
-            version = np.lib.format.read_magic(file)
-            reader = {(1, 0): np.lib.format.read_array_header_1_0}.get(
-                version, np.lib.format.read_array_header_2_0
-            )
-            shape, _, dtype = reader(file)
-        except ValueError as error:
-            raise ValueError(f'{path}: member {member.filename!r}: {error}') from error
-        promised = math.prod(shape) * dtype.itemsize
-        held = member.file_size - file.tell()
+def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
+    """Reads a `.npy` file, without pickles and never more than the file holds.
+
+    Args:
+        path: the file.
+        max_bytes: a larger file is refused before it is read.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: git-lfs pointer, foreign or damaged file, an object array, or a header that
+            disagrees with the size.
+    """
+    refuse_git_lfs_pointer(path)
+    size = os.path.getsize(path)
+    try:
+        if size > max_bytes:
+            raise ValueError(f'has {size} bytes, more than the limit of {max_bytes}')
+        with open(path, 'rb') as file:
+            return _read_array(file, size, max_bytes)
+    except Exception as error:  # as in read_npz
+        raise ValueError(f'{path}: is not a plain .npy array ({_reason(error)})') from error
+
+
+def _reason(error: Exception) -> str:
+    text = str(error)
+    return text if text and isinstance(error, ValueError) else f'{type(error).__name__}: {text}'
+
+
+def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
+    """Reads one array after holding its header (shape x item size) against its `size` in bytes."""
+    version = np.lib.format.read_magic(file)
+    readers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    if version not in readers:
+        raise ValueError(f'.npy format {version} is not read')
+    shape, fortran_order, dtype = readers[version](file)
     if dtype.hasobject:
-        raise ValueError(f'{path}: member {member.filename!r} holds Python objects and is not read')
-    if promised != held:
+        raise ValueError('it holds Python objects, which are not read')
+    promised, held = math.prod(shape) * dtype.itemsize, size - file.tell()
+    if min(shape, default=1) < 0 or not dtype.itemsize or promised != held:
         raise ValueError(
-            f'{path}: member {member.filename!r} says {shape} x {dtype} = {promised} bytes '
-            f'but holds {held}'
+            f'its header says {shape} x {dtype} = {promised} bytes but it holds {held}'
         )
-    with archive.open(member) as file:
-        return np.lib.format.read_array(file, allow_pickle=False)
+    if held > max_bytes:
+        raise ValueError(f'its header says {held} bytes, more than the limit of {max_bytes}')
+    data = file.read(held + 1)  # one more, for the end: an archive checks its checksum there
+    if len(data) != held:
+        raise ValueError(f'it holds {len(data)} bytes, {held} were expected')
+    return np.ndarray(shape, dtype, bytearray(data), order='F' if fortran_order else 'C')
 
 
 def refuse_git_lfs_pointer(path: str) -> None:
