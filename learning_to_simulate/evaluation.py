@@ -13,6 +13,7 @@ from learning_to_simulate import metrics
 from learning_to_simulate.checkpoints import Model
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out
+from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import files
 
 
@@ -84,13 +85,23 @@ class Evaluator:
                 )
                 rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
             methods['model'][-1] |= {
-                'status': str(rollout.status[0]),
-                'first_bad_frame': int(rollout.first_bad_frame[0]),
+                **_status_fields(rollout),
                 'edges': len(self._model.layout(group.n_rigid).senders),
                 'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
                 'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
             }
         return _summary(methods, floors, scene)
+
+
+def _status_fields(rollout):
+    """The judgement of a one-run rollout as it stands in metrics.json and in rollout files."""
+    status, frame, node, reason = rollout.judgements[0]
+    return {
+        'status': str(status),
+        'first_bad_frame': frame,
+        'first_bad_node': node,
+        'status_reason': reason,
+    }
 
 
 def _summary(methods, floors, scene):
@@ -140,6 +151,7 @@ def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict)
             'particle_types': group.all_particle_types(),
             'metadata': np.array(json.dumps(metadata)),
         }
+        arrays |= {key: np.array(value) for key, value in _status_fields(rollout).items()}
         if group.context is not None:
             arrays['global_context'] = group.context.astype(np.float32)
         if rollout.force is not None:
@@ -181,4 +193,11 @@ def table(summary: dict) -> str:
             f'to the soil MSE'
         )
     lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')
+    for row in summary['runs']['model']:
+        if row['status'] != RolloutStatus.OK:
+            where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
+            lines.append(
+                f'warning: record {row["record"]} is {row["status"]} {where}: '
+                f'{row["status_reason"]}'
+            )
     return '\n'.join(lines)

@@ -35,6 +35,11 @@ def _digests(folder):
     return {n: files.sha256_of_file(os.path.join(folder, n)) for n in names}
 
 
+def _subspace_digest(metadata):
+    """Which modes the records are scores of; None for folders that do not state it."""
+    return metadata.get('pca', {}).get('digest')
+
+
 def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkpoints.Model:
     """A fresh model for the training runs of a dataset, its variables created.
 
@@ -156,7 +161,11 @@ def train(
         else []
     )
     model = make_model(data_path, metadata, groups, config, rigid_motion)
-    data = {'path': os.path.abspath(data_path), 'sha256': _digests(data_path)}
+    data = {
+        'path': os.path.abspath(data_path),
+        'sha256': _digests(data_path),
+        'subspace': _subspace_digest(metadata),
+    }
     trainer = Trainer(model, groups)
     with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
         _open_model_path(model_path, model, groups[0].n_rigid, data)
@@ -270,6 +279,16 @@ def load_for_evaluation(model_path, data_path, split, overrides):
         raise ValueError(
             f'{data_path} has {metadata["mode_number"]} modes, the model in {model_path} was '
             f'trained on {scene.n_modes}'
+        )
+    digests = (
+        checkpoints.read_config(model_path)['data'].get('subspace'),
+        _subspace_digest(metadata),
+    )
+    if None not in digests and digests[0] != digests[1]:
+        raise ValueError(
+            f'{data_path} is in the subspace {digests[1][:12]}..., the model in {model_path} was '
+            f'trained on the modes of {digests[0][:12]}...: convert the runs with --like, or train '
+            f'again'
         )
     for key, wanted in (
         ('rigid_body_force_mean', scene.has_force),

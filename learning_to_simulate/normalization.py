@@ -41,6 +41,12 @@ class Statistics:
         where the motion is driven.
       body_speed: [1] mean RMS displacement of the rigid particles, m/frame; only where it scales
         the rate.
+      position_range: [2, 1 + r, D] lowest and highest position, m.
+      given_range: [2, D] lowest and highest given coordinate of the rigid particles, m (see
+        `given_body`); None, as the next two, where no motion is given.
+      body_extent_range: [2, D] of the extent of the given body in a frame, m.
+      body_speed_range: [2, 1] of the given body's RMS displacement, m/frame.
+      context_range: [2, C]; None without a context.
     """
 
     origin: np.ndarray
@@ -56,6 +62,11 @@ class Statistics:
     height_std: np.ndarray | None
     height_velocity_std: np.ndarray | None
     body_speed: np.ndarray | None
+    position_range: np.ndarray
+    given_range: np.ndarray | None
+    body_extent_range: np.ndarray | None
+    body_speed_range: np.ndarray | None
+    context_range: np.ndarray | None
     force_mean: np.ndarray | None
     force_std: np.ndarray | None
     context_mean: np.ndarray | None
@@ -150,7 +161,58 @@ def compute_statistics(
         if config.conditioned
         else _dataset_wide(metadata, scene, config, origin)
     )
-    return Statistics(**values, **_targets(values, heights, scene, config))
+    ranges = training_ranges(positions, contexts, scene)
+    return Statistics(**values, **_targets(values, heights, scene, config), **ranges)
+
+
+def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray | None]:
+    """The ranges of `Statistics`: what the training runs covered, whatever the model is.
+
+    Args:
+      positions: list of float64 [S, T, V, D].
+      contexts: list of [S, C] or [S, T, C], or None.
+      scene: says what of the body's motion is given.
+    """
+    ranges: dict = dict.fromkeys(
+        ('given_range', 'body_extent_range', 'body_speed_range', 'context_range')
+    )
+    ranges['position_range'] = np.stack(
+        [[f(s, axis=0) for s in _by_class(positions, scene.n_modes)] for f in (np.min, np.max)]
+    )
+    bodies = [given_body(p, scene) for p in positions]
+    if bodies[0] is not None:
+        extents, speeds = zip(*map(body_measures, bodies))
+        ranges['given_range'] = _range(bodies)
+        ranges['body_extent_range'] = _range(extents)
+        ranges['body_speed_range'] = _range(speeds)
+    if scene.context_names:
+        ranges['context_range'] = _range(contexts)
+    return ranges
+
+
+def _range(arrays):
+    """[2, F] least and greatest of arrays [..., F]."""
+    flat = np.concatenate([a.reshape(-1, a.shape[-1]) for a in arrays])
+    return np.stack([flat.min(axis=0), flat.max(axis=0)])
+
+
+def given_body(positions, scene: Scene):
+    """The given part of the rigid particles' positions [S, T, R, D], or None where none is given.
+
+    Where the motion is driven the height is not given: the up component then holds the shape only.
+    """
+    if not scene.rigid_motion.is_known:
+        return None
+    body = positions[:, :, : -scene.n_modes]
+    if scene.rigid_motion == RigidMotion.DRIVEN:
+        body = body - body.mean(axis=2, keepdims=True) * np.eye(body.shape[-1])[scene.up_axis]
+    return body
+
+
+def body_measures(body):
+    """Extent [S, T, D] and RMS displacement [S, T - 1, 1] of given bodies [S, T, R, D]."""
+    speed = np.sqrt((np.diff(body, axis=1) ** 2).sum(axis=-1).mean(axis=-1))
+    return np.ptp(body, axis=2), speed[..., None]
 
 
 def _body_speed(velocities, n_modes):

@@ -1,6 +1,5 @@
 """Whole rollouts in one compiled loop."""
 
-import enum
 import time
 from typing import NamedTuple
 
@@ -16,14 +15,8 @@ from learning_to_simulate.learned_simulator import (
     known_motion,
 )
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
 from learning_to_simulate.scene import RigidMotion
-
-
-class RolloutStatus(enum.StrEnum):
-    """How a rollout ended."""
-
-    OK = 'ok'
-    NON_FINITE = 'non_finite'
 
 
 class Rollout(NamedTuple):
@@ -32,16 +25,19 @@ class Rollout(NamedTuple):
     Attributes:
       position: float64 [S, T - H, V, D], m.
       force: float32 [S, T - H, D], N, or None.
-      status: `RolloutStatus` per run.
-      first_bad_frame: int [S], index of the first frame that is not finite, -1 if all are.
+      judgements: per run, its `RolloutStatus` and where that begins.
       seconds: wall time of the compiled loop (after compilation), materialised results included.
     """
 
     position: np.ndarray
     force: np.ndarray | None
-    status: list[RolloutStatus]
-    first_bad_frame: np.ndarray
+    judgements: list[Judgement]
     seconds: float
+
+    @property
+    def status(self) -> list[RolloutStatus]:
+        """The status of each run."""
+        return [judgement.status for judgement in self.judgements]
 
 
 def rigid_correction(shape, position):
@@ -181,11 +177,6 @@ def roll_out(function: RolloutFunction, group) -> Rollout:
     seconds = time.perf_counter() - start
     position = np.moveaxis(offsets, 0, 1).astype(np.float64) + layout.origin
     force = None if forces is None else np.moveaxis(forces.numpy(), 0, 1)
-    bad = ~np.isfinite(position).all(axis=(2, 3))
-    if force is not None:
-        bad |= ~np.isfinite(force).all(axis=2)
-    first = np.where(bad.any(axis=1), bad.argmax(axis=1), -1)
-    status = [RolloutStatus.OK if f < 0 else RolloutStatus.NON_FINITE for f in first]
-    return Rollout(
-        position, force, status, np.where(first < 0, -1, first + INPUT_SEQUENCE_LENGTH), seconds
-    )
+    simulator = function.simulator
+    judgements = judge(group, position, force, simulator.statistics, simulator.scene)
+    return Rollout(position, force, judgements, seconds)

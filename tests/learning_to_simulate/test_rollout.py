@@ -82,4 +82,4 @@ def test_blow_up_is_reported_with_its_first_frame(tmp_path):
             v.assign(v + 1e38)
     result = rollout.roll_out(rollout.RolloutFunction(model.simulator, model.layout(4)), group)
     assert set(result.status) == {rollout.RolloutStatus.NON_FINITE}
-    assert (result.first_bad_frame >= 6).all()
+    assert all(judgement.frame >= 6 for judgement in result.judgements)
