@@ -50,7 +50,7 @@ class _Block(snt.Module):
         for size, axis in ((n_channel, 'space'), (n_frame, 'time')):
             self._parts.append(
                 (
-                    snt.LayerNorm(axis=-1, create_scale=True, create_offset=True),
+                    snt.LayerNorm(-1, create_scale=True, create_offset=True, name=f'norm_{axis}'),
                     snt.nets.MLP(
                         [n_channel] * hidden_layers + [size], activation=tf.nn.gelu, name=axis
                     ),
