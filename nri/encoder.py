@@ -68,9 +68,9 @@ class CnnEncoder(snt.Module):
         self._width = width
         self._receiver = snt.Conv1D(width, 5, padding='VALID', name='receiver')
         self._sender = snt.Conv1D(width, 5, padding='VALID', with_bias=False, name='sender')
-        self._norm = batch_norm()
+        self._norm = batch_norm('first_norm')
         self._second = snt.Conv1D(width, 5, padding='VALID', name='second')
-        self._second_norm = batch_norm()
+        self._second_norm = batch_norm('second_norm')
         self._value = snt.Linear(width, name='value')
         self._attention = snt.Linear(1, name='attention')
         self._of_pair = Mlp(width, name='of_pair')

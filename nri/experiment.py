@@ -8,14 +8,20 @@ import tensorflow as tf
 import tqdm
 
 from nri import data as nri_data
-from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriConfig, NriModel, load_model
+from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriConfig, NriModel
 from nri.training import Trainer
-from pca_tools import files
+from pca_tools import files, folder_lock
 
 HISTORY_FILE, METRICS_FILE = 'history.json', 'metrics.json'
 
 
-def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float | None = None):
+def train(
+    data_path: str,
+    model_path: str,
+    config: NriConfig,
+    max_seconds: float | None = None,
+    take_over_lock: bool = False,
+) -> dict:
     """Trains to the last epoch, or resumes; the weights of the best validation loss are kept.
 
     Args:
@@ -24,6 +30,7 @@ def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float
         epoch), metrics.json (of the kept weights on the test split), ckpt-* and TensorBoard events.
       config: the settings.
       max_seconds: stop after the epoch in which training has taken this long, in all; or None.
+      take_over_lock: whether a lock that a process of another machine left may be taken.
 
     Returns:
       what metrics.json holds.
@@ -37,7 +44,15 @@ def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float
     offset, scale = nri_data.normalization(splits['train'])
     model = NriModel(config, splits['train'].node_names, offset, scale, splits['train'].digest)
     trainer = Trainer(model, splits['train'])
-    _open_folder(model_path, model)
+    with folder_lock.locked(model_path, take_over_lock):
+        _open_folder(model_path, model)
+        history = _run(trainer, splits['valid'], model_path, max_seconds)
+        return _summary(model_path, trainer, splits['test'], history)
+
+
+def _run(trainer, valid, model_path, max_seconds):
+    """Trains from the newest checkpoint on; returns the history."""
+    model, config = trainer.model, trainer.config
     step = tf.Variable(0, dtype=tf.int64)
     checkpoint = tf.train.Checkpoint(model=model, optimizer=trainer.optimizer, step=step)
     manager = tf.train.CheckpointManager(checkpoint, model_path, max_to_keep=2)
@@ -48,7 +63,7 @@ def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float
         history = files.read_json(os.path.join(model_path, HISTORY_FILE))[:done]
         print(f'resumed {model_path} after epoch {done}')
     print(
-        f'{data_path}: {trainer.n_run} runs of {len(model.node_names)} nodes, '
+        f'{model_path}: {trainer.n_sample} windows of {len(model.node_names)} nodes, '
         f'{sum(int(np.prod(v.shape)) for v in model.trainable_variables)} weights, '
         f'{config.epochs} epochs of {trainer.steps_per_epoch} steps'
     )
@@ -62,7 +77,7 @@ def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float
         while len(history) < config.epochs:
             if max_seconds and history and history[-1]['seconds'] >= max_seconds:
                 break
-            row = _epoch(trainer, splits['valid'], history, bar)
+            row = _epoch(trainer, valid, history, bar)
             is_best = row['loss'] <= min((r['loss'] for r in history), default=np.inf)
             history.append(row)
             if is_best:
@@ -71,15 +86,14 @@ def train(data_path: str, model_path: str, config: NriConfig, max_seconds: float
             step.assign(len(history) * trainer.steps_per_epoch)
             manager.save(checkpoint_number=len(history))
             _log(row, bar)
-    return _summary(model_path, splits['test'], history)
+    return history
 
 
 def _open_folder(path, model):
     """Claims a model folder; refuses one with something else in it."""
-    os.makedirs(path, exist_ok=True)
     name = os.path.join(path, CONFIG_FILE)
     if not os.path.exists(name):
-        if strangers := os.listdir(path):
+        if strangers := set(os.listdir(path)) - {folder_lock.LOCK_NAME}:
             raise ValueError(
                 f'{path}: not empty and no model folder (holds {sorted(strangers)[:3]}); nothing '
                 f'was written'
@@ -148,18 +162,18 @@ def _log(row, bar):
     bar.write(text)
 
 
-def _summary(model_path, test, history):
+def _summary(model_path, trainer, test, history):
     """Measures the kept weights on the test split, writes and prints the result."""
     best = min(history, key=lambda row: row['loss'])
-    model = load_model(model_path)
-    measured = Trainer(model, test).evaluate(test)
+    trainer.model.load_weights(model_path)
+    measured = trainer.evaluate(test)
     result = {
         'epochs': len(history),
         'best_epoch': best['epoch'],
         'seconds': history[-1]['seconds'],
         'epoch_seconds': float(np.median([row['epoch_seconds'] for row in history])),
         'test': measured,
-        'weights': model.digest,
+        'weights': trainer.model.digest,
     }
     files.write_json(os.path.join(model_path, METRICS_FILE), result)
     print(

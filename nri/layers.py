@@ -6,9 +6,9 @@ import tensorflow as tf
 from nri import pairs
 
 
-def batch_norm():
+def batch_norm(name='batch_norm'):
     """Batch statistics in training, their running averages otherwise."""
-    return snt.BatchNorm(create_scale=True, create_offset=True, decay_rate=0.99)
+    return snt.BatchNorm(create_scale=True, create_offset=True, decay_rate=0.99, name=name)
 
 
 class AfterFirst(snt.Module):

@@ -260,6 +260,29 @@ class NriModel(snt.Module):
         files.write_npz(os.path.join(path, WEIGHTS_FILE), **weights)
         self.digest = files.sha256_of_file(os.path.join(path, WEIGHTS_FILE))
 
+    def load_weights(self, path: str) -> None:
+        """Reads weights.npz of a folder.
+
+        Raises:
+          ValueError: weights of another model, or that are not finite.
+        """
+        name = os.path.join(path, WEIGHTS_FILE)
+        stored, variables = files.read_npz(name), self._weights()
+        wanted = {n: tuple(v.shape) for n, v in variables.items()}
+        found = {n: w.shape for n, w in stored.items()}
+        if wanted != found:
+            differing = sorted(
+                n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n)
+            )
+            raise ValueError(
+                f'{name}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
+            )
+        if bad := [n for n in stored if not np.isfinite(stored[n]).all()]:
+            raise ValueError(f'{name}: weights are not finite: {bad[:3]}')
+        for key, variable in variables.items():
+            variable.assign(stored[key])
+        self.digest = files.sha256_of_file(name)
+
     def _weights(self):
         """Variables by names that do not change between processes."""
         variables = enumerate(self.variables)
@@ -306,17 +329,5 @@ def load_model(path: str) -> NriModel:
         )
     except (KeyError, TypeError) as error:
         raise ValueError(f'{names[0]}: a field is missing or unknown ({error})') from error
-    stored, variables = files.read_npz(names[1]), model._weights()
-    wanted = {n: tuple(v.shape) for n, v in variables.items()}
-    found = {n: w.shape for n, w in stored.items()}
-    if wanted != found:
-        differing = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
-        raise ValueError(
-            f'{names[1]}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
-        )
-    for name, variable in variables.items():
-        if not np.isfinite(stored[name]).all():
-            raise ValueError(f'{names[1]}: {name} is not finite')
-        variable.assign(stored[name])
-    model.digest = files.sha256_of_file(names[1])
+    model.load_weights(path)
     return model

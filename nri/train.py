@@ -42,6 +42,9 @@ def define_flags():
     flags.DEFINE_string('data_path', None, 'Dataset folder or folder of .npy files.', required=True)
     flags.DEFINE_string('model_path', None, 'Model folder; training resumes.', required=True)
     flags.DEFINE_float('max_minutes', None, 'Stop after the epoch in which this much is over.')
+    flags.DEFINE_bool(
+        'take_over_lock', False, 'Train in a folder that a dead process of another machine locked.'
+    )
     for field in dataclasses.fields(NriConfig):
         if field.name == 'nodes':
             flags.DEFINE_enum('nodes', field.default, data.NODE_KINDS, 'Nodes of a dataset.')
@@ -60,7 +63,11 @@ def main(argv):
     try:
         config = NriConfig(**{name: given[name].value for name in fields})
         experiment.train(
-            given.data_path, given.model_path, config, None if minutes is None else 60.0 * minutes
+            given.data_path,
+            given.model_path,
+            config,
+            None if minutes is None else 60.0 * minutes,
+            given.take_over_lock,
         )
     except (ValueError, OSError, tf.errors.OpError) as error:
         sys.exit(f'error: {error}')

@@ -12,7 +12,7 @@ from nri.data import NriData
 from nri.model import NriModel
 
 # Independent random streams of one (seed, step).
-_TRAIN_STREAM, _WINDOW_STREAM, _VALID_STREAM = 1, 2, 3
+_TRAIN_STREAM, _VALID_STREAM = 1, 2
 _VALID_BATCH = 500
 
 
@@ -36,6 +36,8 @@ class LateDecay(tf.keras.optimizers.schedules.LearningRateSchedule):
 class Trainer:
     """Holds data, optimiser and the compiled step.
 
+    Every window of every run is a sample; an epoch is all of them once, in random order.
+
     Args:
       model: `NriModel`.
       train: training split; with edges if the model is supervised.
@@ -49,16 +51,20 @@ class Trainer:
         model.check_features(train.features)
         if self.config.supervised and train.edges is None:
             raise ValueError(f'{train.source}: has no true edges, so training cannot be supervised')
-        self.n_run = len(train.features)
-        self.batch_size = min(self.config.batch_size, self.n_run)
-        self.steps_per_epoch = self.n_run // self.batch_size
+        n_run, n_node, n_frame, n_feature = train.features.shape
+        self._n_start = n_frame - self.config.span + 1
+        self.n_sample = n_run * self._n_start
+        self.batch_size = min(self.config.batch_size, self.n_sample)
+        self.steps_per_epoch = self.n_sample // self.batch_size
         self.learning_rate = LateDecay(self.config, self.steps_per_epoch)
         self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=1.0)
         variables = list(model.trainable_variables)
         if self.config.supervised:
             variables = list(model.encode.trainable_variables)
         self.optimizer.build(variables)
-        self._features = tf.constant(train.features)
+        by_time = train.features.transpose(0, 2, 1, 3)
+        self._frames = tf.constant(by_time.reshape(n_run * n_frame, n_node, n_feature))
+        self._n_frame = n_frame
         self._edges = None if train.edges is None else tf.constant(train.edges)
         self._order = (-1, None)
         self._step = self._compile(variables)
@@ -74,28 +80,22 @@ class Trainer:
         epoch, place = divmod(step, self.steps_per_epoch)
         if self._order[0] != epoch:
             seed = np.random.SeedSequence([self.config.seed, epoch])
-            order = np.random.Generator(np.random.Philox(seed)).permutation(self.n_run)
+            order = np.random.Generator(np.random.Philox(seed)).permutation(self.n_sample)
             self._order = (epoch, order.astype(np.int32))
         first = place * self.batch_size
-        runs = self._order[1][first : first + self.batch_size]
-        return self._step(tf.constant(runs), tf.constant(step, tf.int32))
+        samples = self._order[1][first : first + self.batch_size]
+        return self._step(tf.constant(samples), tf.constant(step, tf.int32))
 
     def _compile(self, variables):
         config, model = self.config, self.model
-        n_frame = self._features.shape[2]
+        offsets = tf.range(config.window) * config.stride
 
         @tf.function(jit_compile=True)
-        def train_step(runs, step):
-            features = tf.gather(self._features, runs)
-            if n_frame > config.span:
-                seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
-                start = tf.random.stateless_uniform(
-                    [], seed, maxval=n_frame - config.span + 1, dtype=tf.int32
-                )
-                size = [*features.shape[:2], config.span, features.shape[3]]
-                features = tf.slice(features, [0, 0, start, 0], size)
-            features = features[:, :, :: config.stride][:, :, : config.window]
-            edges = None if self._edges is None else tf.gather(self._edges, runs)
+        def train_step(samples, step):
+            run, start = samples // self._n_start, samples % self._n_start
+            frames = tf.gather(self._frames, (run * self._n_frame + start)[:, None] + offsets)
+            features = tf.transpose(frames, [0, 2, 1, 3])
+            edges = None if self._edges is None else tf.gather(self._edges, run)
             with tf.GradientTape() as tape:
                 values = model.losses(
                     features, tf.stack([config.seed * 8 + _TRAIN_STREAM, step]), edges, True

@@ -1,0 +1,144 @@
+"""One loader for our datasets and Kipf's files; foreign files get a clear message."""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+import pytest
+
+from nri import data
+from pca_tools import dataset
+from tests.learning_to_simulate import synthetic
+from tests.nri import small
+
+
+def test_kipfs_order_of_axes_and_pairs(tmp_path):
+    small.write_springs(tmp_path)
+    held = data.load(str(tmp_path), 'valid')
+    loc, vel, edges = (
+        np.load(tmp_path / f'{name}_valid_springs3.npy') for name in ('loc', 'vel', 'edges')
+    )
+    assert held.features.shape == (16, 3, 15, 4) and held.features.dtype == np.float32
+    for s, v, t in ((0, 0, 0), (3, 2, 7), (15, 1, 14)):
+        np.testing.assert_array_equal(held.features[s, v, t, :2], loc[s, t, :, v])
+        np.testing.assert_array_equal(held.features[s, v, t, 2:], vel[s, t, :, v])
+    for s in range(16):
+        pairs = [edges[s, i, j] for i in range(3) for j in range(3) if i != j]
+        np.testing.assert_array_equal(held.edges[s], pairs)
+
+
+def test_charges_become_types():
+    relations = np.array([[[1.0, -1.0], [-1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]]])
+    np.testing.assert_array_equal(data.edge_types(relations), [[0, 0], [1, 1]])
+    with pytest.raises(ValueError, match='from 0.5 to 0.5'):
+        data.edge_types(np.full((1, 2, 2), 0.5))
+
+
+def test_normalised_kipf_data_fill_minus_one_to_one(tmp_path):
+    held = data.load(small.write_springs(tmp_path), 'train')
+    offset, scale = data.normalization(held)
+    assert offset.shape == (1, 4)
+    normal = (held.features - offset[:, None]) / scale[:, None]
+    for group in ([0, 1], [2, 3]):
+        assert normal[..., group].min() == pytest.approx(-1, abs=1e-6)
+        assert normal[..., group].max() == pytest.approx(1, abs=1e-6)
+
+
+def test_modes_of_a_dataset(tmp_path):
+    folder = synthetic.write_dataset(tmp_path)
+    held = data.load(folder, 'train')
+    runs = dataset.read_split(folder, 'train')
+    assert held.node_names == ('mode_0', 'mode_1', 'mode_2') and held.edges is None
+    assert held.features.shape == (4, 3, synthetic.N_FRAMES - 1, 6)
+    position = runs[2].position.astype(np.float64)
+    np.testing.assert_allclose(held.features[2, 1, 5, :3], position[6, 5], rtol=1e-7)
+    np.testing.assert_allclose(
+        held.features[2, 1, 5, 3:], position[6, 5] - position[5, 5], rtol=1e-6
+    )
+    offset, scale = data.normalization(held)
+    assert offset.shape == (3, 6)
+    normal = (held.features - offset[:, None]) / scale[:, None]
+    assert np.abs(normal).max() <= 1 + 1e-5
+    # Every node fills its own range; an axis that hardly moves is not blown up to it.
+    assert np.abs(normal[..., :3]).max(axis=(0, 2, 3)).min() > 0.9
+    assert np.abs(normal[:, 1, :, 5]).max() < 0.9
+
+
+def test_rigid_nodes_are_the_lowest_of_every_run(tmp_path):
+    folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
+    held = data.load(folder, 'train', 'modes_and_rigid')
+    assert (
+        held.node_names
+        == tuple(f'rigid_{i}' for i in range(4)) + data.load(folder, 'train').node_names
+    )
+    run = dataset.read_split(folder, 'train')[1]
+    lowest = np.sort(run.position[0, :6, 1])[:4]
+    np.testing.assert_allclose(np.sort(run.position[1, :4, 1]), held.features[1, :4, 0, 1])
+    assert run.position[0, :4, 1].max() <= lowest.max()
+
+
+def test_digest_tells_data_apart(tmp_path):
+    one = data.load(small.write_springs(tmp_path / 'a'), 'train')
+    two = data.load(small.write_springs(tmp_path / 'b', n_objects=4), 'train')
+    same = data.load(small.write_springs(tmp_path / 'c'), 'train')
+    assert one.digest == same.digest != two.digest
+    folder = synthetic.write_dataset(tmp_path / 'd')
+    assert data.load(folder, 'train').digest == data.load(folder, 'test').digest
+
+
+def _overwrite(folder, name, array):
+    np.save(f'{folder}/{name}_train_springs3.npy', array)
+
+
+def _write_text(folder, name, text):
+    pathlib.Path(folder, f'{name}.npy').write_text(text)
+
+
+LFS_POINTER = 'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n'
+
+
+@pytest.mark.parametrize(
+    ('damage', 'message'),
+    [
+        (lambda f: _overwrite(f, 'loc', np.zeros((32, 15, 2))), r'has shape \(32, 15, 2\)'),
+        (lambda f: _overwrite(f, 'loc', np.zeros((31, 15, 2, 3))), 'not of the same runs'),
+        (lambda f: _overwrite(f, 'edges', np.zeros((32, 4, 4))), r'\(32, 3, 3\) was expected'),
+        (lambda f: _overwrite(f, 'edges', np.full((32, 3, 3), 7.0)), 'found values from 7 to 7'),
+        (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), np.nan)), 'NaN or infinity'),
+        (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), 'a')), 'array of numbers'),
+        (lambda f: _overwrite(f, 'vel', np.array([{}], dtype=object)), 'not a plain .npy'),
+        (lambda f: _write_text(f, 'vel_train_springs3', 'x'), 'vel_train'),
+        (lambda f: _write_text(f, 'vel_train_springs3', LFS_POINTER), 'git-lfs'),
+        (lambda f: _write_text(f, 'loc_train_charged3', 'x'), 'one system per folder'),
+    ],
+)
+def test_damaged_and_foreign_files_are_named(tmp_path, damage, message):
+    folder = small.write_springs(tmp_path)
+    damage(folder)
+    with pytest.raises(ValueError, match=message) as error:
+        data.load(folder, 'train')
+    assert str(tmp_path) in str(error.value)
+
+
+def test_missing_files_and_wrong_names(tmp_path):
+    folder = small.write_springs(tmp_path / 'a')
+    (tmp_path / 'a' / 'edges_train_springs3.npy').unlink()
+    with pytest.raises(FileNotFoundError, match='edges_train_springs3.npy'):
+        data.load(folder, 'train')
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(FileNotFoundError, match='neither metadata.json'):
+        data.load(str(tmp_path / 'empty'), 'train')
+    with pytest.raises(FileNotFoundError, match='no such folder'):
+        data.load(str(tmp_path / 'none'), 'train')
+    with pytest.raises(ValueError, match="split 'tests'"):
+        data.load(folder, 'tests')
+    with pytest.raises(ValueError, match="nodes 'all'"):
+        data.load(folder, 'valid', 'all')
+
+
+def test_still_features_keep_scale_one():
+    held = small.springs(n_run=4)
+    still = dataclasses.replace(held, features=np.full_like(held.features, 3.0))
+    offset, scale = data.normalization(still)
+    np.testing.assert_array_equal(scale, 1.0)
+    np.testing.assert_array_equal(offset, 3.0)

@@ -1,0 +1,134 @@
+"""Config, probabilities, and models on disk."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from nri.model import NriConfig, load_model
+from pca_tools import files
+from tests.nri import small
+
+
+@pytest.mark.parametrize(
+    ('settings', 'message'),
+    [
+        ({'temperature': 0.0}, 'temperature is 0.0, must be positive'),
+        ({'temperature': 0.01}, 'at least 0.05'),
+        ({'encoder': 'gnn'}, "encoder is 'gnn', not one of"),
+        ({'edge_types': 1}, 'edge_types is 1, must be at least 2'),
+        ({'segment': 49}, 'more than the window of 49'),
+        ({'encoder': 'cnn', 'window': 13}, 'at least 14 frames'),
+        ({'no_edge_prior': 1.0}, 'no_edge_prior'),
+        ({'output_variance': float('nan')}, 'output_variance is nan'),
+    ],
+)
+def test_settings_outside_their_range_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        NriConfig(**settings)
+
+
+@pytest.mark.parametrize('kinds', [('mlp', 'mlp'), ('cnn', 'rnn')])
+def test_a_saved_model_gives_the_same_bits(tmp_path, kinds):
+    held = small.springs(n_run=6)
+    made = small.model(held, encoder=kinds[0], decoder=kinds[1], burn_in=2)
+    made.encode(tf.constant(held.features), is_training=True)  # running averages of their own
+    made.save(str(tmp_path))
+    loaded = load_model(str(tmp_path))
+    assert loaded.config == made.config and loaded.node_names == held.node_names
+    assert loaded.digest == files.sha256_of_file(str(tmp_path / 'weights.npz'))
+    want = made.edge_probabilities(held.features)
+    assert want.shape == (6, 6, 2)
+    np.testing.assert_allclose(want.sum(-1), 1.0, atol=1e-6)
+    np.testing.assert_array_equal(loaded.edge_probabilities(held.features), want)
+    seed = tf.constant([1, 2])
+    for name, value in made.losses(held.features, seed).items():
+        assert float(loaded.losses(held.features, seed)[name]) == float(value)
+
+
+def test_weights_do_not_depend_on_what_was_made_before():
+    held = small.springs(n_run=2)
+    one = small.model(held, seed=3)
+    tf.random.normal([5])
+    two, other = small.model(held, seed=3), small.model(held, seed=4)
+    for a, b in zip(one.variables, two.variables):
+        np.testing.assert_array_equal(a, b)
+    assert any((a != c).numpy().any() for a, c in zip(one.variables, other.variables))
+
+
+def test_long_runs_are_the_mean_over_their_windows():
+    held = small.springs(n_run=3, n_frame=40)
+    made = small.model(held)
+    starts = [0, 12, 25]  # three windows of 15 frames cover 40, the last one ends with the run
+    want = np.mean([made.edge_probabilities(held.features[:, :, s : s + 15]) for s in starts], 0)
+    np.testing.assert_allclose(made.edge_probabilities(held.features), want, atol=1e-6)
+    strided = small.model(held, stride=2)
+    want = np.mean(
+        [strided.window_probabilities(held.features[:, :, s : s + 29 : 2]) for s in (0, 11)], 0
+    )
+    np.testing.assert_allclose(strided.edge_probabilities(held.features), want, atol=1e-6)
+
+
+def test_foreign_features_are_refused():
+    held = small.springs(n_run=2)
+    made = small.model(held)
+    for features, message in (
+        (small.springs(n_run=2, n_objects=4).features, 'has 4 nodes, the model 3'),
+        (held.features[:, :, :14], 'runs have 14 frames'),
+        (held.features[..., :3], r'\(runs, nodes, frames, 4\)'),
+        (held.features[0], 'shape'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            made.edge_probabilities(features)
+
+
+def test_weights_that_are_not_finite_are_not_saved(tmp_path):
+    made = small.model(small.springs(n_run=2))
+    made.save(str(tmp_path))
+    before = (tmp_path / 'weights.npz').read_bytes()
+    made.trainable_variables[0].assign(made.trainable_variables[0] * np.nan)
+    with pytest.raises(ValueError, match='not finite'):
+        made.save(str(tmp_path))
+    assert (tmp_path / 'weights.npz').read_bytes() == before
+
+
+def test_damaged_and_foreign_model_folders_are_refused(tmp_path):
+    made = small.model(small.springs(n_run=2))
+    with pytest.raises(FileNotFoundError, match='config.json'):
+        load_model(str(tmp_path))
+    made.save(str(tmp_path))
+    good = made.to_json()
+
+    def refused(values, message):
+        files.write_json(str(tmp_path / 'config.json'), values)
+        with pytest.raises(ValueError, match=message):
+            load_model(str(tmp_path))
+
+    refused({'schema_version': 1}, 'not the config of an NRI model')
+    refused(good | {'schema_version': 2}, 'schema version 2')
+    refused(good | {'config': good['config'] | {'new': 1}}, 'missing or unknown')
+    refused(good | {'config': good['config'] | {'hidden': 9}}, 'not the weights of config.json')
+    refused(good | {'config': good['config'] | {'temperature': 0}}, 'temperature')
+    files.write_json(str(tmp_path / 'config.json'), good)
+    load_model(str(tmp_path))
+
+
+def test_prior_moves_the_loss_by_its_divergence_only():
+    """The same divergence in training and validation, with any prior."""
+    held = small.springs(n_run=8)
+    plain = small.model(held)
+    sparse = small.model(held, no_edge_prior=0.9)
+    seed = tf.constant([5, 6])
+    for is_training in (True, False):
+        a = plain.losses(held.features, seed, is_training=is_training)
+        b = sparse.losses(held.features, seed, is_training=is_training)
+        assert float(a['nll']) == pytest.approx(float(b['nll']), rel=1e-6)
+        assert float(a['kl']) != float(b['kl']) and min(float(a['kl']), float(b['kl'])) >= 0
+        assert float(a['loss']) == pytest.approx(float(a['nll']) + float(a['kl']), rel=1e-6)
+
+
+def test_config_has_a_value_of_its_type_in_every_field():
+    for field in dataclasses.fields(NriConfig):
+        value = getattr(NriConfig(), field.name)
+        assert value is None or isinstance(value, field.type), field.name
