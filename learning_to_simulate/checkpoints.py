@@ -21,6 +21,7 @@ from learning_to_simulate.learned_simulator import (
     LearnedSimulator,
     SimulatorState,
 )
+from learning_to_simulate.networks import make_simulator
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import Scene
@@ -55,6 +56,7 @@ class Model:
         """
         if n_rigid not in self._layouts:
             s = self.simulator
+            s.check_size(n_rigid)
             adjacency = build(
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
@@ -170,7 +172,7 @@ def load_model(path: str) -> Model:
             None if values[k] is None else np.array(values[k], bool)
             for k in ('mode_mask', 'loaded_mask')
         ]
-        simulator = LearnedSimulator(scene, config, statistics, tuple(values['particle_types']))
+        simulator = make_simulator(scene, config, statistics, tuple(values['particle_types']))
     except (KeyError, TypeError) as error:
         raise ValueError(
             f'{path}/{CONFIG_FILE}: a field is missing or unknown ({error})'

@@ -186,7 +186,7 @@ def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=Non
     """The adjacency for a graph of R rigid particles and r modes.
 
     Args:
-      kind: 'fully_connected', 'algorithm2', or anything else for a loaded mask.
+      kind: 'fully_connected', 'algorithm2', 'none', or anything else for a loaded mask.
       scene: the scene.
       n_rigid: R.
       mode_mask: bool [r, r] for 'algorithm2'.
@@ -198,6 +198,8 @@ def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=Non
     n_node = n_rigid + scene.n_modes
     if kind == 'fully_connected':
         return fully_connected(n_node)
+    if kind == 'none':
+        return Adjacency.from_mask(np.zeros((n_node, n_node), bool))
     if kind == 'algorithm2':
         return algorithm2(scene, n_rigid, mode_mask)
     if len(loaded_mask) == n_node:

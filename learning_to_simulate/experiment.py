@@ -19,7 +19,7 @@ from learning_to_simulate import (
     reading_utils,
     training_state,
 )
-from learning_to_simulate.learned_simulator import LearnedSimulator
+from learning_to_simulate.networks import make_simulator
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.stop_signals import StopSignals
 from learning_to_simulate.training import Trainer
@@ -72,10 +72,10 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     if config.adjacency == 'algorithm2':
         velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
         mode_mask = connectivity_utils.rank_mode_edges(velocities, config.mode_edges)
-    elif config.adjacency != 'fully_connected':
+    elif config.adjacency not in ('fully_connected', 'none'):
         loaded_mask = connectivity_utils.load_mask(config.adjacency)
     types = groups[0].particle_type
-    simulator = LearnedSimulator(scene, config, statistics, (int(types[0]), int(types[-1])))
+    simulator = make_simulator(scene, config, statistics, (int(types[0]), int(types[-1])))
     model = checkpoints.Model(simulator, mode_mask, loaded_mask)
     for group in groups:
         model.layout(group.n_rigid)

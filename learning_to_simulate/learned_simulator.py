@@ -129,16 +129,23 @@ class LearnedSimulator(snt.Module):
         self.particle_types = particle_types
         dim = statistics.origin.shape[1]
         self.dim = dim
+        self._make_network()
+
+    def _make_network(self):
+        config, scene = self.config, self.scene
         self._network = graph_network.EncodeProcessDecode(
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            output_size=dim * (2 if scene.has_force else 1),
+            output_size=self.dim * (2 if scene.has_force else 1),
             mean_aggregation=config.conditioned,
         )
         n_embedding = scene.n_modes + 1 if config.conditioned else NUM_PARTICLE_TYPES
         initial = tf.random.stateless_normal([n_embedding, EMBEDDING_SIZE], [config.seed, 0])
         self._embedding = tf.Variable(initial, name='embedding')
+
+    def check_size(self, n_rigid: int):
+        """Refuses bodies of R particles that the network cannot take; a graph takes any number."""
 
     @property
     def knows_next_frame(self) -> bool:
@@ -166,6 +173,28 @@ class LearnedSimulator(snt.Module):
         Returns:
           nodes [B, V, F], edges [B, E, D + 1].
         """
+        parts = self._state_parts(state, known, layout)
+        classes = layout.node_class
+        if not self.config.conditioned:
+            classes = np.where(classes == 0, *self.particle_types)
+        parts.append(('nodes', tf.gather(self._embedding, classes)[None]))
+        if self.scene.context_names:
+            parts.append(('scene', self._context_features(context)[:, None]))
+        nodes = [self._at_nodes(kind, values, state, layout) for kind, values in parts]
+        ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
+            state.offset, layout.receivers, axis=1
+        )
+        displacement = ends / layout.edge_std + layout.edge_shift
+        # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
+        length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
+        return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
+
+    def _state_parts(self, state, known, layout):
+        """What the networks see of the state, in parts of (kind, [B, n, F]).
+
+        Kinds: 'nodes' (n = V), 'rigid' (n = R, or 1 where all of the body share it), 'scene' (1).
+        The velocities [B, V, velocity_inputs x D], oldest first, are the first part.
+        """
         n_graph = state.offset.shape[0]
 
         def flat(history):
@@ -174,43 +203,30 @@ class LearnedSimulator(snt.Module):
         count = self.config.velocity_inputs
         rate = self.rate(known)
         history = state.velocity[:, :, -count:] / rate[..., None]
-        nodes = [flat((history - layout.velocity_mean[:, None]) / layout.velocity_std[:, None])]
+        velocity = (history - layout.velocity_mean[:, None]) / layout.velocity_std[:, None]
+        parts = [('nodes', flat(velocity))]
         if self.config.conditioned:
-            nodes.append(state.offset / layout.position_std)
+            parts.append(('nodes', state.offset / layout.position_std))
             if count > 1:
                 acceleration = history[:, :, 1:] - history[:, :, :-1]
-                nodes.append(
-                    flat(
-                        (acceleration - layout.acceleration_mean[:, None])
-                        / layout.acceleration_std[:, None]
-                    )
-                )
+                acceleration -= layout.acceleration_mean[:, None]
+                parts.append(('nodes', flat(acceleration / layout.acceleration_std[:, None])))
         if self.rate_scaled:
             # What does depend on the rate (inertia, a body at rest) is left to the network.
-            nodes.append(tf.tile(tf.concat([tf.math.log(rate), rate], -1), [1, layout.n_node, 1]))
+            parts.append(('scene', tf.concat([tf.math.log(rate), rate], -1)))
         if self.knows_next_frame:
-            to_come = (
-                known.velocity / rate - layout.velocity_mean[: layout.n_rigid]
-            ) / layout.velocity_std[: layout.n_rigid]
-            nodes.append(self._of_rigid(to_come, layout))
+            to_come = known.velocity / rate - layout.velocity_mean[: layout.n_rigid]
+            parts.append(('rigid', to_come / layout.velocity_std[: layout.n_rigid]))
         if self.scene.rigid_motion == RigidMotion.DRIVEN and self.config.conditioned:
-            nodes.append(self._of_rigid(self._height_features(state, layout), layout))
-        if self.config.conditioned:
-            embedding = tf.gather(self._embedding, layout.node_class)
-        else:
-            types = np.where(layout.node_class == 0, *self.particle_types)
-            embedding = tf.gather(self._embedding, types)
-        nodes.append(tf.tile(embedding[None], [n_graph, 1, 1]))
-        if self.scene.context_names:
-            values = self._context_features(context)
-            nodes.append(tf.tile(values[:, None], [1, layout.n_node, 1]))
-        ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
-            state.offset, layout.receivers, axis=1
-        )
-        displacement = ends / layout.edge_std + layout.edge_shift
-        # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
-        length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
-        return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
+            parts.append(('rigid', self._height_features(state, layout)))
+        return parts
+
+    def _at_nodes(self, kind, values, state, layout):
+        """A part of the features at every node [B, V, F]; what the rigid particles alone have is
+        zero at the modes."""
+        n = layout.n_rigid if kind == 'rigid' else layout.n_node
+        values = tf.broadcast_to(values, [state.offset.shape[0], n, values.shape[-1]])
+        return tf.pad(values, [[0, 0], [0, layout.n_node - n], [0, 0]])
 
     def _context_features(self, context):
         """Normalised context [B, C], with its normalised logarithm where there is one [B, 2 C]."""
@@ -222,12 +238,8 @@ class LearnedSimulator(snt.Module):
         # The floor is far below any positive context; it keeps a zero from becoming infinite.
         return tf.concat([linear, (tf.math.log(tf.maximum(context, 1e-6)) - mean) / std], axis=-1)
 
-    def _of_rigid(self, values, layout):
-        """Pads features [B, R, F] of the rigid particles with zeros for the modes."""
-        return tf.pad(values, [[0, 0], [0, layout.n_node - layout.n_rigid], [0, 0]])
-
     def _height_features(self, state, layout):
-        """Height of the body and its H - 1 last changes, repeated for its particles: [B, R, H]."""
+        """Height of the body and its H - 1 last changes, [B, 1, H]."""
         up = self.scene.up_axis
         s = self.statistics
         height = tf.reduce_mean(state.offset[:, : layout.n_rigid, up], axis=1, keepdims=True)
@@ -236,7 +248,7 @@ class LearnedSimulator(snt.Module):
             [height / np.float32(s.height_std[0]), change / np.float32(s.height_velocity_std[0])],
             axis=-1,
         )
-        return tf.tile(values[:, None], [1, layout.n_rigid, 1])
+        return values[:, None]
 
     def predict(self, state: SimulatorState, known, context, layout: Layout):
         """Normalised predictions.
@@ -246,16 +258,20 @@ class LearnedSimulator(snt.Module):
           its statistics [B, D] (mean over the nodes' decoded forces, Haeri & Skonieczny 2021) or
           None.
         """
-        nodes, edges = self.features(state, known, context, layout)
-        decoded = self._network(nodes, edges, layout.senders, layout.receivers)
-        target = decoded[..., : self.dim]
+        target, force = self._decoded(state, known, context, layout)
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             body = tf.reduce_mean(target[:, : layout.n_rigid], axis=1, keepdims=True)
             target = tf.concat(
                 [tf.tile(body, [1, layout.n_rigid, 1]), target[:, layout.n_rigid :]], axis=1
             )
-        force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return target, force
+
+    def _decoded(self, state, known, context, layout):
+        """The network's target [B, V, D] and force [B, D] or None."""
+        nodes, edges = self.features(state, known, context, layout)
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers)
+        force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
+        return decoded[..., : self.dim], force
 
     def rate(self, known):
         """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].

@@ -7,6 +7,8 @@ the checkpoint, so that no flag can change the meaning of stored weights.
 import dataclasses
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
+WHOLE_STATE_MODELS = ('mlp', 'mixer_se', 'mixer_scse')  # take the whole state at once: no edges
+MODELS = ('gns', *WHOLE_STATE_MODELS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -15,7 +17,10 @@ class TrainConfig:
 
     Attributes:
       preset: name of the preset the config started from.
-      adjacency: 'fully_connected', 'algorithm2', or the edge file that was loaded.
+      model: the network: 'gns' (graph), 'mlp' (Holden et al. 2019), 'mixer_se' or 'mixer_scse'
+        (Motion-Mixer); see `networks`.
+      adjacency: 'fully_connected', 'algorithm2', or the edge file that was loaded; 'none' for a
+        model without a graph.
       mode_edges: mode -> mode edges that Algorithm 2 keeps when no file gives them.
       rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
         keeps all. Only
@@ -33,7 +38,7 @@ class TrainConfig:
       mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
       noise_std: random-walk noise of the last input step; m/frame, or a fraction of each node's own
         velocity scale if `noise_relative`.
-      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M.
+      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
       batch_size, num_steps: single-step stage.
       unroll_length, unroll_steps, unroll_batch_size: N-step stage with gradients through the
         rollout.
@@ -49,6 +54,7 @@ class TrainConfig:
     """
 
     preset: str
+    model: str = 'gns'
     adjacency: str = 'algorithm2'
     mode_edges: int = 28
     rigid_particles: int = 10
@@ -78,6 +84,13 @@ class TrainConfig:
     seed: int = 0
 
     def __post_init__(self):
+        if self.model not in MODELS:
+            raise ValueError(f'unknown model {self.model!r}; there are {", ".join(MODELS)}')
+        if (self.adjacency == 'none') != (self.model in WHOLE_STATE_MODELS):
+            raise ValueError(
+                f'adjacency is {self.adjacency!r} with model {self.model!r}: it is none with '
+                f'{", ".join(WHOLE_STATE_MODELS)} and with no other'
+            )
         for name, low in (
             ('mode_edges', 0),
             ('latent_size', 1),
@@ -132,6 +145,9 @@ _PUBLISHED = {
     'decay_steps': 5e6,
 }
 
+# A network that takes the whole state at once: the training of `pcg` without its graph.
+_WHOLE_STATE = {'adjacency': 'none', 'mode_edges': 0}
+
 PRESETS = {
     # Haeri & Skonieczny 2021: full graph with self-edges, dataset-wide statistics, noise 6.7e-4.
     'fcg_original': TrainConfig(
@@ -163,7 +179,27 @@ PRESETS = {
         unroll_batch_size=4,
         unroll_learning_rate=2e-4,
     ),
+    # Holden et al. 2019: a plain MLP on the subspace state.
+    'mlp': TrainConfig('mlp', model='mlp', latent_size=128, **_WHOLE_STATE),
+    # Bouazizi et al. 2022 with channel excitation, and with channel and frame excitation.
+    'mixer_se': TrainConfig(
+        'mixer_se', model='mixer_se', velocity_inputs=5, hidden_layers=1, **_WHOLE_STATE
+    ),
+    'mixer_scse': TrainConfig(
+        'mixer_scse', model='mixer_scse', velocity_inputs=5, hidden_layers=1, **_WHOLE_STATE
+    ),
 }
+
+
+def preset_of_model(model: str | None) -> str:
+    """The preset that is meant where only a model is named: `pcg` for gns, else that of its name.
+
+    Raises:
+      ValueError: unknown model.
+    """
+    if model not in (None, *MODELS):
+        raise ValueError(f'unknown model {model!r}; there are {", ".join(MODELS)}')
+    return 'pcg' if model in (None, 'gns') else model
 
 
 def make_config(preset: str, **overrides) -> TrainConfig:

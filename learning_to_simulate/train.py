@@ -12,6 +12,9 @@ Examples:
   python -m learning_to_simulate.train --mode=eval --eval_split=valid \\
       --data_path=... --model_path=...
 
+  # other networks on the same state: an MLP, a Motion-Mixer with SE or scSE
+  python -m learning_to_simulate.train --model=mlp --data_path=... --model_path=...
+
   # published baselines, a loaded edge list, the authors' wheel with its measured motion
   python -m learning_to_simulate.train --preset=fcg_original --data_path=... --model_path=...
   python -m learning_to_simulate.train --adjacency=edges.json --data_path=... --model_path=...
@@ -46,9 +49,16 @@ _MODEL_PATH = flags.DEFINE_string(
 _OUTPUT_PATH = flags.DEFINE_string(
     'output_path', None, 'Folder for rollouts and metrics.json (eval_rollout).'
 )
-_PRESET = flags.DEFINE_string('preset', 'pcg', f'One of {", ".join(presets.PRESETS)}.')
+_PRESET = flags.DEFINE_string(
+    'preset',
+    None,
+    f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.',
+)
+_MODEL = flags.DEFINE_string(
+    'model', None, f"Network, one of {', '.join(presets.MODELS)}; overrides the preset's."
+)
 _ADJACENCY = flags.DEFINE_string(
-    'adjacency', None, 'edges.json, mask.npy, fully_connected or algorithm2.'
+    'adjacency', None, 'edges.json, mask.npy, fully_connected, algorithm2 or none.'
 )
 _RIGID_MOTION = flags.DEFINE_string(
     'rigid_motion',
@@ -73,7 +83,7 @@ _NUM_THREADS = flags.DEFINE_integer(
 # Flags that override single fields of the preset's config; DeepMind's spelling where it has one.
 _FIELD_FLAGS = {'mssg': 'message_passing_steps'}
 for _field in dataclasses.fields(presets.TrainConfig):
-    if _field.name in ('preset', 'adjacency', 'message_passing_steps'):
+    if _field.name in ('preset', 'model', 'adjacency', 'message_passing_steps'):
         continue
     _define = {int: flags.DEFINE_integer, float: flags.DEFINE_float, bool: flags.DEFINE_bool}[
         _field.type
@@ -86,7 +96,7 @@ flags.DEFINE_integer('mssg', None, "Message-passing steps M; overrides the prese
 def _overrides() -> dict:
     """Config fields that the command line gives."""
     given = {field: flags.FLAGS[flag].value for flag, field in _FIELD_FLAGS.items()}
-    given['adjacency'] = _ADJACENCY.value
+    given |= {'model': _MODEL.value, 'adjacency': _ADJACENCY.value}
     return {k: v for k, v in given.items() if v is not None}
 
 
@@ -123,7 +133,8 @@ def main(_):
     overrides = _overrides()
     try:
         if _MODE.value == 'train':
-            config = presets.make_config(_PRESET.value, **overrides)
+            preset = _PRESET.value or presets.preset_of_model(_MODEL.value)
+            config = presets.make_config(preset, **overrides)
             experiment.train(
                 _DATA_PATH.value, _MODEL_PATH.value, config, _RIGID_MOTION.value,
                 _SAVE_EVERY.value, _TAKE_OVER_LOCK.value,
