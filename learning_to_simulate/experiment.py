@@ -28,7 +28,8 @@ from pca_tools import dataset, files, folder_lock
 LOG_EVERY = 50  # steps between looks at the losses
 
 
-def _digests(folder):
+def data_digests(folder: str) -> dict[str, str]:
+    """File -> sha256 of what a dataset folder trains on."""
     names = [
         n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(os.path.join(folder, n))
     ]
@@ -163,7 +164,7 @@ def train(
     model = make_model(data_path, metadata, groups, config, rigid_motion)
     data = {
         'path': os.path.abspath(data_path),
-        'sha256': _digests(data_path),
+        'sha256': data_digests(data_path),
         'subspace': _subspace_digest(metadata),
     }
     trainer = Trainer(model, groups)

@@ -112,9 +112,15 @@ def write_json(path: str, obj: Any) -> None:
     except ValueError as error:
         raise ValueError(f'{path}: cannot be written as JSON: {error}') from error
 
+    write_text(path, text + '\n')
+
+
+def write_text(path: str, text: str) -> None:
+    """Writes UTF-8 text, whole or not at all."""
+
     def write(temporary: str) -> None:
-        with open(temporary, 'w', encoding='utf-8') as file:
-            file.write(text + '\n')
+        with open(temporary, 'w', encoding='utf-8', newline='') as file:
+            file.write(text)
 
     write_atomically(path, write)
 

@@ -1,0 +1,106 @@
+"""What the report compares: families of configurations, each a sweep of one decision.
+
+The rows of a sweep are trained alike and shorter than the shipped models, so that a sweep fits in
+an afternoon; the shipped rows are what the shipped models are, and are loaded where they exist.
+"""
+
+import dataclasses
+
+from learning_to_simulate import presets
+from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.scene import RigidMotion
+
+BASE = ('base of the sweeps', {})
+# Family -> rows (label, what differs from the base). A row may lie in several families.
+SWEEPS = {
+    'latent size': [
+        ('L = 16', {'latent_size': 16}),
+        ('L = 32', {'latent_size': 32}),
+        BASE,
+        ('L = 128', {'latent_size': 128}),
+    ],
+    'rigid particles': [
+        ('all rigid particles', {'rigid_particles': 0}),
+        ('12 rigid particles', {'rigid_particles': 12}),
+        BASE,
+        ('6 rigid particles', {'rigid_particles': 6}),
+        ('4 rigid particles', {'rigid_particles': 4}),
+        ('1 rigid particle', {'rigid_particles': 1}),
+    ],
+    'message passing': [
+        BASE,
+        ('M = 2', {'message_passing_steps': 2}),
+        ('M = 4', {'message_passing_steps': 4}),
+    ],
+    'edges': [
+        ('fully connected', {'adjacency': 'fully_connected'}),
+        ('64 mode edges', {'mode_edges': 64}),
+        BASE,
+        ('16 mode edges', {'mode_edges': 16}),
+        ('self-edges only', {'mode_edges': 8}),
+    ],
+    'other methods': [
+        ('MLP', {'preset': 'mlp'}),
+        ('Motion-Mixer, SE', {'preset': 'mixer_se'}),
+        ('Motion-Mixer, scSE', {'preset': 'mixer_scse'}),
+    ],
+}  # fmt: skip
+SHIPPED = 'shipped presets'
+QUICK_SWEEPS = {
+    'latent size': [SWEEPS['latent size'][0], BASE],
+    'rigid particles': [BASE, SWEEPS['rigid particles'][-1]],
+}
+REFERENCE = 'reference'
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One configuration to measure.
+
+    Attributes:
+      label: short name.
+      families: curves it lies on.
+      config: what it is and how it is trained.
+      overrides: preset and changed fields, to read.
+    """
+
+    label: str
+    families: tuple[str, ...]
+    config: TrainConfig
+    overrides: dict
+
+
+def rows(sweeps: dict, training: dict, scene, shipped: list[str], seeds: int) -> list[Row]:
+    """The rows of a report.
+
+    Args:
+      sweeps: family -> [(label, overrides)], such as `SWEEPS`.
+      training: fields that shorten the training of the swept rows; equal for all of them.
+      scene: `Scene` of the dataset; sweeps that it does not have are left out.
+      shipped: presets that are measured as they ship, at their own training budget.
+      seeds: trainings of the default preset 'pcg'.
+
+    Raises:
+      ValueError: an unknown preset or field.
+    """
+    found: dict[TrainConfig, Row] = {}
+
+    def add(label, family, config, overrides):
+        old = found.get(config)
+        families = (family,) if old is None else (*old.families, family)
+        found[config] = Row(old.label if old else label, families, config, overrides)
+
+    for preset in shipped:
+        for seed in range(seeds if preset == 'pcg' else 1):
+            overrides = {'seed': seed} if seed else {}
+            config = presets.make_config(preset, **overrides)
+            add(preset, SHIPPED, config, {'preset': preset} | overrides)
+    for family, members in sweeps.items():
+        if family == 'rigid particles' and scene.rigid_motion != RigidMotion.PRESCRIBED:
+            continue  # Only a body whose motion is given can do with fewer particles.
+        for label, changed in members:
+            overrides = {'preset': 'pcg'} | training | changed
+            if overrides.get('mode_edges', 0) > scene.n_modes**2:
+                continue  # There are not that many.
+            add(label, family, presets.make_config(**overrides), overrides)
+    return list(found.values())
