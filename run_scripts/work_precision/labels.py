@@ -1,68 +1,78 @@
 """Names beside the points of a picture, placed where they cover nothing."""
 
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.transforms import Bbox
 
-# Where a label may stand: (horizontal, vertical, alignment) from the point, nearest first, pixels.
+# Where a label may stand from its point: (right, up, alignment), and how far, in points.
 _SIDES = (
-    (1, 0, 'left'), (-1, 0, 'right'), (0, 1, 'center'), (0, -1, 'center'), (1, 1, 'left'),
-    (1, -1, 'left'), (-1, 1, 'right'), (-1, -1, 'right'),
+    (1, 0, 'left'), (-1, 0, 'right'), (0, 1, 'center'), (0, -1, 'center'), (0.8, 0.8, 'left'),
+    (0.8, -0.8, 'left'), (-0.8, 0.8, 'right'), (-0.8, -0.8, 'right'),
 )  # fmt: skip
-_DISTANCES = (9, 16, 26, 40, 58)
-_MARKER = 6
+_DISTANCES = (8, 13, 20, 30, 44)
+_LINE_FROM = 16  # A label farther away than this is tied to its point by a thin line.
+_MARKER, _LINE = 9, 3  # Pixels that a marker and a piece of a line keep clear.
 
 
-def place(figure, axes, places: dict[str, tuple[float, float]], fontsize: float = 8) -> None:
-    """Writes each label beside its point, clear of the points, of earlier labels and of the frame.
+def place(axes, places: dict[str, tuple[float, float]], fontsize: float = 8) -> None:
+    """Writes each label beside its point, clear of points, lines, earlier labels and the frame.
+
+    The layout of the figure is fixed here: nothing may move afterwards.
 
     Args:
-      figure: its layout is fixed here: nothing may move afterwards.
       axes: where the points are.
       places: label -> (x, y) in data units.
       fontsize: of the labels.
     """
+    figure = axes.get_figure()
+    renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw_without_rendering()
     figure.set_layout_engine('none')
-    renderer = figure.canvas.get_renderer()
-    points = {name: axes.transData.transform(p) for name, p in places.items()}
-    taken = [
-        Bbox.from_bounds(x - _MARKER, y - _MARKER, 2 * _MARKER, 2 * _MARKER)
-        for x, y in points.values()
-    ]
-    taken += [t.get_window_extent(renderer) for t in axes.texts]
+    pixels = {name: axes.transData.transform(p) for name, p in places.items()}
+    taken = [(_around(p, _MARKER), 3.0) for p in pixels.values()]
+    taken += [(_around(p, _LINE), 1.0) for line in axes.lines for p in _along(line)]
+    taken += [(text.get_window_extent(renderer), 3.0) for text in axes.texts]
     frame = axes.get_window_extent(renderer)
     # Upper points first: there is more room above them.
-    for name in sorted(points, key=lambda n: -points[n][1]):
+    for name in sorted(pixels, key=lambda n: -pixels[n][1]):
         best = None
-        for dx, dy, align, distance in _candidates():
+        for right, up, align, distance in _candidates():
             text = axes.annotate(
-                name, points[name], (points[name][0] + dx * distance, points[name][1] + dy * distance),
-                xycoords='figure pixels', textcoords='figure pixels', fontsize=fontsize,
-                ha=align, va='center', color='0.15',
+                name, places[name], (right * distance, up * distance), textcoords='offset points',
+                fontsize=fontsize, ha=align, va='center', color='0.1',
+                arrowprops={'arrowstyle': '-', 'color': '0.55', 'linewidth': 0.7, 'shrinkA': 0,
+                            'shrinkB': 4} if distance > _LINE_FROM else None,
             )  # fmt: skip
-            box = text.get_window_extent(renderer)
-            cost = sum(_overlap(box, other) for other in taken)
-            cost += 10 * (box.width * box.height - _overlap(box, frame)) + 0.02 * distance
+            text.update_positions(renderer)
+            # Annotation's own extent includes its line, which may cross things.
+            box = super(type(text), text).get_window_extent(renderer)
+            cost = sum(weight * _overlap(box, other) for other, weight in taken)
+            cost += 10 * (box.width * box.height - _overlap(box, frame)) + distance
             if best is None or cost < best[0]:
                 if best:
                     best[1].remove()
-                best = (cost, text, box, distance)
+                best = (cost, text, box)
             else:
                 text.remove()
-        taken.append(best[2])
-        if best[3] > _DISTANCES[1]:
-            x, y = best[1].get_position()
-            best[1].remove()
-            axes.annotate(
-                name, points[name], (x, y), xycoords='figure pixels', textcoords='figure pixels',
-                fontsize=fontsize, ha=best[1].get_ha(), va='center', color='0.15',
-                arrowprops={'arrowstyle': '-', 'color': '0.6', 'linewidth': 0.6, 'shrinkB': 4},
-            )  # fmt: skip
+        taken.append((best[2], 3.0))
 
 
 def _candidates():
     for distance in _DISTANCES:
-        for dx, dy, align in _SIDES:
-            yield dx, dy, align, distance
+        for right, up, align in _SIDES:
+            yield right, up, align, distance
+
+
+def _around(point, width):
+    return Bbox.from_bounds(point[0] - width / 2, point[1] - width / 2, width, width)
+
+
+def _along(line):
+    """Points every few pixels along a drawn line."""
+    corners = line.get_transform().transform(line.get_xydata())
+    for start, end in zip(corners[:-1], corners[1:], strict=True):
+        count = int(np.hypot(*(end - start)) / (2 * _LINE)) + 1
+        yield from start + np.linspace(0, 1, count)[:, None] * (end - start)
 
 
 def _overlap(a: Bbox, b: Bbox) -> float:

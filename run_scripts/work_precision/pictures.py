@@ -3,6 +3,7 @@
 import math
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pca_tools import files
 from run_scripts.work_precision import families, labels, machine, tables
@@ -47,7 +48,9 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     places = {label: place for label, place in places.items() if None not in place}
     if not places:
         raise ValueError(f'no model has both a time and a {quantity} error on {split}')
-    figure = Figure(figsize=(10, 6.5), layout='constrained')  # no pyplot: no display is needed
+    figure = Figure(
+        figsize=(10.5, 6.5), dpi=130, layout='constrained'
+    )  # no pyplot: no display is needed
     axes = figure.subplots()
     axes.set(xscale='log', yscale='log', xlabel='seconds of computing per simulated second',
              ylabel=title.format(split=split))  # fmt: skip
@@ -63,7 +66,7 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     references = {
         label: error(p, split) for label, p in first.items() if families.REFERENCE in p.families
     }
-    _set_limits(axes, places.values(), references.values(), dt)
+    _set_limits(axes, places.values(), references.values())
     failures = [p for p in document['points'] if p.status != OK]
     _draw_failures(axes, failures, dt)
     _draw_references(axes, {k: v for k, v in references.items() if v})
@@ -72,8 +75,8 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     axes.grid(True, which='minor', alpha=0.12)
     axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
     figure.supxlabel(_caption(document, failures), fontsize=7.5, x=0.01, ha='left')
-    labels.place(figure, axes, places)
-    files.write_atomically(path, lambda name: figure.savefig(name, dpi=130, format='png'))
+    labels.place(axes, places)
+    files.write_atomically(path, lambda name: figure.savefig(name, format='png'))
 
 
 def _draw_families(axes, first, places):
@@ -95,13 +98,18 @@ def _draw_spread(axes, place, errors):
         axes.plot([place[0]] * len(errors), errors, '_', color='0.2', markersize=9, zorder=2)
 
 
-def _set_limits(axes, places, references, dt):
+def _set_limits(axes, places, references):
     times, errors = zip(*places, strict=True)
     errors = [*errors, *(v for v in references if v)]
     axes.set_xlim(min(times) / 1.6, max(*times, 1.0) * 1.6)
     low, high = math.log(min(errors)), math.log(max(errors))
     margin = 0.08 * (high - low) + 0.05
     axes.set_ylim(math.exp(low - margin), math.exp(high + 2.2 * margin))
+    plain = FuncFormatter(lambda value, _: f'{value:g}')
+    axes.xaxis.set_major_formatter(plain)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+    axes.yaxis.set_major_formatter(plain)
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_failures(axes, failures, dt):
@@ -126,7 +134,7 @@ def _draw_deadlines(axes, dt):
         (1e-3 / dt, '1 kHz: a step every ms'),
     ):
         axes.axvline(seconds, color='#555555', linewidth=1.4, zorder=1)
-        axes.text(seconds, 0.5, text, rotation=90, ha='right', va='center', fontsize=8.5,
+        axes.text(0.985 * seconds, 0.02, text, rotation=90, ha='right', va='bottom', fontsize=8.5,
                   color='#333333', transform=axes.get_xaxis_transform())  # fmt: skip
 
 

@@ -65,14 +65,11 @@ def markdown(document: dict) -> str:
         '| ' + ' | '.join(COLUMNS) + ' |',
         '|---' * len(COLUMNS) + '|',
     ]
-    failures = []
     for label, members in group_by_label(points).items():
-        marks = ('▲' if label in position_front else '') + ('●' if label in force_front else '')
-        cells = _cells(members, points, dt)
-        lines.append(f'| {label} {marks} | '.replace(' | ', ' | ', 1) + ' | '.join(cells) + ' |')
-        failures += [
-            f'- {p.label}, seed {p.seed}: **{p.status}**. {p.note}' for p in members if p.status != OK
-        ]
+        marks = ' ▲' * (label in position_front) + ' ●' * (label in force_front)
+        lines.append(f'| {label}{marks} | ' + ' | '.join(_cells(members, points, dt)) + ' |')
+    failures = [f'- {p.label}, seed {p.seed}: **{p.status}**. {p.note}'
+                for p in points if p.status != OK]  # fmt: skip
     lines += [
         '',
         '▲ on the front of soil error and time, ● of force error and time (test). Soil errors are '
@@ -97,43 +94,39 @@ def markdown(document: dict) -> str:
 def _cells(members, points, dt):
     """Cells of one label, all seeds together."""
     first = members[0]
-    if first.status != OK and first.rollout is None and not first.runs:
-        return [*_texts([first.n_edge, first.n_weight]), f'**{first.status}**'] + [''] * 12
 
     def spread(error):
-        values = [v for v in (error(p) for p in members) if v is not None]
-        if not values or error(first) is None:
+        values = [v for v in map(error, members) if v is not None]
+        if error(first) is None:
             return '' if first.status == OK else f'**{first.status}**'
-        text = f'{error(first):.3g}'
-        return text if len(values) < 2 else f'{text} ({min(values):.3g}..{max(values):.3g})'
+        low_high = f' ({min(values):.3g}..{max(values):.3g})' if len(values) > 1 else ''
+        return f'{error(first):.3g}{low_high}'
 
     def ratio(point):
         trivial, value = best_trivial(points, 'test'), point.error('test', 'soil_mse')
         return None if not trivial or value is None else value / trivial
 
     rollout = first.rollout
-    times = (
-        [None] * 3 if rollout is None else [rollout.percentile(q) for q in (50, 99, 100)]
-    )  # fmt: skip
+    times = [None] * 3 if rollout is None else [rollout.percentile(q) for q in (50, 99, 100)]
+    times += [first.live and first.live.percentile(99), first.seconds_per_second(dt)]
     return [
-        *_texts([first.n_edge, first.n_weight]),
+        _text(first.n_edge),
+        _text(first.n_weight),
         spread(lambda p: p.position_error('valid')),
         spread(lambda p: p.position_error('test')),
         spread(ratio),
         spread(lambda p: force_error(p, 'valid')),
         spread(lambda p: force_error(p, 'test')),
-        *_texts([
-            *times, first.live and first.live.percentile(99), first.seconds_per_second(dt),
-            first.first_call_s, first.peak_memory_mb, first.training_s,
-        ]),
-    ]  # fmt: skip
-
-
-def _texts(values):
-    return [
-        '' if v is None else str(v) if isinstance(v, int) else f'{v:.0f}' if v >= 100 else f'{v:.3g}'
-        for v in values
+        *map(_text, [*times, first.first_call_s, first.peak_memory_mb, first.training_s]),
     ]
+
+
+def _text(value):
+    if value is None:
+        return ''
+    if isinstance(value, int):
+        return str(value)
+    return f'{value:.0f}' if value >= 100 else f'{value:.3g}'
 
 
 def comma_separated(document: dict) -> str:

@@ -1,0 +1,206 @@
+"""Exports a trained simulator so that it runs without this project: SavedModel, LiteRT or ONNX.
+
+A SavedModel has flat signatures: `step` (the last H frames and the body's coming pose in; modes,
+force and body out) and `reconstruct` (modes in, soil particles out). LiteRT and ONNX have no
+float64 worth using, so their `step` carries the state itself: float32 offsets from `origin` and
+float32 velocities. `export.json` beside the model says what every input and output is. What was
+written is loaded again and compared with the source model on recorded runs; beyond round-off the
+export is refused.
+
+Examples:
+  python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=/tmp/exported
+
+  # small runtimes; need the extra: pip install -e .[deploy]
+  python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
+      --output_path=...
+"""
+
+import os
+import sys
+import time
+
+import numpy as np
+from absl import app, flags
+
+from learning_to_simulate import checkpoints, experiment, export_formats
+from learning_to_simulate.export_formats import StepFunctions
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from pca_tools import files, subspace
+
+DESCRIPTION_FILE = 'export.json'
+# Largest difference of one step to the source model, as a share of the largest motion or force of
+# the compared frames. Measured 4e-7 (excavation) and 2e-6 (wheel): float32 sums in another order.
+TOLERANCE = 1e-4
+# Metres; float32 positions of a metre resolve 1e-7.
+RECONSTRUCT_TOLERANCE = 2e-6
+COMPARED_STEPS = 20
+
+
+def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
+    """Writes an exported model, compares it with its source and describes it.
+
+    Args:
+      model_path: trained model.
+      data_path: its dataset; gives runs to compare on and the subspace.
+      output_path: folder to write; must be absent or empty.
+      kind: a key of `export_formats.WRITERS`.
+      n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest.
+
+    Returns:
+      the description that is also in `export.json`.
+
+    Raises:
+      ValueError: a scene that the format cannot hold, a model that does not fit the data, an
+        absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
+    """
+    if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
+        raise ValueError(f'{output_path}: is there and not empty; nothing was written')
+    model, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    by_size = {group.n_rigid: group for group in groups}
+    n_rigid = max(by_size) if n_rigid is None else n_rigid
+    if n_rigid not in by_size:
+        raise ValueError(
+            f'{data_path}: no test run has {n_rigid} rigid nodes, there are {sorted(by_size)}'
+        )
+    space = _read_subspace(data_path, model.simulator.scene.n_modes)
+    functions = StepFunctions(model.simulator, model.layout(n_rigid), space)
+    group = by_size[n_rigid].select(0)
+    description = {}
+
+    def fill(folder):
+        load = export_formats.WRITERS[kind](functions, folder)
+        description.update(functions.describe(kind))
+        weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
+        description['weights_sha256'] = files.sha256_of_file(weights)
+        start = time.perf_counter()
+        step, reconstruct = load()
+        description['load_s'] = time.perf_counter() - start
+        description['compared'] = _compare(functions, step, reconstruct, kind, group, space)
+        files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
+
+    files.write_folder_atomically(output_path, fill)
+    return description
+
+
+def _read_subspace(data_path, n_modes):
+    path = os.path.join(data_path, 'subspace.npz')
+    if not os.path.exists(path):
+        return None
+    space = subspace.Subspace.load(path)
+    if space.n_modes != n_modes:
+        raise ValueError(f'{path}: has {space.n_modes} modes, the model {n_modes}')
+    return space
+
+
+def _compare(functions, step, reconstruct, kind, group, space):
+    """Differences to the source over steps from recorded histories, and times per call.
+
+    Raises:
+      ValueError: a difference above the tolerance, or outputs that are not finite.
+    """
+    simulator, layout = functions.simulator, functions.layout
+    n, scene = layout.n_rigid, simulator.scene
+    n_frame = group.position.shape[1]
+    moved, expected, forces, expected_forces, seconds = [], [], [], [], []
+    for k in np.linspace(H, n_frame - 1, COMPARED_STEPS).astype(int):
+        inputs = functions.inputs(kind, group, k)
+        start = time.perf_counter()
+        outputs = {name: np.asarray(value) for name, value in step(**inputs).items()}
+        seconds.append(time.perf_counter() - start)
+        before = group.position[0, k - 1]
+        if kind == 'savedmodel':
+            moved.append(outputs['next_position'] - before)
+        else:
+            moved.append(outputs['velocity'][:, -1])
+        if scene.has_force:
+            forces.append(outputs['force'])
+        velocity, force = functions.source_step(group, k)
+        expected.append(velocity)
+        expected_forces.append(force)
+    differences = {'modes': _difference(moved, expected, slice(n, None))}
+    if n:
+        differences['rigid'] = _difference(moved, expected, slice(n))
+    if scene.has_force:
+        differences['force'] = _difference(forces, expected_forces, slice(None))
+    values = {
+        'steps': COMPARED_STEPS,
+        'relative_difference': differences,
+        'tolerance': TOLERANCE,
+        'first_call_s': seconds[0],
+        'ms_per_step_median': 1e3 * float(np.median(seconds[1:])),
+    }
+    bad = {name: d for name, d in differences.items() if not d <= TOLERANCE}
+    if space is not None and reconstruct is not None:
+        modes = group.position[0, :, n:]
+        particles = [np.asarray(reconstruct(modes[k])) for k in (0, n_frame - 1)]
+        apart = max(
+            float(np.abs(p - space.decode(modes[k])).max())
+            for p, k in zip(particles, (0, n_frame - 1))
+        )
+        values |= {'particles_difference_m': apart, 'particles_tolerance_m': RECONSTRUCT_TOLERANCE}
+        start = time.perf_counter()
+        for frame in modes[:COMPARED_STEPS]:
+            np.asarray(reconstruct(frame))
+        values['ms_per_reconstruction'] = 1e3 * (time.perf_counter() - start) / COMPARED_STEPS
+        if not apart <= RECONSTRUCT_TOLERANCE:
+            bad['particles_m'] = apart
+    if bad:
+        raise ValueError(
+            f'the exported model differs from its source by {bad}, more than {TOLERANCE:g} of the '
+            f'largest motion or {RECONSTRUCT_TOLERANCE:g} m; nothing was written'
+        )
+    return values
+
+
+def _difference(values, expected, part):
+    """Largest difference over the largest magnitude; 0 / 0 counts as 0."""
+    a, b = (np.stack(x).astype(np.float64)[:, part] for x in (values, expected))
+    apart, size = np.abs(a - b).max(), np.abs(b).max()
+    return float(apart / size) if size > 0 else float(apart)
+
+
+def summary(description: dict, output_path: str) -> str:
+    """What was written and how it compares, for the terminal."""
+    compared = description['compared']
+    differences = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
+    lines = [
+        f'wrote {output_path} ({description["format"]}, signatures '
+        f'{", ".join(description["signatures"])})',
+        f'largest difference to the source over {compared["steps"]} steps: {differences} '
+        f'(allowed {compared["tolerance"]:g})',
+        f'step: first call {compared["first_call_s"]:.3g} s, then '
+        f'{compared["ms_per_step_median"]:.3g} ms',
+    ]
+    if 'particles_difference_m' in compared:
+        lines.append(
+            f'reconstruct: largest difference {compared["particles_difference_m"]:.2g} m, '
+            f'{compared["ms_per_reconstruction"]:.3g} ms'
+        )
+    return '\n'.join(lines)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
+    flags.DEFINE_enum('format', 'savedmodel', list(export_formats.WRITERS), 'What to write.')
+    flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
+
+
+def main(_) -> None:
+    """Runs the command."""
+    values = flags.FLAGS
+    try:
+        description = export(
+            values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
+        )
+    except (ValueError, OSError) as error:
+        sys.exit(f'error: {error}')
+    print(summary(description, values.output_path))
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)
