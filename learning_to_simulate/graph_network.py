@@ -143,8 +143,9 @@ class EncodeProcessDecode(snt.Module):
             n_edge=tf.fill([n_graph], n_edge),
         )
         graph = self._encoder(graph)
-        nodes = tf.reshape(graph.nodes, [n_graph, n_node, -1])
-        edges = tf.reshape(graph.edges, [n_graph, n_edge, -1])
+        # Widths by name: -1 is undefined where there are no nodes or no edges.
+        nodes = tf.reshape(graph.nodes, [n_graph, n_node, graph.nodes.shape[-1]])
+        edges = tf.reshape(graph.edges, [n_graph, n_edge, graph.edges.shape[-1]])
         for processor in self._processors:
             nodes, edges = processor(nodes, edges, senders, receivers, incidence)
         return self._decoder(nodes)

@@ -45,6 +45,23 @@ class Experiment:
         """Returns the momentum [3] of the soil, N s."""
         return self.mass * self.particles[:, columns.V : columns.V + 3].sum(axis=0)
 
+    def energy(self, gravity: float = EARTH_GRAVITY) -> float:
+        """Returns kinetic, elastic and potential energy of the soil in J, height from the floor.
+
+        The affine part of a particle's motion carries 1/2 m |C|2 dx2 / 4 (the inertia of quadratic
+        B-splines). The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
+        """
+        q = self.particles
+        ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
+        motion = (q[:, columns.V : columns.V + 3] ** 2).sum()
+        motion += self.grid.dx**2 / 4 * (q[:, columns.C : columns.C + 9] ** 2).sum()
+        pressed = np.minimum(ratio, 1.0)
+        bulk = self.soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
+        shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
+        elastic = bulk + (ratio * shear).sum() / (4.0 * self.soil.shear_modulus)
+        height = (q[:, 1] - CORNER).sum()
+        return float(self.mass * (0.5 * motion + gravity * height) + self.volume * elastic)
+
     def advance(
         self,
         steps: int,

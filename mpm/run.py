@@ -109,7 +109,8 @@ class Simulation:
         """Advances by one frame; returns the mean force [3] on the body in it, N.
 
         Raises:
-            ValueError: if a particle leaves the grid, or moves too fast for the step.
+            ValueError: if a particle leaves the grid or moves too fast for the step; if the body
+                does (`stability.UnstableTimeStepError`).
         """
         force = self._advance(self.drive.spin)
         self.rotation += self.drive.spin / scenes.FRAME_RATE
@@ -121,7 +122,11 @@ class Simulation:
         if self._frame % SORT_EVERY == 0:
             self.particles = packing.sort_by_cell(self.particles, self.grid)
         times = self.time + np.arange(self.steps + 1) * self.dt
-        body = self.drive.body
+        body, path = self.drive.body, self.drive.path(times)
+        # The height of a free wheel is not prescribed.
+        prescribed = path * [1.0, 0.0] if self.rider[2] > 0.0 else path
+        rim_speed = spin * (body.dims[2] + body.dims[3])
+        stability.check_body_motion(prescribed, rim_speed, self.dt, self.grid.dx)
         impulse = np.zeros(3)
         solver.advance(
             self.particles,
@@ -139,7 +144,7 @@ class Simulation:
             body.dims,
             body.friction,
             body.outset * self.grid.dx,
-            self.drive.path(times),
+            path,
             spin,
             self.rider,
             impulse,

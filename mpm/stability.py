@@ -5,6 +5,8 @@
 
 import math
 
+import numpy as np
+
 from mpm.constitutive import Soil
 
 CFL = 0.8  # of the elastic wave; divergence was measured at 1.14 to 1.34
@@ -74,6 +76,26 @@ def check_time_step(
             f'time step {dt:.4g} s is not in (0, {limit:.4g}] s: CFL number '
             f'{dt * wave_speed(soil) / dx:.3g}, limit {cfl:.3g} '
             f'(dx {dx:.4g} m, wave speed {wave_speed(soil):.4g} m/s)'
+        )
+
+
+def check_body_motion(path, rim_speed: float, dt: float, dx: float) -> None:
+    """Refuses a body that jumps over cells: contact is looked for at the nodes inside it only.
+
+    Args:
+        path: float64 [steps + 1, 2], the prescribed part of its positions at the steps' ends, m.
+        rim_speed: of its turning surface, m/s.
+        dt: time step, s.
+        dx: cell size, m.
+
+    Raises:
+        UnstableTimeStepError: with the speed and its limit.
+    """
+    travel = np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).max() + abs(rim_speed) * dt
+    if not travel <= VELOCITY_CFL * dx:
+        raise UnstableTimeStepError(
+            f'the body moves at {travel / dt:.4g} m/s, {travel / dx:.3g} cells a step of '
+            f'{dt:.4g} s; at most {VELOCITY_CFL} ({VELOCITY_CFL * dx / dt:.4g} m/s) is resolved'
         )
 
 

@@ -117,15 +117,16 @@ def _rank(centred: np.ndarray, rounding: float) -> int:
 
 
 def _smallest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Returns the smallest rotation [3, 3] that turns unit vector `start` into `end`."""
-    cosine = float(start @ end)
-    if cosine < -1.0 + 1e-12:  # half a turn: every perpendicular axis is as good; take a fixed one
-        helper = np.eye(3)[np.argmin(np.abs(start))]
-        axis = np.cross(start, helper)
-        axis /= np.linalg.norm(axis)
-        return 2.0 * np.outer(axis, axis) - np.eye(3)
-    cross = np.cross(start, end)
-    skew = np.array(
-        [[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]]
-    )
-    return np.eye(3) + skew + skew @ skew / (1.0 + cosine)
+    """Returns the smallest rotation [3, 3] that turns unit vector `start` into `end`.
+
+    Half a turn about `start`, then half a turn about the middle of both: orthonormal to round-off
+    for opposite vectors too.
+    """
+    middle = start + end
+    if middle @ middle < 1e-12:  # every perpendicular axis is as good; take a fixed one
+        middle = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+    return _half_turn(middle) @ _half_turn(start)
+
+
+def _half_turn(axis: np.ndarray) -> np.ndarray:
+    return 2.0 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
