@@ -1,5 +1,6 @@
 """Small experiments with known answers, for `verify` and the tests. All in SI units."""
 
+import dataclasses
 import math
 
 import numba
@@ -8,8 +9,46 @@ import numpy as np
 from mpm import bodies, columns, packing, solver, stability
 from mpm.constitutive import Soil, make_soil, update_stress
 from mpm.grid_update import update_grid
-from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
+from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene
 from mpm.transfers import particles_to_grid
+
+
+def coarse(scene: Scene) -> Scene:
+    """Returns the scene on cells twice as long, with as many particles per cell."""
+    box = scene.bin
+    cells = [round(box.size[0] / box.dx) // 2, round(box.size[2] / box.dx) // 2]
+    dx = box.size[0] / cells[0]
+    size = (box.size[0], box.size[1], cells[1] * dx)
+    lattice = tuple(max(2, n // 2) for n in box.lattice)
+    return dataclasses.replace(
+        scene, bin=dataclasses.replace(box, dx=dx, size=size, lattice=lattice)
+    )
+
+
+def energy(particles, soil: Soil, volume: float, dx: float, gravity: float) -> float:
+    """Returns kinetic, elastic and potential energy of soil in J, heights from the floor.
+
+    The affine part of a particle's motion carries 1/2 m |C|2 dx2 / 4 (the inertia of quadratic
+    B-splines). The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
+
+    Args:
+        particles: float64 [N, COLUMNS].
+        soil: their soil.
+        volume: m3 of packed soil per particle.
+        dx: cell size, m.
+        gravity: m/s2.
+    """
+    q = particles
+    ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
+    motion = (q[:, columns.V : columns.V + 3] ** 2).sum()
+    motion += dx**2 / 4 * (q[:, columns.C : columns.C + 9] ** 2).sum()
+    pressed = np.minimum(ratio, 1.0)
+    bulk = soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
+    shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
+    elastic = bulk + (ratio * shear).sum() / (4.0 * soil.shear_modulus)
+    height = (q[:, 1] - CORNER).sum()
+    mass = volume * soil.bulk_density
+    return float(mass * (0.5 * motion + gravity * height) + volume * elastic)
 
 
 class Experiment:
@@ -46,21 +85,8 @@ class Experiment:
         return self.mass * self.particles[:, columns.V : columns.V + 3].sum(axis=0)
 
     def energy(self, gravity: float = EARTH_GRAVITY) -> float:
-        """Returns kinetic, elastic and potential energy of the soil in J, height from the floor.
-
-        The affine part of a particle's motion carries 1/2 m |C|2 dx2 / 4 (the inertia of quadratic
-        B-splines). The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
-        """
-        q = self.particles
-        ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
-        motion = (q[:, columns.V : columns.V + 3] ** 2).sum()
-        motion += self.grid.dx**2 / 4 * (q[:, columns.C : columns.C + 9] ** 2).sum()
-        pressed = np.minimum(ratio, 1.0)
-        bulk = self.soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
-        shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
-        elastic = bulk + (ratio * shear).sum() / (4.0 * self.soil.shear_modulus)
-        height = (q[:, 1] - CORNER).sum()
-        return float(self.mass * (0.5 * motion + gravity * height) + self.volume * elastic)
+        """Returns the `energy` of the soil, J."""
+        return energy(self.particles, self.soil, self.volume, self.grid.dx, gravity)
 
     def advance(
         self,

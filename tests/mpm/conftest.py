@@ -1,23 +1,10 @@
 """Coarse scenes: the same code at a hundredth of the cost."""
 
-import dataclasses
-
 import pytest
 
 from mpm import packing, scenes
 from mpm.constitutive import make_soil
-
-
-def coarse(scene: scenes.Scene) -> scenes.Scene:
-    """Returns the scene on cells twice as long, with as many particles per cell."""
-    box = scene.bin
-    cells = [round(box.size[0] / box.dx) // 2, round(box.size[2] / box.dx) // 2]
-    dx = box.size[0] / cells[0]
-    size = (box.size[0], box.size[1], cells[1] * dx)
-    lattice = tuple(max(2, n // 2) for n in box.lattice)
-    return dataclasses.replace(
-        scene, bin=dataclasses.replace(box, dx=dx, size=size, lattice=lattice)
-    )
+from mpm.experiments import coarse
 
 
 @pytest.fixture(scope='session')

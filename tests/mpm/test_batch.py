@@ -21,7 +21,7 @@ SHORT = """
 import sys
 from mpm import batch, scenes
 from mpm.run import Settings
-from tests.mpm.conftest import coarse
+from mpm.experiments import coarse
 scenes.FRAMES = int(sys.argv[1])
 cases = tuple(int(case) for case in sys.argv[3].split(','))
 batch.generate(coarse(scenes.EXCAVATION), cases, sys.argv[2], Settings(), show_progress=False)

@@ -9,7 +9,6 @@ import pytest
 from mpm import bodies, columns, constitutive, experiments, packing, run, scenes, stability
 from mpm.constitutive import make_soil
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
-from tests.mpm.conftest import coarse
 
 STIFFNESS = {'E x 0.1': 1.5e5, 'E x 1': 1.5e6, 'E x 10': 1.5e7, 'E x 100': 1.5e8}
 STIFF = pytest.mark.parametrize('modulus', STIFFNESS.values(), ids=STIFFNESS)
@@ -162,7 +161,7 @@ def test_return_mapping_is_defined_everywhere(state, is_nonlocal):
 @pytest.fixture(scope='module')
 def settled():
     """(coarse excavation, its packing)."""
-    scene = coarse(scenes.EXCAVATION)
+    scene = experiments.coarse(scenes.EXCAVATION)
     return scene, packing.settle(scene.bin, make_soil(1.5e6, 0.76), 0)[0]
 
 
