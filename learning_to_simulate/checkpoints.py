@@ -14,6 +14,7 @@ import os
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import model_config
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
     KnownMotion,
@@ -22,9 +23,7 @@ from learning_to_simulate.learned_simulator import (
     SimulatorState,
 )
 from learning_to_simulate.networks import make_simulator
-from learning_to_simulate.normalization import Statistics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.scene import Scene
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
 from pca_tools import files
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
@@ -163,38 +162,42 @@ def load_model(path: str) -> Model:
     Raises:
       FileNotFoundError, ValueError: no model there, or weights that are not those of the config.
     """
-    values = read_config(path)
-    try:
-        config = TrainConfig(**values['config'])
-        scene = Scene.from_json(values['scene'])
-        statistics = Statistics.from_json(values['statistics'])
-        masks = [
-            None if values[k] is None else np.array(values[k], bool)
-            for k in ('mode_mask', 'loaded_mask')
-        ]
-        simulator = make_simulator(scene, config, statistics, tuple(values['particle_types']))
-    except (KeyError, TypeError) as error:
-        raise ValueError(
-            f'{path}/{CONFIG_FILE}: a field is missing or unknown ({error})'
-        ) from error
-    model = Model(simulator, *masks)
-    model.create_variables(values['n_rigid'])
+    parts = model_config.parse(read_config(path), os.path.join(path, CONFIG_FILE))
+    simulator = make_simulator(parts.scene, parts.config, parts.statistics, parts.particle_types)
+    model = Model(simulator, parts.mode_mask, parts.loaded_mask)
+    model.create_variables(parts.n_rigid)
+    variables = _weights(simulator)
+    stored = read_weights(path, {n: tuple(v.shape) for n, v in variables.items()})
+    for name, variable in variables.items():
+        variable.assign(stored[name])
+    return model
+
+
+def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
+    """Reads weights.npz.
+
+    Args:
+      path: model folder.
+      shapes: name -> shape of every weight that the model has.
+
+    Raises:
+      FileNotFoundError, ValueError: no weights there, other weights, or weights that are not
+        finite.
+    """
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
         raise FileNotFoundError(
             f'{weights_path}: no such file; the training of {path} has not saved any weights yet'
         )
-    stored, variables = files.read_npz(weights_path), _weights(simulator)
-    wanted = {n: tuple(v.shape) for n, v in variables.items()}
+    stored = files.read_npz(weights_path)
     found = {n: v.shape for n, v in stored.items()}
-    if wanted != found:
-        differing = sorted(n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n))
+    if shapes != found:
+        differing = sorted(n for n in shapes.keys() | found.keys() if shapes.get(n) != found.get(n))
         raise ValueError(
             f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
             f'{differing[:4]}'
         )
-    for name, variable in variables.items():
-        if not np.isfinite(stored[name]).all():
-            raise ValueError(f'{weights_path}: {name} is not finite')
-        variable.assign(stored[name])
-    return model
+    for name, value in stored.items():
+        if value.dtype.kind != 'f' or not np.isfinite(value).all():
+            raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
+    return stored

@@ -7,7 +7,6 @@ arrays.
 """
 
 import dataclasses
-import json
 import os
 
 import numpy as np
@@ -161,18 +160,14 @@ def load_mask(path: str) -> np.ndarray:
         raise ValueError(f'{path}: no such edge file')
     files.refuse_git_lfs_pointer(path)
     if path.endswith('.npy'):
-        try:
-            mask = np.load(path, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise ValueError(f'{path}: not a plain .npy array ({error})') from error
+        mask = files.read_npy(path)
         if mask.ndim != 2 or mask.shape[0] != mask.shape[1] or not np.isin(mask, (0, 1)).all():
             raise ValueError(
                 f'{path}: a mask must be a square array of 0 and 1, got shape {mask.shape}'
             )
         return mask.astype(bool)
+    values = files.read_json(path)
     try:
-        with open(path, encoding='utf-8') as file:
-            values = json.load(file)
         n_node = len(values['node_names'])
         ends = [np.asarray(values[key], np.int32).reshape(-1) for key in ('senders', 'receivers')]
         return Adjacency(*ends, n_node).mask()

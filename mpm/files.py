@@ -50,7 +50,10 @@ def read_arrays(path: str) -> dict[str, np.ndarray]:
         if total > MAX_BYTES:
             raise ValueError(f'unpacks to {total} bytes, the limit is {MAX_BYTES}')
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+            arrays = {name: file[name] for name in file.files}
+        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+            raise ValueError('not all of its members are arrays')
+        return arrays
     except FileNotFoundError:
         raise
     except Exception as error:  # a damaged archive fails in many ways, none of which is ours

@@ -51,14 +51,24 @@ def read_run(path: str) -> RawRun:
     """
     try:
         arrays = read_arrays(path)
-        return RawRun(
+        run = RawRun(
             positions=arrays['positions'],
             rigid_positions=arrays['rigid_positions'],
             force=arrays['force'],
             parameters=json.loads(str(arrays['parameters'])),
         )
-    except (KeyError, OSError, ValueError) as error:
+        frames = (len(run.positions), 3)
+        for name, ndim in (('positions', 3), ('rigid_positions', 3), ('force', 2)):
+            values = arrays[name]
+            if values.dtype.kind != 'f' or values.ndim != ndim:
+                raise ValueError(f'{name} is {values.dtype} {values.shape}')
+            if (len(values), values.shape[-1]) != frames or not np.isfinite(values).all():
+                raise ValueError(f'{name} is not finite or of other frames: {values.shape}')
+        if not isinstance(run.parameters, dict):
+            raise ValueError('parameters is no JSON object')
+    except (KeyError, TypeError, OSError, ValueError, RecursionError) as error:
         raise ValueError(f'{path} is not a raw run: {error}') from error
+    return run
 
 
 def digest(path: str) -> str:

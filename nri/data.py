@@ -118,8 +118,10 @@ def _read_array(path, n_axes):
         raise ValueError(
             f'{path}: has shape {array.shape}, an array of {n_axes} axes, none empty, was expected'
         )
-    if not np.isfinite(array).all():
-        raise ValueError(f'{path}: holds {np.count_nonzero(~np.isfinite(array))} NaN or infinity')
+    # Also what float32, in which the networks count, cannot hold.
+    bad = np.count_nonzero(~(np.abs(array) <= np.finfo(np.float32).max))
+    if bad:
+        raise ValueError(f'{path}: holds {bad} NaN, infinite or too large values')
     return array
 
 

@@ -136,7 +136,7 @@ def read_json(path: str) -> Any:
     try:
         with open(path, encoding='utf-8') as file:
             return json.load(file)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f'{path}: is not a JSON file: {error}') from error
 
 
@@ -333,7 +333,9 @@ def check_manifest(
     manifest = read_json(path)
     entries = manifest.get('files') if isinstance(manifest, dict) else None
     if not isinstance(entries, dict) or not all(
-        isinstance(entry, dict) and {'bytes', 'sha256'} <= entry.keys()
+        isinstance(entry, dict)
+        and isinstance(entry.get('bytes'), int)
+        and isinstance(entry.get('sha256'), str)
         for entry in entries.values()
     ):
         raise ValueError(

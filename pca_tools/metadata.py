@@ -7,8 +7,8 @@ on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `
 
 from __future__ import annotations
 
-import math
 import os
+import sys
 from typing import Any
 
 from pca_tools import files
@@ -63,7 +63,12 @@ def metadata_problems(metadata: Any) -> list[str]:
     for key in ('dt', 'default_connectivity_radius'):
         if not _is_number(metadata[key]) or metadata[key] <= 0:
             problems.append(f'{key} is {metadata[key]!r}, a positive number was expected')
-    for key, least in (('sequence_length', 1), ('mode_number', 1), ('particles_rigid', 0)):
+    for key, least in (
+        ('sequence_length', 1),
+        ('mode_number', 1),
+        ('particles_rigid', 0),
+        ('n_soil', 1),
+    ):
         value = metadata.get(key, least)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             problems.append(f'{key} is {value!r}, an integer of at least {least} was expected')
@@ -90,9 +95,9 @@ def _bounds_problems(bounds: Any) -> list[str]:
 
 def _statistics_problems(metadata: dict[str, Any], name: str, length: int | None) -> list[str]:
     """Checks a pair `<name>_mean`, `<name>_std`; a pair that is absent as a whole is no problem."""
-    mean, std = metadata.get(f'{name}_mean'), metadata.get(f'{name}_std')
-    if mean is None and std is None:
+    if f'{name}_mean' not in metadata and f'{name}_std' not in metadata:
         return []
+    mean, std = metadata.get(f'{name}_mean'), metadata.get(f'{name}_std')
     problems = []
     for key, value in ((f'{name}_mean', mean), (f'{name}_std', std)):
         if not _is_numbers(value, length):
@@ -132,18 +137,29 @@ def _scene_problems(metadata: dict[str, Any]) -> list[str]:
             f'scene.rigid_motion is {scene.get("rigid_motion")!r}, one of {RIGID_MOTIONS} was '
             'expected'
         )
-    names = scene.get('context_names', [])
-    if len(names) != len(metadata.get('context_mean') or []):
+    if not isinstance(scene.get('name', ''), str):
+        problems.append(f'scene.name is {scene["name"]!r}, a text was expected')
+    up_axis = scene.get('up_axis', 1)
+    if isinstance(up_axis, bool) or up_axis not in range(DIM) or not isinstance(up_axis, int):
+        problems.append(f'scene.up_axis is {up_axis!r}, one of 0, 1, 2 was expected')
+    names, edges = scene.get('context_names', []), scene.get('rigid_edges', [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return [*problems, f'scene.context_names is {names!r}, a list of texts was expected']
+    if not isinstance(edges, list):
+        return [*problems, f'scene.rigid_edges is {edges!r}, a list of pairs was expected']
+    context = metadata.get('context_mean', [])
+    if isinstance(context, list) and len(names) != len(context):
         problems.append(
-            f'scene.context_names has {len(names)} names but context_mean has '
-            f'{len(metadata.get("context_mean") or [])} values'
+            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
         )
     if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
         problems.append('scene.force and the presence of rigid_body_force_mean disagree')
     count = metadata.get('particles_rigid')
-    for edge in scene.get('rigid_edges', []):
-        if not _is_numbers(edge, 2) or (
-            count is not None and not all(0 <= end < count for end in edge)
+    for edge in edges:
+        if (
+            not _is_numbers(edge, 2)
+            or not all(isinstance(end, int) and end >= 0 for end in edge)
+            or (isinstance(count, int) and max(edge) >= count)
         ):
             problems.append(
                 f'scene.rigid_edges has {edge!r}, two of {count} rigid particles were expected'
@@ -153,7 +169,12 @@ def _scene_problems(metadata: dict[str, Any]) -> list[str]:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    # JSON has integers that no float can hold.
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and abs(value) <= sys.float_info.max
+    )
 
 
 def _is_numbers(value: Any, length: int | None) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -72,18 +73,36 @@ class RawRuns(Sequence):
         ):
             raise ValueError(f'{path}: is not a manifest of raw runs (scene, dt, bounds, runs)')
         self.scene: dict[str, Any] = manifest['scene']
-        self.dt = float(manifest['dt'])
+        self.dt = manifest['dt']
         self.bounds = manifest['bounds']
-        lacking = [key for key in _SCENE_KEYS if key not in self.scene]
+        if (
+            isinstance(self.dt, bool)
+            or not isinstance(self.dt, (int, float))
+            or not (0 < self.dt < math.inf)
+        ):
+            raise ValueError(f'{path}: dt is {self.dt!r}, a positive number was expected')
+        lacking = [
+            key for key in _SCENE_KEYS if not isinstance(self.scene, dict) or key not in self.scene
+        ]
         if lacking or self.scene['rigid_motion'] not in RIGID_MOTIONS:
             raise ValueError(
                 f'{path}: scene {self.scene!r} lacks {lacking} or has an unknown rigid_motion'
             )
+        names = self.scene['context_names']
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError(f'{path}: context_names is {names!r}, a list of texts was expected')
         self._entries = manifest['runs']
+        if not isinstance(self._entries, list):
+            raise ValueError(f'{path}: runs is no list')
         for entry in self._entries:
-            if not isinstance(entry, dict) or _ENTRY_KEYS - entry.keys():
+            if (
+                not isinstance(entry, dict)
+                or _ENTRY_KEYS - entry.keys()
+                or not isinstance(entry['file'], str)
+                or not isinstance(entry['case'], (int, str))
+            ):
                 raise ValueError(
-                    f'{path}: a run is listed as {entry!r}, without {sorted(_ENTRY_KEYS)}'
+                    f'{path}: a run is listed as {entry!r}, not with {sorted(_ENTRY_KEYS)}'
                 )
         self.cases = [entry['case'] for entry in self._entries]
         if not self.cases:
@@ -135,19 +154,21 @@ class RawRuns(Sequence):
             lacking.append('force')
         if lacking:
             raise ValueError(f'{path}: lacks the arrays {lacking}')
-        frames = arrays['positions'].shape[0]
+        frames = arrays['positions'].shape[0] if arrays['positions'].ndim else 0
         for name, ndim in (('positions', 3), ('rigid_positions', 3), ('force', 2)):
             values = arrays.get(name)
             if values is None:
                 continue
             if (
-                values.ndim != ndim
+                values.dtype.kind not in 'fiu'
+                or values.ndim != ndim
                 or len(values) != frames
                 or values.shape[-1] != DIM
                 or not values.size
             ):
                 raise ValueError(
-                    f'{path}: {name} has shape {values.shape} for {frames} frames of {DIM} axes'
+                    f'{path}: {name} has shape {values.shape}, {values.dtype} for {frames} frames '
+                    f'of {DIM} axes'
                 )
             if not np.all(np.isfinite(values)):
                 bad = np.argwhere(~np.isfinite(values))
@@ -158,7 +179,9 @@ class RawRuns(Sequence):
         try:
             parameters = json.loads(str(arrays['parameters']))
             context = [float(parameters['context'][name]) for name in self.scene['context_names']]
-        except (ValueError, KeyError, TypeError) as error:
+            if not np.all(np.isfinite(context)):
+                raise ValueError(f'context {context} is not finite')
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(
                 f'{path}: parameters must be a JSON object with context '
                 f'{self.scene["context_names"]}: {error!r}'

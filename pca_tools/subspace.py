@@ -35,6 +35,8 @@ _SVD_COPIES = 4
 # A rank-k update and an eigenvalue solver in place hold the N x N matrix and one spare copy of it.
 _COVARIANCE_COPIES = 2
 _MAGNITUDE_TIE = 1e-9
+# Arrays of a stored subspace that hold one value.
+_SCALARS = ('total_energy', 'n_rows', 'centering', 'digest')
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -174,6 +176,16 @@ class Subspace:
         missing -= arrays.keys()
         if missing:
             raise ValueError(f'{path}: is not a subspace, it lacks {sorted(missing)}')
+        kinds = {'runs': 'U', 'centering': 'U', 'digest': 'U', 'n_rows': 'i'}
+        for name, array in arrays.items():
+            kind, scalar = kinds.get(name, 'f'), name in _SCALARS
+            if array.dtype.kind != kind or (scalar and array.ndim):
+                raise ValueError(
+                    f'{path}: {name} of type {array.dtype} and shape {array.shape} is not that of '
+                    'a subspace'
+                )
+            if kind == 'f' and not np.all(np.isfinite(array)):
+                raise ValueError(f'{path}: {name} holds NaN or infinite values')
         subspace = cls(
             mean=arrays['mean'],
             components=arrays['components'],
@@ -188,6 +200,7 @@ class Subspace:
         if (
             subspace.components.ndim != 2
             or mean_shapes.get(subspace.centering) != subspace.mean.shape
+            or subspace.singular_values.ndim != 1
             or len(subspace.singular_values) < subspace.n_modes
             or subspace.initial.shape != (subspace.n_soil, DIM)
         ):
@@ -197,6 +210,18 @@ class Subspace:
             )
         if subspace.digest != str(arrays['digest']):
             raise ValueError(f'{path}: the digest does not fit the arrays; the file was changed')
+        # What the digest leaves out: kept consistent by the ratios, which are stored as well.
+        ratio = arrays.get('explained_variance_ratio', np.empty(0))
+        if (
+            subspace.n_rows < 2
+            or not subspace.total_energy > 0
+            or ratio.shape != subspace.singular_values.shape
+            or not np.allclose(ratio, subspace.explained_variance_ratio, rtol=1e-9, atol=0)
+        ):
+            raise ValueError(
+                f'{path}: total_energy {subspace.total_energy} and n_rows {subspace.n_rows} do not '
+                'fit the singular values'
+            )
         return subspace
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from learning_to_simulate import metrics
 from pca_tools import files
+from pca_tools.metadata import metadata_problems
 from pca_tools.subspace import Subspace
 
 SUBSPACE_NAME = 'subspace.npz'
@@ -196,6 +197,9 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
     arrays = files.read_npz(rollout_path)
+    for name, array in arrays.items():
+        if name != 'metadata' and array.dtype.kind not in 'fiu':
+            raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
     metadata = _metadata(rollout_path, arrays)
     truth, prediction, force = _joined(rollout_path, arrays)
     n_modes = metadata['mode_number']
@@ -246,11 +250,11 @@ def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
     try:
         metadata = json.loads(str(arrays['metadata']))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f'{path}: its metadata is not JSON: {error}') from error
-    lacking = [key for key in ('dt', 'mode_number') if key not in metadata]
-    if lacking:
-        raise ValueError(f'{path}: its metadata lacks {lacking}')
+    problems = metadata_problems(metadata)
+    if problems:
+        raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
     return metadata
 
 
@@ -273,17 +277,18 @@ def _joined(path: str, arrays: dict[str, np.ndarray]):
         missing = [key for key in _FORCES if key not in arrays]
         if missing:
             raise ValueError(f'{path}: has forces but lacks {missing}')
+        for key, frames in zip(_FORCES, (given, predicted, truth)):
+            if arrays[key].shape != (len(frames), DIM):
+                raise ValueError(
+                    f'{path}: {key} has shape {arrays[key].shape}, {(len(frames), DIM)} was '
+                    'expected'
+                )
         force = {
             which: np.concatenate([arrays['initial_forces'], arrays[key]]).astype(np.float64)
             for which, key in ((TRUTH, 'ground_truth_forces'), (PREDICTION, 'predicted_forces'))
         }
-        expected = (len(given) + len(truth), DIM)
-        for which, values in force.items():
-            if values.shape != expected:
-                raise ValueError(
-                    f'{path}: forces of the {which} have shape {values.shape}, {expected} was '
-                    'expected'
-                )
+        if not np.isfinite(force[TRUTH]).all():
+            raise ValueError(f'{path}: the true force has NaN or infinite values')
     return np.concatenate([given, truth]), np.concatenate([given, predicted]), force
 
 

@@ -79,6 +79,10 @@ def write(
     metadata = {
         'dt': DT,
         'bounds': [[0.0, 1.2], [0.0, 0.8], [0.0, 0.8]],
+        'sequence_length': n_frames - 1,
+        'default_connectivity_radius': 0.025,
+        'dim': 3,
+        **{f'{name}_{end}': [1.0] * 3 for name in ('vel', 'acc') for end in ('mean', 'std')},
         'mode_number': n_modes,
         'n_soil': space.n_soil,
         'scene': {'name': 'excavation', 'rigid_motion': 'prescribed'},

@@ -105,7 +105,7 @@ def test_mask_of_modes_is_completed_and_other_sizes_are_refused():
         ('a.npy', b'not an array', 'plain .npy'),
         ('a.json', b'{"senders": [0]}', 'receivers'),
         ('a.json', b'{"senders": [9], "receivers": [0], "node_names": ["a"]}', 'only 1|1 nodes'),
-        ('a.json', b'[1, 2', 'edges.json'),
+        ('a.json', b'[1, 2', 'not a JSON file'),
         ('a.npy', b'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n', 'git-lfs'),
     ],
 )

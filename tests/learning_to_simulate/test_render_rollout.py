@@ -129,13 +129,13 @@ class TestBadInput:
         check('shapes do not fit: 27 particle types', particle_types=arrays['particle_types'][1:])
         check('shapes do not fit', predicted_rollout=arrays['predicted_rollout'][1:])
         check("lacks .'predicted_forces'", predicted_forces=None)
-        check('forces of the prediction', predicted_forces=arrays['predicted_forces'][1:])
+        check('predicted_forces has shape', predicted_forces=arrays['predicted_forces'][1:])
         check('ground truth has NaN', ground_truth_rollout=arrays['ground_truth_rollout'] * np.nan)
         check(
             'no predicted frame is finite', predicted_rollout=arrays['predicted_rollout'] * np.nan
         )
         check('is not JSON', metadata=np.array('{'))
-        check("lacks .'dt'", metadata=np.array(json.dumps({'mode_number': 8})))
+        check('lacks .*dt', metadata=np.array(json.dumps({'mode_number': 8})))
         many = json.dumps(metadata | {'mode_number': 99})
         check('has 28 nodes but its metadata says mode_number 99', metadata=np.array(many))
         fewer = json.dumps(metadata | {'mode_number': 7})

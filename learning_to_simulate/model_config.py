@@ -1,0 +1,162 @@
+"""What `config.json` of a model folder says, checked before any variable is made of it."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from learning_to_simulate.normalization import Statistics
+from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.scene import RigidMotion, Scene
+
+# No body of the project has more than 20 particles; a damaged number must not ask for the memory
+# of a graph of millions.
+MAX_RIGID = 1000
+MAX_MODES = 10_000
+# Largest values that any network of the project could mean.
+LIMITS = {
+    'latent_size': 4096, 'hidden_layers': 32, 'message_passing_steps': 100, 'batch_size': 100_000,
+    'unroll_batch_size': 100_000, 'unroll_length': 10_000, 'rigid_particles': MAX_RIGID,
+}  # fmt: skip
+_NUMBER_OF_TYPES = 9
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """The parts of `config.json` that say what a model is.
+
+    Attributes:
+      config: `TrainConfig`.
+      scene: `Scene`.
+      statistics: `Statistics`.
+      particle_types: of the rigid particles and of the modes.
+      n_rigid: an R that the model runs on.
+      mode_mask: bool [r, r], or None.
+      loaded_mask: bool [V, V] or [r, r], or None.
+    """
+
+    config: TrainConfig
+    scene: Scene
+    statistics: Statistics
+    particle_types: tuple[int, int]
+    n_rigid: int
+    mode_mask: np.ndarray | None
+    loaded_mask: np.ndarray | None
+
+
+def parse(values: dict, source: str) -> ModelConfig:
+    """Checks the values of `config.json` and gives them their types.
+
+    Args:
+      values: the JSON object.
+      source: its file, for messages.
+
+    Raises:
+      ValueError: a field is missing, unknown, of another type, or fits no model.
+    """
+    try:
+        config = TrainConfig(**values['config'])
+        _check_types(config)
+        scene = Scene.from_json(values['scene'])
+        _check_scene(scene)
+        statistics = Statistics.from_json(values['statistics'])
+        _check_statistics(statistics, scene)
+        n_rigid = values['n_rigid']
+        _require(_is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
+        types = values['particle_types']
+        _require(
+            isinstance(types, list)
+            and len(types) == 2
+            and all(_is_int(t, 0, _NUMBER_OF_TYPES - 1) for t in types),
+            'particle_types',
+            types,
+        )
+        masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
+    return ModelConfig(config, scene, statistics, tuple(types), n_rigid, *masks)
+
+
+def _require(condition, name, value):
+    if not condition:
+        raise ValueError(f'{name} is {value!r}')
+
+
+def _is_int(value, low, high):
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_finite(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _check_types(config):
+    for field in dataclasses.fields(config):
+        value, kind = getattr(config, field.name), field.type
+        high = LIMITS.get(field.name, 2**62)
+        good = {
+            int: lambda value, high=high: _is_int(value, -(2**62), high),
+            float: _is_finite,
+            bool: lambda value: isinstance(value, bool),
+            str: lambda value: isinstance(value, str),
+        }.get(kind)
+        if good is not None:
+            _require(good(value), field.name, value)
+
+
+def _check_scene(scene):
+    _require(isinstance(scene.name, str), 'scene.name', scene.name)
+    _require(_is_int(scene.n_modes, 1, MAX_MODES), 'scene.n_modes', scene.n_modes)
+    _require(isinstance(scene.rigid_motion, RigidMotion), 'rigid_motion', scene.rigid_motion)
+    _require(isinstance(scene.has_force, bool), 'scene.has_force', scene.has_force)
+    _require(scene.n_soil is None or _is_int(scene.n_soil, 1, 2**31), 'scene.n_soil', scene.n_soil)
+    _require(_is_finite(scene.dt) and scene.dt > 0, 'scene.dt', scene.dt)
+    _require(_is_int(scene.up_axis, 0, 2), 'scene.up_axis', scene.up_axis)
+    radius = scene.connectivity_radius
+    _require(_is_finite(radius) and radius > 0, 'scene.connectivity_radius', radius)
+    _require(all(isinstance(n, str) for n in scene.context_names), 'context_names', '...')
+    for edge in scene.rigid_edges:
+        _require(len(edge) == 2 and all(_is_int(end, 0, MAX_RIGID) for end in edge), 'edge', edge)
+
+
+def _check_statistics(statistics, scene):
+    classes, context = scene.n_modes + 1, len(scene.context_names)
+    dim = statistics.origin.shape[-1] if statistics.origin.ndim else 0
+    _require(dim in (2, 3), 'statistics.origin of shape', statistics.origin.shape)
+    shapes = {
+        'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
+        'force_mean': (dim,), 'force_std': (dim,), 'height_std': (1,), 'height_velocity_std': (1,),
+        'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
+        'log_context_mean': (context,), 'log_context_std': (context,),
+        'position_range': (2, classes, dim), 'given_range': (2, dim),
+        'body_extent_range': (2, dim), 'body_speed_range': (2, 1), 'context_range': (2, context),
+    }  # fmt: skip
+    for field in dataclasses.fields(statistics):
+        value = getattr(statistics, field.name)
+        if value is None:
+            _require(type(None) in getattr(field.type, '__args__', ()), field.name, None)
+            continue
+        expected = shapes.get(field.name, (classes, dim))
+        _require(value.shape == expected, f'statistics.{field.name} of shape', value.shape)
+        _require(bool(np.isfinite(value).all()), f'statistics.{field.name}', 'not finite')
+        if field.name.endswith('_std') or field.name == 'body_speed':
+            _require(bool((value > 0).all()), f'statistics.{field.name}', 'not positive')
+        if field.name.endswith('_range'):
+            _require(bool((value[0] <= value[1]).all()), f'statistics.{field.name}', 'upside down')
+    for name, present in (('force', scene.has_force), ('context', bool(context))):
+        for end in ('mean', 'std'):
+            value = getattr(statistics, f'{name}_{end}')
+            _require((value is not None) == present, f'presence of statistics.{name}_{end}', value)
+
+
+def _mask(value, name):
+    if value is None:
+        return None
+    _require(
+        isinstance(value, list)
+        and all(isinstance(row, list) and len(row) == len(value) for row in value)
+        and all(_is_int(entry, 0, 1) for row in value for entry in row),
+        name,
+        'not a square of 0 and 1',
+    )
+    return np.array(value, bool)
