@@ -94,8 +94,11 @@ def read_split(folder: str, split: str) -> list[Trajectory]:
     if not os.path.exists(path):
         present = [name for name in SPLITS if os.path.exists(split_path(folder, name))]
         raise FileNotFoundError(f'{path}: no such file; splits in this folder: {present or "none"}')
+    before = _identity(path)
     entries = files.check_manifest(folder, [METADATA_NAME, os.path.basename(path)])
     trajectories = read_records_as_trajectories(path)
+    if _identity(path) != before:
+        raise ValueError(f'{path}: the file was replaced while it was read; read it again')
     if entries is not None:
         expected = entries[os.path.basename(path)].get('records')
         if expected is not None and expected != len(trajectories):
@@ -107,6 +110,12 @@ def read_split(folder: str, split: str) -> list[Trajectory]:
         if problems:
             raise ValueError(f'{path}: record {index}: ' + '; '.join(problems))
     return trajectories
+
+
+def _identity(path: str) -> tuple[int, int, int]:
+    """Which file a path leads to now."""
+    status = os.stat(path)
+    return status.st_dev, status.st_ino, status.st_size
 
 
 def read_records_as_trajectories(path: str) -> list[Trajectory]:

@@ -109,6 +109,8 @@ def read_records(path: str) -> Iterator[SequenceRecord]:
             data = next(stream)
         except tf.errors.DataLossError as error:
             raise ValueError(f'{where}: wrong data checksum; copy or convert it again') from error
+        except (StopIteration, tf.errors.OpError) as error:
+            raise ValueError(f'{where}: the file was replaced while it was read') from error
         yield parse_sequence_example(data, where)
 
 

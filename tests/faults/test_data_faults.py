@@ -1,0 +1,240 @@
+"""Data folders: bombs, hostile arrays, full disks, two writers, a reader beside a writer.
+
+Truncated, flipped, foreign and oversized records, metadata that does not fit, git-lfs pointers and
+hostile pickles have their tests beside the readers in `tests/pca_tools`; README.md lists them.
+"""
+
+import io
+import json
+import pathlib
+import resource
+import subprocess
+import sys
+import threading
+import zipfile
+
+import numpy as np
+import pytest
+
+from learning_to_simulate import connectivity_utils
+from learning_to_simulate.scene import Scene
+from mpm import files as mpm_files
+from nri import data as nri_data
+from pca_tools import dataset, files, subspace
+from tests.learning_to_simulate import synthetic
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+MARK = 'this_file_must_not_appear'
+READERS = {
+    'arrays': files.read_npz,
+    'arrays of the solver': mpm_files.read_arrays,
+    'subspace': subspace.Subspace.load,
+}
+
+
+class Evil:
+    """Asks whoever unpickles it to make a file."""
+
+    def __reduce__(self):
+        return open, (MARK, 'w')
+
+
+def npy_header(shape, kind='|u1'):
+    stream = io.BytesIO()
+    values = {'descr': kind, 'fortran_order': False, 'shape': shape}
+    np.lib.format.write_array_header_1_0(stream, values)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize('read', READERS.values(), ids=READERS)
+def test_four_gigabytes_in_ten_kilobytes_are_refused_unread(tmp_path, read):
+    """By what the archive's own directory says, before anything is unpacked."""
+    path = tmp_path / 'bomb.npz'
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr('mean.npy', npy_header((2**20,)) + bytes(2**20))
+    data = bytearray(path.read_bytes())
+    assert len(data) < 10_000
+    at = data.rindex(b'PK\x01\x02')
+    data[at + 24 : at + 28] = (2**32 - 2).to_bytes(4, 'little')
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match='bomb.npz.*4294967294 bytes'):
+        read(str(path))
+
+
+@pytest.mark.parametrize('read', READERS.values(), ids=READERS)
+def test_many_small_members_are_added_up(tmp_path, read):
+    """1100 members of 1 MiB from 1 MB: none of them is over the limit, all together are."""
+    path = tmp_path / 'bomb.npz'
+    content = npy_header((2**20,)) + bytes(2**20)
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr('a0.npy', content)
+    one = path.read_bytes()
+    end = one.rindex(b'PK\x05\x06')
+    entry = one[one.rindex(b'PK\x01\x02') : end]
+    directory = b''.join(
+        entry.replace(b'a0.npy', f'a{i}.npy'.encode()) if i < 10 else entry for i in range(1100)
+    )
+    tail = bytearray(one[end:])
+    tail[8:12] = (1100).to_bytes(2, 'little') * 2
+    tail[12:16] = len(directory).to_bytes(4, 'little')
+    path.write_bytes(one[: one.rindex(b'PK\x01\x02')] + directory + tail)
+    with pytest.raises(ValueError, match='bomb.npz.*bytes.*limit'):
+        read(str(path))
+
+
+def load_mask(path):
+    return connectivity_utils.load_mask(str(path))
+
+
+def load_kipf(path):
+    return nri_data._read_array(str(path), 4)
+
+
+@pytest.mark.parametrize('read', [load_mask, load_kipf, files.read_npy])
+def test_hostile_npy_files(tmp_path, read, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / 'a.npy'
+    with open(path, 'wb') as file:
+        np.lib.format.write_array(file, np.array([Evil()], object), allow_pickle=True)
+    with pytest.raises(ValueError, match='a.npy.*Python objects'):
+        read(str(path))
+    assert not (tmp_path / MARK).exists()
+    path.write_bytes(npy_header((10**6, 10**6)) + bytes(100))
+    with pytest.raises(ValueError, match=r'a.npy.*1000000000000 bytes but it holds 100'):
+        read(str(path))
+
+
+def test_objects_in_archives_are_never_built(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez('evil.npz', evil=np.array([Evil()], object), allow_pickle=True)
+    (tmp_path / MARK).unlink(missing_ok=True)
+    for read in READERS.values():
+        with pytest.raises(ValueError, match='evil.npz'):
+            read('evil.npz')
+    assert not (tmp_path / MARK).exists()
+
+
+def test_mask_of_another_graph_names_both_sizes(tmp_path):
+    np.save(tmp_path / 'mask.npy', np.ones((23, 23), bool))
+    mask = load_mask(tmp_path / 'mask.npy')
+    scene = Scene('x', 8, 'prescribed', (), True, (), 10, 0.1)
+    with pytest.raises(ValueError, match='23.*28 nodes'):
+        connectivity_utils.build(str(tmp_path / 'mask.npy'), scene, 20, None, mask)
+
+
+@pytest.mark.parametrize('ending', ['npz', 'json'])
+def test_full_disk_leaves_the_old_file(tmp_path, ending):
+    path = tmp_path / f'a.{ending}'
+    values = np.random.default_rng(0).random(40_000)
+    write = {
+        'npz': lambda values: files.write_npz(str(path), a=values),
+        'json': lambda values: files.write_json(str(path), values.tolist()),
+    }[ending]
+    write(values[:10])
+    before = path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with pytest.raises(OSError, match=path.name):
+            write(values)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert path.read_bytes() == before
+
+
+def test_oversized_record_does_not_end_the_process(tmp_path):
+    """In a process of its own: TensorFlow alone ends with a segmentation fault on this file."""
+    code = """
+import struct, sys
+from pca_tools import dataset
+from pca_tools.tfrecord_io import masked_crc32c
+header = struct.pack('<Q', 2**40)
+with open(sys.argv[1], 'wb') as file:
+    file.write(header + struct.pack('<I', masked_crc32c(header)) + bytes(100))
+try:
+    dataset.read_records_as_trajectories(sys.argv[1])
+except ValueError as error:
+    print(error)
+"""
+    path = tmp_path / 'train.tfrecord'
+    done = subprocess.run(
+        [sys.executable, '-c', code, str(path)], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert f'{path}: record 0 at offset 0: the header promises {2**40} bytes' in done.stdout
+
+
+def test_second_converter_does_not_replace_the_first(tmp_path):
+    """Both found the output free when they started; the faster one keeps the name."""
+    path = str(tmp_path / 'set')
+
+    def slow(folder):
+        files.write_json(f'{folder}/a.json', 'slow')
+        files.write_folder_atomically(path, fast, replace=False)
+
+    def fast(folder):
+        files.write_json(f'{folder}/a.json', 'fast')
+
+    # The same process has one temporary name; two processes have two.
+    real, numbers = files.os.getpid, iter((1, 2))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files.os, 'getpid', lambda: next(numbers, real()))
+        with pytest.raises(OSError):
+            files.write_folder_atomically(path, slow, replace=False)
+    assert json.loads((tmp_path / 'set' / 'a.json').read_text()) == 'fast'
+    assert [p.name for p in tmp_path.iterdir()] == ['set']
+
+
+def test_second_solver_in_a_folder_is_refused(tmp_path):
+    code = """
+import sys
+from mpm import files
+with files.one_writer(sys.argv[1]):
+    print('held', flush=True)
+    sys.stdin.read()
+"""
+    holder = subprocess.Popen(
+        [sys.executable, '-c', code, str(tmp_path)],
+        cwd=ROOT, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert holder.stdout.readline() == 'held\n'
+    refusal = pytest.raises(ValueError, match=f'process {holder.pid} writes')
+    with refusal, mpm_files.one_writer(str(tmp_path)):
+        raise AssertionError('two writers')
+    holder.kill()
+    holder.wait()
+    with mpm_files.one_writer(str(tmp_path)):  # the system released the lock with the process
+        pass
+
+
+def test_reader_beside_a_writer_sees_one_version_or_the_other(tmp_path):
+    """A dataset that is replaced again and again is read whole, old or new, or refused."""
+    path = str(tmp_path / 'set')
+
+    def fill(value):
+        def write(folder):
+            synthetic.write_dataset(folder, n_run=1 + value)
+            names = ['metadata.json', 'train.tfrecord', 'valid.tfrecord', 'test.tfrecord']
+            files.write_manifest(folder, {name: {} for name in names})
+
+        return write
+
+    files.write_folder_atomically(path, fill(0))
+    counts, refused, stop = set(), 0, threading.Event()
+
+    def write():
+        for round_ in range(6):
+            files.write_folder_atomically(path, fill(round_ % 2))
+        stop.set()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    while not stop.is_set():
+        try:
+            counts.add(len(dataset.read_split(path, 'train')))
+        except (ValueError, OSError):  # between the two renames, or with files of both
+            refused += 1
+    writer.join()
+    assert counts <= {1, 2} and len(counts) + refused
+    assert len(dataset.read_split(path, 'train')) == 2
