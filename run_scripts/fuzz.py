@@ -12,6 +12,7 @@ Examples:
     python -m run_scripts.fuzz --count=2000 --targets=subspace.npz --output_path=/tmp/fuzz
 """
 
+import contextlib
 import multiprocessing
 import os
 import platform
@@ -65,6 +66,9 @@ class _Pool:
         """Replaces dead workers, puts the rest of their blocks back; returns (input, exit code)."""
         died = []
         for slot, process in list(self._workers.items()):
+            if self._hangs(slot):
+                process.kill()
+                process.join()
             if process.exitcode is None:
                 continue
             if not os.path.exists(self._note(slot)):
@@ -78,6 +82,13 @@ class _Pool:
             os.remove(self._note(slot))
             self._start(slot)
         return died
+
+    def _hangs(self, slot):
+        """Whether an input has taken longer than the alarm inside of the worker allows, which
+        cannot stop a loop that is not Python's."""
+        with contextlib.suppress(FileNotFoundError):
+            return time.time() - os.path.getmtime(self._note(slot)) > 5 * fuzz_bench.SECONDS
+        return False
 
     def close(self):
         """Lets the workers end."""
