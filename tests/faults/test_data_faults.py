@@ -95,7 +95,7 @@ def test_hostile_npy_files(tmp_path, read, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / 'a.npy'
     with open(path, 'wb') as file:
-        np.lib.format.write_array(file, np.array([Evil()], object), allow_pickle=True)
+        np.lib.format.write_array(file, np.array([Evil()], object))
     with pytest.raises(ValueError, match='a.npy.*Python objects'):
         read(str(path))
     assert not (tmp_path / MARK).exists()
@@ -106,7 +106,7 @@ def test_hostile_npy_files(tmp_path, read, monkeypatch):
 
 def test_objects_in_archives_are_never_built(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    np.savez('evil.npz', evil=np.array([Evil()], object), allow_pickle=True)
+    np.savez('evil.npz', evil=np.array([Evil()], object))
     (tmp_path / MARK).unlink(missing_ok=True)
     for read in READERS.values():
         with pytest.raises(ValueError, match='evil.npz'):
