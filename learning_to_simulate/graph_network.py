@@ -4,10 +4,47 @@ graph_nets.
 The only file that touches graph_nets, so that its layers can be replaced in one place.
 """
 
+from typing import NamedTuple
+
 import graph_nets as gn
 import numpy as np
 import sonnet as snt
 import tensorflow as tf
+
+
+class MlpWeights(NamedTuple):
+    """Variables of one MLP.
+
+    Attributes:
+      layers: (w [in, out], b [out]) of each linear layer, the last one without ReLU.
+      scale, offset: of the LayerNorm behind it, [out]; None for the decoder.
+    """
+
+    layers: tuple
+    scale: tf.Variable | None
+    offset: tf.Variable | None
+
+
+class NetworkWeights(NamedTuple):
+    """Variables of the whole network by their role.
+
+    Attributes:
+      node_encoder, edge_encoder, decoder: `MlpWeights`.
+      processors: per message-passing step (edge model, node model); the first layer of an edge
+        model acts on [edge, receiver, sender], that of a node model on [received, node].
+    """
+
+    node_encoder: MlpWeights
+    edge_encoder: MlpWeights
+    processors: tuple
+    decoder: MlpWeights
+
+
+def _weights_of(model) -> MlpWeights:
+    linear = [m for m in model.submodules if isinstance(m, snt.Linear)]
+    norms = [m for m in model.submodules if isinstance(m, snt.LayerNorm)]
+    layers = tuple((m.w, m.b) for m in linear)
+    return MlpWeights(layers, *((norms[0].scale, norms[0].offset) if norms else (None, None)))
 
 
 def _mlp(width, hidden_layers, output_size=None, name='mlp'):
@@ -115,6 +152,19 @@ class EncodeProcessDecode(snt.Module):
         """Sets the last layer to zero: every output is 0 until it is trained."""
         for variable in self._decoder.trainable_variables[-2:]:
             variable.assign(tf.zeros_like(variable))
+
+    def weights(self) -> NetworkWeights:
+        """The variables by role, for code that rewrites the network; they must exist already."""
+        edge, node = (m for m in self._encoder.submodules if isinstance(m, snt.Sequential))
+        return NetworkWeights(
+            _weights_of(node),
+            _weights_of(edge),
+            tuple(
+                (_weights_of(p._edge_block._model), _weights_of(p._node_block._model))
+                for p in self._processors
+            ),
+            _weights_of(self._decoder),
+        )
 
     def __call__(self, nodes, edges, senders, receivers):
         """Runs the network on B equal graphs.

@@ -148,6 +148,11 @@ class LearnedSimulator(snt.Module):
         """Refuses bodies of R particles that the network cannot take; a graph takes any number."""
 
     @property
+    def network(self) -> graph_network.EncodeProcessDecode:
+        """The graph network, for code that rewrites it."""
+        return self._network
+
+    @property
     def knows_next_frame(self) -> bool:
         """Whether the coming frame of the body is an input; not in the published presets."""
         return self.config.conditioned and self.scene.rigid_motion.is_known
@@ -174,12 +179,9 @@ class LearnedSimulator(snt.Module):
           nodes [B, V, F], edges [B, E, D + 1].
         """
         parts = self._state_parts(state, known, layout)
-        classes = layout.node_class
-        if not self.config.conditioned:
-            classes = np.where(classes == 0, *self.particle_types)
-        parts.append(('nodes', tf.gather(self._embedding, classes)[None]))
+        parts.append(('nodes', self.node_embedding(layout)[None]))
         if self.scene.context_names:
-            parts.append(('scene', self._context_features(context)[:, None]))
+            parts.append(('scene', self.context_features(context)[:, None]))
         nodes = [self._at_nodes(kind, values, state, layout) for kind, values in parts]
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
             state.offset, layout.receivers, axis=1
@@ -228,7 +230,14 @@ class LearnedSimulator(snt.Module):
         values = tf.broadcast_to(values, [state.offset.shape[0], n, values.shape[-1]])
         return tf.pad(values, [[0, 0], [0, layout.n_node - n], [0, 0]])
 
-    def _context_features(self, context):
+    def node_embedding(self, layout: Layout):
+        """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
+        classes = layout.node_class
+        if not self.config.conditioned:
+            classes = np.where(classes == 0, *self.particle_types)
+        return tf.gather(self._embedding, classes)
+
+    def context_features(self, context):
         """Normalised context [B, C], with its normalised logarithm where there is one [B, 2 C]."""
         s = self.statistics
         linear = (context - s.context_mean.astype(np.float32)) / s.context_std.astype(np.float32)

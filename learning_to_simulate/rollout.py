@@ -79,6 +79,30 @@ def rigid_correction(shape, position):
     return centroid + tf.einsum('bij,brj->bri', rotation, shape)
 
 
+def body_shape(offset, origin):
+    """Particles of a body relative to their centroid, float64 [B, R, D].
+
+    Args:
+      offset: float32 [B, R, D] from the origin, m.
+      origin: float64 [R, D].
+    """
+    position = tf.cast(offset, tf.float64) + origin
+    return position - tf.reduce_mean(position, axis=1, keepdims=True)
+
+
+def corrected_body(shape, before, after, origin):
+    """Offset and velocity, float32 [B, R, D], of a predicted body after `rigid_correction`.
+
+    Args:
+      shape: of `body_shape`.
+      before, after: float32 [B, R, D] offsets before the frame and as predicted.
+      origin: float64 [R, D].
+    """
+    placed = rigid_correction(shape, tf.cast(after, tf.float64) + origin) - origin
+    velocity = tf.cast(placed - tf.cast(before, tf.float64), tf.float32)
+    return tf.cast(placed, tf.float32), velocity
+
+
 class RolloutFunction:
     """A compiled rollout of B graphs over a fixed number of frames.
 
@@ -110,7 +134,10 @@ class RolloutFunction:
         return self._run(state, known, context, n_frame)
 
     def _loop(self, state, known, context, n_frame):
-        shape = self._body_shape(state) if self._correct else None
+        n = self.layout.n_rigid
+        shape = (
+            body_shape(state.offset[:, :n], self.layout.origin[:n]) if self._correct else None
+        )
 
         def body(k, state, offsets, forces):
             coming = None if known is None else KnownMotion(known.offset[k], known.velocity[k])
@@ -131,16 +158,12 @@ class RolloutFunction:
         )
         return offsets.stack(), forces.stack() if self.simulator.scene.has_force else None
 
-    def _body_shape(self, state):
-        n = self.layout.n_rigid
-        position = tf.cast(state.offset[:, :n], tf.float64) + self.layout.origin[:n]
-        return position - tf.reduce_mean(position, axis=1, keepdims=True)
-
     def _corrected(self, before, after, shape):
-        n, origin = self.layout.n_rigid, self.layout.origin[: self.layout.n_rigid]
-        placed = rigid_correction(shape, tf.cast(after.offset[:, :n], tf.float64) + origin) - origin
-        velocity = tf.cast(placed - tf.cast(before.offset[:, :n], tf.float64), tf.float32)
-        offset = tf.concat([tf.cast(placed, tf.float32), after.offset[:, n:]], axis=1)
+        n = self.layout.n_rigid
+        placed, velocity = corrected_body(
+            shape, before.offset[:, :n], after.offset[:, :n], self.layout.origin[:n]
+        )
+        offset = tf.concat([placed, after.offset[:, n:]], axis=1)
         last = tf.concat([velocity, after.velocity[:, n:, -1]], axis=1)
         return SimulatorState(
             offset, tf.concat([after.velocity[:, :, :-1], last[:, :, None]], axis=2)

@@ -57,7 +57,7 @@ class WholeStateSimulator(LearnedSimulator):
         n_graph = state.offset.shape[0]
         (_, velocities), *parts = self._state_parts(state, known, layout)
         if self.scene.context_names:
-            parts.append(('scene', self._context_features(context)[:, None]))
+            parts.append(('scene', self.context_features(context)[:, None]))
         values = [
             tf.broadcast_to(tf.reshape(v, [len(v), -1]), [n_graph, v.shape[1] * v.shape[2]])
             for _, v in parts
