@@ -12,8 +12,9 @@ import numpy as np
 from learning_to_simulate import metrics
 from learning_to_simulate.checkpoints import Model
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout import RolloutFunction, roll_out
+from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import files
 
 
@@ -35,7 +36,7 @@ class Evaluator:
         key = group.position.shape
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
-            self._functions[key] = RolloutFunction(self._model.simulator, layout, self._correct)
+            self._functions[key] = rollout_function(self._model.simulator, layout, self._correct)
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):

@@ -93,11 +93,8 @@ class SpecialisedRollout:
             after = folded.advance(outputs, moving)
             if self._correct:
                 after = _corrected(shape, moving, after, self.layout.origin[:n])
-            written = [after.modes, after.body, outputs.get('force')]
-            arrays = [
-                a.write(k, x) for a, x in zip(arrays, written, strict=True) if x is not None
-            ]
-            return k + 1, after, arrays
+            written = [after.modes, after.body, *(outputs[n] for n in ('force',) if n in outputs)]
+            return k + 1, after, [a.write(k, x) for a, x in zip(arrays, written, strict=True)]
 
         moving = folded.moving(state)
         elements = [moving.modes.shape, moving.body.shape]
