@@ -73,9 +73,7 @@ class FoldedSimulator:
       dense: whether blocks of all pairs are computed without gathers.
     """
 
-    def __init__(
-        self, simulator: LearnedSimulator, layout: Layout, dense: bool = True
-    ):
+    def __init__(self, simulator: LearnedSimulator, layout: Layout, dense: bool = True):
         self.simulator, self.layout = simulator, layout
         self.motion = simulator.scene.rigid_motion
         config, scene = simulator.config, simulator.scene

@@ -135,9 +135,7 @@ class RolloutFunction:
 
     def _loop(self, state, known, context, n_frame):
         n = self.layout.n_rigid
-        shape = (
-            body_shape(state.offset[:, :n], self.layout.origin[:n]) if self._correct else None
-        )
+        shape = body_shape(state.offset[:, :n], self.layout.origin[:n]) if self._correct else None
 
         def body(k, state, offsets, forces):
             coming = None if known is None else KnownMotion(known.offset[k], known.velocity[k])
