@@ -18,9 +18,8 @@ from learning_to_simulate.scene import RigidMotion, Scene
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 NUM_PARTICLE_TYPES = 9
-RATE_FLOOR = (
-    0.05  # of the mean speed of the body: below it the soil's own motion is no longer scaled
-)
+# Of the mean speed of the body: below it the soil's own motion is no longer scaled.
+RATE_FLOOR = 0.05
 
 
 class SimulatorState(NamedTuple):
@@ -39,8 +38,7 @@ class KnownMotion(NamedTuple):
     """What is given of the coming frame of the rigid body.
 
     Where the motion is driven, the up component holds the shape only: its mean over the R particles
-      is 0,
-    and the predicted height is added to it.
+    is 0, and the predicted height is added to it.
 
     Attributes:
       offset: float32 [B, R, D], m.
