@@ -34,7 +34,7 @@ DESCRIPTION_FILE = 'export.json'
 TOLERANCE = 1e-4
 # Metres; float32 positions of a metre resolve 1e-7.
 RECONSTRUCT_TOLERANCE = 2e-6
-COMPARED_STEPS = 20
+COMPARED_STEPS = 8
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:

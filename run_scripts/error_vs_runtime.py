@@ -83,6 +83,7 @@ def make_settings(values) -> survey.Settings:
     return survey.Settings(
         sweeps, training, SHIPPED, values.models_path, seeds, values.rounds,
         values.num_threads, values.num_processes, 60.0 * values.row_minutes,
+        solver_json=values.solver_json,
     )  # fmt: skip
 
 
@@ -93,6 +94,8 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder of the report.', required=True)
     flags.DEFINE_string('models_path', None, 'Trained models to load instead of training them; '
                         'default: models/<name of the dataset folder> of the project.')  # fmt: skip
+    flags.DEFINE_string('solver_json', None, 'Rows of run_scripts.coarse_solver; default: '
+                        'docs/coarse_solver_<scene>.json where it exists.')  # fmt: skip
     flags.DEFINE_bool('from_json', False, 'Measure nothing: report from the stored numbers.')
     flags.DEFINE_bool('quick', False, 'Few rows, little training: within 10 minutes.')
     flags.DEFINE_integer('seeds', 3, 'Trainings of the default preset.', 1)
@@ -116,9 +119,12 @@ def main(_) -> None:
             missing = [n for n in ('data_path', 'work_path') if not values[n].value]
             if missing:
                 raise ValueError(f'give --{" and --".join(missing)}, or --from_json')
+            scene = os.path.basename(os.path.abspath(values.data_path))
             if values.models_path is None:
-                scene = os.path.basename(os.path.abspath(values.data_path))
                 values.models_path = os.path.join(ROOT, 'models', scene)
+            solver_json = os.path.join(ROOT, 'docs', f'coarse_solver_{scene}.json')
+            if values.solver_json is None and os.path.exists(solver_json):
+                values.solver_json = solver_json
             measure.use_threads(values.num_threads)
             document = survey.Survey(
                 values.data_path, values.work_path, values.output_path, make_settings(values)

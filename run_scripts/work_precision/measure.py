@@ -33,8 +33,13 @@ ERRORS = (
 )  # fmt: skip
 
 
-def isolated(function, *arguments, limit_s: float | None = None, threads: int = 1):
+def isolated(function, *arguments, limit_s: float | None = None, threads: int | None = None):
     """Calls a function of a module in a fresh process and returns what it returns.
+
+    Args:
+      function, arguments: what to call.
+      limit_s: seconds that it may take; None for any.
+      threads: CPU threads of TensorFlow in that process; None leaves them alone.
 
     Raises:
       TimeoutError: it ran longer than `limit_s`; the process was ended.
@@ -42,7 +47,10 @@ def isolated(function, *arguments, limit_s: float | None = None, threads: int = 
       Exception: whatever the function raises.
     """
     pool = concurrent.futures.ProcessPoolExecutor(
-        1, multiprocessing.get_context('spawn'), initializer=use_threads, initargs=(threads,)
+        1,
+        multiprocessing.get_context('spawn'),
+        initializer=use_threads if threads else None,
+        initargs=(threads,) if threads else (),
     )
     try:
         return pool.submit(function, *arguments).result(limit_s)

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pca_tools import files
-from run_scripts.work_precision import families, labels, machine, tables
+from run_scripts.work_precision import families, labels, machine, solver_rows, tables
 from run_scripts.work_precision.points import OK, WorkPrecisionPoint
 
 # Okabe & Ito 2008: told apart with every common colour blindness; the markers tell it twice.
@@ -66,11 +66,13 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     references = {
         label: error(p, split) for label, p in first.items() if families.REFERENCE in p.families
     }
-    _set_limits(axes, places.values(), references.values())
+    slowest = [p.seconds_per_second(dt) for p in first.values() if p.rollout]
+    _set_limits(axes, places.values(), references.values(), max(1.0, *slowest))
     failures = [p for p in document['points'] if p.status != OK]
     _draw_failures(axes, failures, dt)
     _draw_references(axes, {k: v for k, v in references.items() if v})
-    _draw_deadlines(axes, dt)
+    fine = next((p for p in first.values() if p.label == solver_rows.FINE), None)
+    _draw_times(axes, dt, fine)
     axes.grid(True, which='major', alpha=0.35)
     axes.grid(True, which='minor', alpha=0.12)
     axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
@@ -98,10 +100,10 @@ def _draw_spread(axes, place, errors):
         axes.plot([place[0]] * len(errors), errors, '_', color='0.2', markersize=9, zorder=2)
 
 
-def _set_limits(axes, places, references):
+def _set_limits(axes, places, references, slowest):
     times, errors = zip(*places, strict=True)
     errors = [*errors, *(v for v in references if v)]
-    axes.set_xlim(min(times) / 1.6, max(*times, 1.0) * 1.6)
+    axes.set_xlim(min(times) / 1.6, slowest * 1.6)
     low, high = math.log(min(errors)), math.log(max(errors))
     margin = 0.08 * (high - low) + 0.05
     axes.set_ylim(math.exp(low - margin), math.exp(high + 2.2 * margin))
@@ -127,13 +129,16 @@ def _draw_references(axes, references):
         axes.axhline(value, color='0.35', linewidth=1.1, linestyle=style, label=label, zorder=1)
 
 
-def _draw_deadlines(axes, dt):
-    """Vertical lines: a frame per frame time, and a step per millisecond."""
-    for seconds, text in (
-        (1.0, f'real time: a frame every 1/{1 / dt:.0f} s'),
-        (1e-3 / dt, '1 kHz: a step every ms'),
-    ):
-        axes.axvline(seconds, color='#555555', linewidth=1.4, zorder=1)
+def _draw_times(axes, dt, fine):
+    """Vertical lines: a frame per frame time, a step per millisecond, the fine solver."""
+    times = [
+        (1.0, f'real time: a frame every 1/{1 / dt:.0f} s', '-'),
+        (1e-3 / dt, '1 kHz: a step every ms', '-'),
+    ]
+    if fine is not None:
+        times.append((fine.seconds_per_second(dt), 'the solver that made the data', ':'))
+    for seconds, text, style in times:
+        axes.axvline(seconds, color='#555555', linewidth=1.4, linestyle=style, zorder=1)
         axes.text(0.985 * seconds, 0.02, text, rotation=90, ha='right', va='bottom', fontsize=8.5,
                   color='#333333', transform=axes.get_xaxis_transform())  # fmt: skip
 

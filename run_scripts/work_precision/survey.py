@@ -10,7 +10,7 @@ import tqdm
 
 from learning_to_simulate import checkpoints, experiment, reading_utils
 from pca_tools import dataset, files
-from run_scripts.work_precision import families, machine, measure
+from run_scripts.work_precision import families, machine, measure, solver_rows
 from run_scripts.work_precision.points import OK, WorkPrecisionPoint
 
 DOCUMENT = 'points.json'
@@ -37,6 +37,7 @@ class Settings:
       num_processes: rows trained at a time.
       row_limit_s: a row that trains longer has failed.
       isolate: whether rows run in processes of their own.
+      solver_json: rows of the solver on coarser grids, or None.
     """
 
     sweeps: dict
@@ -49,6 +50,7 @@ class Settings:
     num_processes: int = 1
     row_limit_s: float = 1800.0
     isolate: bool = True
+    solver_json: str | None = None
 
 
 def read_document(path: str) -> dict:
@@ -112,6 +114,8 @@ class Survey:
         self._lock = threading.Lock()
         self._points: dict[str, WorkPrecisionPoint] = {}
         self._references: list[WorkPrecisionPoint] = []
+        path = settings.solver_json
+        self._solver = solver_rows.read(path) if path else []
         self._models: dict[str, str] = {}
 
     def _finished(self):
@@ -230,5 +234,5 @@ class Survey:
             ]
         order = {row.label: i for i, row in enumerate(self._rows)}
         rows = sorted(self._points.values(), key=lambda p: (order[p.label], p.seed))
-        self.document['points'] = [*self._references, *rows]
+        self.document['points'] = [*self._references, *self._solver, *rows]
         write_document(self.path, self.document)

@@ -1,19 +1,30 @@
 """The error-against-run-time report: points, choices, and the whole command in miniature."""
 
 import csv
+import dataclasses
 import io
 import json
 import math
+import os
+import time
 
 import numpy as np
 import pytest
 
-from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, experiment, presets, reading_utils
 from pca_tools import dataset
 from run_scripts import error_vs_runtime
-from run_scripts.work_precision import families, labels, measure, pictures, survey, tables
+from run_scripts.work_precision import (
+    families,
+    labels,
+    measure,
+    pictures,
+    solver_rows,
+    survey,
+    tables,
+)
 from run_scripts.work_precision.points import Timing, WorkPrecisionPoint, choose, pareto_front
-from tests.learning_to_simulate import synthetic
+from tests.learning_to_simulate import models, synthetic
 
 
 def make_point(label='a', ms=0.1, error=3.0, force=0.3, seed=0, **changed):
@@ -223,32 +234,44 @@ def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
 
 
 def test_model_of_the_same_config_and_data_is_loaded_not_trained(tmp_path):
-    folder = synthetic.write_dataset(tmp_path / 'data')
-    config = presets.make_config('pcg', num_steps=2, unroll_steps=0, **SMALL)
-    measure.train(folder, str(tmp_path / 'models' / 'mine'), config)
-    digests = experiment.data_digests(folder)
-    where = str(tmp_path / 'models')
-    assert measure.find_shipped(where, config, digests) == f'{where}/mine'
-    other = presets.make_config('pcg', num_steps=3, unroll_steps=0, **SMALL)
+    model, groups, _ = models.make(tmp_path / 'data')
+    digests = experiment.data_digests(str(tmp_path / 'data'))
+    path = tmp_path / 'models' / 'mine'
+    path.mkdir(parents=True)
+    checkpoints.save_config(str(path), model, groups[0].n_rigid, {'sha256': digests})
+    checkpoints.save_weights(str(path), model.simulator)
+    where, config = str(tmp_path / 'models'), model.simulator.config
+    assert measure.find_shipped(where, config, digests) == str(path)
+    other = dataclasses.replace(config, num_steps=3)
     assert measure.find_shipped(where, other, digests) is None
     assert measure.find_shipped(where, config, digests | {'metadata.json': '0'}) is None
     assert measure.digest(config, digests) != measure.digest(other, digests)
 
 
-def sleep_or_die(how):
-    import os
-    import time
-
-    if how == 'die':
-        os._exit(9)
-    time.sleep(60)
+def test_rows_of_the_coarse_solver_are_read(tmp_path):
+    cost = {'status': 'ok', 'milliseconds_per_step': 16.0}
+    coarse = {'soil_mse': 4e-6, 'soil_rms_mm': 2.0, 'force_relative_l2': 0.5} | cost
+    path = tmp_path / 'solver.json'
+    path.write_text(json.dumps({'runs': {'solver': [cost], 'solver_x2': [coarse, coarse]}}))
+    fine, twice = solver_rows.read(str(path))
+    assert fine.label == 'solver' and fine.position_error('test') is None
+    assert twice.label == 'solver, cells x 2' and twice.position_error('test') == 2.0
+    assert twice.seconds_per_second(1 / 60) == pytest.approx(0.96)
+    document = make_document()
+    document['points'] += [fine, twice]
+    pictures.draw(document, 'position', str(tmp_path / 'picture.png'))
+    with pytest.raises(ValueError, match='no model keeps'):  # the solver is no candidate
+        choose(document['points'], 1e-3)
+    path.write_text('{"runs": {"solver": [{}]}}')
+    with pytest.raises(ValueError, match='not the rows of'):
+        solver_rows.read(str(path))
 
 
 def test_row_that_dies_or_hangs_is_an_error_of_its_own():
     with pytest.raises(RuntimeError, match='ended from outside'):
-        measure.isolated(sleep_or_die, 'die')
+        measure.isolated(os._exit, 9)
     with pytest.raises(TimeoutError, match='not done within 0.1 s'):
-        measure.isolated(sleep_or_die, 'sleep', limit_s=0.1)
+        measure.isolated(time.sleep, 60, limit_s=0.1)
 
 
 @pytest.mark.parametrize(
