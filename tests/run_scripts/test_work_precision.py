@@ -204,6 +204,7 @@ def settings(**changed):
     return survey.Settings(**values | changed)
 
 
+@pytest.mark.slow
 def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
     """Trains, measures, draws; the second call finds everything done; failures stay visible."""
     folder = synthetic.write_dataset(tmp_path / 'data')
