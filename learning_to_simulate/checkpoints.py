@@ -166,11 +166,16 @@ def load_model(path: str) -> Model:
     simulator = make_simulator(parts.scene, parts.config, parts.statistics, parts.particle_types)
     model = Model(simulator, parts.mode_mask, parts.loaded_mask)
     model.create_variables(parts.n_rigid)
+    load_weights(path, simulator)
+    return model
+
+
+def load_weights(path: str, simulator) -> None:
+    """Puts the weights of weights.npz into a simulator's variables; raises as `read_weights`."""
     variables = _weights(simulator)
     stored = read_weights(path, {n: tuple(v.shape) for n, v in variables.items()})
     for name, variable in variables.items():
         variable.assign(stored[name])
-    return model
 
 
 def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:

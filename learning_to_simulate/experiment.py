@@ -86,9 +86,13 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     return model
 
 
-def _open_model_path(path, model, n_rigid, data):
+def open_model_path(path, model, n_rigid, data):
     """Claims a model folder: writes config.json into a new one, compares with the config of an old
-    one."""
+    one.
+
+    Raises:
+      ValueError: a folder of something else; nothing was written.
+    """
     if not os.path.exists(os.path.join(path, checkpoints.CONFIG_FILE)):
         if strangers := set(os.listdir(path)) - {folder_lock.LOCK_NAME}:
             raise ValueError(
@@ -169,7 +173,7 @@ def train(
     }
     trainer = Trainer(model, groups)
     with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
-        _open_model_path(model_path, model, groups[0].n_rigid, data)
+        open_model_path(model_path, model, groups[0].n_rigid, data)
         state = training_state.TrainingState(model_path, trainer)
         state.remove_leftovers()
         start = state.restore()
@@ -183,10 +187,10 @@ def train(
             f'{trainer.total_steps} steps'
         )
         evaluator = evaluation.Evaluator(model, metadata)
-        return _train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop)
+        return train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop)
 
 
-def _train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop) -> dict:
+def train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop) -> dict:
     """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
     summary = {}
     total = trainer.total_steps
@@ -259,6 +263,16 @@ def _log_rollout(summary, step, bar):
     bar.write(text)
 
 
+def refuse_contradictions(model_path, config, overrides):
+    """Raises ValueError if an override {field: value} is not what the model's config says."""
+    for field, value in overrides.items():
+        if value != getattr(config, field):
+            raise ValueError(
+                f'--{field}={value} contradicts the model in {model_path}, which has '
+                f'{getattr(config, field)!r}: leave the flag out'
+            )
+
+
 def load_for_evaluation(model_path, data_path, split, overrides):
     """The model, its dataset's metadata and the runs of the split.
 
@@ -268,12 +282,7 @@ def load_for_evaluation(model_path, data_path, split, overrides):
     """
     model = checkpoints.load_model(model_path)
     config = model.simulator.config
-    for field, value in overrides.items():
-        if value != getattr(config, field):
-            raise ValueError(
-                f'--{field}={value} contradicts the model in {model_path}, which has '
-                f'{getattr(config, field)!r}: leave the flag out'
-            )
+    refuse_contradictions(model_path, config, overrides)
     metadata = dataset.read_metadata(data_path)
     scene = model.simulator.scene
     if metadata['mode_number'] != scene.n_modes:

@@ -19,6 +19,8 @@ LIMITS = {
     'unroll_batch_size': 100_000, 'unroll_length': 10_000, 'rigid_particles': MAX_RIGID,
 }  # fmt: skip
 _NUMBER_OF_TYPES = 9
+# What a field of a damaged or foreign file raises where it is read.
+WRONG_FIELD = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,26 +57,35 @@ def parse(values: dict, source: str) -> ModelConfig:
       ValueError: a field is missing, unknown, of another type, or fits no model.
     """
     try:
-        config = TrainConfig(**values['config'])
-        _check_types(config)
-        scene = Scene.from_json(values['scene'])
-        _check_scene(scene)
+        config, scene, types = config_and_scene(values)
         statistics = Statistics.from_json(values['statistics'])
         _check_statistics(statistics, scene)
         n_rigid = values['n_rigid']
         _require(_is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
-        types = values['particle_types']
-        _require(
-            isinstance(types, list)
-            and len(types) == 2
-            and all(_is_int(t, 0, _NUMBER_OF_TYPES - 1) for t in types),
-            'particle_types',
-            types,
-        )
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except WRONG_FIELD as error:
         raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
-    return ModelConfig(config, scene, statistics, tuple(types), n_rigid, *masks)
+    return ModelConfig(config, scene, statistics, types, n_rigid, *masks)
+
+
+def config_and_scene(values: dict) -> tuple[TrainConfig, Scene, tuple[int, int]]:
+    """The checked `TrainConfig`, scene and particle types of any model's `config.json`.
+
+    Raises:
+      one of `WRONG_FIELD`: a field is missing, unknown or wrong.
+    """
+    config, scene = TrainConfig(**values['config']), Scene.from_json(values['scene'])
+    _check_types(config)
+    _check_scene(scene)
+    types = values['particle_types']
+    _require(
+        isinstance(types, list)
+        and len(types) == 2
+        and all(_is_int(t, 0, _NUMBER_OF_TYPES - 1) for t in types),
+        'particle_types',
+        types,
+    )
+    return config, scene, tuple(types)
 
 
 def _require(condition, name, value):

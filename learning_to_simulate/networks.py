@@ -21,7 +21,7 @@ def make_simulator(scene, config, statistics, particle_types=(0, 6)) -> LearnedS
       scene, config, statistics, particle_types: as `LearnedSimulator`.
 
     Raises:
-      ValueError: a model that does not live in the subspace.
+      ValueError: a model that does not live in the subspace (full_space has its own package).
     """
     if config.model == 'gns':
         return LearnedSimulator(scene, config, statistics, particle_types)

@@ -8,7 +8,7 @@ import dataclasses
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
 WHOLE_STATE_MODELS = ('mlp', 'mixer_se', 'mixer_scse')  # take the whole state at once: no edges
-MODELS = ('gns', *WHOLE_STATE_MODELS)
+MODELS = ('gns', *WHOLE_STATE_MODELS, 'full_space')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,9 +18,10 @@ class TrainConfig:
     Attributes:
       preset: name of the preset the config started from.
       model: the network: 'gns' (graph), 'mlp' (Holden et al. 2019), 'mixer_se' or 'mixer_scse'
-        (Motion-Mixer); see `networks`.
+        (Motion-Mixer); see `networks`; 'full_space' is a graph network on the particles.
       adjacency: 'fully_connected', 'algorithm2', or the edge file that was loaded; 'none' for a
-        model without a graph.
+        model without a graph, and for full_space, whose radius graph is made in every step.
+      soil_particles: about how many soil particles the full-space model keeps; else 0.
       mode_edges: mode -> mode edges that Algorithm 2 keeps when no file gives them.
       rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
         keeps all. Only
@@ -56,6 +57,7 @@ class TrainConfig:
     preset: str
     model: str = 'gns'
     adjacency: str = 'algorithm2'
+    soil_particles: int = 0
     mode_edges: int = 28
     rigid_particles: int = 10
     conditioned: bool = True
@@ -86,10 +88,19 @@ class TrainConfig:
     def __post_init__(self):
         if self.model not in MODELS:
             raise ValueError(f'unknown model {self.model!r}; there are {", ".join(MODELS)}')
-        if (self.adjacency == 'none') != (self.model in WHOLE_STATE_MODELS):
+        if (self.adjacency == 'none') != (self.model != 'gns'):
             raise ValueError(
-                f'adjacency is {self.adjacency!r} with model {self.model!r}: it is none with '
-                f'{", ".join(WHOLE_STATE_MODELS)} and with no other'
+                f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
+                f'others take none'
+            )
+        if (self.soil_particles > 0) != (self.model == 'full_space'):
+            raise ValueError(
+                f'soil_particles is {self.soil_particles} with model {self.model!r}: full_space '
+                f'needs some, the others take 0'
+            )
+        if self.model == 'full_space' and (self.unroll_steps or self.rate_scaled):
+            raise ValueError(
+                'full_space is trained in single steps: unroll_steps 0, no rate_scaled'
             )
         for name, low in (
             ('mode_edges', 0),
@@ -187,6 +198,25 @@ PRESETS = {
     ),
     'mixer_scse': TrainConfig(
         'mixer_scse', model='mixer_scse', velocity_inputs=5, hidden_layers=1, **_WHOLE_STATE
+    ),
+    # Sanchez-Gonzalez et al. 2020 on thinned particles; small, because every step costs a KD-tree
+    # and thousands of edges.
+    'full_space': TrainConfig(
+        'full_space',
+        model='full_space',
+        soil_particles=400,
+        rigid_particles=0,
+        velocity_inputs=5,
+        rate_scaled=False,
+        mode_order=2,
+        rigid_order=2,
+        latent_size=32,
+        message_passing_steps=3,
+        batch_size=2,
+        num_steps=2000,
+        unroll_steps=0,
+        decay_steps=1000.0,
+        **_WHOLE_STATE,
     ),
 }
 

@@ -31,7 +31,10 @@ import tensorflow as tf
 import tqdm
 from absl import app, flags, logging
 
-from learning_to_simulate import evaluation, experiment, presets
+from learning_to_simulate import checkpoints, evaluation, experiment, presets
+from learning_to_simulate.full_space import experiment as particles
+from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
+from learning_to_simulate.full_space.particle_training import ParticleTrainer
 from learning_to_simulate.training import Trainer
 
 _MODE = flags.DEFINE_enum(
@@ -45,6 +48,9 @@ _DATA_PATH = flags.DEFINE_string(
 )
 _MODEL_PATH = flags.DEFINE_string(
     'model_path', None, 'Model folder; training resumes from it.', required=True
+)
+_RAW_PATH = flags.DEFINE_string(
+    'raw_path', None, 'Raw runs of the dataset, for --model=full_space; else they are decoded.'
 )
 _OUTPUT_PATH = flags.DEFINE_string(
     'output_path', None, 'Folder for rollouts and metrics.json (eval_rollout).'
@@ -100,12 +106,47 @@ def _overrides() -> dict:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _evaluate_one_step(overrides):
-    model, _, groups = experiment.load_for_evaluation(
-        _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides
+def _load(overrides):
+    """The class of its trainer, the evaluator, the model, the metadata, the runs of the split."""
+    paths = (_MODEL_PATH.value, _DATA_PATH.value)
+    stored = checkpoints.read_config(_MODEL_PATH.value).get('config')
+    if isinstance(stored, dict) and stored.get('model') == 'full_space':
+        model, metadata, groups = particles.load_for_evaluation(
+            *paths, _RAW_PATH.value, _EVAL_SPLIT.value, overrides
+        )
+        return ParticleTrainer, ParticleEvaluator(model, metadata), model, metadata, groups
+    _refuse_raw_path()
+    model, metadata, groups = experiment.load_for_evaluation(*paths, _EVAL_SPLIT.value, overrides)
+    evaluator = evaluation.Evaluator(model, metadata, _RIGID_CORRECTION.value)
+    return Trainer, evaluator, model, metadata, groups
+
+
+def _refuse_raw_path():
+    if _RAW_PATH.value:
+        raise ValueError('--raw_path is for --model=full_space only; other models take records')
+
+
+def _train(overrides):
+    preset = _PRESET.value or presets.preset_of_model(_MODEL.value)
+    config = presets.make_config(preset, **overrides)
+    rest = (
+        _MODEL_PATH.value,
+        config,
+        _RIGID_MOTION.value,
+        _SAVE_EVERY.value,
+        _TAKE_OVER_LOCK.value,
     )
+    if config.model == 'full_space':
+        particles.train(_DATA_PATH.value, _RAW_PATH.value, *rest)
+    else:
+        _refuse_raw_path()
+        experiment.train(_DATA_PATH.value, *rest)
+
+
+def _evaluate_one_step(overrides):
+    make_trainer, _, model, _, groups = _load(overrides)
     print(f'one-step errors on {_EVAL_SPLIT.value} of {_DATA_PATH.value}')
-    for name, value in Trainer(model, groups).one_step_errors().items():
+    for name, value in make_trainer(model, groups).one_step_errors().items():
         print(f'  {name:24s} {value:.6g}')
 
 
@@ -113,10 +154,7 @@ def _evaluate_rollouts(overrides):
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    model, metadata, groups = experiment.load_for_evaluation(
-        _MODEL_PATH.value, _DATA_PATH.value, split, overrides
-    )
-    evaluator = evaluation.Evaluator(model, metadata, _RIGID_CORRECTION.value)
+    _, evaluator, _, metadata, groups = _load(overrides)
     results, summary = evaluator.run(
         groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
     )
@@ -133,12 +171,7 @@ def main(_):
     overrides = _overrides()
     try:
         if _MODE.value == 'train':
-            preset = _PRESET.value or presets.preset_of_model(_MODEL.value)
-            config = presets.make_config(preset, **overrides)
-            experiment.train(
-                _DATA_PATH.value, _MODEL_PATH.value, config, _RIGID_MOTION.value,
-                _SAVE_EVERY.value, _TAKE_OVER_LOCK.value,
-            )  # fmt: skip
+            _train(overrides)
         elif _MODE.value == 'eval':
             _evaluate_one_step(overrides)
         else:

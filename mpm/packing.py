@@ -53,22 +53,24 @@ def make_grid(box: Bin) -> Grid:
     Raises:
         ValueError: if length or width are not a whole number of cells.
     """
-    cells = [box.size[0] / box.dx, box.height / box.dx, box.size[2] / box.dx]
+    width = box.size[2] + 2 * box.wall_gap
+    cells = [box.size[0] / box.dx, box.height / box.dx, width / box.dx]
     for name, count in (('length', cells[0]), ('width', cells[2])):
         if abs(count - round(count)) > 1e-6:
             raise ValueError(f'the {name} of the bin must be whole cells, got {count:.6g}')
     nx, ny, nz = round(cells[0]), int(np.ceil(cells[1])), round(cells[2])
     return Grid(
         shape=(nx + 2 * PAD + 1, ny + 2 * PAD + 1, nz + 2 * PAD + 1),
-        origin=(CORNER - PAD * box.dx,) * 3,
+        origin=(*(CORNER - PAD * box.dx,) * 2, CORNER - box.wall_gap - PAD * box.dx),
         dx=box.dx,
         walls=(PAD, PAD + nx, PAD, PAD, PAD + nz, 0),
     )
 
 
 def particle_volume(box: Bin) -> float:
-    """Returns the packed volume of soil per particle, m3."""
-    return float(np.prod(box.size)) / int(np.prod(box.lattice))
+    """Returns the packed volume of soil per simulated particle, m3."""
+    simulated = range(0, int(np.prod(box.lattice)), box.simulate_every)
+    return float(np.prod(box.size)) / len(simulated)
 
 
 def lattice(box: Bin, seed: int) -> np.ndarray:

@@ -33,6 +33,8 @@ class Bin:
         keep_every: every how many particles are written.
         height: height of the grid above the floor, m.
         bounds: [low, high] per axis in m; everything stays inside.
+        wall_gap: how far each wall across stands outside the soil, m; see `coarse`.
+        simulate_every: every how many particles of the lattice are simulated; see `coarse`.
     """
 
     size: tuple
@@ -41,6 +43,8 @@ class Bin:
     keep_every: int
     height: float
     bounds: tuple
+    wall_gap: float = 0.0
+    simulate_every: int = 1
 
     @property
     def surface(self) -> float:

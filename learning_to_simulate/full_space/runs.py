@@ -1,0 +1,102 @@
+"""Runs of a dataset as particles: every k-th soil particle beside all rigid particles."""
+
+import os
+
+import numpy as np
+
+from learning_to_simulate.reading_utils import RunGroup
+from pca_tools import dataset
+from pca_tools.raw_runs import RawRuns
+from pca_tools.subspace import Subspace
+
+SOIL_TYPE = 6  # of the authors' records
+RAW, DECODED = 'raw runs', 'decoded from the subspace'
+
+
+def thinned_indices(n_soil: int, wanted: int) -> np.ndarray:
+    """Indices of every k-th of N soil particles, k so that about `wanted` are left.
+
+    Raises:
+      ValueError: more particles wanted than there are.
+    """
+    if wanted > n_soil:
+        raise ValueError(f'soil_particles is {wanted}, but the runs have {n_soil} soil particles')
+    return np.arange(0, n_soil, max(round(n_soil / wanted), 1))
+
+
+def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
+    """All runs of a split as one group of V = R + kept soil particles.
+
+    Args:
+      data_path: dataset folder.
+      raw_path: folder of the raw runs of its cases, or None to decode the records.
+      split: train, valid or test.
+      metadata: of the dataset.
+      soil_particles: about how many soil particles are kept.
+
+    Raises:
+      FileNotFoundError: no such split, raw folder or subspace.
+      ValueError: raw runs that lack a case of the split or differ from the dataset, records with
+        other numbers of rigid particles or frames, or without a subspace.
+    """
+    records = dataset.read_split(data_path, split)
+    soils = _raw_soil(raw_path, metadata, split, records) if raw_path else _decoded_soil
+    positions = []
+    for i, run in enumerate(records):
+        soil = soils(data_path, run, i) if raw_path else soils(data_path, run)
+        kept = thinned_indices(soil.shape[1], soil_particles)
+        rigid = run.position[:, : run.n_rigid].astype(np.float64)
+        positions.append(np.concatenate([rigid, soil[:, kept]], axis=1))
+        if positions[-1].shape != positions[0].shape or run.n_rigid != records[0].n_rigid:
+            raise ValueError(
+                f'{data_path}: {split} record {i} has {run.n_rigid} rigid particles and '
+                f'{len(run.position)} frames, unlike those before: full_space takes equal runs only'
+            )
+    first = records[0]
+    n_soil = positions[0].shape[1] - first.n_rigid
+    return RunGroup(
+        n_rigid=first.n_rigid,
+        particle_type=np.append(first.particle_type[: first.n_rigid], [SOIL_TYPE] * n_soil),
+        position=np.stack(positions),
+        force=None if first.force is None else np.stack([r.force for r in records]).astype(float),
+        context=None
+        if first.step_context is None
+        else np.stack([r.step_context[0] for r in records]).astype(float),
+        record=np.arange(len(records)),
+    )
+
+
+def _decoded_soil(data_path, run):
+    path = os.path.join(data_path, 'subspace.npz')
+    if not os.path.isfile(path):
+        raise FileNotFoundError(
+            f'{path}: no such file; without a subspace full_space needs the raw runs (--raw_path)'
+        )
+    return Subspace.load(path).decode(run.position[:, run.n_rigid :])
+
+
+def _raw_soil(raw_path, metadata, split, records):
+    """A function that opens the soil particles of record i, checked against the record."""
+    raw = RawRuns(raw_path)
+    cases = [entry['case'] for entry in metadata.get('cases', {}).get(split, [])]
+    if len(cases) != len(records):
+        raise ValueError(
+            f'metadata.json names {len(cases)} cases of {split} for {len(records)} records: raw '
+            f'runs cannot be found for them'
+        )
+    if lacking := sorted(set(cases) - set(raw.cases)):
+        raise ValueError(f'{raw_path}: lacks the runs of the {split} cases {lacking}')
+
+    def soil(data_path, record, i):
+        run = raw[raw.cases.index(cases[i])]
+        body = record.position[:, : record.n_rigid]
+        if run.rigid_positions.shape != body.shape or not np.allclose(
+            run.rigid_positions, body, atol=1e-5
+        ):
+            raise ValueError(
+                f'{raw_path}: the body of case {cases[i]} does not move as in {split} record {i} '
+                f'of {data_path}: the raw runs are of another dataset'
+            )
+        return run.positions.astype(np.float64)
+
+    return soil
