@@ -39,7 +39,7 @@ class ParticleStatistics:
     context_std: np.ndarray | None
 
     def check(self, scene: Scene) -> None:
-        """Raises ValueError where a value does not fit the scene, is not finite, or divides by 0."""
+        """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
         dim, context = self.low.shape, (len(scene.context_names),)
         shapes = {'velocity_std': (2, *dim), 'acceleration_std': (2, *dim), 'height_std': (1,)}
         shapes |= {'context_mean': context, 'context_std': context}
