@@ -68,11 +68,11 @@ class _EdgeBlock(snt.Module):
         self._model = make_model()
 
     @snt.once
-    def _create_variables(self, width):
-        self._model(tf.zeros([1, 1, width]))
+    def _create_variables(self, width, dtype):
+        self._model(tf.zeros([1, 1, width], dtype))
 
     def __call__(self, edges, nodes, senders, receivers):
-        self._create_variables(3 * edges.shape[-1])
+        self._create_variables(3 * edges.shape[-1], edges.dtype)
         _, layer_norm, first, *rest = self._model.submodules
         of_edge, of_receiver, of_sender = tf.split(first.w, 3)
         hidden = tf.matmul(edges, of_edge) + first.b
@@ -98,7 +98,7 @@ class _InteractionNetwork(snt.Module):
     def __call__(self, nodes, edges, senders, receivers, incidence):
         messages = self._edge_block(edges, nodes, senders, receivers)
         # A small dense product compiles to faster code than a scatter of a few hundred rows.
-        received = tf.einsum('ve,bel->bvl', incidence, messages)
+        received = tf.einsum('ve,bel->bvl', tf.cast(incidence, messages.dtype), messages)
         return nodes + self._node_block(received, nodes), edges + messages
 
 
@@ -170,7 +170,7 @@ class EncodeProcessDecode(snt.Module):
         """Runs the network on B equal graphs.
 
         Args:
-          nodes: float32 [B, V, F] node features.
+          nodes: float32 [B, V, F] node features; the network computes in their type.
           edges: float32 [B, E, G] edge features.
           senders, receivers: int32 [E] numpy arrays, the edges of one graph.
 

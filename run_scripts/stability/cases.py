@@ -1,0 +1,74 @@
+"""What every part of the stability report hands back: rows of a table and curves for pictures."""
+
+import dataclasses
+import math
+
+HOLDS, FAILS, MEASURED, REFUSED, FLAGGED = 'holds', 'FAILS', 'measured', 'refused', 'flagged'
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One line of the report.
+
+    Attributes:
+      part: which part of the project.
+      name: what was tried.
+      figure: what was measured; None where the case was refused.
+      unit: of the figure, in words.
+      threshold: largest figure that counts as stable; None where nothing is promised.
+      outcome: `holds`, `FAILS`, `measured`, `refused` (an error before anything ran on) or
+        `flagged` (the rollout's own status says that it cannot be trusted).
+      note: what else is worth knowing.
+    """
+
+    part: str
+    name: str
+    figure: float | None
+    unit: str
+    threshold: float | None
+    outcome: str
+    note: str = ''
+
+
+def judged(part: str, name: str, figure: float, unit: str, threshold=None, note: str = '') -> Case:
+    """A case whose outcome follows from figure and threshold; NaN never holds."""
+    if threshold is None:
+        return Case(part, name, figure, unit, None, MEASURED, note)
+    outcome = HOLDS if figure <= threshold else FAILS
+    return Case(part, name, figure, unit, threshold, outcome, note)
+
+
+def markdown(rows: list[Case]) -> str:
+    """The rows as Markdown, one table per part."""
+    lines = []
+    for part in dict.fromkeys(row.part for row in rows):
+        lines += [f'### {part}', '', '| case | outcome | figure | threshold | |']
+        lines.append('|---|---|---|---|---|')
+        for row in rows:
+            if row.part == part:
+                figure = '' if row.figure is None else f'{_number(row.figure)} {row.unit}'
+                limit = '' if row.threshold is None else _number(row.threshold)
+                outcome = f'**{row.outcome}**' if row.outcome == FAILS else row.outcome
+                cells = (row.name, outcome, figure, limit, row.note)
+                lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
+        lines.append('')
+    return '\n'.join(lines)
+
+
+def _number(value):
+    return 'NaN' if math.isnan(value) else f'{value:.3g}'
+
+
+def to_json(value):
+    """`value` with numpy arrays as lists and numbers that JSON lacks as None."""
+    if dataclasses.is_dataclass(value):
+        return to_json(dataclasses.asdict(value))
+    if isinstance(value, dict):
+        return {str(key): to_json(item) for key, item in value.items()}
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [to_json(item) for item in value]
+    if isinstance(value, float):
+        return float(f'{value:.6g}') if math.isfinite(value) else None
+    return value
