@@ -114,10 +114,9 @@ def _row(model, function, group, name, is_inside):
     return row, curve
 
 
-def sweeps(model, progress):
+def sweeps(model, function, progress):
     """Rows and curves of all sweeps of one model."""
     rows, curves = [], []
-    function = model.function()
     if model.scene == 'excavation':
         n_frame = model.group.position.shape[1]
         jobs = [(key, value) for key, values in SWEEPS.items() for value in values]
@@ -169,14 +168,15 @@ def solver_truth(change, work_path, progress):
     return files.read_npz(path)
 
 
-def against_truth(models, work_path, progress):
+def against_truth(models, functions, work_path, progress):
     """Rows of the models against the solver outside the training range."""
     rows = []
+    inside = [_test_error(model) for model in models]
     for change in TRUTHS:
         truth = solver_truth(change, work_path, progress)
-        for model in models:
+        for model, function, usual in zip(models, functions, inside):
             group = blade_group(model, truth['rigid'], truth['modes'], truth['force'])
-            position, force, judgements = lib.roll(model, model.function(), group)
+            position, force, judgements = lib.roll(model, function, group)
             scene = model.model.simulator.scene
             true = group.position[:, H:]
             errors = metrics.run_errors(
@@ -184,12 +184,11 @@ def against_truth(models, work_path, progress):
             )
             stay = metrics.stay_still(group.position[:, :H], true.shape[1])
             trivial = metrics.soil_mse(stay, true, group.n_rigid, scene.n_soil)[0]
-            inside = _test_error(model)
             note = (
                 f'{judgements[0].status}; soil MSE {errors["soil_mse"][0] / trivial:.3g} of that '
             )
             note += f'of stay still; force rel. L2 {errors["force_relative_l2"][0]:.3g}; '
-            note += f'on the test runs {inside:.3g} mm; '
+            note += f'on the test runs {usual:.3g} mm; '
             note += f'the modes cut off {1e3 * float(truth["cut_off_mse"]) ** 0.5:.3g} mm'
             changed = ', '.join(f'{key} {value:g}' for key, value in change.items())
             rows.append(
@@ -217,11 +216,13 @@ def run_all(is_quick, progress, work_path):
     """All rows and the curves by name."""
     rows, curves = [], []
     presets = ('pcg',) if is_quick else lib.PRESETS
-    models = {s: [lib.load(s, preset) for preset in presets] for s in lib.SCENES}
-    for model in models['excavation'] + models['wheel'][:1]:
-        new, curve = sweeps(model, progress)
+    models = [lib.load('excavation', preset) for preset in presets]
+    functions = [model.function() for model in models]
+    wheel = lib.load('wheel', 'pcg')
+    for model, function in zip([*models, wheel], [*functions, wheel.function()]):
+        new, curve = sweeps(model, function, progress)
         rows += new
         curves += curve
     if not is_quick:
-        rows += against_truth(models['excavation'], work_path, progress)
+        rows += against_truth(models, functions, work_path, progress)
     return rows, {'extrapolation': curves}

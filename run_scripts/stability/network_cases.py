@@ -76,13 +76,12 @@ def precisions(model, reference):
     return rows
 
 
-def perturbations(model, reference):
+def perturbations(model, function, reference):
     """Rows and curves of starts with noise on modes: growth rate per second and final size."""
     rows, curves = [], []
     group, simulator = model.group, model.model.simulator
     layout = model.model.layout(group.n_rigid)
     inputs = rollout_inputs(group, layout, simulator.scene)
-    function = model.function()
     truth = group.position[:, H:, group.n_rigid :]
     own = np.sqrt((model.soil_rms(reference - truth) ** 2).mean())
     std = simulator.statistics.velocity_std[1:]
@@ -124,10 +123,11 @@ def run_all(is_quick, progress):
     jobs = [(scene, preset) for scene in lib.SCENES for preset in presets]
     for scene, preset in progress(jobs[:1] if is_quick else jobs):
         model = lib.load(scene, preset, 1 if is_quick else None)
-        position, _, _ = lib.roll(model, model.function(), model.group)
+        function = model.function()
+        position, _, _ = lib.roll(model, function, model.group)
         reference = position[:, :, model.group.n_rigid :]
         rows += precisions(model, reference)
-        new, curve = perturbations(model, reference)
+        new, curve = perturbations(model, function, reference)
         rows += new
         curves += curve
     return rows, {'perturbation': curves}

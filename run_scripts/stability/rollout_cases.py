@@ -22,7 +22,7 @@ def given_body(model) -> bool:
     return model.model.simulator.scene.rigid_motion.is_known
 
 
-def long_rollout(model, factor, continuation):
+def long_rollout(model, function, factor, continuation):
     """Rolls all test runs out over `factor` times the horizon.
 
     Returns:
@@ -33,7 +33,7 @@ def long_rollout(model, factor, continuation):
     n_frame = group.position.shape[1]
     length = H + factor * (n_frame - H)
     longer = lib.resample(group, CONTINUATIONS[continuation](n_frame, length))
-    position, _, judgements = lib.roll(model, model.function(), longer)
+    position, _, judgements = lib.roll(model, function, longer)
     modes = position[:, :, group.n_rigid :]
     start = group.position[:, H - 1 : H, group.n_rigid :]
     distance = model.soil_rms(modes - start)
@@ -98,16 +98,17 @@ def growth_row(model, curve):
     return judged(PART, name, float(end['model'] / trivial), '', None, note)
 
 
-def rest(model, n_frame):
+def rest(model, function):
     """Row of a scene at rest: how far the soil drifts when nothing moves, per frame."""
     group = model.group
+    n_frame = group.position.shape[1] - H
     still = dataclasses.replace(
         group,
         position=np.repeat(group.position[:, :1], H + n_frame, axis=1),
         force=None,
         body=None,
     )
-    position, _, judgements = lib.roll(model, model.function(), still)
+    position, _, judgements = lib.roll(model, function, still)
     modes = position[:, :, group.n_rigid :]
     drift = model.soil_rms(modes[:, -1] - modes[:, 0]).max() / (n_frame - 1)
     truth = model.group.velocity[:, :, group.n_rigid :]
@@ -155,16 +156,17 @@ def run_all(is_quick, progress):
     jobs = [(scene, preset) for scene in lib.SCENES for preset in presets]
     for scene, preset in progress(jobs):
         model = lib.load(scene, preset, 1 if is_quick else None)
-        rolled, _, _ = lib.roll(model, model.function(), model.group)
+        function, long = model.function(), model.function()
+        rolled, _, _ = lib.roll(model, function, model.group)
         curves['growth'].append(error_growth(model, rolled))
         rows.append(growth_row(model, curves['growth'][-1]))
         for continuation in CONTINUATIONS:
             if continuation == 'held at its end' and not given_body(model):
                 continue  # nothing is given that could be continued in two ways
-            row, curve = long_rollout(model, factor, continuation)
+            row, curve = long_rollout(model, long, factor, continuation)
             rows.append(row)
             curves['horizon'].append(curve)
-        rows.append(rest(model, 60 if is_quick else 315))
+        rows.append(rest(model, function))
         if model.model.simulator.scene.rigid_motion == 'predicted':
             new, curve = rigid_shape(model)
             rows += new
