@@ -43,7 +43,8 @@ class Statistics:
         the rate.
       position_range: [2, 1 + r, D] lowest and highest position, m.
       given_range: [2, D] lowest and highest given coordinate of the rigid particles, m (see
-        `given_body`); None, as the next two, where no motion is given.
+        `given_body`); None, as the next three, where no motion is given.
+      given_velocity_range: [2, D] of the displacement of any given particle, m/frame.
       body_extent_range: [2, D] of the extent of the given body in a frame, m.
       body_speed_range: [2, 1] of the given body's RMS displacement, m/frame.
       context_range: [2, C]; None without a context.
@@ -64,6 +65,7 @@ class Statistics:
     body_speed: np.ndarray | None
     position_range: np.ndarray
     given_range: np.ndarray | None
+    given_velocity_range: np.ndarray | None
     body_extent_range: np.ndarray | None
     body_speed_range: np.ndarray | None
     context_range: np.ndarray | None
@@ -174,7 +176,13 @@ def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray |
       scene: says what of the body's motion is given.
     """
     ranges: dict = dict.fromkeys(
-        ('given_range', 'body_extent_range', 'body_speed_range', 'context_range')
+        (
+            'given_range',
+            'given_velocity_range',
+            'body_extent_range',
+            'body_speed_range',
+            'context_range',
+        )
     )
     ranges['position_range'] = np.stack(
         [[f(s, axis=0) for s in _by_class(positions, scene.n_modes)] for f in (np.min, np.max)]
@@ -183,6 +191,7 @@ def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray |
     if bodies[0] is not None:
         extents, speeds = zip(*map(body_measures, bodies))
         ranges['given_range'] = _range(bodies)
+        ranges['given_velocity_range'] = _range([np.diff(body, axis=1) for body in bodies])
         ranges['body_extent_range'] = _range(extents)
         ranges['body_speed_range'] = _range(speeds)
     if scene.context_names:

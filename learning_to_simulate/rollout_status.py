@@ -132,26 +132,28 @@ def _outside_training(group, run, given, statistics, scene):
     found.append(_first_outside(RolloutStatus.EXTRAPOLATING, start, low, high))
     if given is not None:
         body = given[run]
-        low, high = widened(*statistics.given_range, extra)
-        found.append(_first_outside(RolloutStatus.EXTRAPOLATING, body, low, high))
-        for name, values, limits in zip(
-            ('extent of the body', 'displacement of the body per frame'),
-            normalization.body_measures(body[None]),
-            (statistics.body_extent_range, statistics.body_speed_range),
+        extent, speed = (x[0, :, None] for x in normalization.body_measures(body[None]))
+        for name, values, limits, node in (
+            ('coordinate', body, statistics.given_range, 0),
+            ('displacement', np.diff(body, axis=0), statistics.given_velocity_range, 0),
+            # The body as a whole is no node.
+            ('extent of the body', extent, statistics.body_extent_range, -1),
+            ('displacement of the body', speed, statistics.body_speed_range, -1),
         ):
             low, high = widened(*limits, extra)
-            # One pseudo node for the body as a whole; a displacement belongs to the later frame.
-            first = len(body) - values.shape[1]
-            judged = _first_outside(
-                RolloutStatus.EXTRAPOLATING, values[0, :, None], low, high, first, -1, name
+            first = len(body) - len(values)  # a displacement belongs to the later frame
+            found.append(
+                _first_outside(RolloutStatus.EXTRAPOLATING, values, low, high, first, node, name)
             )
-            found.append(judged)
     found = [judgement for judgement in found if judgement]
     return min(found, key=lambda judgement: judgement.frame, default=None)
 
 
 def _first_outside(status, values, low, high, first_frame=0, first_node=0, name='coordinate'):
-    """The first of `values` [T, V, D] outside [low, high] ([V, D] or [D]), or None."""
+    """The first of `values` [T, V, D] outside [low, high] ([V, D] or [D]), or None.
+
+    Values and limits are in m, displacements per frame.
+    """
     bad = ~((values >= low) & (values <= high))
     if not bad.any():
         return None

@@ -3,7 +3,7 @@
 import os
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, ticker
 from matplotlib.figure import Figure
 
 from learning_to_simulate.rendering.rollout_figures import STYLE
@@ -33,13 +33,31 @@ def draw_all(curves: dict, folder: str) -> list[str]:
         with rc_context(STYLE | {'legend.fontsize': 8}):
             figure = Figure(layout='constrained')
             draw(figure, curves)
+            for axes in figure.axes:
+                _plain_ticks(axes)
             figure.savefig(os.path.join(folder, name), dpi=130)
         names.append(name)
     return names
 
 
+def _plain_ticks(axes):
+    """Labels a logarithmic axis with plain numbers, between the decades too where they are few."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() != 'log':
+            continue
+        low, high = axis.get_view_interval()
+        subs = (1, 2, 5) if high / low < 300 else (1,)
+        axis.set_major_locator(ticker.LogLocator(subs=subs, numticks=12))
+        axis.set_major_formatter('{x:g}')
+        axis.set_minor_formatter(ticker.NullFormatter())
+
+
 def _preset(curve):
     return curve['model'].split()[1]
+
+
+def _finite(value):
+    return value if value is not None and np.isfinite(value) else 0.0
 
 
 def _style(curve):
@@ -164,10 +182,11 @@ def _horizon(figure, curves):
                 )  # fmt: skip
             axes.axvspan(0, 321 / FRAME_RATE, color='#e6f2ee', zorder=0)
             axes.set(ylabel=f'soil RMS {label}', xlim=(0, seconds[-1]))
+            largest = max(max(map(_finite, curve[key])) for curve in of_scene)
+            axes.set_ylim(bottom=max(1e-4 * largest, 1e-4), top=2 * largest)
             axes.grid(True)
         panels[0, column].set_title(scene)
         panels[1, column].set_xlabel('time (s)')
-        panels[1, column].legend([], [])
     panels[0, 0].legend()
     figure.suptitle(
         'Ten horizons, given motion to and fro (median of the test runs; shaded: the data; '
@@ -212,13 +231,16 @@ def _extrapolation(figure, curves):
                     face = COLORS[_preset(c)] if c['status'] == 'ok' else 'white'
                     axes.plot(
                         c['value'], c[what], 'o', markersize=5, color=COLORS[_preset(c)],
-                        markerfacecolor=face,
+                        markerfacecolor=face, clip_on=False, zorder=3,
                     )  # fmt: skip
             trained = of_key[0]['trained']
-            axes.axvspan(axes.get_xlim()[0], trained, color='#e6f2ee', zorder=0)
-            axes.margins(x=0)
+            axes.axvspan(0, trained, color='#e6f2ee', zorder=0)
+            axes.set(
+                xlim=(of_key[0]['value'] * 0.8, of_key[-1]['value']),
+                ylim=(0, 1.05 * max(c[what] for c in of_key)),
+                ylabel=label if column == 0 else None,
+            )
             axes.grid(True)
-            axes.set(ylim=(0, None), ylabel=label if column == 0 else None)
         panels[1, column].set_xlabel(titles[key])
     panels[0, 0].legend()
     figure.suptitle(

@@ -94,7 +94,7 @@ GIVEN = {
     'friction angle': ({'context': set_item((0, 1), 60.0)}, 0, 'context|friction_angle'),
     'start': ({'position': add_item((0, 2, 5, 0), 50.0)}, 2, 'coordinate x'),
     'place of the body': ({'position': add_item((0, slice(35, None), slice(4), 0), 9.0)}, 35, 'x'),
-    'speed': ({'position': faster}, 20, 'displacement of the body per frame'),
+    'speed': ({'position': faster}, 20, 'displacement x'),
     'shape or lean': ({'position': wider}, 30, 'coordinate x|extent of the body x'),
 }
 
