@@ -140,6 +140,7 @@ def _check_statistics(statistics, scene):
         'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
         'position_range': (2, classes, dim), 'given_range': (2, dim),
+        'given_velocity_range': (2, dim),
         'body_extent_range': (2, dim), 'body_speed_range': (2, 1), 'context_range': (2, context),
     }  # fmt: skip
     for field in dataclasses.fields(statistics):

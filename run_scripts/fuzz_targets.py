@@ -200,6 +200,7 @@ def _write_config(folder):
     shapes = {
         'displacement_mean': pair, 'displacement_std': pair, 'force_mean': axes, 'force_std': axes,
         'position_range': (2, classes, 3), 'given_range': (2, 3), 'body_extent_range': (2, 3),
+        'given_velocity_range': (2, 3),
         'body_speed_range': (2, 1), 'context_range': (2, 1),
     }  # fmt: skip
     ones = ('height', 'body_speed', 'context', 'log')
