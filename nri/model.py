@@ -19,6 +19,8 @@ from pca_tools import files
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 SCHEMA_VERSION = 1
 MIN_CNN_FRAMES = 14
+# Eight random streams per seed in int32.
+MAX_SEED = 2**28
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +88,8 @@ class NriConfig:
                 )
             if field.type is float and not (np.isfinite(value) and value > 0):
                 raise ValueError(f'{field.name} is {value}, must be positive and finite')
+        if not 0 <= self.seed < MAX_SEED:
+            raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
         gumbel.check_temperature(self.temperature)
         losses.log_prior(self.edge_types, self.no_edge_prior)
         if self.burn_in + self.segment > self.window:

@@ -36,8 +36,11 @@ RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
 # of one.
 BUDGETS = {
     ('springs', 5): (50000, {'epochs': 180, 'decay_start': 100, 'decay_epochs': 10}),
-    ('charged', 5): (20000, {'epochs': 80, 'decay_start': 56, 'decay_epochs': 4}),
-    ('springs', 10): (20000, {'epochs': 26, 'decay_start': 17, 'decay_epochs': 2}),
+    ('charged', 5): (20000, {'epochs': 90, 'decay_start': 62, 'decay_epochs': 4}),
+    ('springs', 10): (
+        20000,
+        {'batch_size': 32, 'epochs': 34, 'decay_start': 22, 'decay_epochs': 2},
+    ),
 }
 
 
@@ -45,7 +48,7 @@ def settings_of(system, n_objects):
     """Runs of each split and config; systems without a budget take that of five charges."""
     n_train, budget = BUDGETS.get((system, n_objects), BUDGETS['charged', 5])
     counts = {'train': n_train, 'valid': 5000, 'test': 10000}
-    return counts, NriConfig(**RECIPE, **budget)
+    return counts, NriConfig(**RECIPE | budget)
 
 
 def run(system, n_objects, work_path, counts, config):

@@ -20,6 +20,7 @@ from tests.nri import small
         ({'edge_types': 1}, 'edge_types is 1, must be at least 2'),
         ({'segment': 49}, 'more than the window of 49'),
         ({'encoder': 'cnn', 'window': 13}, 'at least 14 frames'),
+        ({'seed': 2**28}, 'seed is 268435456'),
         ({'no_edge_prior': 1.0}, 'no_edge_prior'),
         ({'output_variance': float('nan')}, 'output_variance is nan'),
     ],
