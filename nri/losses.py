@@ -40,10 +40,10 @@ def kl_to_prior(logits: tf.Tensor, log_prior_types) -> tf.Tensor:
 def gaussian_nll(prediction, target, least_variance: float) -> tf.Tensor:
     """Mean negative log likelihood of one value, up to a constant, under the best variance.
 
-    The variance is the mean square error of the batch itself, but not below `least_variance`
-    (Kipf et al. keep it there from the start). While predictions are still poor a fixed small
-    variance makes the likelihood outweigh the prior thousands of times, and the posterior
-    saturates before it has learned anything.
+    The variance is the mean square error of the batch itself, but not below `least_variance`,
+    where Kipf et al. keep it. Springs are found as fast either way; but where predictions never
+    get that good, as for soil, the prior would count for nothing beside a likelihood whose
+    variance is far too small.
 
     Args:
       prediction, target: equal shapes.
