@@ -45,7 +45,7 @@ def main(argv):
         cases = scenes.select_cases(scene, _CASES.value)
         settings = Settings(_YOUNGS_MODULUS.value, _RHEOLOGY.value, _SEED.value)
         new = generate(scene, cases, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)
     cpu = [entry['parameters']['solver_cpu_s'] for entry in new]
