@@ -166,6 +166,7 @@ def _mask(value, name):
         return None
     _require(
         isinstance(value, list)
+        and value
         and all(isinstance(row, list) and len(row) == len(value) for row in value)
         and all(_is_int(entry, 0, 1) for row in value for entry in row),
         name,

@@ -196,10 +196,11 @@ class Subspace:
             runs=tuple(arrays['runs'].tolist()),
             initial=arrays['initial'],
         )
-        mean_shapes = {'configuration': (len(subspace.components), DIM), 'scalar': ()}
+        if subspace.components.ndim != 2:
+            raise ValueError(f'{path}: components have shape {subspace.components.shape}')
+        mean_shapes = {'configuration': (subspace.n_soil, DIM), 'scalar': ()}
         if (
-            subspace.components.ndim != 2
-            or mean_shapes.get(subspace.centering) != subspace.mean.shape
+            mean_shapes.get(subspace.centering) != subspace.mean.shape
             or subspace.singular_values.ndim != 1
             or len(subspace.singular_values) < subspace.n_modes
             or subspace.initial.shape != (subspace.n_soil, DIM)
