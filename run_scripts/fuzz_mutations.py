@@ -5,6 +5,7 @@ makes its checksums right again, as somebody with bad intentions would: what a r
 judge is the content.
 """
 
+import copy
 import io
 import json
 import math
@@ -123,17 +124,17 @@ def _forge_json(data, rng):
         if action == 0 and parent is not root:
             del parent[key]
         elif action == 1 and isinstance(parent, list):
-            parent.insert(rng.randrange(len(parent) + 1), parent[key])
+            parent.insert(rng.randrange(len(parent) + 1), copy.deepcopy(parent[key]))
         elif action == 2 and isinstance(parent[key], (int, float)):
             factor = rng.choice((-1, 0, 2, 1000, 1e-30))
             parent[key] = parent[key] * factor
         elif action == 3 and isinstance(parent, dict):
-            parent[rng.choice(('x', 'case', '__class__', ''))] = parent[key]
+            parent[rng.choice(('x', 'case', '__class__', ''))] = copy.deepcopy(parent[key])
         elif action == 4:
             other, index = rng.choice(places)
-            parent[key] = json.loads(json.dumps(other[index]))
+            parent[key] = copy.deepcopy(other[index])
         else:
-            parent[key] = rng.choice(_VALUES)
+            parent[key] = copy.deepcopy(rng.choice(_VALUES))  # later changes go into it
     text = json.dumps(root[0])
     if rng.random() < 0.02:  # deeper than any parser's stack
         text = text[:-1] + ', "deep": ' + '[' * 5000 + ']' * 5000 + '}'

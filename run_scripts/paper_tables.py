@@ -112,7 +112,9 @@ def errors(models_path: str, original_path: str | None, original_models: str | N
         for (case, method), (mse, mpe) in PUBLISHED_ERRORS.items():
             if case == scene:
                 lines.append(_error_row(f'{scene}, {method}, published', 1e-4 * mse, mpe))
-        lines += _rows_of_models(f'{scene}, {{}}, our records, test', os.path.join(models_path, scene))
+        lines += _rows_of_models(
+            f'{scene}, {{}}, our records, test', os.path.join(models_path, scene)
+        )
         folder = ORIGINAL_FOLDERS[scene]
         if original_path and os.path.isdir(os.path.join(original_path, folder)):
             lines += _trivial_rows(scene, os.path.join(original_path, folder))
