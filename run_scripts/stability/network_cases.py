@@ -62,7 +62,7 @@ def precisions(model, reference):
         for dtype in PRECISIONS:
             ends = layout.senders, layout.receivers
             simulator._network = CastNetwork(simulator, dtype, nodes, edges, ends)
-            position, _, judgements = lib.roll(model, model.function(), group)
+            position, _, judgements = lib.roll(model, model.plain_function(), group)
             simulator._network = network
             away = model.soil_rms(position[:, :, group.n_rigid :] - reference)
             figure = float(np.sqrt((away**2).mean()) / own)
@@ -123,7 +123,7 @@ def run_all(is_quick, progress):
     jobs = [(scene, preset) for scene in lib.SCENES for preset in presets]
     for scene, preset in progress(jobs[:1] if is_quick else jobs):
         model = lib.load(scene, preset, 1 if is_quick else None)
-        function = model.function()
+        function = model.plain_function()
         position, _, _ = lib.roll(model, function, model.group)
         reference = position[:, :, model.group.n_rigid :]
         rows += precisions(model, reference)

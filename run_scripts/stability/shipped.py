@@ -9,6 +9,7 @@ from learning_to_simulate import experiment
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
+from learning_to_simulate.specialised_rollout import rollout_function
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 SCENES = ('excavation', 'wheel')
@@ -38,10 +39,14 @@ class Shipped:
         """Scene and preset, as tables name the model."""
         return f'{self.scene} {self.preset}'
 
-    def function(self, rigid_correction: bool = True) -> RolloutFunction:
-        """A rollout that is compiled at its first call."""
+    def function(self, rigid_correction: bool = True):
+        """The rollout of evaluations, compiled at its first call."""
         layout = self.model.layout(self.group.n_rigid)
-        return RolloutFunction(self.model.simulator, layout, rigid_correction)
+        return rollout_function(self.model.simulator, layout, rigid_correction)
+
+    def plain_function(self) -> RolloutFunction:
+        """The rollout by `LearnedSimulator.step`, which takes any network."""
+        return RolloutFunction(self.model.simulator, self.model.layout(self.group.n_rigid))
 
     def soil_rms(self, scores):
         """RMS over particles and axes of mode vectors [..., r, D], m: modes are orthonormal."""
