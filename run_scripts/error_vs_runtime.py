@@ -28,7 +28,7 @@ from run_scripts.work_precision import families, measure, pictures, survey, tabl
 from run_scripts.work_precision.points import choose
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-SHIPPED = ('fcg_original', 'pcg_thesis', 'pcg')
+QUICK_PRESETS = ('fcg_original', 'pcg_thesis', 'pcg')  # They ship, so nothing is trained.
 QUICK_TRAINING = {'num_steps': 400, 'unroll_steps': 60, 'unroll_length': 4}
 
 
@@ -73,15 +73,16 @@ def make_settings(values) -> survey.Settings:
     """Flags -> settings of the survey."""
     if values.quick:
         sweeps, training, seeds = families.QUICK_SWEEPS, QUICK_TRAINING, 1
+        presets = QUICK_PRESETS
     else:
-        sweeps, seeds = families.SWEEPS, values.seeds
+        sweeps, seeds, presets = families.SWEEPS, values.seeds, tuple(families.PRESET_ROWS)
         training = {
             'num_steps': values.sweep_steps,
             'unroll_steps': values.sweep_unroll_steps,
             'unroll_length': values.sweep_unroll_length,
         }
     return survey.Settings(
-        sweeps, training, SHIPPED, values.models_path, seeds, values.rounds,
+        sweeps, training, presets, values.models_path, seeds, values.rounds,
         values.num_threads, values.num_processes, 60.0 * values.row_minutes,
         solver_json=values.solver_json,
     )  # fmt: skip

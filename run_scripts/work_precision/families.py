@@ -5,6 +5,7 @@ an afternoon; the shipped rows are what the shipped models are, and are loaded w
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 from learning_to_simulate import presets
 from learning_to_simulate.presets import TrainConfig
@@ -46,6 +47,14 @@ SWEEPS = {
     ],
 }  # fmt: skip
 SHIPPED = 'shipped presets'
+FULL_SPACE = 'GNS on particles'
+# Presets that are measured at their own training budget: preset -> (label, family).
+PRESET_ROWS = {
+    'fcg_original': ('fcg_original', SHIPPED),
+    'pcg_thesis': ('pcg_thesis', SHIPPED),
+    'pcg': ('pcg', SHIPPED),
+    'full_space': (FULL_SPACE, 'other methods'),
+}
 QUICK_SWEEPS = {
     'latent size': [SWEEPS['latent size'][0], BASE],
     'rigid particles': [BASE, SWEEPS['rigid particles'][-1]],
@@ -70,14 +79,14 @@ class Row:
     overrides: dict
 
 
-def rows(sweeps: dict, training: dict, scene, shipped: list[str], seeds: int) -> list[Row]:
+def rows(sweeps: dict, training: dict, scene, whole: Sequence[str], seeds: int) -> list[Row]:
     """The rows of a report.
 
     Args:
       sweeps: family -> [(label, overrides)], such as `SWEEPS`.
       training: fields that shorten the training of the swept rows; equal for all of them.
       scene: `Scene` of the dataset; sweeps that it does not have are left out.
-      shipped: presets that are measured as they ship, at their own training budget.
+      whole: presets that are measured at their own training budget, keys of `PRESET_ROWS`.
       seeds: trainings of the default preset 'pcg'.
 
     Raises:
@@ -90,11 +99,11 @@ def rows(sweeps: dict, training: dict, scene, shipped: list[str], seeds: int) ->
         families = (family,) if old is None else (*old.families, family)
         found[config] = Row(old.label if old else label, families, config, overrides)
 
-    for preset in shipped:
+    for preset in whole:
         for seed in range(seeds if preset == 'pcg' else 1):
             overrides = {'seed': seed} if seed else {}
             config = presets.make_config(preset, **overrides)
-            add(preset, SHIPPED, config, {'preset': preset} | overrides)
+            add(*PRESET_ROWS[preset], config, {'preset': preset} | overrides)
     for family, members in sweeps.items():
         if family == 'rigid particles' and scene.rigid_motion != RigidMotion.PRESCRIBED:
             continue  # Only a body whose motion is given can do with fewer particles.

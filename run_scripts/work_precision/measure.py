@@ -19,6 +19,8 @@ import numpy as np
 import tqdm
 
 from learning_to_simulate import checkpoints, evaluation, experiment
+from learning_to_simulate.full_space import experiment as particles
+from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from pca_tools import dataset, files, subspace
 from run_scripts.work_precision import points
@@ -26,6 +28,8 @@ from run_scripts.work_precision.points import Timing
 
 SPLITS = ('valid', 'test')
 WARM_UP = 5
+# A rollout that takes longer than this is not repeated as often: its spread is small beside it.
+SLOW_S, SLOW_ROUNDS = 2.0, 3
 # What of `metrics.run_errors` a point keeps for every run.
 ERRORS = (
     'soil_mse', 'soil_rms_mm', 'soil_mse_full', 'soil_rms_mm_full', 'rigid_mse',
@@ -99,7 +103,7 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
         stored = checkpoints.read_config(folder)
         defaults = dataclasses.asdict(TrainConfig('pcg'))
         same = defaults | stored['config'] == dataclasses.asdict(config)
-        if same and stored['data']['sha256'] == data_sha256:
+        if same and stored['data'].get('sha256') == data_sha256:
             return folder
     return None
 
@@ -107,8 +111,22 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
 def train(data_path: str, model_path: str, config: TrainConfig) -> float:
     """Trains, or finishes, a row's model; returns the seconds that this call took."""
     start = time.perf_counter()
-    experiment.train(data_path, model_path, config)
+    if config.model == 'full_space':
+        particles.train(data_path, None, model_path, config)
+    else:
+        experiment.train(data_path, model_path, config)
     return time.perf_counter() - start
+
+
+def open_model(data_path: str, model_path: str, split: str):
+    """The evaluator of a trained model, the model, and the runs of a split."""
+    if checkpoints.read_config(model_path)['config'].get('model') == 'full_space':
+        model, metadata, groups = particles.load_for_evaluation(
+            model_path, data_path, None, split, {}
+        )
+        return ParticleEvaluator(model, metadata), model, groups
+    model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, split, {})
+    return evaluation.Evaluator(model, metadata), model, groups
 
 
 def evaluate(data_path: str, model_path: str) -> dict:
@@ -120,9 +138,8 @@ def evaluate(data_path: str, model_path: str) -> dict:
     """
     base = _peak_memory_mb()
     start = time.perf_counter()
-    model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    evaluator, model, groups = open_model(data_path, model_path, 'test')
     load_s = time.perf_counter() - start
-    evaluator = evaluation.Evaluator(model, metadata)
     group = _largest(groups)
     start = time.perf_counter()
     seconds = evaluator.roll_out(group).seconds
@@ -132,13 +149,15 @@ def evaluate(data_path: str, model_path: str) -> dict:
         'load_s': load_s,
         'first_call_s': first_call_s,
         'n_node': layout.n_node,
-        'n_edge': layout.n_edge,
         'n_weight': sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables),
     }
     summaries = {}
     for split in SPLITS:
-        _, _, groups = experiment.load_for_evaluation(model_path, data_path, split, {})
+        _, _, groups = open_model(data_path, model_path, split)
         summaries[split] = evaluator.run(groups, split)[1]
+    # Edges that are made anew in every step are counted on the way.
+    edges = [row['edges'] for row in summaries['test']['runs']['model']]
+    values['n_edge'] = layout.n_edge or round(float(np.mean(edges)))
     values['peak_memory_mb'], values['base_memory_mb'] = _peak_memory_mb(), base
     values['runs'] = {split: _per_run(s, 'model') for split, s in summaries.items()}
     values['status'], values['note'] = _judge(summaries)
@@ -146,7 +165,7 @@ def evaluate(data_path: str, model_path: str) -> dict:
         name: {split: _per_run(s, name) for split, s in summaries.items()}
         for name in ('stay_still', 'constant_velocity')
     }
-    floors = metadata.get('projection_mse', {})
+    floors = dataset.read_metadata(data_path).get('projection_mse', {})
     if all(split in floors for split in SPLITS):
         references['projection'] = {
             split: {
@@ -196,24 +215,26 @@ def time_rollouts(data_path: str, model_paths: dict, rounds: int) -> dict[str, T
     Args:
       data_path: dataset folder.
       model_paths: key -> model folder.
-      rounds: timed rollouts of each, after warm-up.
+      rounds: timed rollouts of each, after warm-up; fewer of slow ones.
 
     Returns:
       key -> `Timing`.
     """
-    calls = {}
+    calls, counts = {}, {}
     for key, path in tqdm.tqdm(model_paths.items(), 'warm-up', unit='model', disable=None):
-        model, metadata, groups = experiment.load_for_evaluation(path, data_path, 'test', {})
+        evaluator, _, groups = open_model(data_path, path, 'test')
         group = _largest(groups)
-        evaluator = evaluation.Evaluator(model, metadata)
         calls[key] = (evaluator, group)
-        for _ in range(WARM_UP):
+        slow = evaluator.roll_out(group).seconds > SLOW_S
+        counts[key] = min(rounds, SLOW_ROUNDS) if slow else rounds
+        for _ in range(0 if slow else WARM_UP):
             evaluator.roll_out(group)
     samples = {key: [] for key in calls}
-    for _ in tqdm.tqdm(range(rounds), 'rollouts in turns', unit='round', disable=None):
+    for turn in tqdm.tqdm(range(rounds), 'rollouts in turns', unit='round', disable=None):
         for key, (evaluator, group) in calls.items():
-            steps = group.position.shape[1] - INPUT_SEQUENCE_LENGTH
-            samples[key].append(1e3 * evaluator.roll_out(group).seconds / steps)
+            if turn < counts[key]:
+                steps = group.position.shape[1] - INPUT_SEQUENCE_LENGTH
+                samples[key].append(1e3 * evaluator.roll_out(group).seconds / steps)
     return {key: Timing(tuple(values)) for key, values in samples.items()}
 
 

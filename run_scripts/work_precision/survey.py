@@ -29,7 +29,7 @@ class Settings:
     Attributes:
       sweeps: family -> rows, as `families.SWEEPS`.
       training: config fields that all swept rows share: the short training.
-      shipped: presets measured at their own training budget.
+      presets: those measured at their own training budget.
       models_path: folder whose models are loaded where they are what a row asks for, or None.
       seeds: trainings of the default preset.
       rounds: timed rollouts of each model.
@@ -42,7 +42,7 @@ class Settings:
 
     sweeps: dict
     training: dict
-    shipped: tuple[str, ...]
+    presets: tuple[str, ...]
     models_path: str | None
     seeds: int = 3
     rounds: int = 30
@@ -96,7 +96,7 @@ class Survey:
         scene = reading_utils.read_scene(data_path, metadata, groups, None)
         self._sha256 = experiment.data_digests(data_path)
         self._rows = families.rows(
-            settings.sweeps, settings.training, scene, list(settings.shipped), settings.seeds
+            settings.sweeps, settings.training, scene, settings.presets, settings.seeds
         )
         for folder in (work_path, output_path):
             os.makedirs(folder, exist_ok=True)

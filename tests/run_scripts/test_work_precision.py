@@ -184,6 +184,7 @@ def test_rows_share_what_is_the_same_and_leave_out_what_the_scene_lacks(tmp_path
     found = {(row.label, row.config.seed): row for row in rows('prescribed')}
     assert len(found[families.BASE[0], 0].families) == 4
     assert found['pcg', 1].config == presets.make_config('pcg', seed=1)
+    assert set(families.PRESET_ROWS) <= set(presets.PRESETS)
     assert '64 mode edges' not in {label for label, _ in found}  # 3 modes have 9 pairs
     assert '4 rigid particles' in {label for label, _ in found}
     assert not any('rigid particle' in row.label for row in rows('driven'))
@@ -198,7 +199,7 @@ SMALL_SWEEPS = {
 
 def settings(**changed):
     values = {
-        'sweeps': SMALL_SWEEPS, 'training': {'num_steps': 5, 'unroll_steps': 0}, 'shipped': (),
+        'sweeps': SMALL_SWEEPS, 'training': {'num_steps': 5, 'unroll_steps': 0}, 'presets': (),
         'models_path': None, 'seeds': 1, 'rounds': 3, 'isolate': False,
     }  # fmt: skip
     return survey.Settings(**values | changed)
