@@ -273,17 +273,12 @@ def refuse_contradictions(model_path, config, overrides):
             )
 
 
-def load_for_evaluation(model_path, data_path, split, overrides):
-    """The model, its dataset's metadata and the runs of the split.
+def check_dataset(model_path, model, data_path, metadata):
+    """Refuses a dataset that a model does not fit.
 
     Raises:
-      FileNotFoundError: no model, dataset or split there.
-      ValueError: an override contradicts the model, or the dataset does not fit it.
+      ValueError: other modes, another subspace, or a force or context that one of them lacks.
     """
-    model = checkpoints.load_model(model_path)
-    config = model.simulator.config
-    refuse_contradictions(model_path, config, overrides)
-    metadata = dataset.read_metadata(data_path)
     scene = model.simulator.scene
     if metadata['mode_number'] != scene.n_modes:
         raise ValueError(
@@ -309,6 +304,20 @@ def load_for_evaluation(model_path, data_path, split, overrides):
             raise ValueError(
                 f'{data_path}/metadata.json {has} {key}, unlike the data of {model_path}'
             )
+
+
+def load_for_evaluation(model_path, data_path, split, overrides):
+    """The model, its dataset's metadata and the runs of the split.
+
+    Raises:
+      FileNotFoundError: no model, dataset or split there.
+      ValueError: an override contradicts the model, or the dataset does not fit it.
+    """
+    model = checkpoints.load_model(model_path)
+    config = model.simulator.config
+    refuse_contradictions(model_path, config, overrides)
+    metadata = dataset.read_metadata(data_path)
+    check_dataset(model_path, model, data_path, metadata)
     groups = reading_utils.read_groups(data_path, split, metadata, config.rigid_particles)
     for group in groups:
         model.layout(group.n_rigid)

@@ -71,15 +71,25 @@ class FoldedSimulator:
       simulator: the model.
       layout: of the graphs.
       dense: whether blocks of all pairs are computed without gathers.
+      frozen: whether the weights of now become constants of the compiled function.
     """
 
-    def __init__(self, simulator: LearnedSimulator, layout: Layout, dense: bool = True):
+    def __init__(
+        self,
+        simulator: LearnedSimulator,
+        layout: Layout,
+        dense: bool = True,
+        frozen: bool = False,
+    ):
         self.simulator, self.layout = simulator, layout
         self.motion = simulator.scene.rigid_motion
         config, scene = simulator.config, simulator.scene
         free = self.motion in (RigidMotion.DRIVEN, RigidMotion.PREDICTED)
         self._decodes_body = layout.n_rigid > 0 and (free or scene.has_force)
         weights = simulator.network.weights()
+        if frozen:
+            with tf.init_scope():
+                weights = tf.nest.map_structure(lambda v: None if v is None else v.numpy(), weights)
         self._network = FoldedNetwork(
             weights,
             edge_blocks(layout, config.conditioned, dense),

@@ -59,7 +59,7 @@ class WholeStateSimulator(LearnedSimulator):
         if self.scene.context_names:
             parts.append(('scene', self.context_features(context)[:, None]))
         values = [
-            tf.broadcast_to(tf.reshape(v, [len(v), -1]), [n_graph, v.shape[1] * v.shape[2]])
+            tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
             for _, v in parts
         ]
         count = self.config.velocity_inputs
