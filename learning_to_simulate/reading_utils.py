@@ -49,15 +49,20 @@ class RunGroup:
 
     def select(self, run: int) -> 'RunGroup':
         """The group of one of its runs."""
-        one = slice(run, run + 1)
+        return self.take([run])
+
+    def take(self, runs) -> 'RunGroup':
+        """The group of some of its runs, in the given order; a run may come more than once."""
 
         def part(values):
-            return None if values is None else values[one]
+            if values is None:
+                return None
+            return tuple(values[i] for i in runs) if isinstance(values, tuple) else values[runs]
 
         return dataclasses.replace(
             self,
-            position=self.position[one],
-            record=self.record[one],
+            position=part(self.position),
+            record=part(self.record),
             force=part(self.force),
             context=part(self.context),
             body=part(self.body),

@@ -10,7 +10,7 @@ import tensorflow as tf
 
 # A result of the first pass that is larger than this is computed in the loop instead: reading it
 # back from memory would cost as much, and a batch of long rollouts would not fit.
-LARGEST_AHEAD = 2**28  # bytes
+LARGEST_AHEAD = 2**24  # bytes; fits the caches
 
 
 class AheadPass:
