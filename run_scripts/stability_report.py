@@ -70,10 +70,22 @@ def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -
         rows += new
         curves |= drawn
         seconds[part] = round(time.process_time() - started, 1)
-        files.write_json(
-            os.path.join(output_path, DATA),
-            cases.to_json({'cpu_seconds': seconds, 'rows': rows, 'curves': curves}),
-        )
+        write(rows, curves, seconds, is_quick, output_path)
+    return rows
+
+
+def write(rows, curves: dict, seconds: dict, is_quick: bool, output_path: str) -> None:
+    """Writes JSON, pictures and Markdown of the parts that are done.
+
+    Args:
+        rows: of all parts so far.
+        curves: by name, for the pictures.
+        seconds: CPU time of each part.
+        is_quick: named in the text.
+        output_path: folder.
+    """
+    values = {'cpu_seconds': seconds, 'rows': rows, 'curves': curves}
+    files.write_json(os.path.join(output_path, DATA), cases.to_json(values))
     names = pictures.draw_all(curves, output_path)
     command = 'python -m run_scripts.stability_report' + (' --quick' if is_quick else '')
     text = [
@@ -88,7 +100,6 @@ def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -
         '',
     ]
     files.write_text(os.path.join(output_path, REPORT), '\n'.join(text))
-    return rows
 
 
 def summary(rows: list[cases.Case]) -> str:

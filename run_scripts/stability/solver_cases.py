@@ -102,7 +102,7 @@ def gravity_sweep(frames, progress):
     """Rows and curves of 0 to 1000 g: the cells that soil crosses in a step, or the refusal."""
     rows, curves = [], []
     for factor in GRAVITIES:
-        name = f'gravity x {factor:g}: cells crossed in a step'
+        name = f'gravity x {factor:g}: cells crossed in a step at the end'
         driven = _Driven(gravity_factor=factor)
         s = driven.simulation
         surface = np.quantile(s.particles[:, 1], 0.99)
