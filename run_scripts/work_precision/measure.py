@@ -23,6 +23,7 @@ from learning_to_simulate.full_space import experiment as particles
 from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from pca_tools import dataset, files, subspace
+from run_scripts import step_latency
 from run_scripts.work_precision import points
 from run_scripts.work_precision.points import Timing
 
@@ -118,9 +119,13 @@ def train(data_path: str, model_path: str, config: TrainConfig) -> float:
     return time.perf_counter() - start
 
 
+def _is_full_space(model_path):
+    return checkpoints.read_config(model_path)['config'].get('model') == 'full_space'
+
+
 def open_model(data_path: str, model_path: str, split: str):
     """The evaluator of a trained model, the model, and the runs of a split."""
-    if checkpoints.read_config(model_path)['config'].get('model') == 'full_space':
+    if _is_full_space(model_path):
         model, metadata, groups = particles.load_for_evaluation(
             model_path, data_path, None, split, {}
         )
@@ -236,6 +241,30 @@ def time_rollouts(data_path: str, model_paths: dict, rounds: int) -> dict[str, T
                 steps = group.position.shape[1] - INPUT_SEQUENCE_LENGTH
                 samples[key].append(1e3 * evaluator.roll_out(group).seconds / steps)
     return {key: Timing(tuple(values)) for key, values in samples.items()}
+
+
+def time_live_steps(data_path: str, model_paths: dict, n_run: int) -> dict[str, Timing]:
+    """Times single steps from Python, particles included, run by run in turns.
+
+    Args:
+      data_path: dataset folder.
+      model_paths: key -> model folder.
+      n_run: test runs that each model is stepped through.
+
+    Returns:
+      key -> `Timing` of every step; models on particles have no live stepping and no entry.
+    """
+    steppers = {
+        key: step_latency.Timed(f'{path}:{data_path}')
+        for key, path in tqdm.tqdm(model_paths.items(), 'steppers', unit='model', disable=None)
+        if not _is_full_space(path)
+    }
+    for run in tqdm.tqdm(range(n_run), 'live steps in turns', unit='run', disable=None):
+        for stepper in steppers.values():
+            stepper.run(run)
+    return {
+        key: Timing(tuple(1e3 * s for s in stepper.seconds)) for key, stepper in steppers.items()
+    }
 
 
 def time_decoding(data_path: str, rounds: int) -> Timing | None:

@@ -37,7 +37,7 @@ class Timing:
     def to_json(self) -> dict:
         """The summary for readers, and the samples in one string for machines."""
         rounded = {name: float(f'{value:.5g}') for name, value in self.summary().items()}
-        return rounded | {'samples_ms': ' '.join(f'{s:.5g}' for s in self.samples_ms)}
+        return rounded | {'samples_ms': ' '.join(f'{s:.4g}' for s in self.samples_ms)}
 
     @classmethod
     def from_json(cls, values: dict) -> 'Timing':

@@ -33,6 +33,7 @@ class Settings:
       models_path: folder whose models are loaded where they are what a row asks for, or None.
       seeds: trainings of the default preset.
       rounds: timed rollouts of each model.
+      live_runs: test runs that each model is stepped through live.
       threads: CPU threads of TensorFlow.
       num_processes: rows trained at a time.
       row_limit_s: a row that trains longer has failed.
@@ -46,6 +47,7 @@ class Settings:
     models_path: str | None
     seeds: int = 3
     rounds: int = 30
+    live_runs: int = 3
     threads: int = 1
     num_processes: int = 1
     row_limit_s: float = 1800.0
@@ -224,8 +226,13 @@ class Survey:
                  if p.status == OK and p.seed == 0}  # fmt: skip
         self.document['machine'] = machine.facts(self._settings.threads)
         times = measure.time_rollouts(self._data, paths, self._settings.rounds)
+        live = {}
+        if os.path.exists(os.path.join(self._data, 'subspace.npz')):
+            live = measure.time_live_steps(self._data, paths, self._settings.live_runs)
         for digest, timing in times.items():
-            self._points[digest] = dataclasses.replace(self._points[digest], rollout=timing)
+            self._points[digest] = dataclasses.replace(
+                self._points[digest], rollout=timing, live=live.get(digest)
+            )
 
     def _write(self):
         if not self._references:

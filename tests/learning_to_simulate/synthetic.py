@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files
+from pca_tools import dataset, files, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -105,3 +105,13 @@ def write_dataset(
         metadata |= {'context_mean': values.mean(0).tolist(), 'context_std': values.std(0).tolist()}
     files.write_json(os.path.join(folder, 'metadata.json'), metadata)
     return str(folder)
+
+
+def write_subspace(folder):
+    """Writes a `subspace.npz` of the dataset's size: orthonormal modes without a meaning."""
+    rng = np.random.default_rng(0)
+    modes, _ = np.linalg.qr(rng.normal(size=(N_SOIL, N_MODES)))
+    mean = rng.uniform(0, 1, (N_SOIL, 3))
+    values = np.array([3.0, 2.0, 1.0])
+    space = subspace.Subspace(mean, modes, values, 14.0, 360, 'configuration', ('a',), mean)
+    space.save(os.path.join(folder, 'subspace.npz'))

@@ -41,12 +41,7 @@ def make(tmp_path, motion, with_subspace=True, **more):
     checkpoints.save_config(str(path), model, groups[0].n_rigid, {})
     checkpoints.save_weights(str(path), model.simulator)
     if with_subspace:
-        rng = np.random.default_rng(0)
-        modes, _ = np.linalg.qr(rng.normal(size=(synthetic.N_SOIL, synthetic.N_MODES)))
-        mean = rng.uniform(0, 1, (synthetic.N_SOIL, 3))
-        subspace.Subspace(
-            mean, modes, np.array([3.0, 2.0, 1.0]), 14.0, 360, 'configuration', ('a',), mean
-        ).save(str(data / 'subspace.npz'))
+        synthetic.write_subspace(data)
     return str(path), str(data)
 
 
