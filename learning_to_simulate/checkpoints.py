@@ -36,13 +36,15 @@ class Model:
 
     Attributes:
       simulator: the network with its scene, config and statistics.
-      mode_mask: bool [r, r] of the ranked mode edges, for adjacency 'algorithm2'; else None.
-      loaded_mask: bool [V, V] or [r, r] from an edge file; else None.
+      mode_mask: bool [r, r] of the mode -> mode edges, completed by Algorithm 2; else None.
+      loaded_mask: bool [V, V] from an edge file, used as it is; else None.
+      edge_source: where the edges come from; None if the model folder does not say.
     """
 
     simulator: LearnedSimulator
     mode_mask: np.ndarray | None
     loaded_mask: np.ndarray | None
+    edge_source: str | None = None
 
     def __post_init__(self):
         self._layouts = {}
@@ -63,6 +65,18 @@ class Model:
                 adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
             )
         return self._layouts[n_rigid]
+
+    def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
+        """Takes another list of mode -> mode edges; graphs are built anew.
+
+        Args:
+          mode_mask: bool [r, r], entry [receiver, sender].
+          source: where it comes from.
+        """
+        self.mode_mask, self.edge_source = mode_mask, source
+        sizes, self._layouts = list(self._layouts), {}
+        for n_rigid in sizes:
+            self.layout(n_rigid)
 
     def create_variables(self, n_rigid: int):
         """Makes all variables (deterministic in the config's seed) by running one frame of
@@ -95,6 +109,7 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
             'scene': s.scene.to_json(),
             'particle_types': list(s.particle_types),
             'n_rigid': n_rigid,
+            'edge_source': model.edge_source,
             'edges': {str(n): layout.n_edge for n, layout in model._layouts.items()},
             'mode_mask': None if model.mode_mask is None else model.mode_mask.astype(int).tolist(),
             'loaded_mask': None
@@ -164,7 +179,7 @@ def load_model(path: str) -> Model:
     """
     parts = model_config.parse(read_config(path), os.path.join(path, CONFIG_FILE))
     simulator = make_simulator(parts.scene, parts.config, parts.statistics, parts.particle_types)
-    model = Model(simulator, parts.mode_mask, parts.loaded_mask)
+    model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
     model.create_variables(parts.n_rigid)
     load_weights(path, simulator)
     return model

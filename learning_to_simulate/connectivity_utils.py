@@ -1,18 +1,16 @@
 """`Adjacency`: the edges of the graph, built once per scene and never per step.
 
-An edge list comes from a rule (fully connected, Algorithm 2 of Usmani & Skonieczny 2023) or from a
-file (`edges.json`, `mask.npy`). Conventions: node order is R rigid particles, then r modes; a mask
-is [receiver, sender]; edges are sorted by receiver, then sender, so that equal graphs are equal
-arrays.
+Edges come from a rule: fully connected, or Algorithm 2 of Usmani & Skonieczny 2023, whose mode
+block is found elsewhere (`edge_lists`). Conventions: node order is R rigid particles, then r modes;
+a mask is [receiver, sender]; edges are sorted by receiver, then sender, so that equal graphs are
+equal arrays.
 """
 
 import dataclasses
-import os
 
 import numpy as np
 
 from learning_to_simulate.scene import RigidMotion, Scene
-from pca_tools import files
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,9 +71,9 @@ def fully_connected(n_node: int) -> Adjacency:
 def algorithm2(scene: Scene, n_rigid: int, mode_mask: np.ndarray) -> Adjacency:
     """The partial graph of Usmani & Skonieczny 2023, Algorithm 2.
 
-    modes -> modes as in `mode_mask`; rigid -> modes all; modes -> rigid only where the motion of
-    the body is (at least in part) predicted; rigid -> rigid along `scene.rigid_edges` only where
-    all of it is predicted.
+    modes -> modes as in `mode_mask` (the mode block of an NRI result, or of any other edge list);
+    rigid -> modes all; modes -> rigid only where the motion of the body is (at least in part)
+    predicted; rigid -> rigid along `scene.rigid_edges` only where all of it is predicted.
 
     Args:
       scene: says which motion is predicted and which rigid particles are neighbours.
@@ -119,10 +117,29 @@ def nearest_neighbour_edges(points, n_neighbours: int = 2) -> tuple[tuple[int, i
     return tuple((int(s), r) for r in range(len(points)) for s in nearest[r])
 
 
-def rank_mode_edges(velocities, keep: int) -> np.ndarray:
-    """The `keep` mode -> mode edges with the strongest one-frame-lagged velocity correlation.
+def mode_correlations(velocities) -> np.ndarray:
+    """One-frame-lagged velocity correlation of every pair of modes.
 
-    Stands in for a learned edge list. Self-edges always correlate best, so they come first.
+    Args:
+      velocities: float [S, T, r, D] of the modes on training runs, m/frame.
+
+    Returns:
+      float64 [r, r] in [0, 1], entry [receiver, sender]: how well the sender's velocity of one
+      frame goes with the receiver's of the next, sign ignored.
+    """
+    scale = velocities.std(axis=(0, 1), keepdims=True)
+    unit = (velocities - velocities.mean(axis=(0, 1), keepdims=True)) / np.where(
+        scale > 0, scale, 1.0
+    )
+    count = unit[:, 1:, 0].size
+    score = np.abs(np.einsum('stid,stjd->ij', unit[:, 1:], unit[:, :-1])) / max(count, 1)
+    return np.clip(score, 0.0, 1.0)
+
+
+def rank_mode_edges(velocities, keep: int) -> np.ndarray:
+    """The `keep` mode -> mode edges with the strongest `mode_correlations`.
+
+    Stands in for a learned edge list. Self-edges come first.
 
     Args:
       velocities: float [S, T, r, D] of the modes on training runs, m/frame.
@@ -137,70 +154,35 @@ def rank_mode_edges(velocities, keep: int) -> np.ndarray:
     r = velocities.shape[2]
     if not 0 <= keep <= r * r:
         raise ValueError(f'mode_edges is {keep}, must lie in [0, {r * r}]')
-    scale = velocities.std(axis=(0, 1), keepdims=True)
-    unit = (velocities - velocities.mean(axis=(0, 1), keepdims=True)) / np.where(
-        scale > 0, scale, 1.0
-    )
-    score = np.abs(np.einsum('stid,stjd->ij', unit[:, 1:], unit[:, :-1]))
+    score = mode_correlations(velocities)
     np.fill_diagonal(score, np.inf)
     mask = np.zeros(r * r, bool)
     mask[np.argsort(-score, axis=None, kind='stable')[:keep]] = True
     return mask.reshape(r, r)
 
 
-def load_mask(path: str) -> np.ndarray:
-    """Reads an adjacency mask: `.npy` (bool [V, V], [receiver, sender]) or `edges.json`.
-
-    `edges.json` holds `senders`, `receivers` (lists of E indices) and `node_names` (V names).
-
-    Raises:
-      ValueError: missing file, git-lfs pointer, foreign content, or a mask that is not square.
-    """
-    if not os.path.isfile(path):
-        raise ValueError(f'{path}: no such edge file')
-    files.refuse_git_lfs_pointer(path)
-    if path.endswith('.npy'):
-        mask = files.read_npy(path)
-        if mask.ndim != 2 or mask.shape[0] != mask.shape[1] or not np.isin(mask, (0, 1)).all():
-            raise ValueError(
-                f'{path}: a mask must be a square array of 0 and 1, got shape {mask.shape}'
-            )
-        return mask.astype(bool)
-    values = files.read_json(path)
-    try:
-        n_node = len(values['node_names'])
-        ends = [np.asarray(values[key], np.int32).reshape(-1) for key in ('senders', 'receivers')]
-        return Adjacency(*ends, n_node).mask()
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
-            f'{path}: not an edges.json with senders, receivers and node_names ({error})'
-        ) from error
-
-
 def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=None) -> Adjacency:
     """The adjacency for a graph of R rigid particles and r modes.
 
     Args:
-      kind: 'fully_connected', 'algorithm2', 'none', or anything else for a loaded mask.
+      kind: `TrainConfig.adjacency`; 'fully_connected' and 'none' need no mask.
       scene: the scene.
       n_rigid: R.
-      mode_mask: bool [r, r] for 'algorithm2'.
-      loaded_mask: bool [V, V], used as it is, or [r, r], completed by Algorithm 2.
+      mode_mask: bool [r, r], completed by Algorithm 2; or None.
+      loaded_mask: bool [V, V] of a file, used as it is, if there is no `mode_mask`.
 
     Raises:
-      ValueError: if a loaded mask fits neither V nor r.
+      ValueError: if a loaded mask does not fit V.
     """
     n_node = n_rigid + scene.n_modes
     if kind == 'fully_connected':
         return fully_connected(n_node)
     if kind == 'none':
         return Adjacency.from_mask(np.zeros((n_node, n_node), bool))
-    if kind == 'algorithm2':
+    if mode_mask is not None:
         return algorithm2(scene, n_rigid, mode_mask)
     if len(loaded_mask) == n_node:
         return Adjacency.from_mask(loaded_mask)
-    if len(loaded_mask) == scene.n_modes:
-        return algorithm2(scene, n_rigid, loaded_mask)
     raise ValueError(
         f'the mask of {kind} is {len(loaded_mask)} x {len(loaded_mask)}, but this dataset has '
         f'graphs of {n_node} nodes '

@@ -13,7 +13,7 @@ import tqdm
 
 from learning_to_simulate import (
     checkpoints,
-    connectivity_utils,
+    edge_lists,
     evaluation,
     normalization,
     reading_utils,
@@ -69,15 +69,11 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         scene,
         config,
     )
-    mode_mask = loaded_mask = None
-    if config.adjacency == 'algorithm2':
-        velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
-        mode_mask = connectivity_utils.rank_mode_edges(velocities, config.mode_edges)
-    elif config.adjacency not in ('fully_connected', 'none'):
-        loaded_mask = connectivity_utils.load_mask(config.adjacency)
+    velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
     simulator = make_simulator(scene, config, statistics, (int(types[0]), int(types[-1])))
-    model = checkpoints.Model(simulator, mode_mask, loaded_mask)
+    model = checkpoints.Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
     for group in groups:
         model.layout(group.n_rigid)
     model.create_variables(groups[0].n_rigid)
@@ -122,6 +118,14 @@ def open_model_path(path, model, n_rigid, data):
                 f'{path}: holds a model of another {part} ({listed}); nothing was written, give '
                 f'another --model_path'
             )
+    if not model.simulator.config.gate_weight:  # learned edges change on the way, by themselves
+        masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
+        for name, mask in masks.items():
+            if stored[name] != (None if mask is None else mask.astype(int).tolist()):
+                raise ValueError(
+                    f'{path}: holds a model with other edges ({stored.get("edge_source")} there, '
+                    f'{model.edge_source} now); nothing was written, give another --model_path'
+                )
     if not training_state.stored_steps(path) and os.path.exists(
         os.path.join(path, checkpoints.WEIGHTS_FILE)
     ):
@@ -184,13 +188,25 @@ def train(
             f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
             f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
             f'{sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)} weights, '
-            f'{trainer.total_steps} steps'
+            f'{trainer.total_steps} steps; edges: {model.edge_source}'
         )
         evaluator = evaluation.Evaluator(model, metadata)
-        return train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop)
+        close_gates = None
+        if trainer.gates:
+
+            def close_gates():
+                return _close_gates(trainer, model, data_path, model_path, groups[0].n_rigid, data)
+
+            if start > config.gate_steps:
+                print(close_gates())
+        return train_steps(
+            model_path, trainer, state, start, evaluator, valid, save_every, stop, close_gates
+        )
 
 
-def train_steps(model_path, trainer, state, start, evaluator, valid, save_every, stop) -> dict:
+def train_steps(
+    model_path, trainer, state, start, evaluator, valid, save_every, stop, close_gates=None
+) -> dict:
     """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
     summary = {}
     total = trainer.total_steps
@@ -202,6 +218,8 @@ def train_steps(model_path, trainer, state, start, evaluator, valid, save_every,
     ):
         clock = time.perf_counter()
         for i in range(start, total):
+            if close_gates and i == trainer.config.gate_steps:
+                bar.write(close_gates())
             values = trainer.step(i)
             losses.append(values['loss'])
             bar.update()
@@ -219,7 +237,9 @@ def train_steps(model_path, trainer, state, start, evaluator, valid, save_every,
                     | {'steps_per_sec': rate, 'lr': float(trainer.learning_rate(i))}.items()
                 ):
                     tf.summary.scalar(name, value, step=i)
-            if save and (last or not stop.number):
+            # While the edges are being learned there is no graph yet that weights belong to.
+            learns_edges = close_gates and i < trainer.config.gate_steps
+            if save and (last or not stop.number) and not learns_edges:
                 with trainer.averaged_weights():
                     if valid:
                         _, summary = evaluator.run(valid, 'valid')
@@ -248,6 +268,17 @@ def _refuse_non_finite(losses, end, trainer, model_path):
         f'{trainer.batch_of(step)}; training stopped, the checkpoint of before stays in '
         f'{model_path}'
     )
+
+
+def _close_gates(trainer, model, data_path, model_path, n_rigid, data):
+    """Fixes the learned edges, writes them beside the model, and says what they are."""
+    config = model.simulator.config
+    edges = trainer.gates.edge_list(config, data_path)
+    trainer.fix_edges(edges.mask)
+    edge_lists.write(os.path.join(model_path, edge_lists.FILE_NAME), edges)
+    checkpoints.save_config(model_path, model, n_rigid, data)
+    text = f'step {config.gate_steps}: {edges.n_edge} of {edges.mask.size} mode edges stay'
+    return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
 
 
 def _log_rollout(summary, step, bar):

@@ -98,7 +98,11 @@ class _InteractionNetwork(snt.Module):
     def __call__(self, nodes, edges, senders, receivers, incidence):
         messages = self._edge_block(edges, nodes, senders, receivers)
         # A small dense product compiles to faster code than a scatter of a few hundred rows.
-        received = tf.einsum('ve,bel->bvl', tf.cast(incidence, messages.dtype), messages)
+        incidence = tf.cast(incidence, messages.dtype)
+        if len(incidence.shape) == 2:
+            received = tf.einsum('ve,bel->bvl', incidence, messages)
+        else:
+            received = tf.matmul(incidence, messages)
         return nodes + self._node_block(received, nodes), edges + messages
 
 
@@ -166,13 +170,15 @@ class EncodeProcessDecode(snt.Module):
             _weights_of(self._decoder),
         )
 
-    def __call__(self, nodes, edges, senders, receivers):
+    def __call__(self, nodes, edges, senders, receivers, edge_gates=None):
         """Runs the network on B equal graphs.
 
         Args:
           nodes: float32 [B, V, F] node features; the network computes in their type.
           edges: float32 [B, E, G] edge features.
           senders, receivers: int32 [E] numpy arrays, the edges of one graph.
+          edge_gates: float32 [B or 1, E] in [0, 1], weights of the messages: 0 is as if the edge
+            were not there, 1 for all is the same as None.
 
         Returns:
           float32 [B, V, output_size].
@@ -180,8 +186,13 @@ class EncodeProcessDecode(snt.Module):
         n_graph, n_node = nodes.shape[:2]
         n_edge = len(senders)
         incidence = (np.arange(n_node)[:, None] == receivers).astype(np.float32)
+        n_received = incidence.sum(axis=1, keepdims=True)
+        if edge_gates is not None:
+            incidence = incidence * edge_gates[:, None]
+            n_received = tf.reduce_sum(incidence, axis=-1, keepdims=True)
         if self._mean_aggregation:
-            incidence /= np.maximum(incidence.sum(axis=1, keepdims=True), 1.0)
+            at_least_one = np.maximum if edge_gates is None else tf.maximum
+            incidence = incidence / at_least_one(n_received, 1.0)
         first_node = np.repeat(np.arange(n_graph, dtype=np.int32) * n_node, n_edge)
         graph = gn.graphs.GraphsTuple(
             nodes=tf.reshape(nodes, [n_graph * n_node, nodes.shape[2]]),

@@ -70,9 +70,9 @@ class Layout:
         conditioned: bool,
     ):
         self.n_rigid = n_rigid
-        self.n_node = adjacency.n_node
+        self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
         self.senders, self.receivers = adjacency.senders, adjacency.receivers
-        self.n_edge = adjacency.n_edge
+        self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
         self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
         self.origin = statistics.origin[self.node_class]
         s = statistics
@@ -276,7 +276,7 @@ class LearnedSimulator(snt.Module):
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and force [B, D] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        decoded = self._network(nodes, edges, layout.senders, layout.receivers)
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers, layout.edge_gates)
         force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return decoded[..., : self.dim], force
 

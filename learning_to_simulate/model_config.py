@@ -34,7 +34,8 @@ class ModelConfig:
       particle_types: of the rigid particles and of the modes.
       n_rigid: an R that the model runs on.
       mode_mask: bool [r, r], or None.
-      loaded_mask: bool [V, V] or [r, r], or None.
+      loaded_mask: bool [V, V], or None.
+      edge_source: where the edges come from, or None.
     """
 
     config: TrainConfig
@@ -44,6 +45,7 @@ class ModelConfig:
     n_rigid: int
     mode_mask: np.ndarray | None
     loaded_mask: np.ndarray | None
+    edge_source: str | None
 
 
 def parse(values: dict, source: str) -> ModelConfig:
@@ -62,10 +64,12 @@ def parse(values: dict, source: str) -> ModelConfig:
         _check_statistics(statistics, scene)
         n_rigid = values['n_rigid']
         _require(_is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
+        source_of_edges = values.get('edge_source')
+        _require(isinstance(source_of_edges, str | None), 'edge_source', source_of_edges)
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
     except WRONG_FIELD as error:
         raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
-    return ModelConfig(config, scene, statistics, types, n_rigid, *masks)
+    return ModelConfig(config, scene, statistics, types, n_rigid, *masks, source_of_edges)
 
 
 def config_and_scene(values: dict) -> tuple[TrainConfig, Scene, tuple[int, int]]:

@@ -19,10 +19,17 @@ class TrainConfig:
       preset: name of the preset the config started from.
       model: the network: 'gns' (graph), 'mlp' (Holden et al. 2019), 'mixer_se' or 'mixer_scse'
         (Motion-Mixer); see `networks`; 'full_space' is a graph network on the particles.
-      adjacency: 'fully_connected', 'algorithm2', or the edge file that was loaded; 'none' for a
-        model without a graph, and for full_space, whose radius graph is made in every step.
+      adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
+        where there is one, else ranked by correlation); 'correlation' (always ranked); the edge
+        file that was loaded; 'none' for a model without a graph, and for full_space, whose
+        radius graph is made in every step.
       soil_particles: about how many soil particles the full-space model keeps; else 0.
-      mode_edges: mode -> mode edges that Algorithm 2 keeps when no file gives them.
+      mode_edges: mode -> mode edges that are kept when they are ranked by correlation.
+      gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
+        hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
+      gate_steps: after so many steps the gates close for good and the edge list is fixed.
+      gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
+        open than not.
       rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
         keeps all. Only
         where the motion is prescribed: a blade cuts with its lower edge, and the rest follows from
@@ -59,6 +66,9 @@ class TrainConfig:
     adjacency: str = 'algorithm2'
     soil_particles: int = 0
     mode_edges: int = 28
+    gate_weight: float = 0.0
+    gate_steps: int = 1000
+    gate_keep: int = 0
     rigid_particles: int = 10
     conditioned: bool = True
     velocity_inputs: int = 1
@@ -104,6 +114,9 @@ class TrainConfig:
             )
         for name, low in (
             ('mode_edges', 0),
+            ('gate_weight', 0.0),
+            ('gate_steps', 1),
+            ('gate_keep', 0),
             ('latent_size', 1),
             ('hidden_layers', 1),
             ('message_passing_steps', 1),
@@ -128,6 +141,16 @@ class TrainConfig:
             raise ValueError(
                 f'velocity_inputs is {self.velocity_inputs}, a history has '
                 f'{INPUT_SEQUENCE_LENGTH - 1} velocities'
+            )
+        if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
+            raise ValueError(
+                f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
+                f'single-step stage of {self.num_steps} steps'
+            )
+        if self.gate_weight > 0 and self.adjacency != 'algorithm2':
+            raise ValueError(
+                f'gate_weight {self.gate_weight} learns the edges, but adjacency '
+                f'{self.adjacency!r} gives them: leave one of them out'
             )
         if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
             raise ValueError(

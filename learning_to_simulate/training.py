@@ -7,11 +7,13 @@ weights.
 """
 
 import contextlib
+import copy
 
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import losses, noise_utils
+from learning_to_simulate.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
     initial_state,
@@ -21,7 +23,7 @@ from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
 # Independent random streams of one (seed, step).
-_WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM = 1, 2, 3, 4
+_WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM, _GATE_STREAM = 1, 2, 3, 4, 5
 
 
 # The force error of a run is counted in units of the run's own force, because that is how it is
@@ -82,6 +84,12 @@ class _GroupTensors:
         if statistics.context_mean is not None:
             self.context = tf.constant(group.context, tf.float32)
 
+    def with_layout(self, layout):
+        """The same runs on another graph of the same nodes."""
+        other = copy.copy(self)
+        other.layout = layout
+        return other
+
     def picks(self, batch_size, length, seed):
         """Run and first frame of `batch_size` windows of `length` frames, a function of `seed`
         int32 [2]."""
@@ -115,6 +123,8 @@ class Trainer:
       ValueError: if a run is shorter than the training windows.
     """
 
+    gates: EdgeGates | None = None  # while the config says that the edges are learned
+
     def __init__(self, model, groups):
         self.simulator, self.config = model.simulator, model.simulator.config
         longest = INPUT_SEQUENCE_LENGTH + (
@@ -142,6 +152,9 @@ class Trainer:
             self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
         )
         self.optimizer.build(self.simulator.trainable_variables)
+        self._model = model
+        if self.config.gate_weight > 0:
+            self.gates = EdgeGates(self.simulator.scene.n_modes)
         self.averages = [tf.Variable(v, name='average') for v in self.simulator.trainable_variables]
         self._steps = {}
 
@@ -150,13 +163,28 @@ class Trainer:
         """Steps of both stages."""
         return self.config.num_steps + self.config.unroll_steps
 
+    def is_gated(self, step: int) -> bool:
+        """Whether the edges are still being learned in training step `step`."""
+        return self.gates is not None and step < self.config.gate_steps
+
+    def fix_edges(self, mode_mask) -> None:
+        """Goes on with a fixed list of mode -> mode edges; the removed ones leave the graph.
+
+        Args:
+          mode_mask: bool [r, r], entry [receiver, sender].
+        """
+        self._model.fix_mode_edges(mode_mask)
+        self._tensors = [t.with_layout(self._model.layout(t.layout.n_rigid)) for t in self._tensors]
+        self._steps = {}
+
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
         unrolled = step >= self.config.num_steps
         group = self._group_of(step)
-        if (group, unrolled) not in self._steps:
-            self._steps[group, unrolled] = self._compile(self._tensors[group], unrolled)
-        return self._steps[group, unrolled](tf.constant(step, tf.int32))
+        key = group, unrolled, self.is_gated(step)
+        if key not in self._steps:
+            self._steps[key] = self._compile(self._tensors[group], *key[1:])
+        return self._steps[key](tf.constant(step, tf.int32))
 
     def _group_of(self, step):
         draw = np.random.Generator(
@@ -180,9 +208,9 @@ class Trainer:
         run, start = (values.numpy() for values in picks(tf.constant(step, tf.int32)))
         return list(zip(tensors.record[run].tolist(), start.tolist()))
 
-    def _compile(self, tensors, unrolled):
+    def _compile(self, tensors, unrolled, gated):
         variables = self.simulator.trainable_variables
-        config = self.config
+        config, gates = self.config, self.gates if gated else None
 
         @tf.function(jit_compile=True)
         def train_step(step):
@@ -193,11 +221,22 @@ class Trainer:
                     values = self._unrolled_losses(
                         tensors, config.unroll_batch_size, window_seed, noise_seed
                     )
+                elif gates:
+                    gate_seed = tf.stack([config.seed * 8 + _GATE_STREAM, step])
+                    layout = gates.gated(tensors.layout, config.batch_size, gate_seed)
+                    values = self._single_step_losses(
+                        tensors.with_layout(layout), config.batch_size, window_seed, noise_seed
+                    )
+                    values = gates.with_price(values, config, step)
                 else:
                     values = self._single_step_losses(
                         tensors, config.batch_size, window_seed, noise_seed
                     )
-            gradients = tape.gradient(values['loss'], variables)
+            if gates:
+                *gradients, of_gates = tape.gradient(values['loss'], [*variables, gates.log_alpha])
+                gates.optimizer.apply_gradients([(of_gates, gates.log_alpha)])
+            else:
+                gradients = tape.gradient(values['loss'], variables)
             self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
             count = tf.cast(step, tf.float32)
             keep = tf.minimum(

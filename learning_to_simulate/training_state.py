@@ -59,11 +59,13 @@ class TrainingState:
             optimizer=trainer.optimizer,
             averages=trainer.averages,
             step=self._step,
+            **({'gates': trainer.gates} if trainer.gates else {}),
         )
         self._variables = [
             *trainer.simulator.trainable_variables,
             *trainer.optimizer.variables,
             *trainer.averages,
+            *(trainer.gates.variables if trainer.gates else ()),
         ]
 
     def restore(self) -> int:

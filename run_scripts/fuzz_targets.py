@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, connectivity_utils, model_config, training_state
+from learning_to_simulate import checkpoints, edge_lists, model_config, training_state
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.rendering import rollout_frames
@@ -163,9 +163,13 @@ def _write_mask(folder):
 
 
 def _write_edges(folder):
-    receivers, senders = np.nonzero(_rng().random((4, 4)) < 0.5)
-    values = {'senders': senders.tolist(), 'receivers': receivers.tolist()}
-    files.write_json(f'{folder}/edges.json', values | {'node_names': ['a', 'b', 'c', 'd']})
+    probabilities = _rng().random((4, 4))
+    edges = edge_lists.EdgeList(
+        mask=edge_lists.select(probabilities, threshold=0.5),
+        node_names=edge_lists.mode_names(4), probabilities=probabilities, method='nri',
+        threshold=0.5, digests={'model': 'a' * 64, 'subspace.npz': 'b' * 64},
+    )  # fmt: skip
+    edge_lists.write(f'{folder}/edges.json', edges)
 
 
 def _possible_mask(mask):
@@ -350,9 +354,9 @@ TARGETS = (
     Target('subspace.npz', Promise.CHECKSUM, _write_subspace, ('subspace.npz',),
            lambda folder: subspace.Subspace.load(f'{folder}/subspace.npz'), _possible_subspace),
     Target('edges.json', Promise.OPEN, _write_edges, ('edges.json',),
-           lambda folder: connectivity_utils.load_mask(f'{folder}/edges.json'), _possible_mask),
+           lambda folder: edge_lists.read(f'{folder}/edges.json').mask, _possible_mask),
     Target('mask.npy', Promise.OPEN, _write_mask, ('mask.npy',),
-           lambda folder: connectivity_utils.load_mask(f'{folder}/mask.npy'), _possible_mask),
+           lambda folder: edge_lists.read_mask(f'{folder}/mask.npy'), _possible_mask),
     Target('rollout npz', Promise.CHECKSUM, _write_rollout, ('rollout_test_0.npz',),
            lambda folder: rollout_frames.load(f'{folder}/rollout_test_0.npz', None),
            _possible_rollout),

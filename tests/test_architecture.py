@@ -20,7 +20,13 @@ MAY_IMPORT = {
     'mpm': (),
     'pca_tools': (),
     'learning_to_simulate': ('pca_tools',),
-    'nri': ('pca_tools', 'learning_to_simulate.connectivity_utils'),
+    'nri': (
+        'pca_tools',
+        'learning_to_simulate.connectivity_utils',
+        'learning_to_simulate.edge_lists',
+        'learning_to_simulate.edge_picture',
+        'learning_to_simulate.scene',
+    ),
 }
 # Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {

@@ -1,0 +1,341 @@
+"""`EdgeList`: edges between named nodes, found by a method, in a file: `edges.json`.
+
+One schema for every method (Neural Relational Inference, learned gates, correlation); WORKSPACE.md
+explains its fields. A list belongs to the subspace it was found in: names and digests are held
+against the dataset before an edge is used.
+"""
+
+import dataclasses
+import os
+from typing import Any
+
+import numpy as np
+
+from learning_to_simulate import connectivity_utils, presets
+from learning_to_simulate.connectivity_utils import Adjacency
+from pca_tools import files
+
+FILE_NAME = 'edges.json'
+SCHEMA_VERSION = 1
+METHODS = ('nri', 'gates', 'correlation')
+CONVENTION = (
+    'edge k goes from senders[k] to receivers[k]; indices count node_names; edges are sorted by '
+    'receiver, then sender; probabilities are [receiver][sender], null where the method has none '
+    '(NRI: self-edges)'
+)
+# A damaged file must not ask for the memory of a matrix of millions.
+MAX_NODES = 1000
+# Files of a dataset that say which modes the edges join.
+DATA_FILES = ('subspace.npz', 'train.tfrecord')
+
+
+def mode_names(n_modes: int) -> tuple[str, ...]:
+    """Node names of the r modes, in the order of the subspace."""
+    return tuple(f'mode_{k}' for k in range(n_modes))
+
+
+def data_digests(data_path: str) -> dict[str, str]:
+    """sha256 of those `DATA_FILES` that a dataset folder has."""
+    paths = {name: os.path.join(data_path, name) for name in DATA_FILES}
+    return {n: files.sha256_of_file(p) for n, p in paths.items() if os.path.exists(p)}
+
+
+@dataclasses.dataclass(frozen=True)
+class EdgeList:
+    """Directed edges between V named nodes.
+
+    Attributes:
+      mask: bool [V, V], entry [receiver, sender].
+      node_names: V different names.
+      probabilities: float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method
+        has none.
+      method: one of `METHODS`.
+      threshold: edges have a probability above it; None where a number of edges was asked for.
+      digests: sha256 of `model` (None for correlation) and of the `DATA_FILES` it was found on.
+      degenerate: 'empty' or 'saturated' where that was allowed, else None.
+      report: what the method has to say about itself (spread over runs, entropy); free JSON.
+
+    Raises:
+      ValueError: on construction, for a field of the wrong kind, or a graph that is empty or
+        saturated without saying so.
+    """
+
+    mask: np.ndarray
+    node_names: tuple[str, ...]
+    probabilities: np.ndarray
+    method: str
+    threshold: float | None
+    digests: dict[str, str | None]
+    degenerate: str | None = None
+    report: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self):
+        n = len(self.node_names)
+        if n == 0 or len(set(self.node_names)) != n:
+            raise ValueError(f'node_names must be different names, got {list(self.node_names)}')
+        for name in ('mask', 'probabilities'):
+            if getattr(self, name).shape != (n, n):
+                raise ValueError(f'{name} is {getattr(self, name).shape} for {n} nodes')
+        known = self.probabilities[~np.isnan(self.probabilities)]
+        if ((known < 0) | (known > 1)).any():
+            raise ValueError(
+                f'probabilities reach from {known.min():.4g} to {known.max():.4g}, must lie in '
+                f'[0, 1]'
+            )
+        if self.method not in METHODS:
+            raise ValueError(f'method is {self.method!r}, must be one of {METHODS}')
+        if self.threshold is not None and not 0 <= self.threshold <= 1:
+            raise ValueError(f'threshold is {self.threshold!r}, must lie in [0, 1]')
+        if not all(v is None or isinstance(v, str) for v in self.digests.values()):
+            raise ValueError(f'digests must be texts, got {self.digests}')
+        if self.degenerate != (found := degeneracy(self.mask)) and found:
+            raise ValueError(
+                f'the graph is {found} ({self.mask.sum()} edges between {n} nodes): every model '
+                f'would ignore, or need no, such a list'
+            )
+
+    @property
+    def n_edge(self) -> int:
+        """E, self-edges included."""
+        return int(self.mask.sum())
+
+    def mask_for(self, names) -> np.ndarray:
+        """bool mask over some of the nodes, in the order of `names`.
+
+        Raises:
+          ValueError: if a name is missing, or the list has further modes: then it was found in
+            another subspace.
+        """
+        missing = [name for name in names if name not in self.node_names]
+        extra = [n for n in self.node_names if n.startswith('mode_') and n not in names]
+        if missing or extra:
+            raise ValueError(
+                f'the edges join {_short(self.node_names)}, but the nodes are {_short(names)}'
+            )
+        order = [self.node_names.index(name) for name in names]
+        return self.mask[np.ix_(order, order)]
+
+    def check_data(self, data_path: str) -> None:
+        """Holds the digests against a dataset folder.
+
+        The subspace decides where both have one: modes of the same subspace are the same nodes,
+        whichever runs the list was found on.
+
+        Raises:
+          ValueError: if the list was found on another dataset.
+        """
+        here = data_digests(data_path)
+        for name in DATA_FILES:
+            if name in here and self.digests.get(name):
+                if here[name] == self.digests[name]:
+                    return
+                raise ValueError(
+                    f'the edges were found on another dataset: {name} there has sha256 '
+                    f'{self.digests[name][:12]}..., in {data_path} {here[name][:12]}...; find the '
+                    f'edges anew, or give their .npy mask to use them all the same'
+                )
+        raise ValueError(
+            f'nothing says that the edges belong to {data_path}: no digest of {DATA_FILES} in both'
+        )
+
+
+def degeneracy(mask: np.ndarray) -> str | None:
+    """'empty' without an edge between two different nodes, 'saturated' with all of them."""
+    off_diagonal = mask[~np.eye(len(mask), dtype=bool)]
+    if not off_diagonal.any():
+        return 'empty'
+    return 'saturated' if off_diagonal.all() else None
+
+
+def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.ndarray:
+    """The edges that a probability matrix gives.
+
+    Args:
+      probabilities: [V, V], entry [receiver, sender]; NaN on the diagonal where the method has no
+        self-edges.
+      threshold: keeps pairs with a probability above it.
+      keep: instead, keeps the `keep` most probable edges (self-edges counted; ties go to the lower
+        receiver, then sender).
+      self_edges: whether self-edges without a probability are in the list.
+
+    Returns:
+      bool [V, V].
+
+    Raises:
+      ValueError: unless exactly one of threshold and keep is given, or `keep` cannot be met.
+    """
+    if (threshold is None) == (keep is None):
+        raise ValueError('give either a threshold or the number of edges to keep')
+    probabilities = np.asarray(probabilities, np.float64)
+    unknown = np.isnan(probabilities)
+    always = unknown & np.eye(len(probabilities), dtype=bool) & self_edges
+    if keep is None:
+        return np.where(unknown, always, probabilities > threshold)
+    possible = int((~unknown).sum() + always.sum())
+    if not always.sum() <= keep <= possible:
+        raise ValueError(f'keep is {keep}, must lie in [{always.sum()}, {possible}]')
+    mask = always.reshape(-1).copy()
+    score = np.where(unknown, -np.inf, probabilities).reshape(-1)
+    mask[np.argsort(-score, kind='stable')[: keep - int(always.sum())]] = True
+    return mask.reshape(always.shape)
+
+
+def write(path: str, edges: EdgeList) -> None:
+    """Writes `edges.json` whole or not at all.
+
+    Args:
+      path: the file; its folder must exist.
+      edges: the list.
+    """
+    adjacency = Adjacency.from_mask(edges.mask)
+    rows = [[None if np.isnan(p) else round(float(p), 6) for p in q] for q in edges.probabilities]
+    files.write_json(
+        path,
+        {
+            'schema_version': SCHEMA_VERSION,
+            'method': edges.method,
+            'convention': CONVENTION,
+            'node_names': list(edges.node_names),
+            'senders': adjacency.senders.tolist(),
+            'receivers': adjacency.receivers.tolist(),
+            'threshold': edges.threshold,
+            'degenerate': edges.degenerate,
+            'digests': edges.digests,
+            'report': edges.report,
+            'probabilities': rows,
+        },
+    )
+
+
+def read(path: str) -> EdgeList:
+    """Reads and checks `edges.json`.
+
+    Raises:
+      ValueError: missing, git-lfs pointer, another kind or version of file, a field that is
+        missing or out of range, an edge listed twice or outside the nodes, an empty or saturated
+        graph that does not say so.
+    """
+    if not os.path.isfile(path):
+        raise ValueError(f'{path}: no such edge file')
+    values = files.read_json(path)
+    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(f'{path}: not an edge list of schema version {SCHEMA_VERSION}')
+    try:
+        if values['convention'] != CONVENTION:
+            raise ValueError(f'convention is {values["convention"]!r}, known is {CONVENTION!r}')
+        names = tuple(map(str, values['node_names']))
+        if len(names) > MAX_NODES:
+            raise ValueError(f'{len(names)} nodes are more than the limit of {MAX_NODES}')
+        ends = [_indices(values[key]) for key in ('senders', 'receivers')]
+        return EdgeList(
+            mask=Adjacency(*ends, len(names)).mask(),
+            node_names=names,
+            probabilities=np.array(values['probabilities'], np.float64),
+            method=values['method'],
+            threshold=values['threshold'],
+            digests=dict(values['digests']),
+            degenerate=values['degenerate'],
+            report=dict(values['report']),
+        )
+    except KeyError as error:
+        raise ValueError(f'{path}: not an edge list, {error} is missing') from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f'{path}: {error}') from error
+
+
+def read_mask(path: str) -> np.ndarray:
+    """Reads a bare adjacency mask: `.npy`, bool [V, V], entry [receiver, sender].
+
+    Raises:
+      ValueError: missing file, git-lfs pointer, foreign content, or a mask that is not square.
+    """
+    if not os.path.isfile(path):
+        raise ValueError(f'{path}: no such edge file')
+    mask = files.read_npy(path)
+    if (
+        mask.ndim != 2
+        or mask.shape[0] != mask.shape[1]
+        or mask.dtype.kind not in 'biuf'
+        or not np.isin(mask, (0, 1)).all()
+    ):
+        raise ValueError(
+            f'{path}: a mask must be a square array of 0 and 1, got shape '
+            f'{mask.shape} of {mask.dtype}'
+        )
+    return mask.astype(bool)
+
+
+@dataclasses.dataclass(frozen=True)
+class ModeEdges:
+    """The part of the graph that a config leaves to data.
+
+    Attributes:
+      mode_mask: bool [r, r], to be completed by Algorithm 2; None for the two others.
+      loaded_mask: bool [V, V], used as it is; None if there is none.
+      source: where the edges come from, for the log and config.json.
+    """
+
+    mode_mask: np.ndarray | None
+    loaded_mask: np.ndarray | None
+    source: str
+
+
+def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
+    """The edges that a `TrainConfig` asks for on a dataset.
+
+    Args:
+      config: its adjacency is 'fully_connected' or 'none'; 'algorithm2' (all mode edges where gates
+        are learned, else `edges.json` of the dataset, else ranked by correlation); 'correlation';
+        or a file, `.json` or `.npy`.
+      data_path: dataset folder.
+      n_modes: r.
+      velocities: float [S, T, r, D] of the modes on the training runs.
+
+    Raises:
+      ValueError: a file that is damaged, foreign or of another dataset, or a wish for a number of
+        ranked edges where a file gives them.
+    """
+    kind = config.adjacency
+    if kind in ('fully_connected', 'none'):
+        return ModeEdges(None, None, kind)
+    if config.gate_weight > 0:
+        return ModeEdges(np.ones((n_modes, n_modes), bool), None, 'gates, not yet closed')
+    shipped = os.path.join(data_path, FILE_NAME)
+    name = kind
+    if kind == 'algorithm2' and os.path.exists(shipped):
+        usual = presets.PRESETS[config.preset].mode_edges
+        if config.mode_edges != usual:
+            raise ValueError(
+                f'mode_edges is {config.mode_edges}, but {shipped} gives the edges: add '
+                f'--adjacency=correlation to rank so many, or leave mode_edges out'
+            )
+        kind, name = shipped, f'{FILE_NAME} of the dataset'
+    if kind in ('algorithm2', 'correlation'):
+        mask = connectivity_utils.rank_mode_edges(velocities, config.mode_edges)
+        return ModeEdges(mask, None, f'{config.mode_edges} ranked by lagged correlation')
+    if kind.endswith('.npy'):
+        mask = read_mask(kind)
+        of_modes = len(mask) == n_modes
+        source = f'{name} (sha256 {files.sha256_of_file(kind)[:12]})'
+        return ModeEdges(mask if of_modes else None, None if of_modes else mask, source)
+    edges = read(kind)
+    try:
+        edges.check_data(data_path)
+        mask = edges.mask_for(mode_names(n_modes))
+    except ValueError as error:
+        raise ValueError(f'{kind}: {error}') from error
+    digest = files.sha256_of_file(kind)[:12]
+    return ModeEdges(mask, None, f'{name} (method {edges.method}, sha256 {digest})')
+
+
+def _indices(values) -> np.ndarray:
+    """A JSON list of whole numbers as int32 [E]."""
+    if not isinstance(values, list) or not all(type(v) is int for v in values):
+        raise ValueError('senders and receivers must be lists of whole numbers')
+    return np.array(values, np.int32)
+
+
+def _short(names) -> str:
+    """A list of names, cut where it grows long."""
+    names = list(names)
+    return f'{len(names)} nodes {names}' if len(names) < 5 else f'{len(names)} nodes {names[:2]}...'

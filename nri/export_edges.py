@@ -1,0 +1,230 @@
+"""Exports the graph that an NRI model found: `edges.json`, the same as a mask, and its picture.
+
+Examples:
+  # edges of probability above 0.6, as in the thesis
+  python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
+      --output_path=/tmp/edges
+
+  # the 20 most probable ones and the 8 self-edges; then train on them
+  python -m nri.export_edges --model_path=/tmp/nri_excavation --data_path=datasets/excavation \\
+      --output_path=/tmp/edges --keep=28
+  python -m learning_to_simulate.train --adjacency=/tmp/edges/edges.json --data_path=... \\
+      --model_path=...
+
+Writes edges.json (schema in WORKSPACE.md), edges.npy (bool, [receiver, sender]) and edges.png
+(senders x receivers). NRI knows no self-edges; `--self_edges` adds those of all nodes. They carry
+nothing that a node's own update does not see, so they are left out unless asked for. A graph
+without any edge, or with all of them, is not exported unless --allow_degenerate is given: it says
+that the encoder collapsed, not what the soil does.
+"""
+
+import os
+import sys
+
+import numpy as np
+from absl import app, flags
+
+from learning_to_simulate import connectivity_utils, edge_lists, edge_picture
+from learning_to_simulate.scene import Scene
+from nri import data as nri_data
+from nri.model import load_model
+from pca_tools import dataset, files
+
+MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
+
+
+def edge_posterior(model, features, no_edge_type: int) -> np.ndarray:
+    """P(edge) of every ordered pair of nodes in every run.
+
+    Args:
+      model: `NriModel`.
+      features: float32 [S, V, T, F] as `data.load` gives them.
+      no_edge_type: the edge type that means that nothing is exchanged.
+
+    Returns:
+      float64 [S, V, V], entry [receiver, sender]; NaN on the diagonal.
+
+    Raises:
+      ValueError: if the model has no such type.
+    """
+    types = model.edge_probabilities(features)
+    if not 0 <= no_edge_type < types.shape[2]:
+        raise ValueError(
+            f'no_edge_type is {no_edge_type}, the model has the types 0 to {types.shape[2] - 1}'
+        )
+    n_node = features.shape[1]
+    matrix = np.full((len(types), n_node, n_node), np.nan)
+    matrix[:, ~np.eye(n_node, dtype=bool)] = 1.0 - types[:, :, no_edge_type].astype(np.float64)
+    return np.clip(matrix, 0.0, 1.0)
+
+
+def spread(posterior, threshold: float) -> dict:
+    """How sure the model is, and how far the runs agree.
+
+    Args:
+      posterior: [S, V, V] of `edge_posterior`.
+      threshold: an edge is above it.
+
+    Returns:
+      dict: `runs`; `std_over_runs`, of P(edge), mean over pairs; `entropy_bits` of P(edge), mean
+      over pairs and runs (0 sure, 1 nothing known); `run_agreement`, the share of (run, pair) on
+      the same side of the threshold as the mean over runs.
+    """
+    p = posterior[:, ~np.eye(posterior.shape[1], dtype=bool)]
+    q = np.clip(p, 1e-12, 1.0 - 1e-12)
+    entropy = -(q * np.log2(q) + (1 - q) * np.log2(1 - q))
+    return {
+        'runs': len(p),
+        'std_over_runs': float(p.std(axis=0).mean()),
+        'entropy_bits': float(entropy.mean()),
+        'run_agreement': float(((p > threshold) == (p.mean(axis=0) > threshold)).mean()),
+    }
+
+
+def find_edges(
+    model_path: str,
+    data_path: str,
+    *,
+    split: str = 'train',
+    threshold: float = 0.6,
+    keep: int | None = None,
+    self_edges: bool = False,
+    no_edge_type: int | None = None,
+    allow_degenerate: bool = False,
+) -> edge_lists.EdgeList:
+    """The edge list of an NRI model on a split.
+
+    Args:
+      model_path: folder of the model.
+      data_path: the data it was trained on.
+      split: runs that the posterior is averaged over.
+      threshold: edges have a probability above it.
+      keep: instead, so many of the most probable edges (self-edges counted).
+      self_edges: whether every node gets one.
+      no_edge_type: the type that means no edge; None for type 0 of a model with `skip_first`.
+      allow_degenerate: whether an empty or saturated graph is a result.
+
+    Raises:
+      FileNotFoundError, ValueError: no model or data there, data of another dataset, edge types
+        without a meaning, an empty or saturated graph.
+    """
+    model = load_model(model_path)
+    data = nri_data.load(data_path, split, model.config.nodes)
+    trained_on = nri_data.load(data_path, 'train', model.config.nodes).digest
+    if trained_on != model.data_digest:
+        raise ValueError(
+            f'{model_path} was trained on other data (sha256 {model.data_digest[:12]}...) than '
+            f'{data_path} (sha256 {trained_on[:12]}...)'
+        )
+    if tuple(data.node_names) != model.node_names:
+        raise ValueError(
+            f'{data_path} has the nodes {data.node_names}, {model_path} {model.node_names}'
+        )
+    if no_edge_type is None:
+        if not model.config.skip_first:
+            raise ValueError(
+                f'{model_path} was trained without skip_first, so none of its edge types means '
+                f'"no edge"; say with --no_edge_type which one is to count as that'
+            )
+        no_edge_type = 0
+    posterior = edge_posterior(model, data.features, no_edge_type)
+    probabilities = posterior.mean(axis=0)
+    wish = {'threshold': threshold} if keep is None else {'keep': keep}
+    mask = edge_lists.select(probabilities, **wish, self_edges=self_edges)
+    found = edge_lists.degeneracy(mask)
+    if found and not allow_degenerate:
+        p = probabilities[~np.isnan(probabilities)]
+        raise ValueError(
+            f'the graph is {found}: probabilities reach from {p.min():.3f} to {p.max():.3f}, the '
+            f'threshold is {threshold}; give --keep or another --threshold, or --allow_degenerate '
+            f'to export it all the same'
+        )
+    return edge_lists.EdgeList(
+        mask=mask,
+        node_names=tuple(data.node_names),
+        probabilities=probabilities,
+        method='nri',
+        threshold=wish.get('threshold'),
+        digests={'model': model.digest, 'data': trained_on} | edge_lists.data_digests(data_path),
+        degenerate=found,
+        report=spread(posterior, threshold) | {'split': split, 'self_edges': self_edges},
+    )
+
+
+def completed(edges: edge_lists.EdgeList, data_path: str):
+    """Algorithm 2 around the mode block, on the first run of a dataset of this project.
+
+    Returns:
+      the `Adjacency` and its node names, or None where the data are no such dataset.
+    """
+    if not os.path.exists(os.path.join(data_path, dataset.METADATA_NAME)):
+        return None
+    metadata = dataset.read_metadata(data_path)
+    first = dataset.read_split(data_path, 'train')[0]
+    kind = int(first.particle_type[0]) if first.n_rigid else None
+    motion = None if first.n_rigid else 'none'
+    scene = Scene.from_metadata(metadata, rigid_particle_type=kind, rigid_motion=motion)
+    modes = edge_lists.mode_names(scene.n_modes)
+    adjacency = connectivity_utils.algorithm2(scene, first.n_rigid, edges.mask_for(modes))
+    return adjacency, tuple(f'rigid_{i}' for i in range(first.n_rigid)) + modes
+
+
+def export(edges: edge_lists.EdgeList, data_path: str, output_path: str) -> list[str]:
+    """Writes edges.json, edges.npy and edges.png; returns their names."""
+    os.makedirs(output_path, exist_ok=True)
+    names = [os.path.join(output_path, n) for n in (edge_lists.FILE_NAME, MASK_FILE, PICTURE_FILE)]
+    edge_lists.write(names[0], edges)
+
+    def write_mask(temporary):
+        with open(temporary, 'wb') as file:
+            np.save(file, edges.mask)
+
+    files.write_atomically(names[1], write_mask)
+    edge_picture.draw(names[2], edges, completed(edges, data_path))
+    return names
+
+
+def define_flags():
+    """Defines the command line."""
+    flags.DEFINE_string('model_path', None, 'Folder of the NRI model.', required=True)
+    flags.DEFINE_string('data_path', None, 'The data it was trained on.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder for the three files.', required=True)
+    flags.DEFINE_enum('split', 'train', dataset.SPLITS, 'Runs to average over.')
+    flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
+    flags.DEFINE_integer('keep', None, 'Instead: number of edges, the most probable ones.', 0)
+    flags.DEFINE_bool('self_edges', False, 'Add an edge of every node to itself.')
+    flags.DEFINE_integer('no_edge_type', None, 'Edge type that means no edge.', 0)
+    flags.DEFINE_bool('allow_degenerate', False, 'Export an empty or saturated graph too.')
+
+
+def main(argv):
+    """Runs the command."""
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+    v = flags.FLAGS
+    try:
+        edges = find_edges(
+            v.model_path,
+            v.data_path,
+            split=v.split,
+            threshold=v.threshold,
+            keep=v.keep,
+            self_edges=v.self_edges,
+            no_edge_type=v.no_edge_type,
+            allow_degenerate=v.allow_degenerate,
+        )
+        names = export(edges, v.data_path, v.output_path)
+    except (ValueError, OSError) as error:
+        sys.exit(f'error: {error}')
+    r = edges.report
+    print(
+        f'{edges.n_edge} of {edges.mask.size} edges between {len(edges.node_names)} nodes; '
+        f'{r["runs"]} runs: probabilities differ by {r["std_over_runs"]:.3f} (std), '
+        f'{r["run_agreement"]:.0%} agree with the mean, entropy {r["entropy_bits"]:.2f} bits'
+    )
+    print('wrote ' + ', '.join(names))
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)
