@@ -69,7 +69,7 @@ def new_figure(columns: int, rows: int = 1):
         raise ValueError(
             'pictures need matplotlib: pip install -c constraints.txt -e .[viz]'
         ) from error
-    figure = Figure(figsize=(4.2 * columns, 4.2 * rows), layout='constrained')
+    figure = Figure(figsize=(4.2 * columns, 4.7 * rows), layout='constrained')
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
