@@ -16,7 +16,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from learning_to_simulate import connectivity_utils
+from learning_to_simulate import connectivity_utils, edge_lists
 from learning_to_simulate.scene import Scene
 from mpm import files as mpm_files
 from nri import data as nri_data
@@ -83,7 +83,7 @@ def test_many_small_members_are_added_up(tmp_path, read):
 
 
 def load_mask(path):
-    return connectivity_utils.load_mask(str(path))
+    return edge_lists.read_mask(str(path))
 
 
 def load_kipf(path):
