@@ -210,7 +210,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
     calls, seconds, edges = {}, {name: [] for name in masks}, {}
     for name, mask in masks.items():
         kind = 'fully_connected' if mask is None else 'correlation'
-        config = presets.make_config('pcg', adjacency=kind)
+        config = presets.make_config('pcg', adjacency=kind, mode_edges=0)
         model = experiment.make_model(data_path, metadata, groups, config)
         if mask is not None:
             model.fix_mode_edges(np.array(mask, bool))
