@@ -11,7 +11,7 @@ import tqdm
 from learning_to_simulate import checkpoints, experiment, reading_utils
 from pca_tools import dataset, files
 from run_scripts.work_precision import families, machine, measure, solver_rows
-from run_scripts.work_precision.points import OK, WorkPrecisionPoint
+from run_scripts.work_precision.points import WorkPrecisionPoint
 
 DOCUMENT = 'points.json'
 SCHEMA_VERSION = 1
@@ -161,7 +161,7 @@ class Survey:
         for (row, path, digest, train), point in zip(found, old, strict=True):
             self._models[digest] = path
             # To be timed in turns with new rows, the model of an old one must still be there.
-            timed = point and point.status == OK and point.seed == 0
+            timed = point and point.runs and point.seed == 0
             if point and (complete or not timed or os.path.isdir(path)):
                 self._points[digest] = dataclasses.replace(
                     point, label=row.label, families=row.families
@@ -172,7 +172,8 @@ class Survey:
 
     @staticmethod
     def _needs_time(point):
-        return point.status == OK and point.seed == 0 and point.rollout is None
+        """Rollouts that fail take their time too; only models that do not exist take none."""
+        return point.runs and point.seed == 0 and point.rollout is None
 
     def _measure(self, row: families.Row, path: str, digest: str, train: bool) -> None:
         point = self._train_and_evaluate(row, path, digest, train)
@@ -222,8 +223,7 @@ class Survey:
         """Times all models in turns if one of them was not timed yet."""
         if not any(map(self._needs_time, self._points.values())):
             return
-        paths = {d: self._models[d] for d, p in self._points.items()
-                 if p.status == OK and p.seed == 0}  # fmt: skip
+        paths = {d: self._models[d] for d, p in self._points.items() if p.runs and p.seed == 0}
         self.document['machine'] = machine.facts(self._settings.threads)
         times = measure.time_rollouts(self._data, paths, self._settings.rounds)
         live = {}

@@ -190,7 +190,7 @@ def test_rows_share_what_is_the_same_and_leave_out_what_the_scene_lacks(tmp_path
     assert not any('rigid particle' in row.label for row in rows('driven'))
 
 
-SMALL = {'latent_size': 8, 'mode_edges': 5, 'hidden_layers': 1}
+SMALL = {'latent_size': 8, 'mode_edges': 5, 'hidden_layers': 1, 'zero_decoder': True}
 SMALL_SWEEPS = {
     'latent size': [('base', SMALL)],
     'edges': [('base', SMALL), ('too many edges', SMALL | {'mode_edges': 9, 'noise_std': 1e30})],
