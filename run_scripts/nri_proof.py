@@ -32,14 +32,14 @@ PUBLISHED = {
 }
 # A constant, high rate until the edges are found, then a late decay; small batches.
 RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
-# What is trained how long: the first for up to two hours of two cores, the others for 12 minutes
-# of one.
+# What is trained how long: the first for up to two hours of two cores, the others for about 10
+# minutes of one.
 BUDGETS = {
     ('springs', 5): (50000, {'epochs': 180, 'decay_start': 100, 'decay_epochs': 10}),
-    ('charged', 5): (20000, {'epochs': 90, 'decay_start': 62, 'decay_epochs': 4}),
+    ('charged', 5): (20000, {'epochs': 60, 'decay_start': 42, 'decay_epochs': 3}),
     ('springs', 10): (
         20000,
-        {'batch_size': 32, 'epochs': 34, 'decay_start': 22, 'decay_epochs': 2},
+        {'batch_size': 32, 'epochs': 26, 'decay_start': 17, 'decay_epochs': 2},
     ),
 }
 
@@ -76,7 +76,8 @@ def run(system, n_objects, work_path, counts, config):
     return {
         'system': system,
         'n_objects': n_objects,
-        'command': f'python -m run_scripts.nri_proof --system={system} --n_objects={n_objects}',
+        'command': f'python -m run_scripts.nri_proof --system={system} --n_objects={n_objects} '
+        f'--work_path=/tmp/nri_proof',
         'runs': counts,
         'threads': int(os.environ.get('TF_NUM_INTRAOP_THREADS', os.cpu_count())),
         'settings': dataclasses.asdict(config),
