@@ -17,7 +17,7 @@ from pca_tools import files
 
 FILE_NAME = 'edges.json'
 SCHEMA_VERSION = 1
-METHODS = ('nri', 'gates', 'correlation')
+METHODS = ('nri', 'gates', 'correlation', 'fixed')
 CONVENTION = (
     'edge k goes from senders[k] to receivers[k]; indices count node_names; edges are sorted by '
     'receiver, then sender; probabilities are [receiver][sender], null where the method has none '

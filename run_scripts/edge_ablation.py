@@ -7,6 +7,11 @@ Examples:
     python -m run_scripts.edge_ablation --data_path=datasets/excavation \\
         --nri_path=docs/edges/excavation_nri.json --output_path=docs/edges/excavation.json
 
+    # two rows with the budget of the shipped models
+    python -m run_scripts.edge_ablation --data_path=datasets/excavation --num_steps=3000 \\
+        --unroll_steps=2000 --unroll_length=16 --unroll_batch_size=8 \\
+        --variants='none,correlation and self-edges' --output_path=docs/edges/excavation_long.json
+
     # the table and the picture again, from the JSON alone
     python -m run_scripts.edge_ablation --output_path=docs/edges/excavation.json --report_only
 
@@ -279,12 +284,19 @@ def run(v) -> dict:
     metadata = dataset.read_metadata(v.data_path)
     groups = reading_utils.read_groups(v.data_path, 'train', metadata)
     velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    known = {FULL, *edge_lists_of(velocities, v.keep, 0, nri_rows)}
+    if unknown := set(v.variants or ()) - known:
+        raise ValueError(f'unknown variants {sorted(unknown)}; there are {sorted(known)}')
     for seed in range(v.seeds):
         masks = edge_lists_of(velocities, v.keep, seed, nri_rows)
-        todo = {name: pair for name, pair in masks.items() if (name, seed) not in done}
+        todo = {
+            name: pair
+            for name, pair in masks.items()
+            if (name, seed) not in done and name in (v.variants or masks)
+        }
         gated = {'gate_weight': v.gate_weight, 'gate_keep': v.keep}
         benches = [(todo, shared | gated)]
-        if (FULL, seed) not in done:
+        if (FULL, seed) not in done and FULL in (v.variants or [FULL]):
             benches.append(({FULL: (None, None)}, shared | {'adjacency': 'fully_connected'}))
         for variants, overrides in benches:
             if not variants:
@@ -318,6 +330,7 @@ def define_flags() -> None:
     flags.DEFINE_bool('report_only', False, 'Write the table and the picture of the JSON again.')
     flags.DEFINE_string('variant', None, 'Variant whose list is written to --edges_path.')
     flags.DEFINE_string('edges_path', None, 'edges.json to write.')
+    flags.DEFINE_list('variants', None, 'Only these rows, as the table names them; none: all.')
     flags.DEFINE_integer('seeds', 3, 'Trainings of each variant; random lists have one.', 1)
     flags.DEFINE_integer('keep', 20, 'Mode edges of the lists that have a number.', 1)
     flags.DEFINE_float('gate_weight', 2.0, 'Price of the open gates.', 0.0)

@@ -13,7 +13,8 @@ ORDER = (
 )  # fmt: skip
 METHOD_OF = {
     'NRI': 'nri', 'learned gates': 'gates', 'correlation': 'correlation',
-    'correlation and self-edges': 'correlation',
+    'correlation and self-edges': 'correlation', 'none': 'fixed', 'self-edges only': 'fixed',
+    'all modes': 'fixed',
 }  # fmt: skip
 COLUMNS = (
     ('valid', 'of_best_trivial'), ('test', 'of_best_trivial'),
@@ -83,19 +84,19 @@ def edges_of(result: dict, variant: str) -> edge_lists.EdgeList:
 
     Args:
       result: the JSON.
-      variant: name of a row whose edges were ranked or learned.
+      variant: name of a row whose edges have a reason: not fully connected, not random.
 
     Raises:
       ValueError: if there is no such row.
     """
-    rows = [r for r in result['rows'] if r['variant'] == variant and r['scores'] is not None]
+    rows = [r for r in result['rows'] if r['variant'] == variant and variant in METHOD_OF]
     rows = [r for r in rows if r['valid']['of_best_trivial'] is not None]
     if not rows:
-        known = sorted({r['variant'] for r in result['rows'] if r['scores'] is not None})
+        known = sorted({r['variant'] for r in result['rows']} & METHOD_OF.keys())
         raise ValueError(f'no list of {variant!r}; there are lists of {known}')
     best = min(rows, key=lambda row: row['valid']['of_best_trivial'])
-    scores = np.array(best['scores'], np.float64)
     mask = np.array(best['mask'], bool)
+    scores = np.array(mask if best['scores'] is None else best['scores'], np.float64)
     return edge_lists.EdgeList(
         mask=mask,
         node_names=edge_lists.mode_names(len(mask)),

@@ -94,6 +94,7 @@ def test_whole_comparison_resumes_and_reports(tmp_path, monkeypatch):
     v = types.SimpleNamespace(
         data_path=folder, nri_path=str(nri), output_path=out, seeds=2, keep=4, gate_weight=1.0,
         gate_steps=3, num_steps=6, unroll_steps=0, unroll_length=3, unroll_batch_size=2, rounds=1,
+        variants=None,
     )  # fmt: skip
     with pytest.raises(KeyboardInterrupt):
         edge_ablation.run(v)
@@ -111,9 +112,12 @@ def test_whole_comparison_resumes_and_reports(tmp_path, monkeypatch):
     edge_lists.write(str(tmp_path / 'edges.json'), edges)
     edge_lists.read(str(tmp_path / 'edges.json')).check_data(folder)
     assert edges.method == 'nri' and edges.n_edge == 4
+    assert edge_ablation_report.edges_of(result, 'none').degenerate == 'empty'
     with pytest.raises(ValueError, match="no list of 'random 1'"):
         edge_ablation_report.edges_of(result, 'random 1')
-    v.num_steps = 7
+    v.output_path, v.variants = str(tmp_path / 'two.json'), ['none', 'NRI']
+    assert len(edge_ablation.run(v)['rows']) == 2 * 2
+    v.output_path, v.num_steps = out, 7
     with pytest.raises(ValueError, match='another budget'):
         edge_ablation.run(v)
     nri.write_text(json.dumps({'digests': {}, 'seeds': rows}))
