@@ -6,7 +6,7 @@ import pathlib
 import numpy as np
 import pytest
 
-from learning_to_simulate import evaluation, experiment
+from learning_to_simulate import edge_lists, evaluation, experiment, presets
 from pca_tools import dataset
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -45,6 +45,20 @@ def test_model_folder_is_small_and_belongs_to_the_dataset(scene, preset):
     text = json.dumps(manifest)
     for name, digest in config['data']['sha256'].items():
         assert digest in text, f'{name} of {folder} is not the shipped one'
+
+
+@pytest.mark.parametrize('scene', PROMISED)
+def test_edge_lists_belong_to_the_dataset_and_the_default_is_that_of_the_model(scene):
+    """The list that a new `pcg` takes, and the one that NRI found."""
+    folder = str(ROOT / 'datasets' / scene)
+    for path in (f'{folder}/edges.json', f'{ROOT}/docs/edges/{scene}_nri/edges.json'):
+        edges = edge_lists.read(path)
+        edges.check_data(folder)
+        assert edges.node_names == edge_lists.mode_names(8)
+    chosen = edge_lists.choose(presets.make_config('pcg'), folder, 8, None)
+    assert chosen.source.startswith('edges.json of the dataset')
+    config = json.loads((ROOT / 'models' / scene / 'pcg' / 'config.json').read_text())
+    assert chosen.mode_mask.astype(int).tolist() == config['mode_mask']
 
 
 @pytest.mark.parametrize('scene', PROMISED)

@@ -35,10 +35,10 @@ SWEEPS = {
     ],
     'edges': [
         ('fully connected', {'adjacency': 'fully_connected'}),
-        ('64 mode edges', {'mode_edges': 64}),
+        ('64 mode edges', {'adjacency': 'correlation', 'mode_edges': 64}),
         BASE,
-        ('16 mode edges', {'mode_edges': 16}),
-        ('self-edges only', {'mode_edges': 8}),
+        ('16 mode edges', {'adjacency': 'correlation', 'mode_edges': 16}),
+        ('self-edges only', {'adjacency': 'correlation', 'mode_edges': 8}),
     ],
     'other methods': [
         ('MLP', {'preset': 'mlp'}),
