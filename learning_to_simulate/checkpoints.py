@@ -25,6 +25,7 @@ from learning_to_simulate.learned_simulator import (
 from learning_to_simulate.networks import make_simulator
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
 from pca_tools import files
+from pca_tools.subspace import Subspace
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 SCHEMA_VERSION = 1
@@ -77,6 +78,23 @@ class Model:
         sizes, self._layouts = list(self._layouts), {}
         for n_rigid in sizes:
             self.layout(n_rigid)
+
+    def fitting_subspace(self, subspace: Subspace) -> Subspace:
+        """The modes of a dataset's subspace that the model predicts: all, or the first ones.
+
+        Raises:
+          ValueError: the subspace has other modes or particles than the model's.
+        """
+        scene, first = self.simulator.scene, self.simulator.config.modes
+        if first and subspace.n_modes > first:
+            subspace = dataclasses.replace(subspace, components=subspace.components[:, :first])
+        found, wanted = (subspace.n_modes, subspace.n_soil), (scene.n_modes, scene.n_soil)
+        if found[0] != wanted[0] or wanted[1] not in (None, found[1]):
+            raise ValueError(
+                f'the subspace has {found[0]} modes of {found[1]} particles, the model was trained '
+                f'on {wanted[0]} modes of {wanted[1]}'
+            )
+        return subspace
 
     def create_variables(self, n_rigid: int):
         """Makes all variables (deterministic in the config's seed) by running one frame of

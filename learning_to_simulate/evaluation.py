@@ -66,7 +66,10 @@ class Evaluator:
         floors = self._metadata.get('projection_mse', {}).get(split)
         methods: dict[str, list] = {'model': [], 'stay_still': [], 'constant_velocity': []}
         for record, group, rollout in results:
-            truth = group.position[:, H:]
+            # Modes that the model leaves out count as they do in its particles: they say 0. The
+            # trivial predictors know all of them, so that they are the same for every model.
+            recorded = group.with_left_modes(group.position, as_recorded=True)
+            truth = recorded[:, H:]
             n_frame = truth.shape[1]
             force, forces = None, dict.fromkeys(methods)
             if scene.has_force:
@@ -75,9 +78,9 @@ class Evaluator:
                 mean = np.broadcast_to(statistics.force_mean, force.shape)
                 forces = {'model': rollout.force, 'stay_still': held, 'constant_velocity': mean}
             positions = {
-                'model': rollout.position,
-                'stay_still': metrics.stay_still(group.position[:, :H], n_frame),
-                'constant_velocity': metrics.constant_velocity(group.position[:, :H], n_frame),
+                'model': group.with_left_modes(rollout.position),
+                'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
+                'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
             }
             floor = None if floors is None else np.array([floors[record]])
             for name, rows in methods.items():
@@ -144,7 +147,7 @@ def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict)
     os.makedirs(path, exist_ok=True)
     written = []
     for record, group, rollout in results:
-        truth = group.all_particles(group.position)[0]
+        truth = group.all_particles(group.position, as_recorded=True)[0]
         arrays = {
             'initial_positions': truth[:H].astype(np.float32),
             'predicted_rollout': group.all_particles(rollout.position)[0].astype(np.float32),

@@ -162,12 +162,10 @@ def train(
       SystemExit: with 130 after Ctrl-C, 143 after SIGTERM.
     """
     metadata = dataset.read_metadata(data_path)
-    groups = reading_utils.read_groups(data_path, 'train', metadata, config.rigid_particles)
+    groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
     valid = (
-        reading_utils.read_groups(data_path, 'valid', metadata, config.rigid_particles)
-        if has_valid
-        else []
+        reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
     )
     model = make_model(data_path, metadata, groups, config, rigid_motion)
     data = {
@@ -311,10 +309,11 @@ def check_dataset(model_path, model, data_path, metadata):
       ValueError: other modes, another subspace, or a force or context that one of them lacks.
     """
     scene = model.simulator.scene
-    if metadata['mode_number'] != scene.n_modes:
+    found, first = metadata['mode_number'], model.simulator.config.modes
+    if found < scene.n_modes or not first and found != scene.n_modes:
         raise ValueError(
-            f'{data_path} has {metadata["mode_number"]} modes, the model in {model_path} was '
-            f'trained on {scene.n_modes}'
+            f'{data_path} has {found} modes, the model in {model_path} was trained on '
+            f'{"the first " if first else ""}{scene.n_modes}'
         )
     digests = (
         checkpoints.read_config(model_path)['data'].get('subspace'),
@@ -349,7 +348,7 @@ def load_for_evaluation(model_path, data_path, split, overrides):
     refuse_contradictions(model_path, config, overrides)
     metadata = dataset.read_metadata(data_path)
     check_dataset(model_path, model, data_path, metadata)
-    groups = reading_utils.read_groups(data_path, split, metadata, config.rigid_particles)
+    groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
     for group in groups:
         model.layout(group.n_rigid)
     return model, metadata, groups

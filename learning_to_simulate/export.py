@@ -63,7 +63,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
         raise ValueError(
             f'{data_path}: no test run has {n_rigid} rigid nodes, there are {sorted(by_size)}'
         )
-    space = _read_subspace(data_path, model.simulator.scene.n_modes)
+    space = _read_subspace(data_path, model)
     functions = StepFunctions(model.simulator, model.layout(n_rigid), space)
     group = by_size[n_rigid].select(0)
     description = {}
@@ -83,14 +83,11 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     return description
 
 
-def _read_subspace(data_path, n_modes):
+def _read_subspace(data_path, model):
     path = os.path.join(data_path, 'subspace.npz')
     if not os.path.exists(path):
         return None
-    space = subspace.Subspace.load(path)
-    if space.n_modes != n_modes:
-        raise ValueError(f'{path}: has {space.n_modes} modes, the model {n_modes}')
-    return space
+    return model.fitting_subspace(subspace.Subspace.load(path))
 
 
 def _compare(functions, step, reconstruct, kind, group, space):

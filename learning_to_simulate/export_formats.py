@@ -179,8 +179,9 @@ class StepFunctions:
             'signatures': signatures,
             'scene': scene.to_json(),
             'nodes': f'{layout.n_rigid} rigid particles, then {scene.n_modes} modes',
-            'rigid_particles': f'the {layout.n_rigid} lowest of the first frame, in record order'
-            if config.rigid_particles else 'all',
+            'rigid_particles': f'every {config.rigid_stride}. in record order'
+            if config.rigid_stride > 1 or not config.rigid_particles
+            else f'the {layout.n_rigid} lowest of the first frame, in record order',
             'units': 'positions m, velocities m/frame, force N',
             'seconds_per_frame': scene.dt,
             'frames_of_history': H,

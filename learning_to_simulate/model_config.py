@@ -17,6 +17,7 @@ MAX_MODES = 10_000
 LIMITS = {
     'latent_size': 4096, 'hidden_layers': 32, 'message_passing_steps': 100, 'batch_size': 100_000,
     'unroll_batch_size': 100_000, 'unroll_length': 10_000, 'rigid_particles': MAX_RIGID,
+    'rigid_stride': MAX_RIGID, 'modes': MAX_MODES,
 }  # fmt: skip
 _NUMBER_OF_TYPES = 9
 # What a field of a damaged or foreign file raises where it is read.
@@ -81,6 +82,7 @@ def config_and_scene(values: dict) -> tuple[TrainConfig, Scene, tuple[int, int]]
     config, scene = TrainConfig(**values['config']), Scene.from_json(values['scene'])
     _check_types(config)
     _check_scene(scene)
+    _require(config.modes in (0, scene.n_modes), 'modes', config.modes)
     types = values['particle_types']
     _require(
         isinstance(types, list)

@@ -34,6 +34,11 @@ class TrainConfig:
         keeps all. Only
         where the motion is prescribed: a blade cuts with its lower edge, and the rest follows from
           it.
+      rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
+        body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
+        height of the kept ones must be that of all.
+      modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
+        and count in every error; 0 keeps all.
       conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
         aggregation; otherwise the published inputs with dataset-wide statistics and sum
         aggregation.
@@ -70,6 +75,8 @@ class TrainConfig:
     gate_steps: int = 1000
     gate_keep: int = 0
     rigid_particles: int = 10
+    rigid_stride: int = 1
+    modes: int = 0
     conditioned: bool = True
     velocity_inputs: int = 1
     rate_scaled: bool = True
@@ -112,6 +119,10 @@ class TrainConfig:
             raise ValueError(
                 'full_space is trained in single steps: unroll_steps 0, no rate_scaled'
             )
+        if self.model == 'full_space' and (self.modes or self.rigid_stride > 1):
+            raise ValueError(
+                'full_space has no modes and takes the whole body: modes 0, rigid_stride 1'
+            )
         for name, low in (
             ('mode_edges', 0),
             ('gate_weight', 0.0),
@@ -127,6 +138,8 @@ class TrainConfig:
             ('unroll_batch_size', 1),
             ('noise_std', 0.0),
             ('rigid_particles', 0),
+            ('rigid_stride', 1),
+            ('modes', 0),
             ('velocity_inputs', 1),
         ):
             if not getattr(self, name) >= low:
@@ -159,6 +172,11 @@ class TrainConfig:
             )
         if not 0 <= self.weight_average < 1:
             raise ValueError(f'weight_average is {self.weight_average}, must lie in [0, 1)')
+
+    @property
+    def nodes(self) -> dict[str, int]:
+        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
+        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}
 
 
 _PUBLISHED = {

@@ -14,7 +14,12 @@ import numpy as np
 
 from learning_to_simulate import connectivity_utils
 from learning_to_simulate.scene import RigidMotion, Scene
-from pca_tools import dataset, legacy_pickles
+from pca_tools import dataset, legacy_pickles, rigid_fit
+
+# Of the body's radius of gyration: how far the mean height of the kept particles of a body that
+# turns may wobble about that of all. Float32 records reach 1e-7; every 3rd particle of the wheel
+# would give 0.1.
+HEIGHT_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +36,7 @@ class RunGroup:
       body: per run, float64 [T, R', D]: all rigid particles of the record; None if all of them are
         nodes.
       kept: int [S, R]: which of the record's rigid particles are the nodes; None for all.
+      left_modes: float64 [S, T, r', D], scores of the modes that are no nodes; None if all are.
     """
 
     n_rigid: int
@@ -41,6 +47,7 @@ class RunGroup:
     record: np.ndarray
     body: tuple[np.ndarray, ...] | None = None
     kept: np.ndarray | None = None
+    left_modes: np.ndarray | None = None
 
     @property
     def velocity(self) -> np.ndarray:
@@ -67,34 +74,67 @@ class RunGroup:
             context=part(self.context),
             body=part(self.body),
             kept=part(self.kept),
+            left_modes=part(self.left_modes),
         )
 
-    def all_particles(self, position) -> list[np.ndarray]:
-        """Puts the rigid particles that are not nodes back, for writing.
+    def with_left_modes(self, position, as_recorded: bool = False) -> np.ndarray:
+        """Puts the modes that are no nodes behind the nodes.
 
         Args:
           position: [S, T', V, D], predicted or true last T' frames.
+          as_recorded: their recorded scores; else 0, which is what a prediction says of them.
+        """
+        if self.left_modes is None:
+            return position
+        left = self.left_modes[:, -position.shape[1] :]
+        return np.concatenate([position, left if as_recorded else np.zeros_like(left)], axis=2)
+
+    def all_particles(self, position, as_recorded: bool = False) -> list[np.ndarray]:
+        """Puts the rigid particles and modes that are not nodes back, for writing.
+
+        Args:
+          position: [S, T', V, D], predicted or true last T' frames.
+          as_recorded: see `with_left_modes`.
 
         Returns:
-          per run [T', V', D] with all rigid particles of the record; those left out as recorded.
+          per run [T', V', D] with all rigid particles and modes of the record; of a prescribed body
+          those left out are as recorded, of others they follow the nodes rigidly.
         """
+        position = self.with_left_modes(position, as_recorded)
         if self.body is None:
             return list(position)
         whole = []
         for nodes, body, kept in zip(position, self.body, self.kept, strict=True):
-            rigid = body[-len(nodes) :].copy()
-            rigid[:, kept] = nodes[:, : self.n_rigid]
+            rigid, moved = body[-len(nodes) :].copy(), nodes[:, : self.n_rigid]
+            if self.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
+                for points, target in zip(rigid, moved, strict=True):
+                    points[:] = _placed(points, kept, target)
+            rigid[:, kept] = moved
             whole.append(np.concatenate([rigid, nodes[:, self.n_rigid :]], axis=1))
         return whole
 
     def all_particle_types(self) -> np.ndarray:
-        """int64 [V'] of one run of the group, with the rigid particles that are not nodes."""
+        """int64 [V'] of one run of the group, with what is not a node."""
         n_extra = 0 if self.body is None else self.body[0].shape[1] - self.n_rigid
-        return np.concatenate([np.full(n_extra, self.particle_type[0]), self.particle_type])
+        n_modes = 0 if self.left_modes is None else self.left_modes.shape[2]
+        first, last = self.particle_type[[0, -1]]
+        return np.concatenate([np.full(n_extra, first), self.particle_type, np.full(n_modes, last)])
+
+
+def _placed(points, kept, target):
+    """`points` [R', D] moved as their `kept` ones moved to `target` [R, D]; NaN if those are."""
+    if not np.isfinite(target).all():
+        return np.full_like(points, np.nan)
+    return rigid_fit.fit_rigid_motion(points[kept], target).apply(points)
 
 
 def read_groups(
-    folder: str, split: str, metadata: dict, rigid_particles: int = 0
+    folder: str,
+    split: str,
+    metadata: dict,
+    rigid_particles: int = 0,
+    rigid_stride: int = 1,
+    modes: int = 0,
 ) -> list[RunGroup]:
     """Reads a split as groups of equal R and T, sorted by R.
 
@@ -104,11 +144,16 @@ def read_groups(
       metadata: its validated metadata.
       rigid_particles: at most this many particles of a body with prescribed motion become nodes,
         the lowest ones of the first frame; 0 keeps all.
+      rigid_stride: every how many-th rigid particle, in record order, may become a node.
+      modes: so many first modes become nodes; 0 keeps all.
 
     Raises:
       FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a context that changes in
-        time.
+        time, a stride whose particles do not keep the height of a body that is not prescribed, more
+        modes than there are.
     """
+    if modes > metadata['mode_number']:
+        raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
     up = metadata.get('scene', {}).get('up_axis', 1)
     runs: dict[tuple, list] = {}
     for index, run in enumerate(dataset.read_split(folder, split)):
@@ -117,18 +162,34 @@ def read_groups(
             raise ValueError(
                 f'{where}: step_context changes in time; this simulator takes constant context only'
             )
-        kept = np.arange(run.n_rigid)
+        kept = np.arange(run.n_rigid)[::rigid_stride]
+        if rigid_stride > 1 and run.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
+            _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
         if rigid_particles and run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID:
-            height = run.position[0, : run.n_rigid, up]
-            kept = np.sort(np.argsort(height, kind='stable')[:rigid_particles])
+            height = run.position[0, kept, up]
+            kept = kept[np.sort(np.argsort(height, kind='stable')[:rigid_particles])]
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
-    return [_stack(n_rigid, members) for (n_rigid, _), members in sorted(runs.items())]
+    return [_stack(n_rigid, members, modes) for (n_rigid, _), members in sorted(runs.items())]
 
 
-def _stack(n_rigid, members):
-    """One group of runs [(record, trajectory, kept rigid particles)]."""
+def _check_thinning(body, kept, up, where):
+    """Refuses kept particles [R] of a body [T, R', D] that do not stand for its height and turn."""
+    body = body.astype(np.float64)
+    size = np.sqrt(((body[0] - body[0].mean(axis=0)) ** 2).sum(axis=1).mean())
+    apart = np.ptp(body[:, kept, up].mean(axis=1) - body[:, :, up].mean(axis=1))
+    if len(kept) < rigid_fit.MIN_POINTS or apart > HEIGHT_TOLERANCE * size:
+        raise ValueError(
+            f'{where}: rigid_stride keeps {len(kept)} of {body.shape[1]} rigid particles, whose '
+            f'mean height wobbles by {apart:.3g} m about that of all; a body that is not '
+            f'prescribed needs at least {rigid_fit.MIN_POINTS}, within '
+            f'{HEIGHT_TOLERANCE * size:.3g} m'
+        )
+
+
+def _stack(n_rigid, members, modes):
+    """One group of runs [(record, trajectory, kept rigid particles)], with the first modes."""
     nodes = [
-        np.concatenate([kept, np.arange(run.n_rigid, len(run.particle_type))])
+        np.concatenate([kept, np.arange(run.n_rigid, run.n_rigid + (modes or run.n_modes))])
         for _, run, kept in members
     ]
     runs = [run for _, run, _ in members]
@@ -151,6 +212,11 @@ def _stack(n_rigid, members):
         if thinned
         else None,
         kept=np.stack([kept for _, _, kept in members]) if thinned else None,
+        left_modes=np.stack([run.position[:, run.n_rigid + modes :] for run in runs]).astype(
+            np.float64
+        )
+        if 0 < modes < first.n_modes
+        else None,
     )
 
 
@@ -175,6 +241,12 @@ def read_scene(
         rigid_particle_type=kind,
         rigid_motion=rigid_motion or ('none' if not first.n_rigid else None),
     )
+    scene = dataclasses.replace(scene, n_modes=first.position.shape[2] - first.n_rigid)
+    if first.kept is not None and scene.rigid_edges:
+        edges = connectivity_utils.contracted_edges(
+            scene.rigid_edges, first.body[0].shape[1], first.kept[0]
+        )
+        scene = dataclasses.replace(scene, rigid_edges=edges)
     if scene.rigid_motion == RigidMotion.PREDICTED and not scene.rigid_edges:
         edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
         scene = dataclasses.replace(scene, rigid_edges=edges)

@@ -68,7 +68,7 @@ class Stepper:
         self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED
         self._subspace = subspace
         if subspace is not None:
-            _check_subspace(subspace, scene)
+            subspace = model.fitting_subspace(subspace)
             self._components = np.ascontiguousarray(subspace.components, np.float32)
             self._mean = np.asarray(subspace.mean, np.float32)
         self._state = self._context = self._shape = self._pose = self._modes = None
@@ -242,15 +242,6 @@ class Stepper:
         self.reset(np.tile(origin, (H, 1, 1)), context)
         self.step(origin[:n_rigid] if self._scene.rigid_motion.is_known else None)
         self._state = self._modes = None
-
-
-def _check_subspace(subspace, scene):
-    found, wanted = (subspace.n_modes, subspace.n_soil), (scene.n_modes, scene.n_soil)
-    if found[0] != wanted[0] or wanted[1] not in (None, found[1]):
-        raise ValueError(
-            f'the subspace has {found[0]} modes of {found[1]} particles, the model was trained on '
-            f'{wanted[0]} modes of {wanted[1]}'
-        )
 
 
 def _checked(name, values, shape):

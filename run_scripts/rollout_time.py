@@ -59,7 +59,7 @@ def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> 
     plain = overrides.get('plain', False)
     config = presets.make_config(**{k: v for k, v in overrides.items() if k != 'plain'})
     groups, runs = (
-        reading_utils.read_groups(data_path, split, metadata, config.rigid_particles)
+        reading_utils.read_groups(data_path, split, metadata, **config.nodes)
         for split in ('train', 'test')
     )
     model = experiment.make_model(data_path, metadata, groups, config)

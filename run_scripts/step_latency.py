@@ -21,6 +21,7 @@ from absl import app, flags
 
 from learning_to_simulate import checkpoints, reading_utils
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.stepping import Stepper
 from pca_tools import dataset, files
 
@@ -46,8 +47,8 @@ class Timed:
             raise ValueError(f'{pair!r} is not "model folder:dataset folder"')
         self.name, data_path = pair.split(':')
         metadata = dataset.read_metadata(data_path)
-        config = checkpoints.read_config(self.name)['config']
-        groups = reading_utils.read_groups(data_path, 'test', metadata, config['rigid_particles'])
+        config = TrainConfig(**checkpoints.read_config(self.name)['config'])
+        groups = reading_utils.read_groups(data_path, 'test', metadata, **config.nodes)
         self._group = groups[0]
         start = time.perf_counter()
         self._stepper = Stepper.load(self.name, data_path, self._group.n_rigid)

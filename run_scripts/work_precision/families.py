@@ -12,6 +12,8 @@ from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
 BASE = ('base of the sweeps', {})
+# Which of a body's particles are nodes: the lowest of one that is prescribed, else evenly many.
+LOWEST_ONLY, EVENLY_THINNED = 'rigid particles', 'every k-th rigid particle'
 # Family -> rows (label, what differs from the base). A row may lie in several families.
 SWEEPS = {
     'latent size': [
@@ -20,13 +22,23 @@ SWEEPS = {
         BASE,
         ('L = 128', {'latent_size': 128}),
     ],
-    'rigid particles': [
+    LOWEST_ONLY: [
         ('all rigid particles', {'rigid_particles': 0}),
         ('12 rigid particles', {'rigid_particles': 12}),
         BASE,
         ('6 rigid particles', {'rigid_particles': 6}),
         ('4 rigid particles', {'rigid_particles': 4}),
         ('1 rigid particle', {'rigid_particles': 1}),
+    ],
+    EVENLY_THINNED: [
+        BASE,
+        ('every 2nd rigid particle', {'rigid_stride': 2}),
+        ('every 4th rigid particle', {'rigid_stride': 4}),
+    ],
+    'modes': [
+        BASE,
+        ('6 modes', {'modes': 6}),
+        ('4 modes', {'modes': 4, 'mode_edges': 16}),
     ],
     'message passing': [
         BASE,
@@ -57,7 +69,7 @@ PRESET_ROWS = {
 }
 QUICK_SWEEPS = {
     'latent size': [SWEEPS['latent size'][0], BASE],
-    'rigid particles': [BASE, SWEEPS['rigid particles'][-1]],
+    LOWEST_ONLY: [BASE, SWEEPS[LOWEST_ONLY][-1]],
 }
 REFERENCE = 'reference'
 
@@ -93,6 +105,8 @@ def rows(sweeps: dict, training: dict, scene, whole: Sequence[str], seeds: int) 
       ValueError: an unknown preset or field.
     """
     found: dict[TrainConfig, Row] = {}
+    prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED
+    unfit = EVENLY_THINNED if prescribed else LOWEST_ONLY
 
     def add(label, family, config, overrides):
         old = found.get(config)
@@ -105,11 +119,13 @@ def rows(sweeps: dict, training: dict, scene, whole: Sequence[str], seeds: int) 
             config = presets.make_config(preset, **overrides)
             add(*PRESET_ROWS[preset], config, {'preset': preset} | overrides)
     for family, members in sweeps.items():
-        if family == 'rigid particles' and scene.rigid_motion != RigidMotion.PRESCRIBED:
-            continue  # Only a body whose motion is given can do with fewer particles.
+        if family == unfit:
+            continue
         for label, changed in members:
             overrides = {'preset': 'pcg'} | training | changed
-            if overrides.get('mode_edges', 0) > scene.n_modes**2:
+            config = presets.make_config(**overrides)
+            n_modes = config.modes or scene.n_modes
+            if n_modes > scene.n_modes or overrides.get('mode_edges', 0) > n_modes**2:
                 continue  # There are not that many.
-            add(label, family, presets.make_config(**overrides), overrides)
+            add(label, family, config, overrides)
     return list(found.values())

@@ -13,7 +13,7 @@ def make(folder, preset='pcg', motion='prescribed', rigid_motion=None, overrides
     synthetic.write_dataset(folder, motion=motion, **data)
     config = presets.make_config(preset, **SMALL | (overrides or {}))
     metadata = dataset.read_metadata(str(folder))
-    groups = reading_utils.read_groups(str(folder), 'train', metadata, config.rigid_particles)
+    groups = reading_utils.read_groups(str(folder), 'train', metadata, **config.nodes)
     return (
         experiment.make_model(str(folder), metadata, groups, config, rigid_motion),
         groups,
