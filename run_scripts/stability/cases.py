@@ -3,6 +3,8 @@
 import dataclasses
 import math
 
+# A curve of the JSON file holds no more points than a picture can show.
+MAX_POINTS = 160
 HOLDS, FAILS, MEASURED, REFUSED, FLAGGED = 'holds', 'FAILS', 'measured', 'refused', 'flagged'
 
 
@@ -60,7 +62,10 @@ def _number(value):
 
 
 def to_json(value):
-    """`value` with numpy arrays as lists and numbers that JSON lacks as None."""
+    """`value` for JSON: arrays as short lists, four digits, None for numbers that JSON lacks.
+
+    Series of more than `MAX_POINTS` are thinned; all of a curve have one length, so they still fit.
+    """
     if dataclasses.is_dataclass(value):
         return to_json(dataclasses.asdict(value))
     if isinstance(value, dict):
@@ -68,7 +73,9 @@ def to_json(value):
     if hasattr(value, 'tolist'):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [to_json(item) for item in value]
+        stride = math.ceil(len(value) / MAX_POINTS)
+        is_series = stride > 1 and isinstance(value[0], (int, float, type(None)))
+        return [to_json(item) for item in (value[::stride] if is_series else value)]
     if isinstance(value, float):
-        return float(f'{value:.6g}') if math.isfinite(value) else None
+        return float(f'{value:.4g}') if math.isfinite(value) else None
     return value

@@ -100,12 +100,13 @@ def perturbations(model, function, reference):
         position = np.moveaxis(offsets.numpy(), 0, 1) + layout.origin
         away = model.soil_rms(position[:, :, group.n_rigid :] - reference)
         size = np.sqrt((away**2).mean(axis=0))
-        seconds = np.arange(len(size)) * simulator.scene.dt
+        frames = H + np.arange(len(size))
+        seconds = frames * simulator.scene.dt
         rate = np.polyfit(seconds, np.log(np.maximum(size, 1e-12)), 1)[0]
         curves.append(
             {
-                'model': model.name, 'amplitude': amplitude, 'mm': 1e3 * size, 'rate_per_s': rate,
-                'own_error_mm': 1e3 * own,
+                'model': model.name, 'amplitude': amplitude, 'frames': frames, 'mm': 1e3 * size,
+                'rate_per_s': rate, 'own_error_mm': 1e3 * own,
             }
         )  # fmt: skip
         grows = 'grows' if size[-1] > size[0] else 'decays'

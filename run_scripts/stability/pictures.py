@@ -183,11 +183,11 @@ def _horizon(figure, curves):
             axes.axvspan(0, 321 / FRAME_RATE, color='#e6f2ee', zorder=0)
             axes.set(ylabel=f'soil RMS {label}', xlim=(0, seconds[-1]))
             largest = max(max(map(_finite, curve[key])) for curve in of_scene)
-            axes.set_ylim(bottom=max(1e-4 * largest, 1e-4), top=2 * largest)
+            axes.set_ylim(bottom=1e-3 * largest, top=2 * largest)
             axes.grid(True)
         panels[0, column].set_title(scene)
         panels[1, column].set_xlabel('time (s)')
-    panels[0, 0].legend()
+    panels[0, 0].legend(loc='lower right', bbox_to_anchor=(1.0, 0.2))
     figure.suptitle(
         'Ten horizons, given motion to and fro (median of the test runs; shaded: the data; '
         'X: first run out of bounds)',
@@ -251,12 +251,13 @@ def _extrapolation(figure, curves):
 def _perturbation(figure, curves):
     for axes, of_scene in _panels(figure, curves['perturbation']):
         for curve in of_scene:
-            seconds = np.arange(len(curve['mm'])) / FRAME_RATE
+            seconds = np.array(curve['frames']) / FRAME_RATE
             first = curve['amplitude'] == of_scene[0]['amplitude']
             label = _preset(curve) if first else None
             axes.semilogy(seconds, curve['mm'], label=label, **_style(curve))
         axes.set(xlabel='time (s)', ylabel='RMS distance from the rollout (mm)')
-        axes.legend()
+    figure.axes[0].legend(loc='upper center', ncols=3, bbox_to_anchor=(0.5, 1.0))
+    figure.axes[0].margins(y=0.2)
     sizes = ', '.join(f'{a:g}' for a in sorted({c['amplitude'] for c in curves['perturbation']}))
     figure.suptitle(f'Starts that are off by {sizes} of the RMS motion per frame')
 

@@ -36,20 +36,25 @@ class _Driven:
             self.simulation.gravity = self.gravity
             self.simulation.particles = packing.at_gravity(particles, self.gravity)
         self.volume = packing.particle_volume(self.scene.bin)
+        self.fastest = 0.0
 
     def energy(self):
         s = self.simulation
         return experiments.energy(s.particles, s.soil, self.volume, s.grid.dx, self.gravity)
 
-    def speed(self):
-        velocity = self.simulation.particles[:, columns.V : columns.V + 3]
-        return float(np.linalg.norm(velocity, axis=1).max())
-
     def drive(self, frames, progress):
-        """Advances; returns force [frames, 3] in N and the work of the blade in J after each."""
+        """Advances; returns force [frames, 3] in N and the work of the blade in J after each.
+
+        `fastest` is then the largest speed of soil at the end of any frame, m/s.
+        """
         s = self.simulation
         path = s.drive.path(np.arange(frames + 1) / scenes.FRAME_RATE)
-        force = np.array([s.frame() for _ in progress(range(frames))])
+        force = []
+        for _ in progress(range(frames)):
+            force.append(s.frame())
+            velocity = s.particles[:, columns.V : columns.V + 3]
+            self.fastest = max(self.fastest, float(np.linalg.norm(velocity, axis=1).max()))
+        force = np.array(force)
         # The force is a mean over the frame, in which the blade keeps its speed (almost).
         return force, -np.cumsum((force[:, :2] * np.diff(path, axis=0)).sum(axis=1))
 
@@ -57,6 +62,7 @@ class _Driven:
 def stiffness_sweep(frames, progress):
     """Rows and curves of E x 0.1 to x 100: time step, cost, force, energy that is created."""
     rows, curves = [], []
+    _Driven().simulation.frame()  # compiles the kernels before the clock
     for factor in STIFFNESS:
         driven = _Driven(factor * YOUNGS_MODULUS)
         before, started = driven.energy(), time.process_time()
@@ -102,7 +108,7 @@ def gravity_sweep(frames, progress):
     """Rows and curves of 0 to 1000 g: the cells that soil crosses in a step, or the refusal."""
     rows, curves = [], []
     for factor in GRAVITIES:
-        name = f'gravity x {factor:g}: cells crossed in a step at the end'
+        name = f'gravity x {factor:g}: cells crossed in a step'
         driven = _Driven(gravity_factor=factor)
         s = driven.simulation
         surface = np.quantile(s.particles[:, 1], 0.99)
@@ -112,9 +118,9 @@ def gravity_sweep(frames, progress):
             rows.append(Case(PART, name, None, '', None, REFUSED, str(error)))
             curves.append({'factor': factor, 'crossed': None})
             continue
-        crossed = driven.speed() * s.dt / s.grid.dx
+        crossed = driven.fastest * s.dt / s.grid.dx
         settled = surface - np.quantile(s.particles[:, 1], 0.99)
-        note = f'soil up to {driven.speed():.3g} m/s, draft {force[-1, 0]:.3g} N, '
+        note = f'soil up to {driven.fastest:.3g} m/s, draft at the end {force[-1, 0]:.3g} N, '
         note += f'surface sinks by {1e3 * settled:.1f} mm'
         rows.append(judged(PART, name, crossed, 'cells', stability.VELOCITY_CFL, note))
         curves.append({'factor': factor, 'crossed': crossed, 'draft_N': force[:, 0]})
