@@ -11,6 +11,7 @@ from learning_to_simulate import presets
 from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
+OTHER_METHODS = 'other methods'  # The one family that is no sweep.
 BASE = ('base of the sweeps', {})
 # Which of a body's particles are nodes: the lowest of one that is prescribed, else evenly many.
 LOWEST_ONLY, EVENLY_THINNED = 'rigid particles', 'every k-th rigid particle'
@@ -52,7 +53,7 @@ SWEEPS = {
         ('16 mode edges', {'adjacency': 'correlation', 'mode_edges': 16}),
         ('self-edges only', {'adjacency': 'correlation', 'mode_edges': 8}),
     ],
-    'other methods': [
+    OTHER_METHODS: [
         ('MLP', {'preset': 'mlp'}),
         ('Motion-Mixer, SE', {'preset': 'mixer_se'}),
         ('Motion-Mixer, scSE', {'preset': 'mixer_scse'}),
@@ -65,7 +66,7 @@ PRESET_ROWS = {
     'fcg_original': ('fcg_original', SHIPPED),
     'pcg_thesis': ('pcg_thesis', SHIPPED),
     'pcg': ('pcg', SHIPPED),
-    'full_space': (FULL_SPACE, 'other methods'),
+    'full_space': (FULL_SPACE, OTHER_METHODS),
 }
 QUICK_SWEEPS = {
     'latent size': [SWEEPS['latent size'][0], BASE],

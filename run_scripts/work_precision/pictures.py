@@ -61,8 +61,8 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     front = sorted(
         places[x] for x in tables.front_labels(document['points'], error, dt, split) if x in places
     )
-    axes.plot(*zip(*front, strict=True), color='0.25', linewidth=6, alpha=0.18, zorder=1,
-              solid_capstyle='round', label='front: no model is better in both')  # fmt: skip
+    axes.plot(*zip(*front, strict=True), color='0.82', linewidth=6, zorder=1, marker='o',
+              markersize=15, label='front: no model is better in both')  # fmt: skip
     references = {
         label: error(p, split) for label, p in first.items() if families.REFERENCE in p.families
     }
@@ -82,14 +82,17 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
 
 
 def _draw_families(axes, first, places):
-    """One curve per family, joined in the order of time."""
-    names = dict.fromkeys(f for label in places for f in first[label].families)
-    for name, (colour, marker) in zip(names, STYLES * (1 + len(names) // len(STYLES))):
+    """One curve per sweep, joined in the order of time; what is no sweep is not joined."""
+    known = (families.SHIPPED, *families.SWEEPS, solver_rows.FAMILY)  # One colour in all pictures.
+    present = dict.fromkeys(f for label in places for f in first[label].families)
+    for name in (*(n for n in known if n in present), *(n for n in present if n not in known)):
+        index = known.index(name) if name in known else len(known)
+        colour, marker = STYLES[index % len(STYLES)]
         curve = sorted(places[label] for label in places if name in first[label].families)
-        style = 'None' if name == families.SHIPPED else '-'
-        axes.plot(*zip(*curve, strict=True), color=colour, marker=marker, linestyle=style,
-                  linewidth=1.3, markersize=9 if style == 'None' else 6, label=name,
-                  zorder=3)  # fmt: skip
+        loose = name in (families.SHIPPED, families.OTHER_METHODS)
+        axes.plot(*zip(*curve, strict=True), color=colour, marker=marker,
+                  linestyle='None' if loose else '-', linewidth=1.3,
+                  markersize=9 if loose else 6, label=name, zorder=3)  # fmt: skip
 
 
 def _draw_spread(axes, place, errors):
@@ -140,7 +143,8 @@ def _draw_times(axes, dt, fine):
     for seconds, text, style in times:
         axes.axvline(seconds, color='#555555', linewidth=1.4, linestyle=style, zorder=1)
         axes.text(0.985 * seconds, 0.02, text, rotation=90, ha='right', va='bottom', fontsize=8.5,
-                  color='#333333', transform=axes.get_xaxis_transform())  # fmt: skip
+                  color='#333333', transform=axes.get_xaxis_transform(),
+                  bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1})  # fmt: skip
 
 
 def _caption(document, failures):
