@@ -94,7 +94,12 @@ def measure(data_path: str, rounds: int, batch_sizes=()) -> list[dict]:
     """Times all methods in turns; milliseconds per step and run as min, median, 95th percentile.
 
     With batch sizes: the default preset at each of them instead of the methods.
+
+    Raises:
+      ValueError: a batch size below 1.
     """
+    if any(b < 1 for b in batch_sizes):
+        raise ValueError(f'batch sizes are {list(batch_sizes)}, must be at least 1')
     metadata = dataset.read_metadata(data_path)
     if batch_sizes:
         prepared = {
