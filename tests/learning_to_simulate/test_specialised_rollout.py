@@ -42,7 +42,7 @@ CASES = {
     'predicted, conditioned': PREDICTED | {'preset': 'pcg', 'force': False},
     'predicted, two steps': PREDICTED | {'overrides': {'message_passing_steps': 2}},
 }
-N_FRAME = 4  # the history (up to 5 velocities) is moved on, every pass is read
+N_FRAME = 8
 IN_THE_LOOP = ('prescribed, full graph, three steps', 'driven, two steps, history')
 VARIANTS = [(case, {}) for case in CASES] + [
     (case, switch) for case in IN_THE_LOOP for switch in ({'ahead': False}, {'dense': False})
