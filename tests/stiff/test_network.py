@@ -130,7 +130,7 @@ def test_noise_arrives_as_it_was_drawn(scene):
     folder = str(ROOT / 'datasets' / scene)
     metadata = dataset.read_metadata(folder)
     groups = reading_utils.read_groups(folder, 'valid', metadata)
-    config = {'preset': 'pcg_thesis', 'overrides': models.SMALL}
+    config = {'preset': 'pcg_thesis', 'overrides': {'latent_size': 16}}
     model, trainer = _trainer(folder, metadata, groups, config)
     tensors = trainer._tensors[0]
     offset, velocity, *_ = tensors.windows(64, H + 1, tf.constant([1, 2]))
