@@ -1,0 +1,85 @@
+"""MFLOP of one frame, counted in the traced graph: its matrix products, two per multiply and add.
+
+Products of weights with weights do not count: they are done once, not per frame. Neither does work
+element by element, which is small beside the products.
+"""
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.folded_simulator import FoldedSimulator, Given, MovingState
+from learning_to_simulate.specialised_rollout import given_motion
+from learning_to_simulate.two_pass import AheadPass, FramePass
+
+_TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
+
+
+def mflop(function, *arguments) -> float:
+    """MFLOP of the products in `function(*arguments)` that depend on its arguments."""
+    graph = tf.function(function, autograph=False).get_concrete_function(*arguments).graph
+    captured = {tensor.name for tensor in graph.internal_captures}
+    moving = {tensor.name for tensor in graph.inputs} - captured
+    total = 0
+    for operation in graph.get_operations():
+        if any(tensor.name in moving for tensor in operation.inputs):
+            moving |= {tensor.name for tensor in operation.outputs}
+            total += _flop(operation)
+    return total / 1e6
+
+
+def _flop(operation):
+    if operation.type == 'Einsum':
+        labels = operation.get_attr('equation').decode().split('->')[0].split(',')
+        sizes = {}
+        for names, tensor in zip(labels, operation.inputs, strict=True):
+            sizes |= dict(zip(names, tensor.shape.as_list(), strict=True))
+        return 2 * int(np.prod(list(sizes.values())))
+    if operation.type not in _TRANSPOSED:
+        return 0
+    transposed = operation.get_attr(_TRANSPOSED[operation.type])
+    inner = operation.inputs[0].shape[-2 if transposed else -1]
+    return 2 * inner * operation.outputs[0].shape.num_elements()
+
+
+def plain_frame(simulator, layout, state, known, context) -> float:
+    """MFLOP of a frame of `LearnedSimulator.step`.
+
+    Args:
+      simulator, layout: of the model.
+      state, known, context: of `rollout.rollout_inputs`.
+    """
+    coming = None if known is None else type(known)(*(x[0] for x in known))
+    return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)
+
+
+def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[float, float]:
+    """MFLOP of a frame of `SpecialisedRollout`: within the loop, and before it.
+
+    Args:
+      simulator, layout: of the model.
+      inputs: of `rollout.rollout_inputs`.
+      ahead: of `SpecialisedRollout`.
+    """
+    state, known, context, n_frame = inputs
+    folded = FoldedSimulator(simulator, layout)
+    given = given_motion(simulator, layout, state, known, n_frame)
+    before, results = 0.0, {}
+    if ahead:
+        rows = [None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given]
+        contexts = None if context is None else tf.tile(context, [n_frame, 1])
+
+        def run(rows):
+            first = AheadPass(n_frame)
+            folded.predict(first, rows, MovingState(None, None, None, None))
+            return first.results
+
+        rows = Given(*rows, contexts)
+        results, before = run(rows), mflop(run, rows) / n_frame
+
+    def frame(now, moving):
+        one = FramePass(results, 0)
+        outputs = {n: one.read(x) for n, x in folded.predict(one, now, moving).items()}
+        return folded.advance(outputs, moving)
+
+    now = Given(*(None if x is None else x[0] for x in given), context)
+    return mflop(frame, now, folded.moving(state)), before
