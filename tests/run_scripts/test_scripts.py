@@ -37,6 +37,16 @@ def test_times_have_all_methods_in_one_run(tmp_path, monkeypatch):
     assert all(0 < row['ms_min'] <= row['ms_median'] <= row['ms_p95'] for row in rows)
 
 
+def test_batches_repeat_the_test_runs_and_are_timed_per_run(tmp_path, monkeypatch):
+    folder = synthetic.write_dataset(tmp_path)
+    small = {'pcg': {'preset': 'pcg', 'mode_edges': 5, 'latent_size': 8}}
+    monkeypatch.setattr(rollout_time, 'METHODS', small)
+    rows = rollout_time.measure(folder, rounds=2, batch_sizes=[1, 3])  # the split holds 2 runs
+    assert [(row['method'], row['batch']) for row in rows] == [('pcg, B = 1', 1), ('pcg, B = 3', 3)]
+    with pytest.raises(ValueError, match=r'\[4, 0\], must be at least 1'):
+        rollout_time.measure(folder, rounds=1, batch_sizes=[4, 0])
+
+
 def test_alternatives_are_trained_and_tabulated(tmp_path):
     folder = synthetic.write_dataset(tmp_path / 'data')
     short = {'latent_size': 8, 'num_steps': 5, 'unroll_steps': 0, 'mode_edges': 5}
