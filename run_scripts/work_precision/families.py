@@ -38,8 +38,8 @@ SWEEPS = {
     ],
     'modes': [
         BASE,
-        ('6 modes', {'modes': 6}),
-        ('4 modes', {'modes': 4, 'mode_edges': 16}),
+        ('6 modes', {'modes': 6, 'adjacency': 'correlation'}),
+        ('4 modes', {'modes': 4, 'adjacency': 'correlation', 'mode_edges': 16}),
     ],
     'message passing': [
         BASE,

@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import resource
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import tqdm
@@ -77,18 +78,18 @@ def use_threads(count: int) -> None:
     tf.config.threading.set_inter_op_parallelism_threads(1)
 
 
-def digest(config: TrainConfig, data_sha256: dict, weights_path: str | None = None) -> str:
+def digest(config: TrainConfig, data_sha256: dict, files_used: Sequence[str] = ()) -> str:
     """sha256 of what a row is made from.
 
     Args:
       config: only fields that differ from the defaults count, so that a new field with a default
         keeps old rows valid.
       data_sha256: file -> digest of the dataset.
-      weights_path: weights that are loaded instead of trained, or None.
+      files_used: what else decides: weights that are loaded instead of trained, an edge list.
     """
     defaults = {f.name: f.default for f in dataclasses.fields(TrainConfig)}
     values = {k: v for k, v in dataclasses.asdict(config).items() if v != defaults[k]}
-    parts = [values, data_sha256, weights_path and files.sha256_of_file(weights_path)]
+    parts = [values, data_sha256, [files.sha256_of_file(path) for path in files_used]]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

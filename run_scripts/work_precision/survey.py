@@ -8,7 +8,7 @@ import threading
 
 import tqdm
 
-from learning_to_simulate import checkpoints, experiment, reading_utils
+from learning_to_simulate import checkpoints, edge_lists, experiment, reading_utils
 from pca_tools import dataset, files
 from run_scripts.work_precision import families, machine, measure, solver_rows
 from run_scripts.work_precision.points import WorkPrecisionPoint
@@ -150,8 +150,7 @@ class Survey:
         found = []
         for row in self._rows:
             shipped = measure.find_shipped(self._settings.models_path, row.config, self._sha256)
-            weights = shipped and os.path.join(shipped, checkpoints.WEIGHTS_FILE)
-            digest = measure.digest(row.config, self._sha256, weights)
+            digest = measure.digest(row.config, self._sha256, self._files_used(row, shipped))
             name = re.sub(r'[^\w=]+', '_', row.label).strip('_')
             path = shipped or os.path.join(self._work, f'{name}_{digest[:8]}')
             found.append((row, path, digest, not shipped))
@@ -169,6 +168,12 @@ class Survey:
             else:
                 missing.append((row, path, digest, train))
         return missing
+
+    def _files_used(self, row, shipped):
+        if shipped:
+            return [os.path.join(shipped, checkpoints.WEIGHTS_FILE)]
+        edges = os.path.join(self._data, edge_lists.FILE_NAME)
+        return [edges] if row.config.adjacency == 'algorithm2' and os.path.exists(edges) else []
 
     @staticmethod
     def _needs_time(point):

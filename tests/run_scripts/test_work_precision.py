@@ -6,12 +6,13 @@ import io
 import json
 import math
 import os
+import pathlib
 import time
 
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, edge_lists, experiment, presets, reading_utils
 from pca_tools import dataset
 from run_scripts import error_vs_runtime
 from run_scripts.work_precision import (
@@ -25,6 +26,8 @@ from run_scripts.work_precision import (
 )
 from run_scripts.work_precision.points import Timing, WorkPrecisionPoint, choose, pareto_front
 from tests.learning_to_simulate import models, synthetic
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 def make_point(label='a', ms=0.1, error=3.0, force=0.3, seed=0, **changed):
@@ -190,6 +193,23 @@ def test_rows_share_what_is_the_same_and_leave_out_what_the_scene_lacks(tmp_path
     driven = {row.label for row in rows('driven') if 'rigid particle' in row.label}
     assert driven == {'every 2nd rigid particle', 'every 4th rigid particle'}
     assert not any('every' in label or label == '4 modes' for label, _ in found)  # of 3 modes
+
+
+@pytest.mark.parametrize('scene', ['excavation', 'wheel'])
+def test_edges_of_every_row_can_be_had_on_the_shipped_datasets(scene):
+    """A row that asks for ranked edges where a file gives them would fail only when it trains."""
+    folder = str(ROOT / 'datasets' / scene)
+    metadata = dataset.read_metadata(folder)
+    groups = reading_utils.read_groups(folder, 'test', metadata)
+    whole = reading_utils.read_scene(folder, metadata, groups, None)
+    found = families.rows(families.SWEEPS, {}, whole, list(families.PRESET_ROWS), 1)
+    assert len(found) > 15
+    for row in found:
+        groups = reading_utils.read_groups(folder, 'test', metadata, **row.config.nodes)
+        modes = [g.velocity[:, :, g.n_rigid :] for g in groups]
+        n_modes = row.config.modes or whole.n_modes
+        edges = edge_lists.choose(row.config, folder, n_modes, np.concatenate(modes))
+        assert edges.mode_mask is None or edges.mode_mask.shape == (n_modes, n_modes), row.label
 
 
 SMALL = {'latent_size': 8, 'mode_edges': 5, 'hidden_layers': 1, 'zero_decoder': True}
