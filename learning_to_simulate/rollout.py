@@ -117,7 +117,7 @@ class RolloutFunction:
         self.simulator, self.layout = simulator, layout
         self._correct = rigid_correction and simulator.scene.rigid_motion == RigidMotion.PREDICTED
         self.is_warm = False
-        self._run = tf.function(self._loop, jit_compile=True)
+        self._run = tf.function(self._loop, jit_compile=True, autograph=False)
 
     def __call__(self, state: SimulatorState, known, context, n_frame: int):
         """Rolls out `n_frame` frames.

@@ -31,7 +31,7 @@ def rollout_function(simulator, layout: Layout, rigid_correction: bool = True):
     return kind(simulator, layout, rigid_correction)
 
 
-class SpecialisedRollout:
+class SpecialisedRollout(RolloutFunction):
     """A compiled rollout of B graphs over a fixed number of frames; called as `RolloutFunction`.
 
     Args:
@@ -51,26 +51,9 @@ class SpecialisedRollout:
         ahead: bool = True,
         dense: bool = True,
     ):
-        self.simulator, self.layout = simulator, layout
+        super().__init__(simulator, layout, rigid_correction)
         self._motion = simulator.scene.rigid_motion
-        self._correct = rigid_correction and self._motion == RigidMotion.PREDICTED
         self._ahead, self._dense = ahead, dense
-        self.is_warm = False
-        self._run = tf.function(self._loop, jit_compile=True, autograph=False)
-
-    def __call__(self, state: SimulatorState, known, context, n_frame: int):
-        """Rolls out `n_frame` frames.
-
-        Args:
-          state: after the first H frames.
-          known: `KnownMotion` with a leading frame axis [n_frame, B, R, D], or None.
-          context: float32 [B, C] or None.
-          n_frame: number of frames.
-
-        Returns:
-          offsets float32 [n_frame, B, V, D] and forces float32 [n_frame, B, D] or None.
-        """
-        return self._run(state, known, context, n_frame)
 
     def _loop(self, state, known, context, n_frame):
         folded = FoldedSimulator(self.simulator, self.layout, self._dense)
