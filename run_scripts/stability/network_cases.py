@@ -42,9 +42,9 @@ class CastNetwork:
             name = next(n for n in weights if n.endswith(variable.name))
             variable.assign(tf.cast(weights[name], self._dtype))
 
-    def __call__(self, nodes, edges, senders, receivers):
+    def __call__(self, nodes, edges, *graph):
         nodes, edges = (tf.cast(x, self._dtype) for x in (nodes, edges))
-        return tf.cast(self._network(nodes, edges, senders, receivers), tf.float32)
+        return tf.cast(self._network(nodes, edges, *graph), tf.float32)
 
 
 def precisions(model, reference):

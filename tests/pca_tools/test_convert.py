@@ -226,7 +226,7 @@ def no_context(current, arrays):
         (fewer_particles, r'run_003.npz: has .* \(24, 100, 16\), the runs before'),
         (shuffled_particles, 'case 3: its particles start .*not the same packing'),
         (no_force, r"run_00..npz: lacks the arrays \['force'\]"),
-        (short_force, r'force has shape \(23, 3\) for 24 frames'),
+        (short_force, r'force has shape \(23, 3\), float32 for 24 frames'),
         (no_context, 'parameters must be a JSON object with context'),
     ],
 )
