@@ -88,8 +88,9 @@ def test_ten_thousand_steps_trace_nothing_and_keep_no_memory(shared):
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    # Measured 2 kB; one float per step would be 64 kB.
-    assert stepper.traces == 1 and grown < 20_000
+    # Measured 2 to 50 kB, as TensorFlow fills its caches sooner or later; one Python float kept per
+    # step would be 192 kB, one array 900 kB.
+    assert stepper.traces == 1 and grown < 100_000
 
 
 def test_bad_input_is_refused_and_changes_nothing(shared):
