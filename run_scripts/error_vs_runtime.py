@@ -28,7 +28,6 @@ from run_scripts.work_precision import families, measure, pictures, survey, tabl
 from run_scripts.work_precision.points import choose
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-QUICK_PRESETS = ('fcg_original', 'pcg_thesis', 'pcg')  # They ship, so nothing is trained.
 QUICK_TRAINING = {'num_steps': 400, 'unroll_steps': 60, 'unroll_length': 4}
 
 
@@ -72,18 +71,20 @@ def recommendation(document: dict, budget_ms: float) -> str:
 def make_settings(values) -> survey.Settings:
     """Flags -> settings of the survey."""
     if values.quick:
-        sweeps, training, seeds = families.QUICK_SWEEPS, QUICK_TRAINING, 1
-        presets = QUICK_PRESETS
+        whole, sweeps, training = families.QUICK_WHOLE, families.QUICK_SWEEPS, QUICK_TRAINING
+        seeds = sweep_seeds = 1
     else:
-        sweeps, seeds, presets = families.SWEEPS, values.seeds, tuple(families.PRESET_ROWS)
+        whole, sweeps = families.WHOLE, families.SWEEPS
+        seeds, sweep_seeds = values.seeds, values.sweep_seeds
         training = {
             'num_steps': values.sweep_steps,
             'unroll_steps': values.sweep_unroll_steps,
             'unroll_length': values.sweep_unroll_length,
         }
     return survey.Settings(
-        sweeps, training, presets, values.models_path, seeds, values.rounds,
-        values.num_threads, values.num_processes, 60.0 * values.row_minutes,
+        whole, sweeps, training, values.models_path, seeds, sweep_seeds, values.rounds,
+        threads=values.num_threads, num_processes=values.num_processes,
+        row_limit_s=60.0 * values.row_minutes, time_again=values.time_again,
         solver_json=values.solver_json,
     )  # fmt: skip
 
@@ -98,8 +99,10 @@ def define_flags() -> None:
     flags.DEFINE_string('solver_json', None, 'Rows of run_scripts.coarse_solver; default: '
                         'docs/coarse_solver_<scene>.json where it exists.')  # fmt: skip
     flags.DEFINE_bool('from_json', False, 'Measure nothing: report from the stored numbers.')
+    flags.DEFINE_bool('time_again', False, 'Time all rows again, after a call on a busy machine.')
     flags.DEFINE_bool('quick', False, 'Few rows, little training: within 10 minutes.')
-    flags.DEFINE_integer('seeds', 3, 'Trainings of the default preset.', 1)
+    flags.DEFINE_integer('seeds', 3, 'Trainings of each row at full length.', 1)
+    flags.DEFINE_integer('sweep_seeds', 2, 'Trainings of each swept row.', 1)
     flags.DEFINE_integer('sweep_steps', 2000, 'Single-step training of the swept rows.', 1)
     flags.DEFINE_integer('sweep_unroll_steps', 800, 'Unrolled training of the swept rows.', 0)
     flags.DEFINE_integer('sweep_unroll_length', 8, 'Frames per unrolled step there.', 2)

@@ -2,8 +2,9 @@
 
 A `py_function` lists all pairs of nodes in Python for every graph and step, and the network is
 graph_nets' GraphIndependent and InteractionNetwork on them, not compiled by XLA, as in the code
-of Sanchez-Gonzalez et al. 2020 and Haeri & Skonieczny 2021. Weights are random: they do not change
-the time.
+of Sanchez-Gonzalez et al. 2020 and Haeri & Skonieczny 2021. The published fully connected code
+appends pair by pair to numpy arrays (`appended_pairs`); whoever writes it straightforwardly has
+numpy make them at once (`numpy_pairs`). Weights are random: they do not change the time.
 """
 
 import graph_nets as gn
@@ -22,15 +23,32 @@ def _mlp(width, output_size=None):
     return snt.Sequential(layers)
 
 
-def _all_pairs(n_node):
-    """Senders and receivers of graphs of the given sizes, self-edges included."""
-    senders, receivers, first = [], [], 0
-    for n in n_node.numpy():
-        index = np.arange(first, first + n, dtype=np.int32)
-        senders.append(np.tile(index, n))
-        receivers.append(np.repeat(index, n))
-        first += n
-    return np.concatenate(senders), np.concatenate(receivers)
+def appended_pairs(n_node: int):
+    """Senders and receivers of a graph, self-edges included, as the published code lists them."""
+    senders, receivers = np.zeros(0, np.int32), np.zeros(0, np.int32)
+    for i in range(n_node):
+        for j in range(n_node):
+            senders, receivers = np.append(senders, j), np.append(receivers, i)
+    return senders, receivers
+
+
+def numpy_pairs(n_node: int):
+    """The same pairs at once."""
+    index = np.arange(n_node)
+    return np.tile(index, n_node), np.repeat(index, n_node)
+
+
+def _batch_of(pairs):
+    """Pairs of a batch of graphs, for a `py_function`."""
+
+    def of_batch(sizes):
+        first, found = 0, []
+        for n in sizes.numpy():
+            found.append(np.stack(pairs(n)) + first)
+            first += n
+        return np.concatenate(found, axis=1).astype(np.int32)
+
+    return of_batch
 
 
 class OriginalNetwork(snt.Module):
@@ -39,10 +57,12 @@ class OriginalNetwork(snt.Module):
     Args:
       latent_size: L.
       steps: M.
+      pairs: how the pairs of a graph are listed, `appended_pairs` or `numpy_pairs`.
     """
 
-    def __init__(self, latent_size: int = 128, steps: int = 1, name=None):
+    def __init__(self, latent_size: int = 128, steps: int = 1, pairs=appended_pairs, name=None):
         super().__init__(name=name)
+        self._pairs = _batch_of(pairs)
 
         def make():
             return _mlp(latent_size)
@@ -64,9 +84,9 @@ class OriginalNetwork(snt.Module):
         """
         n_graph, _, n_node, dim = history.shape
         sizes = tf.fill([n_graph], n_node)
-        senders, receivers = tf.py_function(_all_pairs, [sizes], [tf.int32, tf.int32])
-        senders.set_shape([None])
-        receivers.set_shape([None])
+        pairs = tf.py_function(self._pairs, [sizes], tf.int32)
+        pairs.set_shape([2, None])
+        senders, receivers = pairs[0], pairs[1]
         last = tf.reshape(history[:, -1], [-1, dim])
         velocities = tf.transpose(history[:, 1:] - history[:, :-1], [0, 2, 1, 3])
         nodes = tf.concat(

@@ -28,11 +28,20 @@ from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import dataset, files
-from run_scripts.original_style import OriginalNetwork, original_rollout
+from run_scripts.original_style import (
+    OriginalNetwork,
+    appended_pairs,
+    numpy_pairs,
+    original_rollout,
+)
 
 ORIGINAL_STEPS = 100  # of the slow way
 
-ORIGINAL = 'original way: fully connected, py_function, L = 128'
+# The original way, fully connected, L = 128, by how its py_function lists the pairs.
+ORIGINALS = {
+    'original way: pairs appended, as published': appended_pairs,
+    'original way, pairs made by numpy': numpy_pairs,
+}
 METHODS = {
     'fully connected, L = 128, plain': {'preset': 'fcg_original', 'plain': True},
     'fully connected, L = 128': {'preset': 'fcg_original'},
@@ -74,12 +83,13 @@ def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> 
     }  # fmt: skip
 
 
-def prepare_original(data_path: str) -> dict:
-    """The rollout of the original way on the first test run, as a row of `prepare`."""
+def prepare_original(data_path: str, pairs) -> dict:
+    """The rollout of the original way on the first test run, as a row of `prepare`; `pairs` lists
+    the pairs of nodes."""
     group = reading_utils.read_groups(data_path, 'test', dataset.read_metadata(data_path))[0]
     position, n = group.position[:1], group.n_rigid
     steps = min(ORIGINAL_STEPS, position.shape[1] - H)
-    network = OriginalNetwork()
+    network = OriginalNetwork(pairs=pairs)
     body = np.moveaxis(position[:, H : H + steps, :n], 1, 0)
     run = original_rollout(network, position[:, :H], group.particle_type, body, steps)
     run()
@@ -107,7 +117,7 @@ def measure(data_path: str, rounds: int, batch_sizes=()) -> list[dict]:
         }
     else:
         prepared = {name: prepare(data_path, metadata, o) for name, o in METHODS.items()}
-        prepared[ORIGINAL] = prepare_original(data_path)
+        prepared |= {n: prepare_original(data_path, pairs) for n, pairs in ORIGINALS.items()}
     seconds = {name: [] for name in prepared}
     for name in prepared:
         for _ in range(2):

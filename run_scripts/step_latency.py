@@ -107,7 +107,9 @@ def measure(pairs, steps: int) -> list[dict]:
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_integer('steps', 2000, 'Steps of each model, rounded up to whole runs.', 1)
-    flags.DEFINE_integer('num_threads', 2, 'CPU threads of TensorFlow.', 1)
+    flags.DEFINE_integer(
+        'num_threads', 1, 'CPU threads of TensorFlow; more make worst steps slower.', 1
+    )
     flags.DEFINE_string('output_path', None, 'JSON file for the rows.')
 
 

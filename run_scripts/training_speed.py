@@ -30,9 +30,10 @@ from learning_to_simulate import evaluation, experiment, noise_utils, presets, r
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
-from run_scripts.original_style import OriginalNetwork
+from run_scripts.original_style import OriginalNetwork, appended_pairs, numpy_pairs
 
 ORIGINAL = 'original way'
+NUMPY_PAIRS = 'original way, pairs made by numpy'
 PRESETS = ('fcg_original', 'pcg')
 SHUFFLED = 512  # windows, as in the original code
 NOISE, LEARNING_RATE = 6.7e-4, 1e-4  # of the original preset, m/frame
@@ -53,16 +54,18 @@ def our_step(data_path: str, preset: str, batch_size: int, **overrides):
     return lambda: float(trainer.step(next(count))['loss'])
 
 
-def original_step(data_path: str, batch_size: int, latent_size: int = 128):
+def original_step(data_path: str, batch_size: int, pairs=appended_pairs, latent_size: int = 128):
     """A function that runs the next training step of the original way and returns its loss.
 
-    All pairs of nodes, L = 128, one message-passing step: the network of `fcg_original`.
+    All pairs of nodes, listed by `pairs`, L = 128, one message-passing step: the network of
+    `fcg_original`.
     """
     _, (group, *_) = _read(data_path, 'train', presets.make_config('fcg_original'))
     types = tf.constant(group.particle_type, tf.int32)
     n_rigid, n_frame = group.n_rigid, group.position.shape[1]
     force = np.zeros((*group.position.shape[:2], 3)) if group.force is None else group.force
-    std = np.maximum(np.diff(group.position, 2, axis=1).std(), 1e-12).astype(np.float32)
+    # The target takes the noise back, so its spread is that of both, as in the original code.
+    std = np.float32(np.hypot(np.diff(group.position, 2, axis=1).std(), NOISE))
     force_std = np.float32(max(force.std(), 1e-12))
 
     def windows(position, force):
@@ -74,7 +77,7 @@ def original_step(data_path: str, batch_size: int, latent_size: int = 128):
     runs = (tf.constant(group.position, tf.float32), tf.constant(force, tf.float32))
     data = tf.data.Dataset.from_tensor_slices(runs).repeat().flat_map(windows)
     batches = iter(data.shuffle(SHUFFLED, seed=0).batch(batch_size, drop_remainder=True))
-    network = OriginalNetwork(latent_size)
+    network = OriginalNetwork(latent_size, pairs=pairs)
     optimizer = snt.optimizers.Adam(LEARNING_RATE)
 
     def loss_of(position, force, seed):
@@ -85,7 +88,8 @@ def original_step(data_path: str, batch_size: int, latent_size: int = 128):
         noise = noise_utils.random_walk_velocity_noise(shape, scale, seed)
         noise = tf.transpose(tf.cumsum(noise, axis=2), [0, 2, 1, 3])
         history += tf.pad(noise, [[0, 0], [1, 0], [0, 0], [0, 0]])
-        target = (position[:, H] - 2 * history[:, -1] + history[:, -2]) / std
+        coming = position[:, H] + noise[:, -1]  # Only the velocity is to be corrected.
+        target = (coming - 2 * history[:, -1] + history[:, -2]) / std
         decoded = network(history, types)
         motion = (decoded[..., :3] - target)[:, n_rigid:] ** 2
         forces = (tf.reduce_mean(decoded[..., 3:], axis=1) - force / force_std) ** 2
@@ -118,7 +122,11 @@ def measure(data_path: str, batch_size: int, rounds: int, steps: int, **override
       a row per method: samples per second by the clock and by processor time (medians of the
       turns), and how many times those of the original way.
     """
-    methods = {ORIGINAL: original_step(data_path, batch_size, overrides.get('latent_size', 128))}
+    width = overrides.get('latent_size', 128)
+    methods = {
+        name: original_step(data_path, batch_size, pairs, width)
+        for name, pairs in ((ORIGINAL, appended_pairs), (NUMPY_PAIRS, numpy_pairs))
+    }
     for preset in PRESETS:
         methods[preset] = our_step(
             data_path, preset, batch_size, num_steps=(rounds + 1) * steps + 1, **overrides
@@ -203,9 +211,9 @@ def main(_) -> None:
     result = {}
     try:
         result['speed'] = measure(values.data_path, values.batch_size, values.rounds, values.steps)
-        print(f'{"method":14s} {"samples/s":>10s} {"x original":>11s} {"by processor":>13s}')
+        print(f'{"method":34s} {"samples/s":>10s} {"x original":>11s} {"by processor":>13s}')
         for row in result['speed']:
-            print('{method:14s} {samples_per_s:10.1f} {times_original:11.2f} '
+            print('{method:34s} {samples_per_s:10.1f} {times_original:11.2f} '
                   '{times_original_by_processor:13.2f}'.format(**row))  # fmt: skip
         if values.time_to_error:
             result['time_to_error'] = [

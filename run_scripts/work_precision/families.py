@@ -1,28 +1,46 @@
 """What the report compares: families of configurations, each a sweep of one decision.
 
-The rows of a sweep are trained alike and shorter than the shipped models, so that a sweep fits in
-an afternoon; the shipped rows are what the shipped models are, and are loaded where they exist.
+The shipped presets, their widths and the other methods are trained as long as their presets say,
+and loaded where such a model exists. The rows of a sweep are trained alike and shorter, so that
+all of them fit in an afternoon.
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 from learning_to_simulate import presets
 from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
-OTHER_METHODS = 'other methods'  # The one family that is no sweep.
+SHIPPED = 'shipped presets'
+LATENT_SIZE = 'latent size'
+OTHER_METHODS = 'other methods'
+# Family -> rows (label, what they are) with the training of their preset.
+WHOLE = {
+    SHIPPED: [
+        ('fcg_original', {'preset': 'fcg_original'}),
+        ('pcg_thesis', {'preset': 'pcg_thesis'}),
+        ('pcg', {'preset': 'pcg'}),
+    ],
+    LATENT_SIZE: [
+        ('pcg, L = 16', {'preset': 'pcg', 'latent_size': 16}),
+        ('pcg, L = 32', {'preset': 'pcg', 'latent_size': 32}),
+        ('pcg', {'preset': 'pcg'}),
+        ('pcg, L = 128', {'preset': 'pcg', 'latent_size': 128}),
+    ],
+    OTHER_METHODS: [
+        ('MLP', {'preset': 'mlp'}),
+        ('Motion-Mixer, SE', {'preset': 'mixer_se'}),
+        ('Motion-Mixer, scSE', {'preset': 'mixer_scse'}),
+        ('GNS on particles', {'preset': 'full_space'}),
+    ],
+}
+# Presets that one training has to do for: they are references, and slow to train.
+ONE_SEED = ('fcg_original', 'pcg_thesis', 'full_space')
 BASE = ('base of the sweeps', {})
 # Which of a body's particles are nodes: the lowest of one that is prescribed, else evenly many.
 LOWEST_ONLY, EVENLY_THINNED = 'rigid particles', 'every k-th rigid particle'
 # Family -> rows (label, what differs from the base). A row may lie in several families.
 SWEEPS = {
-    'latent size': [
-        ('L = 16', {'latent_size': 16}),
-        ('L = 32', {'latent_size': 32}),
-        BASE,
-        ('L = 128', {'latent_size': 128}),
-    ],
     LOWEST_ONLY: [
         ('all rigid particles', {'rigid_particles': 0}),
         ('12 rigid particles', {'rigid_particles': 12}),
@@ -53,25 +71,9 @@ SWEEPS = {
         ('16 mode edges', {'adjacency': 'correlation', 'mode_edges': 16}),
         ('self-edges only', {'adjacency': 'correlation', 'mode_edges': 8}),
     ],
-    OTHER_METHODS: [
-        ('MLP', {'preset': 'mlp'}),
-        ('Motion-Mixer, SE', {'preset': 'mixer_se'}),
-        ('Motion-Mixer, scSE', {'preset': 'mixer_scse'}),
-    ],
 }  # fmt: skip
-SHIPPED = 'shipped presets'
-FULL_SPACE = 'GNS on particles'
-# Presets that are measured at their own training budget: preset -> (label, family).
-PRESET_ROWS = {
-    'fcg_original': ('fcg_original', SHIPPED),
-    'pcg_thesis': ('pcg_thesis', SHIPPED),
-    'pcg': ('pcg', SHIPPED),
-    'full_space': (FULL_SPACE, OTHER_METHODS),
-}
-QUICK_SWEEPS = {
-    'latent size': [SWEEPS['latent size'][0], BASE],
-    LOWEST_ONLY: [BASE, SWEEPS[LOWEST_ONLY][-1]],
-}
+QUICK_WHOLE = {SHIPPED: WHOLE[SHIPPED]}  # They ship, so nothing is trained.
+QUICK_SWEEPS = {LOWEST_ONLY: [BASE, SWEEPS[LOWEST_ONLY][-1]], 'modes': SWEEPS['modes'][:2]}
 REFERENCE = 'reference'
 
 
@@ -92,41 +94,45 @@ class Row:
     overrides: dict
 
 
-def rows(sweeps: dict, training: dict, scene, whole: Sequence[str], seeds: int) -> list[Row]:
-    """The rows of a report.
+def rows(
+    whole: dict, sweeps: dict, training: dict, scene, seeds: int, sweep_seeds: int
+) -> list[Row]:
+    """The rows of a report: all of them with seed 0, then all with the next seed.
 
     Args:
+      whole: family -> [(label, overrides)], such as `WHOLE`.
       sweeps: family -> [(label, overrides)], such as `SWEEPS`.
       training: fields that shorten the training of the swept rows; equal for all of them.
       scene: `Scene` of the dataset; sweeps that it does not have are left out.
-      whole: presets that are measured at their own training budget, keys of `PRESET_ROWS`.
-      seeds: trainings of the default preset 'pcg'.
+      seeds: trainings of the rows of `whole`, other than `ONE_SEED`.
+      sweep_seeds: trainings of the swept rows.
 
     Raises:
       ValueError: an unknown preset or field.
     """
-    found: dict[TrainConfig, Row] = {}
     prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED
     unfit = EVENLY_THINNED if prescribed else LOWEST_ONLY
-
-    def add(label, family, config, overrides):
-        old = found.get(config)
-        families = (family,) if old is None else (*old.families, family)
-        found[config] = Row(old.label if old else label, families, config, overrides)
-
-    for preset in whole:
-        for seed in range(seeds if preset == 'pcg' else 1):
-            overrides = {'seed': seed} if seed else {}
-            config = presets.make_config(preset, **overrides)
-            add(*PRESET_ROWS[preset], config, {'preset': preset} | overrides)
-    for family, members in sweeps.items():
-        if family == unfit:
-            continue
-        for label, changed in members:
-            overrides = {'preset': 'pcg'} | training | changed
-            config = presets.make_config(**overrides)
+    wanted = [
+        (f, label, changed, seeds) for f, members in whole.items() for label, changed in members
+    ]
+    wanted += [
+        (family, label, {'preset': 'pcg'} | training | changed, sweep_seeds)
+        for family, members in sweeps.items() if family != unfit
+        for label, changed in members
+    ]  # fmt: skip
+    found: dict[TrainConfig, Row] = {}
+    for seed in range(max(seeds, sweep_seeds)):
+        for family, label, overrides, count in wanted:
+            if seed >= (1 if overrides['preset'] in ONE_SEED else count):
+                continue
+            config = presets.make_config(**overrides, seed=seed)
             n_modes = config.modes or scene.n_modes
             if n_modes > scene.n_modes or overrides.get('mode_edges', 0) > n_modes**2:
                 continue  # There are not that many.
-            add(label, family, config, overrides)
+            old = found.get(config)
+            families = (family,) if old is None else (*old.families, family)
+            found[config] = Row(
+                old.label if old else label, families, config,
+                overrides | ({'seed': seed} if seed else {}),
+            )  # fmt: skip
     return list(found.values())

@@ -7,7 +7,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pca_tools import files
 from run_scripts.work_precision import families, labels, machine, solver_rows, tables
-from run_scripts.work_precision.points import OK, WorkPrecisionPoint
+from run_scripts.work_precision.points import OK, WorkPrecisionPoint, over_seeds
 
 # Okabe & Ito 2008: told apart with every common colour blindness; the markers tell it twice.
 STYLES = (
@@ -38,8 +38,7 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     """
     title, error = QUANTITIES[quantity]
     dt = document['dt']
-    groups = tables.group_by_label(document['points'])
-    first = {label: members[0] for label, members in groups.items()}
+    first = {p.label: p for p in over_seeds(document['points'])}
     places = {
         label: (p.seconds_per_second(dt), error(p, split))
         for label, p in first.items()
@@ -57,7 +56,8 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     axes.set_title(f'{document["scene"]}: {quantity} error against run time', loc='left')
     _draw_families(axes, first, places)
     for label in places:
-        _draw_spread(axes, places[label], [error(p, split) for p in groups[label]])
+        seeds = [p for p in document['points'] if p.label == label]
+        _draw_spread(axes, places[label], [error(p, split) for p in seeds])
     front = sorted(
         places[x] for x in tables.front_labels(document['points'], error, dt, split) if x in places
     )
@@ -83,7 +83,7 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
 
 def _draw_families(axes, first, places):
     """One curve per sweep, joined in the order of time; what is no sweep is not joined."""
-    known = (families.SHIPPED, *families.SWEEPS, solver_rows.FAMILY)  # One colour in all pictures.
+    known = (*families.WHOLE, *families.SWEEPS, solver_rows.FAMILY)  # One colour in all pictures.
     present = dict.fromkeys(f for label in places for f in first[label].families)
     for name in (*(n for n in known if n in present), *(n for n in present if n not in known)):
         index = known.index(name) if name in known else len(known)

@@ -138,6 +138,32 @@ class WorkPrecisionPoint:
             raise ValueError(f'not a point of the report: {error!r}') from error
 
 
+def over_seeds(points: Sequence[WorkPrecisionPoint]) -> list[WorkPrecisionPoint]:
+    """One point per label, as a user meets it who trains once: errors of all seeds together.
+
+    Args:
+      points: rows; those of one label differ by their seed.
+
+    Returns:
+      the points of the lowest seeds, in the order of their labels, with the runs of all seeds and
+      the status of the first seed that failed.
+    """
+    groups: dict[str, list[WorkPrecisionPoint]] = {}
+    for point in points:
+        groups.setdefault(point.label, []).append(point)
+    merged = []
+    for members in groups.values():
+        members.sort(key=lambda p: p.seed)
+        failed = next((p for p in members if p.status != OK), members[0])
+        runs: dict[str, dict[str, list]] = {}
+        for point in members:
+            for split, errors in point.runs.items():
+                for name, values in errors.items():
+                    runs.setdefault(split, {}).setdefault(name, []).extend(values)
+        merged.append(dataclasses.replace(members[0], runs=runs, status=failed.status))
+    return merged
+
+
 def pareto_front(costs: Sequence[tuple[float, float]]) -> np.ndarray:
     """Which points no other point beats in both costs.
 
@@ -162,8 +188,8 @@ def choose(
 ) -> WorkPrecisionPoint:
     """The most accurate model whose step fits a budget.
 
-    Real time is lost by the slow steps, so the 99th percentile must fit, not the median. Rows
-    without a network, and all seeds but the first, are no candidates.
+    Real time is lost by the slow steps, so the 99th percentile must fit, not the median. The error
+    is the mean over seeds; rows without a network are no candidates, nor those that failed once.
 
     Args:
       points: measured rows.
@@ -176,8 +202,8 @@ def choose(
     if not budget_ms > 0:
         raise ValueError(f'the budget is {budget_ms} ms per step, must be above 0')
     candidates = [
-        p for p in points
-        if p.status == OK and p.overrides and p.seed == 0
+        p for p in over_seeds(points)
+        if p.status == OK and p.overrides
         and p.step_ms() is not None and p.position_error(split) is not None
     ]  # fmt: skip
     if not candidates:

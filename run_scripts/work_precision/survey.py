@@ -27,30 +27,33 @@ class Settings:
     """What a survey does.
 
     Attributes:
-      sweeps: family -> rows, as `families.SWEEPS`.
+      whole, sweeps: family -> rows, as `families.WHOLE` and `families.SWEEPS`.
       training: config fields that all swept rows share: the short training.
-      presets: those measured at their own training budget.
       models_path: folder whose models are loaded where they are what a row asks for, or None.
-      seeds: trainings of the default preset.
+      seeds, sweep_seeds: trainings of the rows of `whole`, and of the swept rows.
       rounds: timed rollouts of each model.
       live_runs: test runs that each model is stepped through live.
       threads: CPU threads of TensorFlow.
       num_processes: rows trained at a time.
       row_limit_s: a row that trains longer has failed.
+      time_again: whether all rows are timed again, those of an earlier call too: after a call on a
+        busy machine.
       isolate: whether rows run in processes of their own.
       solver_json: rows of the solver on coarser grids, or None.
     """
 
+    whole: dict
     sweeps: dict
     training: dict
-    presets: tuple[str, ...]
     models_path: str | None
     seeds: int = 3
+    sweep_seeds: int = 2
     rounds: int = 30
     live_runs: int = 3
     threads: int = 1
     num_processes: int = 1
     row_limit_s: float = 1800.0
+    time_again: bool = False
     isolate: bool = True
     solver_json: str | None = None
 
@@ -98,8 +101,9 @@ class Survey:
         scene = reading_utils.read_scene(data_path, metadata, groups, None)
         self._sha256 = experiment.data_digests(data_path)
         self._rows = families.rows(
-            settings.sweeps, settings.training, scene, settings.presets, settings.seeds
-        )
+            settings.whole, settings.sweeps, settings.training, scene, settings.seeds,
+            settings.sweep_seeds,
+        )  # fmt: skip
         for folder in (work_path, output_path):
             os.makedirs(folder, exist_ok=True)
         self.path = os.path.join(output_path, DOCUMENT)
@@ -131,7 +135,13 @@ class Survey:
                 'give another --output_path'
             )
         failed = ('not_trained', 'not_measured')  # Worth another try: often the machine's fault.
-        return {p.digest: p for p in old['points'] if p.status not in failed}
+        points = [p for p in old['points'] if p.status not in failed]
+        if self._settings.time_again:
+            points = [
+                dataclasses.replace(p, rollout=None, live=None) if p.overrides else p
+                for p in points
+            ]
+        return {p.digest: p for p in points}
 
     def run(self) -> dict:
         """Measures what is missing; returns the document, written after every row."""

@@ -5,21 +5,18 @@ import io
 from collections.abc import Sequence
 
 from run_scripts.work_precision import machine
-from run_scripts.work_precision.points import OK, WorkPrecisionPoint, pareto_front
+from run_scripts.work_precision.points import (
+    OK,
+    WorkPrecisionPoint,
+    over_seeds,
+    pareto_front,
+)
 
 COLUMNS = (
     'model', 'edges', 'weights', 'soil RMS mm, valid', 'test', 'of best trivial', 'force rel. L2, '
     'valid', 'test', 'ms per step', 'p99', 'worst', 'live p99', 's per simulated s',
     'first call s', 'MB', 'trained s',
 )  # fmt: skip
-
-
-def group_by_label(points: Sequence[WorkPrecisionPoint]) -> dict[str, list[WorkPrecisionPoint]]:
-    """label -> its points, the lowest seed first."""
-    groups: dict[str, list[WorkPrecisionPoint]] = {}
-    for point in sorted(points, key=lambda p: p.seed):
-        groups.setdefault(point.label, []).append(point)
-    return {p.label: groups[p.label] for p in points}
 
 
 def front_labels(
@@ -35,7 +32,7 @@ def front_labels(
     """
     rows = [
         (p.label, p.seconds_per_second(dt), error(p, split))
-        for p in points if p.status == OK and p.overrides and p.seed == 0
+        for p in over_seeds(points) if p.status == OK and p.overrides
     ]  # fmt: skip
     rows = [row for row in rows if None not in row]
     front = pareto_front([row[1:] for row in rows])
@@ -65,19 +62,22 @@ def markdown(document: dict) -> str:
         '| ' + ' | '.join(COLUMNS) + ' |',
         '|---' * len(COLUMNS) + '|',
     ]
-    for label, members in group_by_label(points).items():
-        marks = ' ▲' * (label in position_front) + ' ●' * (label in force_front)
-        lines.append(f'| {label}{marks} | ' + ' | '.join(_cells(members, points, dt)) + ' |')
+    for point in over_seeds(points):
+        marks = ' ▲' * (point.label in position_front) + ' ●' * (point.label in force_front)
+        seeds = [p for p in points if p.label == point.label]
+        lines.append(
+            f'| {point.label}{marks} | ' + ' | '.join(_cells(point, seeds, points, dt)) + ' |'
+        )
     failures = [f'- {p.label}, seed {p.seed}: **{p.status}**. {p.note}'
                 for p in points if p.status != OK]  # fmt: skip
     lines += [
         '',
         '▲ on the front of soil error and time, ● of force error and time (test). Soil errors are '
-        'RMS per coordinate with what the modes cut off, mean over runs; of best trivial: soil MSE '
-        'within the modes over that of the better of stay still and constant velocity; in '
-        'brackets the range over seeds. Times: whole compiled rollouts in turns, median; live: '
-        'single steps from Python. First call: compilation included. MB: peak of a process of '
-        'its own, TensorFlow included.',
+        'RMS per coordinate with what the modes cut off, mean over runs and seeds; of best '
+        'trivial: soil MSE within the modes over that of the better of stay still and constant '
+        'velocity; in brackets the range over seeds. Times: whole compiled rollouts in turns, '
+        'median; live: single steps from Python. First call: compilation included. MB: peak of a '
+        'process of its own, TensorFlow included.',
     ]
     training = document.get('swept_training')
     if training:
@@ -91,33 +91,32 @@ def markdown(document: dict) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def _cells(members, points, dt):
-    """Cells of one label, all seeds together."""
-    first = members[0]
+def _cells(point, seeds, points, dt):
+    """Cells of one label: the mean over its seeds, and their range."""
 
     def spread(error):
-        values = [v for v in map(error, members) if v is not None]
-        if error(first) is None:
-            return '' if first.status == OK else f'**{first.status}**'
+        values = [v for v in map(error, seeds) if v is not None]
+        if error(point) is None:
+            return '' if point.status == OK else f'**{point.status}**'
         low_high = f' ({min(values):.3g}..{max(values):.3g})' if len(values) > 1 else ''
-        return f'{error(first):.3g}{low_high}'
+        return f'{error(point):.3g}{low_high}'
 
     def ratio(point):
         trivial, value = best_trivial(points, 'test'), point.error('test', 'soil_mse')
         return None if not trivial or value is None else value / trivial
 
-    rollout = first.rollout
+    rollout = point.rollout
     times = [None] * 3 if rollout is None else [rollout.percentile(q) for q in (50, 99, 100)]
-    times += [first.live and first.live.percentile(99), first.seconds_per_second(dt)]
+    times += [point.live and point.live.percentile(99), point.seconds_per_second(dt)]
     return [
-        _text(first.n_edge),
-        _text(first.n_weight),
+        _text(point.n_edge),
+        _text(point.n_weight),
         spread(lambda p: p.position_error('valid')),
         spread(lambda p: p.position_error('test')),
         spread(ratio),
         spread(lambda p: force_error(p, 'valid')),
         spread(lambda p: force_error(p, 'test')),
-        *map(_text, [*times, first.first_call_s, first.peak_memory_mb, first.training_s]),
+        *map(_text, [*times, point.first_call_s, point.peak_memory_mb, point.training_s]),
     ]
 
 
