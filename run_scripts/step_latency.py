@@ -2,10 +2,14 @@
 
 Each step hands over the recorded pose of the coming frame, waits for modes, force and pose, and
 decodes the soil. Models take turns run by run. The clock of a step runs from the call to the
-decoded particles.
+decoded particles. Steps follow each other without a pause, or at a rate, as in a program that
+sleeps until its next tick.
 
 Examples:
     python -m run_scripts.step_latency --steps=2000
+
+    # in the rhythm of a haptic device
+    python -m run_scripts.step_latency --steps=2000 --rate_hz=1000
 
     python -m run_scripts.step_latency models/wheel/pcg_thesis:datasets/wheel \\
         --output_path=/tmp/latency.json
@@ -37,15 +41,17 @@ class Timed:
 
     Args:
       pair: 'model folder:dataset folder'.
+      rate_hz: steps per second; 0 for no pause between them.
 
     Raises:
       FileNotFoundError, ValueError: as `Stepper.load`; a pair without a colon.
     """
 
-    def __init__(self, pair: str):
+    def __init__(self, pair: str, rate_hz: float = 0.0):
         if pair.count(':') != 1:
             raise ValueError(f'{pair!r} is not "model folder:dataset folder"')
         self.name, data_path = pair.split(':')
+        self._pause = 1 / rate_hz if rate_hz else 0.0
         metadata = dataset.read_metadata(data_path)
         config = TrainConfig(**checkpoints.read_config(self.name)['config'])
         groups = reading_utils.read_groups(data_path, 'test', metadata, **config.nodes)
@@ -66,9 +72,13 @@ class Timed:
         run %= len(group.position)
         context = None if group.context is None else group.context[run]
         self._stepper.reset(group.position[run, :H], context)
+        tick = time.perf_counter()
         for frame in group.position[run, H:]:
             pose = frame[:n] if self._given else None
+            if self._pause:
+                time.sleep(max(tick - time.perf_counter(), 0.0))
             start = time.perf_counter()
+            tick = start + self._pause
             self._stepper.step(pose)
             self._stepper.particles()
             self.seconds.append(time.perf_counter() - start)
@@ -90,9 +100,9 @@ class Timed:
         }
 
 
-def measure(pairs, steps: int) -> list[dict]:
+def measure(pairs, steps: int, rate_hz: float = 0.0) -> list[dict]:
     """Times all models in turns, at least `steps` steps each."""
-    timed = [Timed(pair) for pair in pairs]
+    timed = [Timed(pair, rate_hz) for pair in pairs]
     run = 0
     with tqdm.tqdm(total=steps * len(timed), unit='step', disable=None) as bar:
         while min(len(t.seconds) for t in timed) < steps:
@@ -118,7 +128,7 @@ def main(argv) -> None:
     values = flags.FLAGS
     tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
     try:
-        rows = measure(argv[1:] or PAIRS, values.steps)
+        rows = measure(argv[1:] or PAIRS, values.steps, values.rate_hz)
     except (ValueError, OSError) as error:
         sys.exit(f'error: {error}')
     print(f'{"model":32s} {"min":>8s} {"median":>8s} {"p95":>8s} {"p99":>8s} {"worst":>8s} ms/step')

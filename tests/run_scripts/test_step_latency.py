@@ -1,5 +1,7 @@
 """The latency command on a shipped model, in miniature."""
 
+import time
+
 import pytest
 
 from pca_tools import files
@@ -15,6 +17,14 @@ def test_times_are_ordered_and_written(tmp_path):
     assert times == sorted(times) and times[0] > 0
     files.write_json(str(tmp_path / 'rows.json'), [row])
     assert files.read_json(str(tmp_path / 'rows.json')) == [row]
+
+
+def test_a_rate_is_kept():
+    """A lower bound: sleeping longer is allowed, stepping faster is not."""
+    timed = step_latency.Timed(PAIR, rate_hz=500)
+    start = time.perf_counter()
+    timed.run(0)
+    assert time.perf_counter() - start >= 314 / 500 and len(timed.seconds) == 315
 
 
 def test_a_pair_without_a_dataset_is_a_message():
