@@ -54,9 +54,9 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
         connectivity_radius=typical_radius(group.position[0, 0, group.n_rigid :]),
     )
     types = group.particle_type
-    simulator = ParticleSimulator(
-        scene, config, compute_statistics(group, scene), (int(types[0]), int(types[-1]))
-    )
+    rate_scaled = config.rate_scaled and scene.rigid_motion.is_known
+    statistics = compute_statistics(group, scene, rate_scaled)
+    simulator = ParticleSimulator(scene, config, statistics, (int(types[0]), int(types[-1])))
     simulator.create_variables()
     return ParticleModel(simulator)
 

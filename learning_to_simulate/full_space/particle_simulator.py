@@ -8,6 +8,7 @@ import tensorflow as tf
 from scipy.spatial import cKDTree
 
 from learning_to_simulate.full_space.particle_network import ParticleNetwork
+from learning_to_simulate.learned_simulator import RATE_FLOOR
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion, Scene
 
@@ -20,7 +21,9 @@ class ParticleStatistics:
     """Statistics of the training runs; rows are the rigid particles and the soil.
 
     Attributes:
-      velocity_std, acceleration_std: [2, D], m/frame and m/frame². Means are zero by choice: soil
+      body_speed: [1] mean RMS displacement of the rigid particles, m/frame; 1 where none moves.
+      velocity_std, acceleration_std: [2, D], m/frame and m/frame²; where motion is counted per
+        displacement of the body, of that ratio times `body_speed`. Means are zero by choice: soil
         mostly rests.
       height_std: [1] of the acceleration of the body's height, m/frame².
       low, high: [D] box of the soil in the first frames, m: where the walls are.
@@ -28,6 +31,7 @@ class ParticleStatistics:
       context_mean, context_std: [C], or None.
     """
 
+    body_speed: np.ndarray
     velocity_std: np.ndarray
     acceleration_std: np.ndarray
     height_std: np.ndarray
@@ -42,6 +46,7 @@ class ParticleStatistics:
         """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
         dim, context = self.low.shape, (len(scene.context_names),)
         shapes = {'velocity_std': (2, *dim), 'acceleration_std': (2, *dim), 'height_std': (1,)}
+        shapes |= {'body_speed': (1,)}
         shapes |= {'context_mean': context, 'context_std': context}
         for name, value in dataclasses.asdict(self).items():
             optional = {'force': scene.has_force, 'context': bool(context[0])}
@@ -49,7 +54,7 @@ class ParticleStatistics:
                 raise ValueError(f'statistics.{name} does not fit the scene')
             if value is None:
                 continue
-            positive = not name.endswith('_std') or (value > 0).all()
+            positive = not name.endswith(('_std', '_speed')) or (value > 0).all()
             if value.shape != shapes.get(name, dim) or not np.isfinite(value).all() or not positive:
                 raise ValueError(f'statistics.{name} of shape {value.shape} is {value.tolist()}')
 
@@ -65,15 +70,30 @@ class ParticleStatistics:
         )
 
 
-def compute_statistics(group, scene: Scene) -> ParticleStatistics:
+def _speed(displacement):
+    """RMS length [...] of the body's displacements [..., R, D]."""
+    return np.sqrt((displacement**2).sum(axis=-1).mean(axis=-1))
+
+
+def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatistics:
     """Statistics of the training runs.
 
     Args:
       group: `RunGroup` of particles.
       scene: of the particles.
+      rate_scaled: whether motion is counted per displacement of the body.
+
+    Raises:
+      ValueError: motion counted so, but no body moves.
     """
     n = group.n_rigid
     velocity = np.diff(group.position, axis=1)
+    speeds = _speed(velocity[:, :, :n]) if n else np.zeros(1)
+    if rate_scaled and not speeds.mean() > 0:
+        raise ValueError('rate_scaled needs a body that moves in the training runs')
+    body_speed = speeds.mean() or 1.0
+    if rate_scaled:
+        velocity = velocity / np.maximum(speeds / body_speed, RATE_FLOOR)[:, :, None, None]
     height = group.position[:, :, :n, scene.up_axis].mean(axis=2) if n else np.zeros((1, 3))
 
     def std_of_rows(values):
@@ -85,6 +105,7 @@ def compute_statistics(group, scene: Scene) -> ParticleStatistics:
     soil = group.position[:, 0, n:]
     force, context = group.force, group.context
     return ParticleStatistics(
+        body_speed=np.array([body_speed]),
         velocity_std=std_of_rows(velocity),
         acceleration_std=std_of_rows(np.diff(velocity, axis=1)),
         height_std=np.maximum(np.diff(height, 2).std(), 1e-9).reshape(1),
@@ -159,7 +180,7 @@ class ParticleSimulator(snt.Module):
         """Makes all variables, deterministic in the config's seed."""
         tf.random.set_seed(self.config.seed)
         s = self.scene
-        width = self.dim * (self.config.velocity_inputs + 3) + 1 + len(s.context_names)
+        width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(s.context_names)
         self._network(
             tf.zeros([1, width]), tf.zeros([1, self.dim + 1]), tf.constant([0]), tf.constant([0])
         )
@@ -180,16 +201,18 @@ class ParticleSimulator(snt.Module):
         s, radius = self.statistics, self.scene.connectivity_radius
         n_node = len(position)
         is_rigid = np.arange(n_node) < n_rigid
-        std = np.where(is_rigid[:, None], s.velocity_std[0], s.velocity_std[1])
+        rate = self.rate(body_velocity)
+        std = rate * np.where(is_rigid[:, None], s.velocity_std[0], s.velocity_std[1])
         history = velocity[-self.config.velocity_inputs :] / std
         to_come = np.zeros_like(position)
-        to_come[:n_rigid] = body_velocity / s.velocity_std[0]
+        to_come[:n_rigid] = body_velocity / (rate * s.velocity_std[0])
         walls = np.concatenate([position - s.low, s.high - position], axis=1) / radius
         features = [
             np.moveaxis(history, 0, 1).reshape(n_node, -1),
             to_come,
             np.clip(walls, -1.0, 1.0),  # distance to the walls within the radius (SG 2020)
             is_rigid[:, None],
+            np.full((n_node, 1), np.log(rate)),
         ]
         if context is not None:
             features.append(np.tile((context - s.context_mean) / s.context_std, (n_node, 1)))
@@ -202,6 +225,13 @@ class ParticleSimulator(snt.Module):
             senders,
             receivers,
         )
+
+    def rate(self, body_velocity) -> float:
+        """Given displacement [R, D] of the body in the coming frame over its mean in training; 1
+        where motion is not counted per displacement of the body."""
+        if not (self.config.rate_scaled and self.scene.rigid_motion.is_known):
+            return 1.0
+        return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
 
     def given_motion(self, displacement):
         """The given part of the body's true displacement [R, D] of the coming frame: all of it, or
@@ -234,7 +264,7 @@ class ParticleSimulator(snt.Module):
         target, forces = (None if x is None else x.numpy() for x in self.decode(*graph))
         std = s.velocity_std if self.config.mode_order == 1 else s.acceleration_std
         base = velocity[-1] if self.config.mode_order == 2 else np.zeros_like(position)
-        displacement = base + target * std[1]
+        displacement = base + target * std[1] * self.rate(given)
         displacement[:n_rigid] = given
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = self.scene.up_axis

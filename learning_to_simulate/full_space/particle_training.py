@@ -78,17 +78,18 @@ class ParticleTrainer(Trainer):
         end = start + H - 1
         position, velocity = history_of(group, run, end)
         coming = group.position[run, end + 1] - position
+        given = simulator.given_motion(coming[:n])
+        rate = simulator.rate(given)
         if rng is not None and config.noise_std:
-            std = config.noise_std * (s.velocity_std[1] if config.noise_relative else 1.0)
+            std = config.noise_std * (rate * s.velocity_std[1] if config.noise_relative else 1.0)
             walk = rng.normal(size=velocity.shape).cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk
         context = None if group.context is None else group.context[run]
-        given = simulator.given_motion(coming[:n])
         graph = simulator.inputs(position, velocity, given, context, n)
         base = velocity[-1] if config.mode_order == 2 else 0.0
         std = s.acceleration_std if config.mode_order == 2 else s.velocity_std
-        target = (coming - base) / std[1]
+        target = (coming - base) / (rate * std[1])
         weight = np.full(target.shape, 1.0 / (len(target) - n))
         weight[:n] = 0.0
         if scene.rigid_motion == RigidMotion.DRIVEN:

@@ -115,6 +115,22 @@ def test_moved_scene_moves_the_prediction(folders, name):
     assert there[2] == here[2] > 100
 
 
+def test_twice_the_speed_is_twice_the_motion_but_for_what_the_rate_itself_changes(folders):
+    model, group = make(*folders['excavation'])
+    simulator, n = model.simulator, group.n_rigid
+    first_layer = next(
+        v for v in simulator.trainable_variables
+        if 'encode_nodes' in v.name and v.shape[0] == 3 * (1 + 3) + 2
+    )  # fmt: skip
+    first_layer.assign(np.where(np.arange(14)[:, None] == 13, 0.0, first_layer))  # log of the rate
+    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
+    body = group.position[0, 9, :n] - position[:n]
+    once, force, _ = simulator.step(position, velocity, body, None, n)
+    twice, same, _ = simulator.step(position, 2 * velocity, 2 * body, None, n)
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-4)
+    np.testing.assert_allclose(same, force, rtol=1e-4)  # of soil without inertia
+
+
 def test_order_of_the_soil_particles_does_not_matter(folders):
     model, group = make(*folders['excavation'])
     n = group.n_rigid
