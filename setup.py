@@ -51,6 +51,7 @@ setuptools.setup(
         'numpy>=2.0',
         'scikit-learn>=1.5',
         'scipy>=1.14',
+        'tensorboard>=2.20',
         'tqdm>=4.66',
     ],
     extras_require=EXTRAS,
