@@ -117,9 +117,8 @@ def measure(pairs, steps: int, rate_hz: float = 0.0) -> list[dict]:
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_integer('steps', 2000, 'Steps of each model, rounded up to whole runs.', 1)
-    flags.DEFINE_integer(
-        'num_threads', 1, 'CPU threads of TensorFlow; more make worst steps slower.', 1
-    )
+    flags.DEFINE_float('rate_hz', 0.0, 'Steps per second; 0: without a pause.', 0.0)
+    flags.DEFINE_integer('num_threads', 1, 'CPU threads; more make the worst steps slower.', 1)
     flags.DEFINE_string('output_path', None, 'JSON file for the rows.')
 
 
