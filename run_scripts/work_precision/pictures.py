@@ -13,6 +13,7 @@ from run_scripts.work_precision.points import OK, WorkPrecisionPoint, over_seeds
 STYLES = (
     ('#0072B2', 'o'), ('#E69F00', 's'), ('#009E73', '^'), ('#CC79A7', 'D'), ('#D55E00', 'v'),
     ('#56B4E9', 'P'), ('#000000', 'X'), ('#8C6D1F', '<'),
+    ('#7F7F7F', 'h'),
 )  # fmt: skip
 REFERENCE_LINES = {
     'cut off by the modes': (0, (1, 1)), 'stay still': (0, (6, 2)),

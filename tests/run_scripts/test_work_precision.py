@@ -167,6 +167,11 @@ def test_picture_is_drawn_from_the_document_alone(tmp_path, quantity):
         pictures.draw(empty, quantity, str(path))
 
 
+def test_every_family_has_a_colour_of_its_own():
+    names = {*families.WHOLE, *families.SWEEPS, solver_rows.FAMILY}
+    assert len(pictures.STYLES) == len(set(pictures.STYLES)) >= len(names)
+
+
 def test_labels_do_not_cover_each_other():
     from matplotlib.figure import Figure
 
