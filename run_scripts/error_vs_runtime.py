@@ -5,7 +5,7 @@ The output folder gets `points.json` (all raw numbers), and made from it alone `
 finished rows are not repeated.
 
 Examples:
-    # the whole report of a scene: about 45 CPU minutes
+    # the whole report of a scene: one to two hours on one core
     python -m run_scripts.error_vs_runtime --data_path=datasets/excavation \\
         --work_path=/tmp/work_precision --output_path=docs/error_vs_runtime/excavation
 
@@ -102,7 +102,7 @@ def define_flags() -> None:
     flags.DEFINE_bool('time_again', False, 'Time all rows again, after a call on a busy machine.')
     flags.DEFINE_bool('quick', False, 'Few rows, little training: within 10 minutes.')
     flags.DEFINE_integer('seeds', 3, 'Trainings of each row at full length.', 1)
-    flags.DEFINE_integer('sweep_seeds', 2, 'Trainings of each swept row.', 1)
+    flags.DEFINE_integer('sweep_seeds', 1, 'Trainings of each swept row.', 1)
     flags.DEFINE_integer('sweep_steps', 2000, 'Single-step training of the swept rows.', 1)
     flags.DEFINE_integer('sweep_unroll_steps', 800, 'Unrolled training of the swept rows.', 0)
     flags.DEFINE_integer('sweep_unroll_length', 8, 'Frames per unrolled step there.', 2)

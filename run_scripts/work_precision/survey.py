@@ -47,7 +47,7 @@ class Settings:
     training: dict
     models_path: str | None
     seeds: int = 3
-    sweep_seeds: int = 2
+    sweep_seeds: int = 1
     rounds: int = 30
     live_runs: int = 3
     threads: int = 1
