@@ -212,7 +212,8 @@ class Survey:
             return WorkPrecisionPoint(**values, status=failure, note=text)
         references = measured.pop('references')
         with self._lock:
-            if not self._references:
+            # Of a network on thinned particles they would be those of the particles it has.
+            if not self._references and row.config.model != 'full_space':
                 self._references = self._reference_points(references)
         return WorkPrecisionPoint(**values, **measured)
 
