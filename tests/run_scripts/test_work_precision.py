@@ -281,6 +281,18 @@ def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
         survey.Survey(other, *arguments[1:], settings())
 
 
+def test_trivial_predictors_are_not_those_of_thinned_particles(tmp_path, monkeypatch):
+    made = survey.Survey(
+        synthetic.write_dataset(tmp_path / 'data'), str(tmp_path), str(tmp_path), settings()
+    )
+    found = {'references': {'stay_still': {'test': {'soil_mse': [1.0]}}}}
+    monkeypatch.setattr(measure, 'evaluate', lambda *_: dict(found))
+    for preset, count in (('full_space', 0), ('pcg', 1)):
+        row = families.Row(preset, (), presets.make_config(preset), {'preset': preset})
+        made._train_and_evaluate(row, 'nowhere', 'digest', train=False)
+        assert len(made._references) == count
+
+
 def test_model_of_the_same_config_and_data_is_loaded_not_trained(tmp_path):
     model, groups, _ = models.make(tmp_path / 'data')
     digests = experiment.data_digests(str(tmp_path / 'data'))
