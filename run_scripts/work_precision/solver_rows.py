@@ -1,5 +1,7 @@
 """Rows of the solver itself on coarser grids, from the JSON of `run_scripts.coarse_solver`."""
 
+import os
+
 from pca_tools import files
 from run_scripts.work_precision.points import OK, Timing, WorkPrecisionPoint
 
@@ -37,7 +39,7 @@ def _point(path, name, runs):
         'solver' if name == FINE else f'solver, cells x {cells}',
         (FAMILY,),
         0,
-        f'{path} {name}',
+        f'{os.path.basename(path)} {name}',
         status=status,
         note=f'{len(runs)} test cases, one thread, CPU time',
         runs={'test': errors} if errors else {},
