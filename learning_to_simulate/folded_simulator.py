@@ -81,6 +81,8 @@ class FoldedSimulator:
         dense: bool = True,
         frozen: bool = False,
     ):
+        if not simulator.config.has_lasting_graph:
+            raise ValueError('only a graph network whose edges last can be folded')
         self.simulator, self.layout = simulator, layout
         self.motion = simulator.scene.rigid_motion
         config, scene = simulator.config, simulator.scene

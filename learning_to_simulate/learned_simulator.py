@@ -11,15 +11,14 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import graph_network, normalization
+from learning_to_simulate import graph_network, normalization, tool_depth
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 NUM_PARTICLE_TYPES = 9
-# Of the mean speed of the body: below it the soil's own motion is no longer scaled.
-RATE_FLOOR = 0.05
+RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
 
 
 class SimulatorState(NamedTuple):
@@ -276,7 +275,8 @@ class LearnedSimulator(snt.Module):
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and force [B, D] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        decoded = self._network(nodes, edges, layout.senders, layout.receivers, layout.edge_gates)
+        gates = tool_depth.edge_gates(self, state, layout)
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
         force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return decoded[..., : self.dim], force
 

@@ -37,6 +37,8 @@ class TrainConfig:
       rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
         body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
         height of the kept ones must be that of all.
+      surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
+        edges that last.
       modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
         and count in every error; 0 keeps all.
       conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
@@ -76,6 +78,7 @@ class TrainConfig:
     gate_keep: int = 0
     rigid_particles: int = 10
     rigid_stride: int = 1
+    surface_height: float = 0.0
     modes: int = 0
     conditioned: bool = True
     velocity_inputs: int = 1
@@ -109,6 +112,11 @@ class TrainConfig:
             raise ValueError(
                 f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
                 f'others take none'
+            )
+        if self.surface_height and self.model != 'gns':
+            raise ValueError(
+                f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
+                f'edges between modes and body'
             )
         if (self.soil_particles > 0) != (self.model == 'full_space'):
             raise ValueError(
@@ -172,6 +180,12 @@ class TrainConfig:
             )
         if not 0 <= self.weight_average < 1:
             raise ValueError(f'weight_average is {self.weight_average}, must lie in [0, 1)')
+
+    @property
+    def has_lasting_graph(self) -> bool:
+        """Whether the model is a graph network with the same edges in every frame: only then
+        rollouts are specialised for them."""
+        return self.model == 'gns' and not self.surface_height
 
     @property
     def nodes(self) -> dict[str, int]:

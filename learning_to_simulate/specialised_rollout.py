@@ -26,8 +26,8 @@ from learning_to_simulate.two_pass import AheadPass, FramePass
 
 
 def rollout_function(simulator, layout: Layout, rigid_correction: bool = True):
-    """The fastest compiled rollout of a model: specialised where it is a graph network."""
-    kind = SpecialisedRollout if simulator.config.model == 'gns' else RolloutFunction
+    """The fastest compiled rollout of a model: specialised where its graph lasts."""
+    kind = SpecialisedRollout if simulator.config.has_lasting_graph else RolloutFunction
     return kind(simulator, layout, rigid_correction)
 
 

@@ -188,7 +188,7 @@ class Stepper:
         return KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion)), pose
 
     def _compute(self, state, known, context, shape):
-        if self._simulator.config.model == 'gns':
+        if self._simulator.config.has_lasting_graph:
             after, force = self._folded_step(state, known, context)
         else:
             after, force = self._simulator.step(state, known, context, self._layout)

@@ -72,8 +72,10 @@ class Explanation:
     def __init__(self, model_path: str, data_path: str):
         model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
         self._simulator = simulator = model.simulator
-        if simulator.config.model != 'gns':
-            raise ValueError(f'{model_path}: model {simulator.config.model!r} has no graph')
+        if not simulator.config.has_lasting_graph:
+            raise ValueError(
+                f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
+            )
         self._calls = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)

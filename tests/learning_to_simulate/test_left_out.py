@@ -1,5 +1,7 @@
 """Nodes that a config leaves out: modes, and particles of a body that turns."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import tensorflow as tf
@@ -12,8 +14,11 @@ from learning_to_simulate import (
     presets,
     reading_utils,
     rollout,
+    specialised_rollout,
     stepping,
 )
+from learning_to_simulate.folded_simulator import FoldedSimulator
+from learning_to_simulate.learned_simulator import KnownMotion, Layout
 from pca_tools import dataset, files, rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -134,3 +139,44 @@ def test_neighbours_of_a_thinned_body_skip_what_is_left_out():
 def test_impossible_choices_are_refused(fields):
     with pytest.raises(ValueError, match='modes|rigid_stride'):
         presets.make_config(**{'preset': 'pcg'} | fields)
+
+
+def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path):
+    """The same prediction as that of a graph which never had those edges."""
+    model, (group, *_), _ = models.make(tmp_path)
+    simulator, layout = model.simulator, model.layout(group.n_rigid)
+    lasting, n, up = simulator.config, layout.n_rigid, simulator.scene.up_axis
+    heights = group.position[0, H - 1 :, :n, up]
+    surfaces = (float(heights.min()) - 0.01, float(np.median(heights)), float(heights.max()))
+    seen = set()
+    for surface, frame in zip(surfaces, (H, 20, 30), strict=True):
+        frames = group.position[:1, frame - H : frame + 1]
+        offset = frames - layout.origin
+        state = rollout.initial_state(offset[:, :-1], np.diff(frames[:, :-1], axis=1))
+        motion = (offset[:, -1, :n], frames[:, -1, :n] - frames[:, -2, :n])
+        known = KnownMotion(*(tf.constant(x, tf.float32) for x in motion))
+        in_soil = np.append(heights[frame - H] <= surface, np.ones(layout.n_node - n, bool))
+        kept = in_soil[layout.senders] & in_soil[layout.receivers]
+        seen.add(int(kept.sum()))
+        mask = np.zeros((layout.n_node, layout.n_node), bool)
+        mask[layout.receivers[kept], layout.senders[kept]] = True
+        adjacency = connectivity_utils.Adjacency.from_mask(mask)
+        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting.conditioned)
+        expected, force = simulator.step(state, known, None, fewer)
+        simulator.config = dataclasses.replace(lasting, surface_height=surface)
+        got, same = simulator.step(state, known, None, layout)
+        simulator.config = lasting
+        np.testing.assert_allclose(got.offset, expected.offset, atol=1e-6)
+        np.testing.assert_allclose(same, force, rtol=1e-4, atol=1e-4)
+    assert seen == {5, 11, layout.n_edge}  # None of the body's edges, those of one row, and all.
+
+
+def test_a_graph_that_follows_the_tool_is_stepped_and_rolled_out_in_its_plain_form(tmp_path):
+    model, (group, *_), _ = models.make(tmp_path, overrides={'surface_height': 0.3})
+    layout = model.layout(group.n_rigid)
+    function = specialised_rollout.rollout_function(model.simulator, layout)
+    assert type(function) is rollout.RolloutFunction
+    with pytest.raises(ValueError, match='edges last'):
+        FoldedSimulator(model.simulator, layout)
+    with pytest.raises(ValueError, match='surface_height'):
+        presets.make_config('mlp', surface_height=0.3)
