@@ -21,6 +21,7 @@ from pca_tools import files
 from pca_tools.metadata import metadata_problems
 from pca_tools.subspace import Subspace
 
+TEXTS = ('metadata', 'status', 'status_reason')  # of a rollout file
 SUBSPACE_NAME = 'subspace.npz'
 SOIL_PARTICLE_TYPE = 6
 DIM = 3
@@ -198,7 +199,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
     arrays = files.read_npz(rollout_path)
     for name, array in arrays.items():
-        if name != 'metadata' and array.dtype.kind not in 'fiu':
+        if name not in TEXTS and array.dtype.kind not in 'fiu':
             raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
     metadata = _metadata(rollout_path, arrays)
     truth, prediction, force = _joined(rollout_path, arrays)

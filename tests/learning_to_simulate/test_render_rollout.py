@@ -7,8 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+import tensorflow as tf
 
-from learning_to_simulate import render_rollout
+from learning_to_simulate import evaluation, render_rollout, rollout
 from learning_to_simulate.rendering import (
     movie_files,
     particle_views,
@@ -18,7 +19,7 @@ from learning_to_simulate.rendering import (
 )
 from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
-from tests.learning_to_simulate import synthetic_rollout
+from tests.learning_to_simulate import models, synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
 
 N_FRAMES = 60
@@ -46,6 +47,22 @@ def changed(made, tmp_path, **changes):
     path = str(tmp_path / 'rollout_test_0.npz')
     files.write_npz(path, **{name: array for name, array in arrays.items() if array is not None})
     return path
+
+
+def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
+    """With the judgement of the rollout, which is text."""
+    model, (group, *_), metadata = models.make(tmp_path / 'data')
+    function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
+    tf.config.run_functions_eagerly(True)
+    try:
+        run = group.select(0)
+        results = [(0, run, rollout.roll_out(function, run))]
+    finally:
+        tf.config.run_functions_eagerly(False)
+    summary = evaluation.Evaluator(model, metadata).metrics(results, 'train')
+    (path, _) = evaluation.save_rollouts(str(tmp_path), 'train', results, summary, metadata)
+    assert files.read_npz(path)['status'].dtype.kind == 'U'
+    assert rollout_frames.load(path, str(tmp_path / 'data')).rigid[TRUTH].shape[1] == 4
 
 
 class TestFrames:
