@@ -24,7 +24,8 @@ def _mlp(width, output_size=None):
 
 
 def appended_pairs(n_node: int):
-    """Senders and receivers of a graph, self-edges included, as the published code lists them."""
+    """Senders and receivers [V²] of a graph of V nodes, self-edges included, as the published code
+    lists them (Haeri & Skonieczny 2021)."""
     senders, receivers = np.zeros(0, np.int32), np.zeros(0, np.int32)
     for i in range(n_node):
         for j in range(n_node):
@@ -33,7 +34,7 @@ def appended_pairs(n_node: int):
 
 
 def numpy_pairs(n_node: int):
-    """The same pairs at once."""
+    """The same senders and receivers [V²] at once."""
     index = np.arange(n_node)
     return np.tile(index, n_node), np.repeat(index, n_node)
 

@@ -42,7 +42,7 @@ CHECKS = 20  # validations within the budget
 
 def _read(data_path, split, config):
     metadata = dataset.read_metadata(data_path)
-    return metadata, reading_utils.read_groups(data_path, split, metadata, config.rigid_particles)
+    return metadata, reading_utils.read_groups(data_path, split, metadata, **config.nodes)
 
 
 def our_step(data_path: str, preset: str, batch_size: int, **overrides):
