@@ -40,9 +40,8 @@ def of_rollouts(path: str) -> str:
 
 def of_training(data_path: str, steps: int = 3) -> str:
     """Digest of the weights after some steps of both training stages."""
-    config = presets.make_config(
-        'pcg', latent_size=16, num_steps=steps, unroll_length=3, unroll_steps=steps, unroll_noise=0.5
-    )
+    unrolled = {'unroll_length': 3, 'unroll_steps': steps, 'unroll_noise': 0.5}
+    config = presets.make_config('pcg', latent_size=16, num_steps=steps, **unrolled)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     model = experiment.make_model(data_path, metadata, groups, config)
