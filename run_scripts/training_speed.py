@@ -183,7 +183,7 @@ def time_to_error(data_path: str, preset: str, target: float, budget: float, **o
                 float(trainer.step(step)['loss'])
                 step += 1
             spent += time.perf_counter() - start
-            with trainer.averaged_weights():
+            with trainer.averaging.in_place():
                 share = evaluator.run(valid, 'valid')[1]['soil_mse_over_best_trivial']
             curve.append((spent, step, share))
             if share is not None and share <= target:

@@ -48,7 +48,9 @@ def of_training(data_path: str, steps: int = 3) -> str:
     trainer = Trainer(model, groups)
     for step in range(2 * steps):
         trainer.step(step)
-    return _digest(*(v.numpy() for v in (*model.simulator.trainable_variables, *trainer.averages)))
+    return _digest(
+        *(v.numpy() for v in (*model.simulator.trainable_variables, *trainer.averaging.variables))
+    )
 
 
 def main():
