@@ -113,7 +113,7 @@ class Model:
         s.predict(state, KnownMotion(body, body), tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
+def save_config(path: str, model: Model, n_rigid: int, data: dict, files_beside=None) -> None:
     """Writes config.json.
 
     Args:
@@ -121,6 +121,8 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
       model: the model.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
+      files_beside: name -> sha256 of what else the model needs (`resting_start`); None where it
+        has nothing of that kind.
     """
     s = model.simulator
     files.write_json(
@@ -139,6 +141,7 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
             else model.loaded_mask.astype(int).tolist(),
             'statistics': s.statistics.to_json(),
             'data': data,
+            'files': files_beside or {},
             'packages': {
                 name: importlib.metadata.version(name)
                 for name in ('numpy', 'dm-sonnet', 'graph_nets')
