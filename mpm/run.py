@@ -97,7 +97,7 @@ def run_case(
         case: what to run, see `catalogue.motion_of`.
         packed: the settled particles and their statistics (`packing.settle`).
         settings: stiffness, law, seed.
-        on_frame: called with the number of each finished frame, negative in a lead-in.
+        on_frame: called with the number of simulated frames, those of a lead-in included.
 
     Returns:
         The run: T = 321 frames at 60 Hz (more for a longer recording), the first before driving.
@@ -132,7 +132,7 @@ def run_case(
             torque.append(result[1])
             note()
         if on_frame is not None:
-            on_frame(frame)
+            on_frame(frame + drive.lead_in)
     # Without a lead-in nothing is known of the frame that ends at time 0; the first is repeated.
     first = slice(0, 0 if drive.lead_in else 1)
     arrays = frames | {'force': force[first] + force, 'torque': torque[first] + torque}
@@ -160,5 +160,5 @@ def run_case(
 
 
 def quaternion_pose(x: float, y: float, theta: float, z: float) -> np.ndarray:
-    """Returns a pose in the plane as float64 [7]: x, y, z (m), then w, x, y, z of the quaternion."""
+    """Returns a pose in the plane as float64 [7]: x, y, z (m), quaternion w, x, y, z."""
     return np.array([x, y, z, np.cos(theta / 2), 0.0, 0.0, np.sin(theta / 2)])

@@ -1,7 +1,7 @@
 """The data of record: which runs, in which order, and which split each belongs to.
 
-The split of a run is a function of its id alone. `unseen` are seeds that the data of record does
-not hold: nothing has been trained or chosen on them.
+The split of a run is a function of its id alone. Seeds that the data of record does not hold
+belong to none: nothing has been trained or chosen on them.
 """
 
 import numpy as np
@@ -10,19 +10,18 @@ from mpm import scenes
 from mpm.motions import catalogue
 
 SPLITS = ('train', 'valid', 'test')
-UNSEEN = 'unseen'
 # Runs of each kind of free motion; seeds count through the kinds.
 RUNS_PER_KIND = {'excavation': 50, 'wheel': 40}
 # Of the n-th run of a kind: (divisor, remainder) that put it into test and into valid.
 _TEST, _VALID = {'excavation': (5, 1), 'wheel': (6, 1)}, {'excavation': (12, 3), 'wheel': (8, 4)}
 
 
-def split_of(scene: scenes.Scene, case: int | str) -> str:
-    """Returns 'train', 'valid', 'test' or 'unseen'.
+def split_of(scene: scenes.Scene, case: int | str) -> str | None:
+    """Returns 'train', 'valid' or 'test'; None for what the data of record does not hold.
 
     Args:
         scene: the scene.
-        case: the number of a case of the grid, or the id of a seed; other ids are 'unseen'.
+        case: the number of a case of the grid, or the id of a seed, or any other id.
 
     Seeds: of 50 blade paths of a kind 10 are test and 4 valid, of 40 wheel drives 7 and 5.
     Grids: a linear code over the levels, so that each level of each parameter is met equally often
@@ -34,12 +33,12 @@ def split_of(scene: scenes.Scene, case: int | str) -> str:
     try:
         kind, seed = catalogue.parse(scene, case)
     except ValueError:
-        return UNSEEN
+        return None
     kinds = catalogue.KINDS[scene.name]
     number = seed // len(kinds)
     # The record holds each seed with one kind.
     if number >= RUNS_PER_KIND[scene.name] or kinds[seed % len(kinds)] != kind:
-        return UNSEEN
+        return None
     for split, rule in (('test', _TEST), ('valid', _VALID)):
         divisor, remainder = rule[scene.name]
         if number % divisor == remainder:
@@ -64,7 +63,7 @@ def _wheel_split(case: int) -> str:
 def seed_runs(scene: scenes.Scene) -> tuple:
     """Returns the ids of the record's runs with free motions, in the order of their seeds.
 
-    Kinds take turns and splits are spread, so that any beginning of the list is a set in proportion.
+    Kinds take turns and splits are spread: any beginning of the list is a set in proportion.
     """
     count = RUNS_PER_KIND[scene.name] * len(catalogue.KINDS[scene.name])
     return catalogue.select_seeds(scene, f'0-{count - 1}')

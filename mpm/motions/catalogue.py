@@ -31,6 +31,11 @@ class Motion:
     parameters: dict
     frames: int
 
+    @property
+    def simulated_frames(self) -> int:
+        """Frames that are simulated: those of the lead-in and the recorded ones."""
+        return self.drive.lead_in + self.frames
+
 
 def motion_of(scene: scenes.Scene, case: int | str | Recording) -> Motion:
     """Returns the motion of a run.

@@ -70,21 +70,27 @@ def _check_room(body, poses, times, box) -> None:
     _refuse(
         times,
         lowest < floor,
-        lambda k: f'the body reaches down to y = {lowest[k]:.4f} m, the limit is {floor:.4f} m, a '
-        f'cell above the floor (the soil is {box.size[1]:.4g} m deep)',
+        lambda k: (
+            f'the body reaches down to y = {lowest[k]:.4f} m, the limit is {floor:.4f} m, a '
+            f'cell above the floor (the soil is {box.size[1]:.4g} m deep)'
+        ),
     )
     near, far = CORNER + WALL_GAP, CORNER + box.size[0] - WALL_GAP
     _refuse(
         times,
         x_low < near,
-        lambda k: f'the body reaches x = {x_low[k]:.4f} m, the limit is {near:.4f} m, '
-        f'{WALL_GAP} m away from the wall in front',
+        lambda k: (
+            f'the body reaches x = {x_low[k]:.4f} m, the limit is {near:.4f} m, '
+            f'{WALL_GAP} m away from the wall in front'
+        ),
     )
     _refuse(
         times,
         x_high > far,
-        lambda k: f'the body reaches x = {x_high[k]:.4f} m below the rim, the limit is '
-        f'{far:.4f} m, {WALL_GAP} m away from the wall behind',
+        lambda k: (
+            f'the body reaches x = {x_high[k]:.4f} m below the rim, the limit is '
+            f'{far:.4f} m, {WALL_GAP} m away from the wall behind'
+        ),
     )
 
 

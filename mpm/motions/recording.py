@@ -9,8 +9,8 @@ axle) in the frame of the scene, whose flat surface lies at y = 0.25 m (excavati
 (wheel); the angle is counter-clockwise seen with x to the right and y up, so a blade that leans
 its top back by 20 degrees has -20. y is not used where the height is free; only there is `load_N`
 read (without it the load of the case whose context is used). The first row is the run's time 0;
-before it and after the last row the tool rests. A run has 320 frames (5.33 s), more if the file lasts
-longer.
+before it and after the last row the tool rests. A run has 320 frames (5.33 s), more if the file
+lasts longer.
 
 Between the rows each column follows a monotone cubic Hermite curve (PCHIP: F. N. Fritsch, J.
 Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300): the velocity is continuous and no curve leaves
@@ -176,8 +176,6 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
     context = scene.parameters(recording.like_case)
     context.pop('slip_percent')
     wheel = bodies.make_wheel(context['diameter_m'], scene.bin.z_middle)
-    load = PchipInterpolator(
-        times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context)))
-    )
+    load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
     drive = Drive(wheel, pose, lambda at: load(np.clip(at, 0.0, times[-1])))
     return drive, parameters | context, float(times[-1])
