@@ -115,6 +115,8 @@ def run_case(
     kept = slice(None, None, scene.bin.keep_every)
     frames: dict[str, list] = {'positions': [], 'rigid_positions': [], 'pose': [], 'load': []}
     force, torque = [], []
+    penetration = getattr(simulation, 'penetration', dict)
+    deepest: dict[str, float] = {}
 
     def note() -> None:
         frames['positions'].append(simulation.positions()[kept].astype(np.float32))
@@ -122,6 +124,8 @@ def run_case(
         frames['pose'].append(quaternion_pose(*simulation.pose, drive.body.z_middle))
         if drive.load is not None:
             frames['load'].append(float(drive.load(np.array([simulation.time]))[0]))
+        for name, value in penetration().items():
+            deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
         note()
@@ -150,6 +154,8 @@ def run_case(
         'cell_size_m': simulation.grid.dx,
         'soil': soil._asdict(),
         'body_friction': drive.body.friction,
+        # The worst frame of the run.
+        **{f'penetration_{name}': value for name, value in deepest.items()},
         'packing': packed[1],
         'solver_cpu_s': round(time.process_time() - started, 2),
     }
