@@ -64,7 +64,7 @@ def test_files_are_as_agreed(coarse_excavation, tmp_path, short):
             assert file['rigid_positions'].shape == (5, 20, 3)
             assert file['force'].shape == (5, 3)
             assert file['torque'].shape == (5, 3) and file['pose'].shape == (5, 7)
-            assert 'load' not in file.files
+            assert 'step_context' not in file.files
             for name in ('positions', 'rigid_positions', 'force', 'torque', 'pose'):
                 assert file[name].dtype == np.float32 and np.isfinite(file[name]).all()
             np.testing.assert_array_equal(file['force'][0], file['force'][1])
@@ -248,7 +248,7 @@ def test_killed_worker_is_an_error_and_not_a_wait(tmp_path):
 
 
 def test_runs_of_before_version_2_can_be_read(tmp_path):
-    """Records without torque, pose and load; and damaged ones of the new keys are refused."""
+    """Records without torque, pose and context; and damaged ones of the new keys are refused."""
     arrays = {
         'positions': np.zeros((4, 3, 3), np.float32),
         'rigid_positions': np.zeros((4, 2, 3), np.float32),
@@ -258,8 +258,13 @@ def test_runs_of_before_version_2_can_be_read(tmp_path):
     path = tmp_path / 'run_001.npz'
     np.savez(path, **arrays)
     old = raw_run.read_run(str(path))
-    assert old.torque is None and old.pose is None and old.load is None
-    for name, shape in (('torque', (4, 2)), ('pose', (4, 3)), ('load', (3,)), ('pose', (5, 7))):
+    assert old.torque is None and old.pose is None and old.step_context is None
+    for name, shape in (
+        ('torque', (4, 2)),
+        ('pose', (4, 3)),
+        ('step_context', (3, 3)),
+        ('pose', (5, 7)),
+    ):
         np.savez(path, **arrays, **{name: np.zeros(shape, np.float32)})
         with pytest.raises(ValueError, match=f'not a raw run: {name}'):
             raw_run.read_run(str(path))

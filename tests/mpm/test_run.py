@@ -35,7 +35,7 @@ def test_pose_moves_the_upright_points_onto_the_sample_points(
         assert np.linalg.norm(pose[3:]) == pytest.approx(1.0, abs=1e-6)
         expected = [pose[:3] + rotated(pose[3:], point) for point in points]
         np.testing.assert_allclose(sampled, expected, atol=1e-6)
-    assert made.pose.dtype == made.torque.dtype == np.float32 and made.load is None
+    assert made.pose.dtype == made.torque.dtype == np.float32 and made.step_context is None
 
 
 def test_wheel_records_its_free_height_and_the_changing_load(
@@ -46,15 +46,19 @@ def test_wheel_records_its_free_height_and_the_changing_load(
     made = run.run_case(coarse_wheel, 'load_0007', wheel_packing, Settings())
     motion = catalogue.motion_of(coarse_wheel, 'load_0007')
     expected = motion.drive.load(np.arange(61) / 60)
-    assert made.load.shape == (61,) and np.ptp(expected) > 0.0
-    np.testing.assert_allclose(made.load, expected, rtol=1e-6)
+    assert np.ptp(expected) > 0.0
+    gravity, angle, load = made.step_context.T
+    np.testing.assert_allclose(load, expected, rtol=1e-6)
+    context = made.parameters['context']
+    assert (gravity == np.float32(context['gravity'])).all()
+    assert (angle == context['friction_angle_deg']).all()
     points = body_of(coarse_wheel, made.parameters).points
     for pose, sampled in zip(made.pose[::10].astype(np.float64), made.rigid_positions[::10]):
         moved = [pose[:3] + rotated(pose[3:], point) for point in points]
         np.testing.assert_allclose(sampled, moved, atol=1e-6)
     # The soil carries what weighs on it, within the inertia of a wheel that hardly moves.
     assert made.force[1:, 1].mean() == pytest.approx(expected[1:].mean(), rel=0.05)
-    assert made.parameters['context']['load'] == pytest.approx(float(expected[0]))
+    assert context['load'] == pytest.approx(float(expected[0]))
 
 
 def test_draft_and_torque_belong_together(coarse_excavation, excavation_packing, monkeypatch):
