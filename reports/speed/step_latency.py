@@ -24,8 +24,8 @@ import tqdm
 from absl import app, flags
 
 from learning_to_simulate import checkpoints, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.stepping import Stepper
 from pca_tools import dataset, files
 
