@@ -13,6 +13,8 @@ from learning_to_simulate import metrics
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from mpm import bodies, packing, run, scenes
 from mpm.constitutive import make_soil
+from mpm.motions import grid
+from mpm.simulation import Settings
 from pca_tools import files
 from pca_tools.subspace import Subspace
 from reports.record import ROOT
@@ -36,13 +38,9 @@ WHEEL_FACTORS = {'turn and travel': (1.0, 1.5, 2.0), 'load': (1.0, 2.0, 4.0)}
 
 def blade_points(parameters, n_frame):
     """Sample points [T, R, 3] of a blade, as the scene defines it but without its limits."""
-    box = scenes.EXCAVATION.bin
-    blade = bodies.make_blade(parameters['angle_deg'], box.z_middle)
-    start = scenes.make_drive(scenes.EXCAVATION, parameters | {'depth_m': 0.01}).path(np.zeros(1))
-    names = ('motion', 'depth_m', 'speed_m_s')
-    times = np.arange(n_frame) / scenes.FRAME_RATE
-    path = start + scenes.blade_displacement(*(parameters[k] for k in names), times)
-    return np.array([bodies.sample_points(blade, x, y, 0.0) for x, y in path])
+    drive = grid.make_drive(scenes.EXCAVATION, parameters)
+    poses = drive.pose(np.arange(n_frame) / scenes.FRAME_RATE)
+    return np.array([bodies.sample_points(drive.body, *pose) for pose in poses])
 
 
 def _lowest(points, count):
@@ -72,15 +70,15 @@ def wheel_group(model, travel=1.0, load=1.0):
     """The first test run with its turn and travel faster after the first H frames, or its load."""
     group = model.group.take([0])
     case = model.metadata['cases']['test'][int(group.record[0])]
-    drive = scenes.make_drive(scenes.WHEEL, case)
+    drive = grid.make_drive(scenes.WHEEL, case)
     n_frame = group.position.shape[1]
     times = np.arange(n_frame) / scenes.FRAME_RATE
     faster = times + (travel - 1) * np.maximum(times - times[H - 1], 0.0)
     height = group.position[0, :, : group.n_rigid, 1].mean(axis=1)
     points = np.array(
         [
-            bodies.sample_points(drive.body, x, y, drive.spin * t)
-            for (x, _), y, t in zip(drive.path(faster), height, faster)
+            bodies.sample_points(drive.body, x, y, theta)
+            for (x, _, theta), y in zip(drive.pose(faster), height)
         ]
     )
     position = group.position.copy()
@@ -145,15 +143,15 @@ def solver_truth(change, work_path, progress):
     path = os.path.join(work_path, f'truth_{name}.npz')
     if not os.path.exists(path):
         scene, parameters = scenes.EXCAVATION, BASE | change
-        settings = run.Settings()
+        settings = Settings()
         soil = make_soil(settings.youngs_modulus, scenes.EXCAVATION_MU_S)
         packed = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
         particles, _ = packing.settle(scene.bin, packed, settings.seed)
-        simulation = run.Simulation(scene, parameters, soil, particles, settings)
+        simulation = run.make_simulation(scene, parameters, soil, particles, settings)
         kept = slice(None, None, scene.bin.keep_every)
         positions, rigid, force = [simulation.positions()[kept]], [simulation.rigid_points()], []
         for _ in progress(range(scenes.FRAMES - 1)):
-            force.append(simulation.frame())
+            force.append(simulation.frame()[0])
             positions.append(simulation.positions()[kept])
             rigid.append(simulation.rigid_points())
         space = Subspace.load(os.path.join(ROOT, 'datasets', scene.name, 'subspace.npz'))

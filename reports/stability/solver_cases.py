@@ -9,6 +9,7 @@ import numpy as np
 
 from mpm import columns, experiments, packing, run, scenes, stability
 from mpm.constitutive import make_soil
+from mpm.simulation import Settings
 from reports.stability.cases import REFUSED, Case, judged
 
 PART = 'Solver'
@@ -18,7 +19,7 @@ GRAVITIES = (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0)
 STEP_SHARES = (1.0, 0.5, 0.25)
 # Beyond the limit that `stability` enforces, to show where the scheme itself gives way.
 CFL_NUMBERS = (0.4, 0.8, 1.0, 1.2, 1.6, 2.0)
-YOUNGS_MODULUS = run.Settings().youngs_modulus
+YOUNGS_MODULUS = Settings().youngs_modulus
 
 
 class _Driven:
@@ -29,8 +30,8 @@ class _Driven:
         parameters = self.scene.parameters(CASE)
         soil = make_soil(modulus, scenes.static_friction(self.scene, parameters))
         particles, _ = packing.settle(self.scene.bin, soil, 0)
-        settings = run.Settings(youngs_modulus=modulus, steps_per_frame=steps_per_frame)
-        self.simulation = run.Simulation(self.scene, parameters, soil, particles, settings)
+        settings = Settings(youngs_modulus=modulus, steps_per_frame=steps_per_frame)
+        self.simulation = run.make_simulation(self.scene, parameters, soil, particles, settings)
         self.gravity = gravity_factor * scenes.EARTH_GRAVITY
         if gravity_factor != 1.0:
             self.simulation.gravity = self.gravity
@@ -48,15 +49,15 @@ class _Driven:
         `fastest` is then the largest speed of soil at the end of any frame, m/s.
         """
         s = self.simulation
-        path = s.drive.path(np.arange(frames + 1) / scenes.FRAME_RATE)
+        path = s.drive.pose(np.arange(frames + 1) / scenes.FRAME_RATE)
         force = []
         for _ in progress(range(frames)):
-            force.append(s.frame())
+            force.append(s.frame()[0])
             velocity = s.particles[:, columns.V : columns.V + 3]
             self.fastest = max(self.fastest, float(np.linalg.norm(velocity, axis=1).max()))
         force = np.array(force)
         # The force is a mean over the frame, in which the blade keeps its speed (almost).
-        return force, -np.cumsum((force[:, :2] * np.diff(path, axis=0)).sum(axis=1))
+        return force, -np.cumsum((force[:, :2] * np.diff(path[:, :2], axis=0)).sum(axis=1))
 
 
 def stiffness_sweep(frames, progress):

@@ -30,7 +30,8 @@ from learning_to_simulate import metrics
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from mpm import batch, coarse, packing, raw_run, scenes
 from mpm.constitutive import make_soil
-from mpm.run import Settings, Simulation, run_case
+from mpm.run import make_simulation, run_case
+from mpm.simulation import Settings
 from pca_tools import files
 from reports import command, markdown, record
 
@@ -95,7 +96,7 @@ def _warm_up() -> None:
     parameters = scene.parameters(scene.demo_case)
     soil = make_soil(Settings.youngs_modulus, scenes.static_friction(scene, parameters))
     particles, _ = coarse.thinned((packing.lattice(scene.bin, 0), {}), scene)
-    Simulation(scene, parameters, soil, particles, Settings()).frame()
+    make_simulation(scene, parameters, soil, particles, Settings()).frame()
 
 
 def _means(runs: dict[str, list[dict]]) -> dict[str, dict[str, float]]:

@@ -11,10 +11,10 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, metadata, rigid_fit, statistics
+from pca_tools import dataset, files, metadata, particles, rigid_fit, statistics
 from pca_tools.dataset import Trajectory
-from pca_tools.findings import Inspection
-from pca_tools.inspection_subspace import check_legacy_files, check_subspace
+from pca_tools.inspection.findings import Inspection
+from pca_tools.inspection.subspace import check_legacy_files, check_subspace
 
 # A body that bends by more than this between frames is not rigid (float32 positions near 1 m
 # resolve 6e-8 m).
@@ -53,6 +53,7 @@ def inspect_folder(folder: str) -> Inspection:
         _check_duplicates(inspection)
         _check_statistics(inspection)
         _check_motion(inspection)
+    _check_particles(inspection)
     check_subspace(inspection)
     check_legacy_files(inspection)
     return inspection
@@ -275,6 +276,33 @@ def _check_motion(inspection: Inspection) -> None:
     forceless = sum(run.force is not None and not np.any(run.force) for run in inspection.runs)
     if forceless:
         inspection.warn(f'{forceless} runs have no force at any frame')
+
+
+def _check_particles(inspection: Inspection) -> None:
+    """The particle samples beside the records."""
+    good = []
+    for split, runs in inspection.splits.items():
+        path = particles.sample_path(inspection.folder, split)
+        if not os.path.exists(path):
+            continue
+        try:
+            sample = particles.ParticleSample(path)
+            frames = [
+                -(-run.n_frames // sample.frame_stride) == len(sample[index])
+                for index, run in enumerate(runs[: len(sample)])
+            ]
+        except (ValueError, OSError) as error:
+            inspection.error(str(error))
+            continue
+        if len(sample) != len(runs) or not all(frames):
+            inspection.error(f'{path}: holds other runs than {split}.tfrecord; convert again')
+        else:
+            good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
+    if good:
+        inspection.ok(
+            f'particle samples ({len(sample.indices)} particles, every {sample.frame_stride} '
+            f'frames, to {5e2 * sample.resolution:.2g} mm), a run: ' + ', '.join(good)
+        )
 
 
 def rigid_misfit(run: Trajectory, frames: int = 9) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pca_tools import files, legacy_pickles
 from pca_tools.dataset import Trajectory
-from pca_tools.findings import Inspection
+from pca_tools.inspection.findings import Inspection
 from pca_tools.subspace import CLUSTER_GAP, Subspace
 
 
