@@ -119,7 +119,7 @@ def _record_problems(metadata: dict[str, Any]) -> list[str]:
     problems = []
     if not isinstance(metadata.get('pca', {}), dict):
         problems.append(f'pca is {metadata["pca"]!r}, an object was expected')
-    for key in ('dataset_split', 'cases', *PROJECTION_KEYS):
+    for key in ('dataset_split', 'cases', 'frames_of_runs', *PROJECTION_KEYS):
         value = metadata.get(key, {})
         if not isinstance(value, dict) or not all(
             isinstance(part, list) for part in value.values()
