@@ -43,11 +43,25 @@ def read_metadata(folder: str) -> dict[str, Any]:
     path = os.path.join(folder, METADATA_NAME)
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such dataset folder')
+    if not os.path.exists(path):
+        raise FileNotFoundError(f'{path}: no such file{_what_else(folder)}')
     metadata = files.read_json(path)
     problems = metadata_problems(metadata)
     if problems:
-        raise ValueError(f'{path}: ' + '; '.join(problems))
+        raise ValueError(f'{path}: ' + '; '.join(problems) + _what_else(folder))
     return metadata
+
+
+def _what_else(folder: str) -> str:
+    """Names the format of a folder that is no dataset of ours, with what to do; else empty."""
+    from pca_tools.formats import detect  # knows all formats, this one included
+
+    try:
+        kind = detect.detect(folder)
+    except (ValueError, OSError):
+        return ''
+    known = kind in detect.FORMATS or kind == detect.RAW
+    return f'. {detect.explain(kind, folder)}' if known else ''
 
 
 def metadata_problems(metadata: Any) -> list[str]:
