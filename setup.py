@@ -38,7 +38,14 @@ setuptools.setup(
     packages=setuptools.find_packages(
         include=[
             pattern
-            for name in ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'run_scripts')
+            for name in (
+                'learning_to_simulate',
+                'mpm',
+                'nri',
+                'pca_tools',
+                'reports',
+                'run_scripts',
+            )
             for pattern in (name, f'{name}.*')
         ]
     ),

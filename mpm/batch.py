@@ -8,7 +8,8 @@ from tqdm import tqdm
 from mpm import packing, raw_run, scenes
 from mpm.constitutive import make_soil
 from mpm.files import one_writer
-from mpm.run import Settings, run_case
+from mpm.run import run_case
+from mpm.simulation import Settings
 
 
 def generate(

@@ -58,7 +58,8 @@ class Experiment:
         particles: float64 [N, COLUMNS], free of stress and at rest at first.
         grid: `packing.Grid`.
         dt: time step, s (the CFL limit unless `steps_per_second` says otherwise).
-        impulse: float64 [3], N s given to the body so far.
+        impulse: float64 [6], N s and N m s given to the body so far, the second about its
+            reference point.
     """
 
     def __init__(self, room: Bin, block: Bin, soil: Soil, lift: float = 0.0, smooth_sides=False):
@@ -71,7 +72,7 @@ class Experiment:
         self.particles = packing.lattice(block, seed=0)
         self.particles[:, 1] += lift
         self.dt = stability.max_time_step(soil, room.dx)
-        self.impulse = np.zeros(3)
+        self.impulse = np.zeros(6)
         self._work = np.zeros(4 * grid.nodes)
         self._status = np.zeros(3, dtype=np.int64)
 
@@ -94,9 +95,10 @@ class Experiment:
         gravity: float = EARTH_GRAVITY,
         body: bodies.Body | None = None,
         path: np.ndarray | None = None,
-        spin: float = 0.0,
     ) -> None:
-        """Takes `steps` steps, with a body on a prescribed `path` [steps + 1, 2] if given.
+        """Takes `steps` steps, with a body on a prescribed `path` [steps + 1, 3] if given.
+
+        A path holds x, y (m) of the body's reference point and its angle (rad).
 
         Raises:
             ValueError: if a particle leaves the grid.
@@ -115,12 +117,10 @@ class Experiment:
             self.volume,
             gravity,
             1.0,
-            None if body is None else body.dims,
-            0.0 if body is None else body.friction,
-            0.0 if body is None else body.outset * self.grid.dx,
-            np.zeros((steps + 1, 2)) if path is None else path,
-            spin,
-            np.zeros(4),
+            body,
+            np.zeros((steps + 1, 3)) if path is None else path,
+            np.zeros(0),
+            np.zeros(3),
             self.impulse,
             self._status,
         )
@@ -207,13 +207,14 @@ def contact_momentum(steps: int = 200) -> dict:
     inside = np.abs(particles[:, [0, 2]] - CORNER - 0.2).max(axis=1) < 0.1
     experiment.particles = particles[inside]
     experiment.particles[:, columns.IDENTITY] = np.arange(inside.sum())
-    blade = bodies.make_blade(20.0, CORNER + 0.2)
-    path = np.zeros((steps + 1, 2))
+    blade = bodies.make_blade(CORNER + 0.2)
+    path = np.full((steps + 1, 3), -math.radians(20.0))
     path[:, 0] = CORNER + 0.35 - 2.0 * experiment.dt * np.arange(steps + 1)
     path[:, 1] = CORNER + 0.15
     experiment.advance(steps, gravity=0.0, body=blade, path=path)
-    given = np.linalg.norm(experiment.impulse)
-    lost = np.linalg.norm(experiment.momentum() + experiment.impulse)
+    impulse = experiment.impulse[:3]
+    given = np.linalg.norm(impulse)
+    lost = np.linalg.norm(experiment.momentum() + impulse)
     return {'impulse_N_s': float(given), 'unbalanced': float(lost / given)}
 
 

@@ -17,7 +17,7 @@ from absl import app, flags, logging
 
 from mpm import scenes
 from mpm.batch import generate
-from mpm.run import RHEOLOGIES, Settings
+from mpm.simulation import RHEOLOGIES, Settings
 
 _SCENE = flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
 _CASES = flags.DEFINE_string(

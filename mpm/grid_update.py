@@ -39,22 +39,28 @@ def update_grid(grid, shape, top, dt, gravity, walls, keep):
 
 
 @numba.njit(**JIT)
-def contact(grid, shape, top, origin, dx, walls, dims, friction, outset, pose, motion, impulse):
+def contact(grid, shape, top, origin, dx, walls, body, pose, motion, impulse):
     """Coulomb contact on the nodes inside the body; adds the momentum it removes to `impulse`.
 
     A node is constrained only if it lies inside (signed distance < 0), never one outside: a
     condition one node too low would let the soil sink by a cell.
 
     Args:
-        pose: (x, y) of the body's reference point, m.
+        body: `bodies.Body`.
+        pose: (x, y, theta) of the body: its reference point, m, and its angle about z, rad.
         motion: (vx, vy, omega) of the body, m/s and rad/s.
-        impulse: float64 [3], N s, momentum given to the body (added to).
+        impulse: float64 [6], N s and N m s given to the body (added to); the angular part is
+            r x p about the reference point, summed over the same nodes as the linear one.
     """
     nx, ny, nz = shape
-    reach = dims[3] + outset
-    x_low, x_high = pose[0] - reach, pose[0] + dims[2] * dims[0] + reach
-    y_low, y_high = pose[1] - reach, pose[1] + dims[2] * dims[1] + reach
-    z_low, z_high = dims[5] - dims[4] - outset, dims[5] + dims[4] + outset
+    outset = body.outset * dx
+    reach = body.radius + outset
+    sine, cosine = math.sin(pose[2]), math.cos(pose[2])
+    tip_x, tip_y = -body.length * sine, body.length * cosine
+    x_low, x_high = pose[0] + min(0.0, tip_x) - reach, pose[0] + max(0.0, tip_x) + reach
+    y_low, y_high = pose[1] + min(0.0, tip_y) - reach, pose[1] + max(0.0, tip_y) + reach
+    half = body.half_width + outset
+    z_low, z_high = body.z_middle - half, body.z_middle + half
     i0 = max(walls[0] + 1, int(math.floor((x_low - origin[0]) / dx)))
     i1 = min(walls[1] - 1, int(math.ceil((x_high - origin[0]) / dx)))
     j0 = max(walls[2] + 1, int(math.floor((y_low - origin[1]) / dx)))
@@ -65,6 +71,7 @@ def contact(grid, shape, top, origin, dx, walls, dims, friction, outset, pose, m
         ry = origin[1] + j * dx - pose[1]
         for i in range(i0, i1 + 1):
             rx = origin[0] + i * dx - pose[0]
+            px, py = cosine * rx + sine * ry, cosine * ry - sine * rx
             bx = motion[0] - motion[2] * ry
             by = motion[1] + motion[2] * rx
             for k in range(k0, k1 + 1):
@@ -72,10 +79,12 @@ def contact(grid, shape, top, origin, dx, walls, dims, friction, outset, pose, m
                 m = grid[node + index(3)]
                 if m <= 0.0:
                     continue
-                distance, n_x, n_y, n_z = signed_distance(dims, rx, ry, origin[2] + k * dx)
+                rz = origin[2] + k * dx - body.z_middle
+                distance, n_px, n_py, n_z = signed_distance(body, px, py, rz)
                 share = min(1.0, (outset - distance) / dx)
                 if share <= 0.0:
                     continue
+                n_x, n_y = cosine * n_px - sine * n_py, sine * n_px + cosine * n_py
                 ux, uy, uz = grid[node] - bx, grid[node + index(1)] - by, grid[node + index(2)]
                 normal = ux * n_x + uy * n_y + uz * n_z
                 allowed = -(1.0 - share) * max(0.0, bx * n_x + by * n_y)
@@ -85,12 +94,16 @@ def contact(grid, shape, top, origin, dx, walls, dims, friction, outset, pose, m
                 tx, ty, tz = ux - normal * n_x, uy - normal * n_y, uz - normal * n_z
                 slip = math.sqrt(tx * tx + ty * ty + tz * tz)
                 drag = 1.0
-                if slip > friction * push:
-                    drag = friction * push / slip
+                if slip > body.friction * push:
+                    drag = body.friction * push / slip
                 cx, cy, cz = push * n_x - drag * tx, push * n_y - drag * ty, push * n_z - drag * tz
                 grid[node] += cx
                 grid[node + index(1)] += cy
                 grid[node + index(2)] += cz
-                impulse[0] -= m * cx
-                impulse[1] -= m * cy
-                impulse[2] -= m * cz
+                dpx, dpy, dpz = -m * cx, -m * cy, -m * cz
+                impulse[0] += dpx
+                impulse[1] += dpy
+                impulse[2] += dpz
+                impulse[3] += ry * dpz - rz * dpy
+                impulse[4] += rz * dpx - rx * dpz
+                impulse[5] += rx * dpy - ry * dpx

@@ -120,12 +120,10 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
             EARTH_GRAVITY,
             keep,
             None,
-            0.0,
-            0.0,
-            np.zeros((steps // 10 + 1, 2)),
-            0.0,
-            np.zeros(4),
+            np.zeros((steps // 10 + 1, 3)),
+            np.zeros(0),
             np.zeros(3),
+            np.zeros(6),
             status,
         )
     particles = in_identity_order(particles)

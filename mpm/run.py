@@ -6,33 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import bodies, columns, packing, scenes, solver, stability
+from mpm import scenes
 from mpm.constitutive import Soil, make_soil
-
-SORT_EVERY = 4  # frames
-REST_FRAMES = 48  # the wheel rests before it drives; the load grows over the first half
-RHEOLOGIES = ('local', 'nonlocal')
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What may be set for all runs of a folder.
-
-    Attributes:
-        youngs_modulus: Pa.
-        rheology: 'local' mu(I), or 'nonlocal' granular fluidity.
-        seed: of the packing's jitter.
-        steps_per_frame: 0: from the CFL limit.
-    """
-
-    youngs_modulus: float = 1.5e6
-    rheology: str = 'local'
-    seed: int = 0
-    steps_per_frame: int = 0
-
-    def __post_init__(self):
-        if self.rheology not in RHEOLOGIES:
-            raise ValueError(f'rheology must be one of {RHEOLOGIES}, got {self.rheology!r}')
+from mpm.motions import grid
+from mpm.simulation import Settings, Simulation
 
 
 @dataclass(frozen=True)
@@ -52,127 +29,29 @@ class RawRun:
     parameters: dict
 
 
-class Simulation:
-    """Soil and body of one case, advanced frame by frame.
+def make_simulation(
+    scene: scenes.Scene, parameters: dict, soil: Soil, particles: np.ndarray, settings: Settings
+) -> Simulation:
+    """Returns the simulation of a case of the grid, ready for its first frame.
 
-    Attributes:
-        particles: float64 [N, COLUMNS], sorted by cell now and then (see `columns.IDENTITY`).
-        rider: float64 [4], see `solver.advance`: the wheel's height, speed, mass and load.
-        dt: time step, s.
-        time: s since driving began (negative at rest).
+    Args:
+        scene: the scene.
+        parameters: of the case, by name (`Scene.parameters`).
+        soil: of the bin.
+        particles: float64 [N, COLUMNS], the settled packing.
+        settings: stiffness, law, steps.
+
+    Raises:
+        ValueError: see `Simulation`.
     """
-
-    def __init__(
-        self,
-        scene: scenes.Scene,
-        parameters: dict,
-        soil: Soil,
-        particles: np.ndarray,
-        settings: Settings,
-    ):
-        self._scene = scene
-        self.soil = soil
-        self.grid = packing.make_grid(scene.bin)
-        self.drive = scenes.make_drive(scene, parameters)
-        self.gravity = scenes.gravity_of(scene, parameters)
-        self.particles = packing.at_gravity(particles, self.gravity)
-        is_nonlocal = settings.rheology == 'nonlocal'
-        if is_nonlocal:
-            stability.check_friction(soil)
-        self.steps = settings.steps_per_frame or stability.steps_per_frame(
-            1 / scenes.FRAME_RATE, soil, self.grid.dx, is_nonlocal
-        )
-        self.dt = 1 / scenes.FRAME_RATE / self.steps
-        stability.check_time_step(self.dt, soil, self.grid.dx, is_nonlocal)
-        self._work = np.zeros(4 * self.grid.nodes)
-        self._fluidity = np.zeros((self.grid.nodes, 3)) if is_nonlocal else None
-        self._status = np.zeros(3, dtype=np.int64)
-        self.rider = np.zeros(4)
-        self.time = 0.0
-        self.rotation = 0.0
-        self._frame = 0
-        if self.drive.load > 0.0:
-            # Resting on the surface; its mass is that which weighs the load on the Earth.
-            self.rider[0] = scene.bin.surface + self.drive.body.dims[3]
-            self.rider[2] = self.drive.load / scenes.EARTH_GRAVITY
-            self._rest()
-
-    def _rest(self) -> None:
-        """Lets the wheel sink into the soil before it drives."""
-        for frame in range(REST_FRAMES):
-            self.rider[3] = self.drive.load * min(1.0, (frame + 1) / (REST_FRAMES // 2))
-            self.time = (frame - REST_FRAMES) / scenes.FRAME_RATE
-            self._advance(spin=0.0)
-        self.time = 0.0
-
-    def frame(self) -> np.ndarray:
-        """Advances by one frame; returns the mean force [3] on the body in it, N.
-
-        Raises:
-            ValueError: if a particle leaves the grid or moves too fast for the step; if the body
-                does (`stability.UnstableTimeStepError`).
-        """
-        force = self._advance(self.drive.spin)
-        self.rotation += self.drive.spin / scenes.FRAME_RATE
-        self._frame += 1
-        self.time = self._frame / scenes.FRAME_RATE
-        return force
-
-    def _advance(self, spin: float) -> np.ndarray:
-        if self._frame % SORT_EVERY == 0:
-            self.particles = packing.sort_by_cell(self.particles, self.grid)
-        times = self.time + np.arange(self.steps + 1) * self.dt
-        body, path = self.drive.body, self.drive.path(times)
-        # The height of a free wheel is not prescribed.
-        prescribed = path * [1.0, 0.0] if self.rider[2] > 0.0 else path
-        rim_speed = spin * (body.dims[2] + body.dims[3])
-        stability.check_body_motion(prescribed, rim_speed, self.dt, self.grid.dx)
-        impulse = np.zeros(3)
-        solver.advance(
-            self.particles,
-            self._work,
-            self._fluidity,
-            self.grid.shape,
-            self.grid.origin,
-            self.grid.dx,
-            self.dt,
-            self.grid.walls,
-            self.soil,
-            packing.particle_volume(self._scene.bin),
-            self.gravity,
-            1.0,
-            body.dims,
-            body.friction,
-            body.outset * self.grid.dx,
-            path,
-            spin,
-            self.rider,
-            impulse,
-            self._status,
-        )
-        if self._status[0] != columns.OK:
-            raise ValueError(
-                f'particle {self._status[1]} left the grid at {self.time:.3f} s '
-                f'(step {self._status[2]})'
-            )
-        speed = np.sqrt((self.particles[:, columns.V : columns.V + 3] ** 2).sum(axis=1).max())
-        if not speed * self.dt <= stability.VELOCITY_CFL * self.grid.dx:
-            raise ValueError(
-                f'soil at {speed:.3g} m/s crosses {speed * self.dt / self.grid.dx:.3g} cells a '
-                f'step at {self.time:.3f} s; at most {stability.VELOCITY_CFL} is resolved'
-            )
-        return impulse * scenes.FRAME_RATE
-
-    def positions(self) -> np.ndarray:
-        """Returns the positions [N, 3] of all particles in the order of identity, m."""
-        return packing.in_identity_order(self.particles)[:, :3]
-
-    def rigid_points(self) -> np.ndarray:
-        """Returns the body's sample points [R, 3], m."""
-        x, y = self.drive.path(np.array([self.time]))[0]
-        if self.rider[2] > 0.0:
-            y = self.rider[0]
-        return bodies.sample_points(self.drive.body, x, y, self.rotation)
+    return Simulation(
+        scene.bin,
+        grid.make_drive(scene, parameters),
+        soil,
+        particles,
+        settings,
+        scenes.gravity_of(scene, parameters),
+    )
 
 
 def run_case(
@@ -200,13 +79,13 @@ def run_case(
     started = time.process_time()
     parameters = scene.parameters(case)
     soil = make_soil(settings.youngs_modulus, scenes.static_friction(scene, parameters))
-    simulation = Simulation(scene, parameters, soil, packed[0], settings)
+    simulation = make_simulation(scene, parameters, soil, packed[0], settings)
     kept = slice(None, None, scene.bin.keep_every)
     positions = [simulation.positions()[kept].astype(np.float32)]
     rigid = [simulation.rigid_points()]
     force = []
     for frame in range(1, scenes.FRAMES):
-        force.append(simulation.frame())
+        force.append(simulation.frame()[0])
         positions.append(simulation.positions()[kept].astype(np.float32))
         rigid.append(simulation.rigid_points())
         if on_frame is not None:

@@ -7,7 +7,6 @@ another backend can take the place of `advance`.
 """
 
 import numba
-import numpy as np
 
 from mpm.columns import OK
 from mpm.fluidity import diffuse_fluidity
@@ -29,11 +28,9 @@ def advance(
     particle_volume,
     gravity,
     keep,
-    dims,
-    friction,
-    outset,
+    body,
     path,
-    spin,
+    load,
     rider,
     impulse,
     status,
@@ -51,17 +48,18 @@ def advance(
         particle_volume: m3 of packed soil per particle.
         gravity: m/s2, along -y.
         keep: factor on all grid velocities per step: 1, or less to settle a packing.
-        dims, friction, outset: the body, see `bodies` and `contact`; dims None: no body.
-        path: float64 [steps + 1, 2], position of the body's reference point at each step's ends;
-            its y is not used if the body rides freely.
-        spin: rad/s about z, prescribed.
-        rider: float64 [4]: height y (m), vertical speed (m/s), mass (kg), load (N). A positive
-            mass makes the vertical motion free under the load.
-        impulse: float64 [3], N s given to the body by the soil (added to).
+        body: `bodies.Body`, or None: no body.
+        path: float64 [steps + 1, 3], the body's pose at each step's ends: x and y of its reference
+            point (m), angle about z (rad); its y is not used if the body rides freely.
+        load: float64 [steps + 1], N on a body that rides freely.
+        rider: float64 [3]: height y (m), vertical speed (m/s), mass (kg). A positive mass makes
+            the vertical motion free under the load.
+        impulse: float64 [6], N s and N m s given to the body by the soil, the second about its
+            reference point (added to).
         status: int64 [3]: error code, particle, steps done.
     """
     mass = particle_volume * soil.bulk_density
-    before = np.empty(3)
+    before = 0.0
     for step in range(path.shape[0] - 1):
         top = particles_to_grid(
             particles,
@@ -78,13 +76,14 @@ def advance(
         if status[0] != OK:
             return
         update_grid(grid, shape, top, dt, gravity, walls, keep)
-        if dims is not None:
+        if body is not None:
             free = rider[2] > 0.0
             vx = (path[step + 1, 0] - path[step, 0]) / dt
             y, vy = path[step, 1], (path[step + 1, 1] - path[step, 1]) / dt
             if free:
                 y, vy = rider[0], rider[1]
-            before[:] = impulse
+            spin = (path[step + 1, 2] - path[step, 2]) / dt
+            before = impulse[1]
             contact(
                 grid,
                 shape,
@@ -92,15 +91,13 @@ def advance(
                 origin,
                 dx,
                 walls,
-                dims,
-                friction,
-                outset,
-                (path[step, 0], y),
+                body,
+                (path[step, 0], y, path[step, 2]),
                 (vx, vy, spin),
                 impulse,
             )
             if free:
-                rider[1] += (impulse[1] - before[1] - rider[3] * dt) / rider[2]
+                rider[1] += (impulse[1] - before - load[step] * dt) / rider[2]
                 rider[0] += dt * rider[1]
         if fluidity is not None:
             diffuse_fluidity(particles, fluidity, shape, top, origin, dx, dt, soil)

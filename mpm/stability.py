@@ -79,23 +79,28 @@ def check_time_step(
         )
 
 
-def check_body_motion(path, rim_speed: float, dt: float, dx: float) -> None:
+def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, start: float) -> None:
     """Refuses a body that jumps over cells: contact is looked for at the nodes inside it only.
 
     Args:
-        path: float64 [steps + 1, 2], the prescribed part of its positions at the steps' ends, m.
-        rim_speed: of its turning surface, m/s.
+        path: float64 [steps + 1, 3], its poses at the steps' ends, x and y in m (y constant where
+            it is not prescribed), angle in rad.
+        reach: largest distance of its outline from the reference point, m.
         dt: time step, s.
         dx: cell size, m.
+        start: time of the first pose, s, for the message.
 
     Raises:
-        UnstableTimeStepError: with the speed and its limit.
+        UnstableTimeStepError: with the time, the speed and its limit.
     """
-    travel = np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).max() + abs(rim_speed) * dt
-    if not travel <= VELOCITY_CFL * dx:
+    change = np.diff(path, axis=0)
+    travel = np.hypot(change[:, 0], change[:, 1]) + reach * np.abs(change[:, 2])
+    worst = int(np.argmax(travel))
+    if not travel[worst] <= VELOCITY_CFL * dx:
         raise UnstableTimeStepError(
-            f'the body moves at {travel / dt:.4g} m/s, {travel / dx:.3g} cells a step of '
-            f'{dt:.4g} s; at most {VELOCITY_CFL} ({VELOCITY_CFL * dx / dt:.4g} m/s) is resolved'
+            f'at {start + worst * dt:.3f} s the body moves at {travel[worst] / dt:.4g} m/s (tip or '
+            f'rim included), {travel[worst] / dx:.3g} cells a step of {dt:.4g} s; at most '
+            f'{VELOCITY_CFL} ({VELOCITY_CFL * dx / dt:.4g} m/s) is resolved'
         )
 
 

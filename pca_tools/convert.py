@@ -1,8 +1,9 @@
 """Converts raw solver runs to a dataset.
 
-A dataset is `{train,valid,test}.tfrecord`, metadata, subspace and manifest. The subspace is fitted
-on the training runs only. All files are made in a folder beside the output,
-which takes its name at the very end: the output is there whole or not at all.
+A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
+split (`particles_<split>.npz`) and a manifest. The subspace is fitted on the training runs only,
+with one run in memory at a time. Runs whose parameters name a split go there. All files are made in
+a folder beside the output, which takes its name at the very end: it is there whole or not at all.
 
 Examples:
     python -m pca_tools.convert --raw_path=raw/excavation --output_path=datasets/Excavation
@@ -11,6 +12,10 @@ Examples:
     python -m pca_tools.convert --raw_path=raw/wheel --output_path=datasets/Wheel16 --modes=16 \\
         --centering=scalar --hold_out=12,47
 
+    # 24 modes of hundreds of runs: the subspace from every fourth frame
+    python -m pca_tools.convert --raw_path=raw/driving --output_path=datasets/Driving \\
+        --num_modes=24 --frame_stride=4
+
     # new runs, all in the test split, in the subspace of the dataset that a model was trained on
     python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
@@ -18,7 +23,6 @@ Examples:
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import sys
 from collections.abc import Sequence
@@ -26,10 +30,10 @@ from typing import Any
 
 import numpy as np
 from absl import app, flags
-from scipy import spatial
 from tqdm import tqdm
 
-from pca_tools import dataset, files, subspace
+from pca_tools import dataset, files, particles, subspace
+from pca_tools.encode import FLOOR_MODES, EncodedRun, encode_runs
 from pca_tools.metadata import (
     DIM,
     METADATA_NAME,
@@ -37,28 +41,16 @@ from pca_tools.metadata import (
     SCHEMA_VERSION,
     metadata_problems,
 )
-from pca_tools.raw_runs import RawRun, RawRuns, SoilPositions
-from pca_tools.splits import split_cases
+from pca_tools.raw_runs import RawRuns, SoilPositions
+from pca_tools.splits import given_splits, split_cases
 from pca_tools.statistics import mean_share, motion_statistics
 
 SUBSPACE_NAME = 'subspace.npz'
 # DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
 CONNECTIVITY_RADIUS = 0.025
-
-
-@dataclasses.dataclass(frozen=True)
-class EncodedRun:
-    """One run in the subspace, with what its record in the metadata says.
-
-    Attributes:
-        trajectory: the record.
-        parameters: all parameters of the case.
-        details: see `projection_details`.
-    """
-
-    trajectory: dataset.Trajectory
-    parameters: dict[str, Any]
-    details: dict[str, float]
+DEFAULT_SPLIT = (0.8, 0.1, 0.1)
+# What must agree between raw runs and the dataset they are to fit; a scene may say more.
+_SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis')
 
 
 def convert(
@@ -67,10 +59,11 @@ def convert(
     *,
     modes: int = 8,
     centering: str = 'configuration',
-    split: Sequence[float] = (0.8, 0.1, 0.1),
+    split: Sequence[float] | None = None,
     seed: int = 0,
     hold_out: Sequence[int | str] = (),
     spread: bool = False,
+    frame_stride: int = 1,
     max_memory_mb: float = 1024.0,
     like: str | None = None,
     overwrite: bool = False,
@@ -84,25 +77,47 @@ def convert(
         FileNotFoundError: a folder or file is missing.
         ValueError: bad raw runs, bad arguments, or an output folder that is not empty.
     """
+    if frame_stride < 1:
+        raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
     refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
     if like is None:
-        parts = split_cases(runs.cases, split, seed, hold_out, spread)
-        space = subspace.fit(
-            SoilPositions(runs, parts['train']), modes, centering, max_memory_mb,
+        parts = _deal(runs, split, seed, hold_out, spread)
+        wide = subspace.fit(
+            SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
             names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
+            spare_modes=max(max(FLOOR_MODES) - modes, 0),
         )  # fmt: skip
-        base = None
+        space, base = wide.truncated(modes), None
     else:
         parts = {'test': list(range(len(runs)))}
         base, space = _load_like(like, runs)
-    encoded = _encode_runs(runs, {name: part for name, part in parts.items() if part}, space)
-    metadata = _make_metadata(runs, encoded, space, base)
+        wide = space
+    parts = {name: part for name, part in parts.items() if part}
+    sampled = particles.choose_particles(space.initial)
+    encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
+    metadata = _make_metadata(runs, encoded, space, frame_stride, base)
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
-    _write_dataset(output_path, encoded, space, metadata, overwrite)
+    _write_dataset(output_path, encoded, space, sampled, metadata, overwrite)
     return metadata
+
+
+def _deal(
+    runs: RawRuns,
+    split: Sequence[float] | None,
+    seed: int,
+    hold_out: Sequence[int | str],
+    spread: bool,
+) -> dict[str, list[int]]:
+    """Returns split -> indices of runs: as asked for, as the runs say, or by the default shares."""
+    if split is None:
+        given = [runs.parameters(index).get('split') for index in range(len(runs))]
+        parts = given_splits(runs.cases, given, hold_out)
+        if parts is not None:
+            return parts
+    return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out, spread)
 
 
 def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
@@ -140,7 +155,7 @@ def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subsp
     if base.get('pca', {}).get('digest') != space.digest:
         raise ValueError(f'{like}: {SUBSPACE_NAME} is not the one that the metadata names')
     scene = base.get('scene', {})
-    for key in sorted(scene.keys() | runs.scene.keys()):
+    for key in _SCENE_KEYS:
         if scene.get(key) != runs.scene.get(key):
             raise ValueError(
                 f'{like}: is of another scene: its {key} is {scene.get(key)!r}, that of the '
@@ -148,95 +163,27 @@ def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subsp
             )
     if base['dt'] != runs.dt:
         raise ValueError(f'{like}: has dt {base["dt"]}, the raw runs have {runs.dt}')
-    known = sorted(set(space.runs) & {str(case) for case in runs.cases})
+    # Case numbers count anew in every kind of run (grid, driven paths).
+    trained = {_kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
+    known = [
+        case
+        for index, case in enumerate(runs.cases)
+        if (runs.parameters(index).get('kind'), str(case)) in trained
+    ]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
     return base, space
 
 
-def _encode_runs(
-    runs: RawRuns, parts: dict[str, list[int]], space: subspace.Subspace
-) -> dict[str, list[EncodedRun]]:
-    """Projects all runs, one in memory at a time; returns them by split."""
-    spacing = float(np.median(spatial.cKDTree(space.initial).query(space.initial, 2)[0][:, 1]))
-    encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
-    order = [(name, index) for name, indices in parts.items() for index in indices]
-    for name, index in progress_bar(order, 'encode'):
-        run = runs[index]
-        _refuse_other_particles(run, space, spacing)
-        scores = space.encode(run.positions)
-        trajectory = _make_trajectory(len(encoded[name]), run, scores, runs.scene)
-        details = projection_details(run.positions, space, scores)
-        encoded[name].append(EncodedRun(trajectory, {'case': run.case, **run.parameters}, details))
-    return encoded
-
-
-def _refuse_other_particles(run: RawRun, space: subspace.Subspace, spacing: float) -> None:
-    """Raises if column i is not the same particle as in the subspace."""
-    if run.positions.shape[1] != space.n_soil:
-        raise ValueError(
-            f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
-        )
-    shift = float(np.median(np.linalg.norm(run.positions[0] - space.initial, axis=1)))
-    if shift > spacing:
-        raise ValueError(
-            f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
-            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same packing or '
-            'not the same order'
-        )
-
-
-def projection_details(
-    positions: np.ndarray, space: subspace.Subspace, scores: np.ndarray
-) -> dict[str, float]:
-    """Measures what is lost between particles and scores.
-
-    Args:
-        positions: [T, N, 3] metres.
-        space: the subspace.
-        scores: [T, r, 3] encoded positions.
-
-    Returns:
-        `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
-        particle in mm; `motion_mse`, mean square of the displacement from frame 0 in m^2;
-        `motion_kept`, the share of it that lies in the subspace.
-    """
-    residual = positions - space.decode(scores)
-    displacement = positions.astype(np.float64) - positions[0]
-    moved = float(np.mean(displacement**2))
-    kept = float(np.sum((scores - scores[0]) ** 2)) / displacement.size
-    return {
-        'projection_mse': float(np.mean(residual**2)),
-        'projection_max_mm': 1e3 * float(np.sqrt(np.max(np.sum(residual**2, axis=-1)))),
-        'motion_mse': moved,
-        'motion_kept': kept / moved if moved > 0 else 1.0,
-    }
-
-
-def _make_trajectory(
-    key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
-) -> dataset.Trajectory:
-    prescribed = scene['rigid_motion'] == 'prescribed'
-    rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
-    n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
-    context = None
-    if len(run.context):
-        context = np.tile(run.context.astype(np.float32), (len(scores), 1))
-    return dataset.Trajectory(
-        key=key,
-        particle_type=np.repeat(
-            np.int64([rigid_type, dataset.MODE_PARTICLE_ID]), [n_rigid, n_modes]
-        ),
-        position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
-        force=run.force,
-        step_context=context,
-    )
+def _kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
+    return parameters.get('kind'), str(parameters.get('case'))
 
 
 def _make_metadata(
     runs: RawRuns,
     encoded: dict[str, list[EncodedRun]],
     space: subspace.Subspace,
+    frame_stride: int,
     base: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
@@ -255,7 +202,13 @@ def _make_metadata(
         'default_connectivity_radius': CONNECTIVITY_RADIUS,
         'dim': DIM,
         'dt': runs.dt,
-        'units': {'position': 'm', 'force': 'N', 'velocity': 'm per frame', 'dt': 's'},
+        'units': {
+            'position': 'm',
+            'force': 'N',
+            'torque': 'N m',
+            'velocity': 'm per frame',
+            'dt': 's',
+        },
         **statistics,
         'rigid_body_ref_point': None,
         'particles_rigid': first.n_rigid,
@@ -268,9 +221,15 @@ def _make_metadata(
             'mean': 'scalar' if space.centering == 'scalar' else 'per_feature',
             'explained_variance_ratio': space.explained_variance_ratio[: space.n_modes].tolist(),
             'projection_floor': space.projection_floor(),
+            'frame_stride': frame_stride if base is None else base['pca'].get('frame_stride', 1),
             'fitted_on': list(space.runs),
             'digest': space.digest,
         },
+        'projection_floors': {
+            'modes': list(next(iter(encoded.values()))[0].floors),
+            **{name: _mean_floors(part) for name, part in encoded.items()},
+        },
+        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in encoded},
         **{
             key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
             for key in PROJECTION_KEYS
@@ -282,10 +241,16 @@ def _make_metadata(
     }
 
 
+def _mean_floors(part: list[EncodedRun]) -> list[float]:
+    """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
+    return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()
+
+
 def _write_dataset(
     output_path: str,
     encoded: dict[str, list[EncodedRun]],
     space: subspace.Subspace,
+    sampled: np.ndarray,
     metadata: dict[str, Any],
     overwrite: bool,
 ) -> None:
@@ -299,6 +264,11 @@ def _write_dataset(
             path = dataset.split_path(folder, name)
             records = dataset.write_split(path, [run.trajectory for run in part])
             listed[os.path.basename(path)] = {'records': records}
+            path = particles.sample_path(folder, name)
+            particles.write_sample(
+                path, [run.sample for run in part], sampled, space.initial[sampled]
+            )
+            listed[os.path.basename(path)] = {}
         files.write_manifest(folder, listed)
 
     files.write_folder_atomically(output_path, fill, replace=overwrite)
@@ -324,6 +294,22 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
             f'{name:<8}{len(values):>5}{mse:>22.3e}{1e3 * mse**0.5:>11.3f}'
             f'{max(metadata["projection_max_mm"][name]):>15.2f}{100 * kept:>13.2f}%'
         )
+    floors = metadata['projection_floors']
+    for name in metadata['projection_mse']:
+        cells = ', '.join(
+            f'{1e3 * mse**0.5:.3f} with {count}'
+            for count, mse in zip(floors['modes'], floors[name])
+        )
+        lines.append(f'RMS [mm] that modes leave, {name}: {cells}')
+    n_bytes = [
+        entry['bytes']
+        for name, entry in files.read_json(os.path.join(output_path, files.MANIFEST_NAME))[
+            'files'
+        ].items()
+        if name.startswith('particles_')
+    ]
+    n_runs = sum(map(len, metadata['projection_mse'].values()))
+    lines.append(f'particle sample: {1e-3 * sum(n_bytes) / n_runs:.1f} kB a run')
     return '\n'.join(lines)
 
 
@@ -332,16 +318,24 @@ def define_flags() -> None:
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the new dataset.', required=True)
     flags.DEFINE_integer('modes', 8, 'Number of modes r to keep.')
+    flags.DEFINE_alias('num_modes', 'modes')
     flags.DEFINE_enum(
         'centering',
         'configuration',
         subspace.CENTERINGS,
         'Subtracted before the PCA: the mean position of each particle, or one number.',
     )
-    flags.DEFINE_list('split', ['0.8', '0.1', '0.1'], 'Shares of train, valid and test.')
+    flags.DEFINE_list(
+        'split',
+        None,
+        'Shares of train, valid and test. Default: as the runs themselves say, else 0.8,0.1,0.1.',
+    )
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
     flags.DEFINE_bool('spread', False, 'Draw valid and test evenly over the order of the cases.')
+    flags.DEFINE_integer(
+        'frame_stride', 1, 'Fit the subspace to every so many frames of a training run.'
+    )
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
         'like',
@@ -362,10 +356,11 @@ def main(_: Sequence[str]) -> None:
             values.output_path,
             modes=values.modes,
             centering=values.centering,
-            split=[float(share) for share in values.split],
+            split=values.split and [float(share) for share in values.split],
             seed=values.seed,
             hold_out=values.hold_out,
             spread=values.spread,
+            frame_stride=values.frame_stride,
             max_memory_mb=values.max_memory_mb,
             like=values.like,
             overwrite=values.overwrite,

@@ -17,8 +17,8 @@ import numpy as np
 from absl import app, flags
 
 from pca_tools.dataset import Trajectory
-from pca_tools.findings import Inspection, Level
-from pca_tools.inspection import inspect_folder
+from pca_tools.inspection import inspect_folder, run_kinds
+from pca_tools.inspection.findings import Inspection, Level
 from pca_tools.statistics import mean_share, trivial_errors
 
 
@@ -32,9 +32,13 @@ def report(inspection: Inspection, modes: int = 12) -> str:
     lines = [inspection.folder]
     if inspection.metadata is not None:
         lines += _contents(inspection)
+        lines += run_kinds.kind_table(inspection)
         lines += _ranges(inspection)
         lines += _trivial(inspection)
+        lines += run_kinds.force_table(inspection)
+        lines += run_kinds.leak_table(inspection)
         lines += _floors(inspection, modes)
+        lines += run_kinds.floor_table(inspection)
         lines += _motion(inspection)
     lines += ['', 'Findings']
     lines += [f'  {finding.level.value:<6}{finding.text}' for finding in inspection.findings]
@@ -75,8 +79,10 @@ def _ranges(inspection: Inspection) -> list[str]:
         'mode score [m]': [run.position[:, run.n_rigid :] for run in runs],
         'mode step [m/frame]': [np.diff(run.position[:, run.n_rigid :], axis=0) for run in runs],
     }
-    if runs[0].force is not None:
-        rows['force [N]'] = [run.force for run in runs]
+    for name, label in (('force', 'force [N]'), ('torque', 'torque [N m]')):
+        values = [getattr(run, name) for run in runs]
+        if all(value is not None for value in values):
+            rows[label] = values
     lines = ['', f'  {"range":<22}{"x":>22}{"y":>22}{"z":>22}']
     for name, samples in rows.items():
         values = np.concatenate([sample.reshape(-1, 3) for sample in samples])

@@ -73,7 +73,10 @@ def metadata_problems(metadata: Any) -> list[str]:
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             problems.append(f'{key} is {value!r}, an integer of at least {least} was expected')
     problems += _bounds_problems(metadata['bounds'])
-    for name, length in (('vel', DIM), ('acc', DIM), ('rigid_body_force', DIM), ('context', None)):
+    for name, length in (
+        ('vel', DIM), ('acc', DIM), ('rigid_body_force', DIM), ('rigid_body_torque', DIM),
+        ('context', None),
+    ):  # fmt: skip
         problems += _statistics_problems(metadata, name, length)
     version = metadata.get('schema_version', SCHEMA_VERSION)
     if version != SCHEMA_VERSION:

@@ -19,6 +19,14 @@ from pca_tools import files
 from pca_tools.metadata import DIM, RIGID_MOTIONS
 
 _RUN_KEYS = ('positions', 'rigid_positions', 'parameters')
+# Arrays with a first axis of frames -> number of axes, length of the last one.
+_SERIES = {
+    'positions': (3, DIM),
+    'rigid_positions': (3, DIM),
+    'force': (2, DIM),
+    'torque': (2, DIM),
+    'pose': (2, 7),
+}
 _ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
 _SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 
@@ -34,6 +42,9 @@ class RawRun:
         force: float32 [T, 3] on the body, newtons, or None.
         context: float64 [C] global context values.
         parameters: all parameters of the case and of the solver.
+        torque: float32 [T, 3] on the body about the position of `pose`, newton metres, or None.
+        pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
+            None.
     """
 
     case: int | str
@@ -42,6 +53,8 @@ class RawRun:
     force: np.ndarray | None
     context: np.ndarray
     parameters: dict[str, Any]
+    torque: np.ndarray | None = None
+    pose: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
@@ -111,7 +124,7 @@ class RawRuns(Sequence):
         if repeated:
             raise ValueError(f'{path}: lists the cases {repeated} more than once')
         self._verified: set[int] = set()
-        self._shape: tuple[int, int, int] | None = None
+        self._shape: tuple[int, ...] | None = None
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -138,15 +151,25 @@ class RawRuns(Sequence):
                 )
             self._verified.add(index)
         run = self._parse(path, entry['case'], files.read_npz(path))
-        shape = (*run.positions.shape[:2], run.rigid_positions.shape[1])
+        shape = (
+            *run.positions.shape[:2],
+            run.rigid_positions.shape[1],
+            run.torque is not None,
+            run.pose is not None,
+        )
         if self._shape is None:
             self._shape = shape
         if shape != self._shape:
             raise ValueError(
-                f'{path}: has (frames, particles, rigid points) {shape}, the runs before it '
-                f'{self._shape}'
+                f'{path}: has (frames, particles, rigid points, torque, pose) {shape}, the runs '
+                f'before it {self._shape}'
             )
         return run
+
+    def parameters(self, index: int) -> dict[str, Any]:
+        """Returns the parameters of run `index`, from the manifest where it lists them."""
+        listed = self._entries[index].get('parameters')
+        return listed if isinstance(listed, dict) else self[index].parameters
 
     def _parse(self, path: str, case: int | str, arrays: dict[str, np.ndarray]) -> RawRun:
         lacking = [key for key in _RUN_KEYS if key not in arrays]
@@ -155,7 +178,7 @@ class RawRuns(Sequence):
         if lacking:
             raise ValueError(f'{path}: lacks the arrays {lacking}')
         frames = arrays['positions'].shape[0] if arrays['positions'].ndim else 0
-        for name, ndim in (('positions', 3), ('rigid_positions', 3), ('force', 2)):
+        for name, (ndim, width) in _SERIES.items():
             values = arrays.get(name)
             if values is None:
                 continue
@@ -163,12 +186,12 @@ class RawRuns(Sequence):
                 values.dtype.kind not in 'fiu'
                 or values.ndim != ndim
                 or len(values) != frames
-                or values.shape[-1] != DIM
+                or values.shape[-1] != width
                 or not values.size
             ):
                 raise ValueError(
                     f'{path}: {name} has shape {values.shape}, {values.dtype} for {frames} frames '
-                    f'of {DIM} axes'
+                    f'of {width} values'
                 )
             if not np.all(np.isfinite(values)):
                 bad = np.argwhere(~np.isfinite(values))
@@ -186,13 +209,14 @@ class RawRuns(Sequence):
                 f'{path}: parameters must be a JSON object with context '
                 f'{self.scene["context_names"]}: {error!r}'
             ) from error
+        series = {
+            name: np.asarray(arrays[name], np.float32) if name in arrays else None
+            for name in _SERIES
+        }
+        if not self.scene['force']:
+            series['force'] = None
         return RawRun(
-            case=case,
-            positions=np.asarray(arrays['positions'], np.float32),
-            rigid_positions=np.asarray(arrays['rigid_positions'], np.float32),
-            force=np.asarray(arrays['force'], np.float32) if self.scene['force'] else None,
-            context=np.array(context, np.float64),
-            parameters=parameters,
+            case=case, context=np.array(context, np.float64), parameters=parameters, **series
         )
 
     def __iter__(self) -> Iterator[RawRun]:
@@ -202,13 +226,14 @@ class RawRuns(Sequence):
 class SoilPositions(Sequence):
     """The soil positions [T, N, 3] of some runs, opened one at a time."""
 
-    def __init__(self, runs: RawRuns, indices: Sequence[int]):
-        """Takes the runs `indices` of `runs`, in that order."""
+    def __init__(self, runs: RawRuns, indices: Sequence[int], frame_stride: int = 1):
+        """Takes every `frame_stride`-th frame of the runs `indices` of `runs`, in that order."""
         self._runs = runs
         self._indices = list(indices)
+        self._stride = frame_stride
 
     def __len__(self) -> int:
         return len(self._indices)
 
     def __getitem__(self, index: int) -> np.ndarray:
-        return self._runs[self._indices[index]].positions
+        return self._runs[self._indices[index]].positions[:: self._stride]

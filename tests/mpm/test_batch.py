@@ -12,7 +12,7 @@ import pytest
 
 from mpm import batch, packing, raw_run, scenes
 from mpm.constitutive import make_soil
-from mpm.run import Settings
+from mpm.simulation import Settings
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -20,7 +20,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 SHORT = """
 import sys
 from mpm import batch, scenes
-from mpm.run import Settings
+from mpm.simulation import Settings
 from mpm.experiments import coarse
 scenes.FRAMES = int(sys.argv[1])
 cases = tuple(int(case) for case in sys.argv[3].split(','))
@@ -73,7 +73,7 @@ def test_files_are_as_agreed(coarse_excavation, tmp_path, short):
 
 
 def test_wheel_runs_carry_context_and_edges(coarse_wheel, tmp_path, short, monkeypatch):
-    monkeypatch.setattr('mpm.run.REST_FRAMES', 4)
+    monkeypatch.setattr('mpm.simulation.REST_FRAMES', 4)
     make(coarse_wheel, tmp_path, cases=(154,))
     manifest = raw_run.read_manifest(str(tmp_path))
     assert manifest['scene']['rigid_motion'] == 'driven'

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from mpm import bodies, experiments
+from mpm import bodies, columns, experiments
+from mpm.constitutive import make_soil
 from mpm.grid_update import contact
+from mpm.scenes import CORNER, Bin
 
 SHAPE = (9, 9, 9)
 DX = 0.01
@@ -17,7 +19,7 @@ def one_node(velocity, body, pose, motion, mass=2.0, friction=0.3, outset=0.0):
     node = 4 * ((4 * 9 + 4) * 9 + 4)
     grid[node : node + 3] = velocity
     grid[node + 3] = mass
-    impulse = np.zeros(3)
+    impulse = np.zeros(6)
     contact(
         grid,
         SHAPE,
@@ -25,14 +27,12 @@ def one_node(velocity, body, pose, motion, mass=2.0, friction=0.3, outset=0.0):
         (0.0, 0.0, 0.0),
         DX,
         WALLS,
-        body.dims,
-        friction,
-        outset,
+        body._replace(friction=friction, outset=outset),
         pose,
         motion,
         impulse,
     )
-    return grid[node : node + 3].copy(), impulse
+    return grid[node : node + 3].copy(), impulse[:3]
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def wheel():
 
 def below(distance):
     """Pose of the wheel's axle with the middle node straight below it, `distance` outside."""
-    return (0.04, 0.04 + 0.05 + distance)
+    return (0.04, 0.04 + 0.05 + distance, 0.0)
 
 
 def test_node_outside_is_free(wheel):
@@ -81,18 +81,18 @@ def test_spin_drags_soil_along_the_rim(wheel):
 @pytest.mark.parametrize('share', [0.0, 0.25, 0.5, 1.0])
 def test_surface_takes_soil_along_gradually(share):
     """Over one cell of depth the soil's share of the body's own normal speed grows to all."""
-    blade = bodies.make_blade(0.0, 0.04)
+    blade = bodies.make_blade(0.04)
     # The node lies in front of the blade's face, at a depth of share x cell.
-    pose = (0.04 + blade.dims[3] - share * DX, 0.0)
+    pose = (0.04 + blade.radius - share * DX, 0.0, 0.0)
     velocity, _ = one_node([0.0, 0.0, 0.0], blade, pose, (-0.1, 0.0, 0.0))
     assert velocity[0] == pytest.approx(-0.1 * share, abs=1e-12)
 
 
 def test_outset_moves_the_start_of_contact_out():
-    blade = bodies.make_blade(0.0, 0.04)
-    pose = (0.04 + blade.dims[3] + 0.004, 0.0)  # 0.4 cells ahead of the face
+    blade = bodies.make_blade(0.04)
+    pose = (0.04 + blade.radius + 0.004, 0.0, 0.0)  # 0.4 cells ahead of the face
     free, _ = one_node([0.0, 0.0, 0.0], blade, pose, (-0.1, 0.0, 0.0), outset=0.0)
-    held, _ = one_node([0.0, 0.0, 0.0], blade, pose, (-0.1, 0.0, 0.0), outset=0.5 * DX)
+    held, _ = one_node([0.0, 0.0, 0.0], blade, pose, (-0.1, 0.0, 0.0), outset=0.5)
     assert free[0] == 0.0 and held[0] == pytest.approx(-0.01)
 
 
@@ -111,3 +111,47 @@ def test_body_takes_what_the_soil_loses():
     balance = experiments.contact_momentum()
     assert balance['impulse_N_s'] > 1.0
     assert balance['unbalanced'] < 1e-12  # measured 2e-15
+
+
+def test_torque_is_the_moment_of_the_same_impulses():
+    """On a random field: linear and angular part against sums over what the nodes lost."""
+    rng = np.random.default_rng(0)
+    nodes = np.zeros((9, 9, 9, 4))  # y, x, z
+    nodes[..., :3] = rng.normal(size=(9, 9, 9, 3))
+    nodes[..., 3] = rng.uniform(0.5, 2.0, (9, 9, 9))
+    grid = nodes.reshape(-1).copy()
+    blade = bodies.make_blade(0.04, 0.05)
+    impulse = np.zeros(6)
+    pose = (0.035, 0.025, -0.4)
+    contact(grid, SHAPE, 9, (0.0,) * 3, DX, WALLS, blade, pose, (-0.2, 0.1, 3.0), impulse)
+    after = grid.reshape(9, 9, 9, 4)
+    lost = (nodes[..., :3] - after[..., :3]) * nodes[..., 3:]
+    assert (lost != 0.0).any(axis=-1).sum() > 20
+    j, i, k = np.meshgrid(*(np.arange(9) * DX,) * 3, indexing='ij')
+    arm = np.stack([i, j, k], axis=-1) - [pose[0], pose[1], blade.z_middle]
+    np.testing.assert_allclose(impulse[:3], lost.sum(axis=(0, 1, 2)), atol=1e-12)
+    np.testing.assert_allclose(impulse[3:], np.cross(arm, lost).sum(axis=(0, 1, 2)), atol=1e-13)
+
+
+def test_body_takes_the_moment_that_the_soil_loses():
+    """A blade tips over in weightless soil: angular momentum about its edge, affine parts too."""
+    room = Bin((0.4, 0.1, 0.4), 0.02, (0, 0, 0), 1, 0.5, ())
+    block = Bin((0.4, 0.1, 0.4), 0.02, (30, 8, 30), 1, 0.5, ())
+    experiment = experiments.Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.15)
+    inside = np.abs(experiment.particles[:, [0, 2]] - CORNER - 0.2).max(axis=1) < 0.1
+    experiment.particles = experiment.particles[inside]
+    experiment.particles[:, columns.IDENTITY] = np.arange(inside.sum())
+    edge = np.array([CORNER + 0.3, CORNER + 0.1, CORNER + 0.2])
+    path = np.zeros((201, 3))
+    path[:, :2], path[:, 2] = edge[:2], 8.0 * experiment.dt * np.arange(201)
+    experiment.advance(200, gravity=0.0, body=bodies.make_blade(edge[2]), path=path)
+    x = experiment.particles[:, :3] - edge
+    v = experiment.particles[:, columns.V : columns.V + 3]
+    c = experiment.particles[:, columns.C : columns.C + 9].reshape(-1, 3, 3)
+    turn = np.stack(
+        [c[:, 2, 1] - c[:, 1, 2], c[:, 0, 2] - c[:, 2, 0], c[:, 1, 0] - c[:, 0, 1]], axis=1
+    )
+    moment = experiment.mass * (np.cross(x, v) + experiment.grid.dx**2 / 4 * turn).sum(axis=0)
+    given = np.linalg.norm(experiment.impulse[3:])
+    assert given > 1e-2
+    assert np.linalg.norm(moment + experiment.impulse[3:]) < 1e-10 * given

@@ -7,6 +7,7 @@ import pytest
 
 from mpm import columns, experiments, packing, run, scenes, stability
 from mpm.constitutive import make_soil
+from mpm.simulation import Settings
 
 
 @pytest.mark.parametrize(('modulus', 'limit'), [(0.15e6, 1.65e-3), (1.5e6, 4.5e-4), (15e6, 1.5e-4)])
@@ -32,9 +33,9 @@ def test_too_long_a_step_is_refused_with_its_numbers(soil):
 
 
 def test_a_run_refuses_a_given_step_above_the_limit(coarse_excavation, excavation_packing, soil):
-    settings = run.Settings(steps_per_frame=10)
+    settings = Settings(steps_per_frame=10)
     with pytest.raises(stability.UnstableTimeStepError, match='CFL'):
-        run.Simulation(
+        run.make_simulation(
             coarse_excavation,
             scenes.EXCAVATION.parameters(1),
             soil,
@@ -105,8 +106,8 @@ def test_soil_diverges_above_the_limit(coarse_excavation, excavation_packing, so
 
 def test_soil_too_fast_for_the_step_is_an_error(coarse_excavation, excavation_packing, soil):
     parameters = scenes.EXCAVATION.parameters(1)
-    simulation = run.Simulation(
-        coarse_excavation, parameters, soil, excavation_packing[0], run.Settings()
+    simulation = run.make_simulation(
+        coarse_excavation, parameters, soil, excavation_packing[0], Settings()
     )
     # A grain far from the blade and the walls flies up.
     middle = np.array([0.4, coarse_excavation.bin.surface, coarse_excavation.bin.z_middle])

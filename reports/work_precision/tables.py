@@ -1,0 +1,156 @@
+"""The report's table, from the stored points alone: Markdown to read, CSV to compute with."""
+
+import csv
+import io
+from collections.abc import Sequence
+
+from reports.work_precision import machine
+from reports.work_precision.points import (
+    OK,
+    WorkPrecisionPoint,
+    over_seeds,
+    pareto_front,
+)
+
+COLUMNS = (
+    'model', 'edges', 'weights', 'soil RMS mm, valid', 'test', 'of best trivial', 'force rel. L2, '
+    'valid', 'test', 'ms per step', 'p99', 'worst', 'live p99', 's per simulated s',
+    'first call s', 'MB', 'trained s',
+)  # fmt: skip
+
+
+def front_labels(
+    points: Sequence[WorkPrecisionPoint], error, dt: float, split: str = 'test'
+) -> set[str]:
+    """Labels of the models that no other beats in both time and error.
+
+    Args:
+      points: rows; failures and rows without a network are no candidates.
+      error: function (point, split) -> error or None.
+      dt: seconds per frame.
+      split: the split of the error.
+    """
+    rows = [
+        (p.label, p.seconds_per_second(dt), error(p, split))
+        for p in over_seeds(points) if p.status == OK and p.overrides
+    ]  # fmt: skip
+    rows = [row for row in rows if None not in row]
+    front = pareto_front([row[1:] for row in rows])
+    return {row[0] for row, kept in zip(rows, front, strict=True) if kept}
+
+
+def force_error(point: WorkPrecisionPoint, split: str) -> float | None:
+    """Relative L2 error of the force, mean over runs."""
+    return point.error(split, 'force_relative_l2')
+
+
+def best_trivial(points: Sequence[WorkPrecisionPoint], split: str) -> float | None:
+    """Soil MSE of the better trivial predictor, m²; None if the report holds none."""
+    values = [p.error(split, 'soil_mse') for p in points if not p.overrides]
+    return min((v for v in values if v), default=None)
+
+
+def markdown(document: dict) -> str:
+    """The table with what a reader must know about it."""
+    points, dt = document['points'], document['dt']
+    position_front = front_labels(points, WorkPrecisionPoint.position_error, dt)
+    force_front = front_labels(points, force_error, dt)
+    lines = [
+        f'**{document["scene"]}**: error against run time, batch 1. '
+        f'{machine.sentence(document["machine"])}.',
+        '',
+        '| ' + ' | '.join(COLUMNS) + ' |',
+        '|---' * len(COLUMNS) + '|',
+    ]
+    for point in over_seeds(points):
+        marks = ' ▲' * (point.label in position_front) + ' ●' * (point.label in force_front)
+        seeds = [p for p in points if p.label == point.label]
+        lines.append(
+            f'| {point.label}{marks} | ' + ' | '.join(_cells(point, seeds, points, dt)) + ' |'
+        )
+    failures = [f'- {p.label}, seed {p.seed}: **{p.status}**. {p.note}'
+                for p in points if p.status != OK]  # fmt: skip
+    lines += [
+        '',
+        '▲ on the front of soil error and time, ● of force error and time (test). Soil errors are '
+        'RMS per coordinate with what the modes cut off, mean over runs and seeds; of best '
+        'trivial: soil MSE within the modes over that of the better of stay still and constant '
+        'velocity; in brackets the range over seeds. Times: whole compiled rollouts in turns, '
+        'median; live: single steps from Python. First call: compilation included. MB: peak of a '
+        'process of its own, TensorFlow included.',
+    ]
+    training = document.get('swept_training')
+    if training:
+        given = ', '.join(f'{k} {v}' for k, v in training.items())
+        lines.append(f'Swept rows are trained alike and shorter than shipped ones: {given}.')
+    notes = [f'- {p.label}: {p.note}' for p in points if p.status == OK and p.note]
+    if failures:
+        lines += ['', 'Failures:', *failures]
+    if notes:
+        lines += ['', 'Notes:', *notes]
+    return '\n'.join(lines) + '\n'
+
+
+def _cells(point, seeds, points, dt):
+    """Cells of one label: the mean over its seeds, and their range."""
+
+    def spread(error):
+        values = [v for v in map(error, seeds) if v is not None]
+        if error(point) is None:
+            return '' if point.status == OK else f'**{point.status}**'
+        low_high = f' ({min(values):.3g}..{max(values):.3g})' if len(values) > 1 else ''
+        return f'{error(point):.3g}{low_high}'
+
+    def ratio(point):
+        trivial, value = best_trivial(points, 'test'), point.error('test', 'soil_mse')
+        return None if not trivial or value is None else value / trivial
+
+    rollout = point.rollout
+    times = [None] * 3 if rollout is None else [rollout.percentile(q) for q in (50, 99, 100)]
+    times += [point.live and point.live.percentile(99), point.seconds_per_second(dt)]
+    return [
+        _text(point.n_edge),
+        _text(point.n_weight),
+        spread(lambda p: p.position_error('valid')),
+        spread(lambda p: p.position_error('test')),
+        spread(ratio),
+        spread(lambda p: force_error(p, 'valid')),
+        spread(lambda p: force_error(p, 'test')),
+        *map(_text, [*times, point.first_call_s, point.peak_memory_mb, point.training_s]),
+    ]
+
+
+def _text(value):
+    if value is None:
+        return ''
+    if isinstance(value, int):
+        return str(value)
+    return f'{value:.0f}' if value >= 100 else f'{value:.3g}'
+
+
+def comma_separated(document: dict) -> str:
+    """Every point and seed as CSV, one line each."""
+    names = (
+        'label', 'families', 'seed', 'status', 'note', 'n_node', 'n_edge', 'n_weight', 'load_s',
+        'first_call_s', 'peak_memory_mb', 'base_memory_mb', 'training_s', 'digest',
+    )  # fmt: skip
+    errors = ('soil_mse', 'soil_rms_mm', 'soil_rms_mm_full', 'rigid_mse', 'force_relative_l2')
+    clocks = ('min', 'median', 'p95', 'p99', 'worst')
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator='\n')
+    writer.writerow(
+        [
+            *names,
+            *(f'{e}_{split}' for split in ('valid', 'test') for e in errors),
+            *(f'{kind}_ms_{c}' for kind in ('rollout', 'live') for c in clocks),
+            's_per_simulated_s',
+        ]
+    )
+    for p in document['points']:
+        row = ['; '.join(v) if isinstance(v, tuple) else v for v in (getattr(p, n) for n in names)]
+        row += [p.error(split, e) for split in ('valid', 'test') for e in errors]
+        for timing in (p.rollout, p.live):
+            row += [None] * len(clocks) if timing is None else timing.summary().values()
+        row.append(p.seconds_per_second(document['dt']))
+        writer.writerow(['' if v is None else v for v in row])
+    return buffer.getvalue()
