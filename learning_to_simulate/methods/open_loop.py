@@ -23,8 +23,7 @@ class Prediction(NamedTuple):
       force: float64 [S, T - H, D], N, or None.
       predicts: which of SOIL, FORCE, HEIGHT (of a driven body), TORQUE the method says anything
         of; an error of the others would be that of persistence.
-      torque: float64 [S, T - H], N m about the axis of a wheel, positive where the soil brakes
-        it, or None.
+      torque: float64 [S, T - H, D], N m about the body's reference point, or None.
     """
 
     position: np.ndarray

@@ -1,4 +1,4 @@
-"""Sinkage, drawbar and torque of a wheel by Bekker, Wong and Janosi, as the Soil Contact Model does.
+"""Sinkage, drawbar and torque of a wheel by Bekker, Wong and Janosi, as in the Soil Contact Model.
 
 Normal stress under a point that is pressed in by z: p = (k_c / b + k_phi) z^n (Bekker 1969; Wong
 2008, Theory of Ground Vehicles, ch. 2). Shear stress after a shear displacement j:
@@ -8,7 +8,8 @@ comes back elastically only. Here the map is a row of bins along the travel, the
 cylinder, and its height in every frame the one at which the soil bears the load.
 
 In the steady state this is Wong & Reece's (1967) integral over the contact arc, with no contact
-behind the lowest point.
+behind the lowest point, but for j: they follow a point of the rim, the Soil Contact Model a point
+of the soil, which the rim passes 1 / (1 - slip) times as long.
 """
 
 import dataclasses
@@ -20,6 +21,8 @@ import numpy as np
 EARTH_GRAVITY = 9.81
 TABLE_FRICTION = 0.5317
 _BISECTIONS = 30
+# Sine of the angle at which the rim ends: beyond, it stands upright.
+_RIM_END = 0.9999
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +90,52 @@ class WheelMotion(NamedTuple):
     torque: np.ndarray
 
 
+class _Contact(NamedTuple):
+    """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins.
+
+    Attributes:
+      arch: height of the rim above its lowest point, m; infinite beyond the rim.
+      sine, cosine: of the rim's angle from its lowest point, positive ahead.
+      deepest: sinkage so far, m.
+      shear: share of the shear strength that is mobilised, signed.
+      modulus: p / z^n, Pa/m^n.
+      friction: that limits the shear stress.
+      area: of a bin, m2.
+    """
+
+    arch: np.ndarray
+    sine: np.ndarray
+    cosine: np.ndarray
+    deepest: np.ndarray
+    shear: np.ndarray
+    modulus: np.ndarray
+    friction: np.ndarray
+    area: np.ndarray
+
+    def pressure(self, sinkage, parameters):
+        """Normal stress [S, n] (Pa) at sinkages [S] (m) of the lowest points."""
+        z = sinkage[:, None] - self.arch
+        most = np.maximum(z, self.deepest)
+        virgin = self.modulus * np.maximum(most, 0.0) ** parameters.n
+        # Unloading: a share of p is gone for each share of its depth that the rim has risen.
+        risen = (most - z) / np.maximum(most, 1e-12)
+        left = np.maximum(1.0 - parameters.elastic * risen, 0.0)
+        return np.where(z > 0, virgin * left, 0.0)
+
+    def forces(self, sinkage, parameters):
+        """Forward and upward force [S], N, and torque per radius [S], N, at sinkages [S]."""
+        pressure = self.pressure(sinkage, parameters)
+        strength = np.where(pressure > 0, parameters.cohesion + pressure * self.friction, 0.0)
+        tau = strength * self.shear
+        # A bin's share of the rim is area / cosine; stresses turn with the rim.
+        tangent = self.sine / self.cosine
+        return (
+            ((tau - pressure * tangent) * self.area).sum(axis=1),
+            ((pressure + tau * tangent) * self.area).sum(axis=1),
+            (tau / self.cosine * self.area).sum(axis=1),
+        )
+
+
 def drive(
     wheels: Wheels, travel, rolled, parameters: TerrainParameters, n_bin: int = 160
 ) -> WheelMotion:
@@ -100,12 +149,12 @@ def drive(
       n_bin: bins per radius of travel.
 
     Returns:
-      `WheelMotion`. Frame 0 rests under the load; the soil then has no shear. A wheel whose load the
-      soil does not bear is buried to its axle, and its vertical force stays below the load.
+      `WheelMotion`. Frame 0 rests under the load; the soil then has no shear. A wheel whose load
+      the soil does not bear is buried to its axle; its vertical force stays below the load.
     """
     radius, width = (np.asarray(x, np.float64)[:, None] for x in (wheels.radius, wheels.width))
     soil_friction = np.asarray(wheels.soil_friction, np.float64)[:, None]
-    scale = (parameters.k_c / width + parameters.k_phi) * (
+    modulus = (parameters.k_c / width + parameters.k_phi) * (
         np.asarray(wheels.gravity)[:, None]
         / EARTH_GRAVITY
         * (soil_friction / TABLE_FRICTION) ** parameters.friction_exponent
@@ -124,43 +173,33 @@ def drive(
         # Only bins under the wheel are looked at: a frame costs the same on every path.
         first = np.floor((travel[:, t] - radius[:, 0] - start[:, 0]) / spacing[:, 0])
         window = np.clip(first.astype(int)[:, None] + np.arange(2 * n_bin + 2), 0, count - 1)
-        ahead = (np.take_along_axis(places, window, axis=1) - travel[:, t : t + 1]) / radius
-        sine = np.clip(ahead, -0.9999, 0.9999)
-        arch = radius * (1.0 - np.sqrt(1.0 - sine**2))  # rim above its lowest point
-        tangent = sine / np.sqrt(1.0 - sine**2)
-        old, slip = (np.take_along_axis(x, window, axis=1) for x in (deepest, shear))
+        ahead = np.take_along_axis(places, window, axis=1) - travel[:, t : t + 1]
+        sine = np.clip(ahead / radius, -_RIM_END, _RIM_END)
+        cosine = np.sqrt(1.0 - sine**2)
+        slip = np.take_along_axis(shear, window, axis=1)
         if t:
-            moved = travel[:, t] - travel[:, t - 1]
-            turned = rolled[:, t] - rolled[:, t - 1]
-            slip = slip + turned[:, None] - moved[:, None] * np.sqrt(1.0 - sine**2)
-        strength = np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / parameters.shear_modulus))
-
-        def forces(sinkage):
-            """Forward, upward force, torque per width and bin, and the pressed bins."""
-            z = sinkage[:, None] - arch
-            most = np.maximum(z, old)
-            virgin = scale * np.maximum(most, 0.0) ** parameters.n
-            # Unloading: a share of p gone for each share of the depth that the wheel has risen.
-            risen = (most - z) / np.maximum(most, 1e-12)
-            pressure = virgin * np.maximum(1.0 - parameters.elastic * risen, 0.0)
-            pressure = np.where((z > 0) & (np.abs(ahead) < 0.9999), pressure, 0.0)
-            tau = strength * np.where(pressure > 0, parameters.cohesion + pressure * friction, 0.0)
-            part = width * spacing
-            return (
-                ((tau - pressure * tangent) * part).sum(axis=1),
-                ((pressure + tau * tangent) * part).sum(axis=1),
-                (tau / np.sqrt(1.0 - sine**2) * part * radius).sum(axis=1),
-                pressure > 0,
-            )
-
+            # The rim passes the soil at omega R - v cos(angle).
+            turned = rolled[:, t : t + 1] - rolled[:, t - 1 : t]
+            slip = slip + turned - (travel[:, t : t + 1] - travel[:, t - 1 : t]) * cosine
+        contact = _Contact(
+            arch=np.where(np.abs(sine) < _RIM_END, radius * (1.0 - cosine), np.inf),
+            sine=sine,
+            cosine=cosine,
+            deepest=np.take_along_axis(deepest, window, axis=1),
+            shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / parameters.shear_modulus)),
+            modulus=modulus,
+            friction=friction,
+            area=width * spacing,
+        )
         low, high = np.zeros(len(radius)), radius[:, 0].copy()
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            bears = forces(middle)[1] >= wheels.load
+            bears = contact.forces(middle, parameters)[1] >= wheels.load
             low, high = np.where(bears, low, middle), np.where(bears, middle, high)
-        forward, upward, torque, pressed = forces(high)
-        rows.append((high, forward, upward, torque))
-        z = high[:, None] - arch
-        np.put_along_axis(deepest, window, np.maximum(old, np.where(pressed, z, 0.0)), axis=1)
+        forward, upward, moment = contact.forces(high, parameters)
+        rows.append((high, forward, upward, radius[:, 0] * moment))
+        pressed = contact.pressure(high, parameters) > 0
+        reached = np.where(pressed, high[:, None] - contact.arch, 0.0)
+        np.put_along_axis(deepest, window, np.maximum(contact.deepest, reached), axis=1)
         np.put_along_axis(shear, window, np.where(pressed, slip, 0.0), axis=1)
     return WheelMotion(*(np.stack(x, axis=1) for x in zip(*rows, strict=True)))

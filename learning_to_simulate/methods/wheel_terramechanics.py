@@ -15,6 +15,7 @@ CONTEXT = ('gravity', 'friction_angle_deg', 'load')
 RIM_FRICTION = 0.5
 # What `fitted` moves, and how: positive ones as logarithms.
 _FITTED = ('k_phi', 'n', 'shear_modulus', 'friction_factor')
+_FIT_STEPS = (0.7, 0.2, 0.5, -0.2, 2.0)  # of the fitted values and of the friction exponent
 _FIT_STRIDE, _FIT_BINS, _FIT_ITERATIONS = 8, 40, 160
 
 
@@ -67,13 +68,18 @@ class WheelTerramechanics:
         force = self._force(motion)[:, H:]
         predicts = frozenset({open_loop.FORCE, open_loop.HEIGHT, open_loop.TORQUE})
         position = open_loop.held_position(group, self.scene, height)
-        return open_loop.Prediction(position, force, predicts, motion.torque[:, H:])
+        return open_loop.Prediction(position, force, predicts, self._torque(motion)[:, H:])
 
     def _force(self, motion):
         force = np.zeros((*motion.drawbar.shape, 3))
         force[..., self.frame.axis] = self.frame.sign * motion.drawbar
         force[..., self.frame.up] = motion.vertical
         return force
+
+    def _torque(self, motion):
+        # Rolling along +u turns u towards -y; the soil turns it back.
+        axle = np.cross(np.eye(3)[self.frame.up], self.frame.sign * np.eye(3)[self.frame.axis])
+        return -motion.torque[..., None] * axle
 
     def fitted(self, groups, cases=None) -> 'WheelTerramechanics':
         """The same with k_phi, n, K, the friction factor and the friction exponent that fit the

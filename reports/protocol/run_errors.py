@@ -5,6 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+
 HORIZONS = (0.25, 0.5, 1.0, 2.0)  # s
 
 
@@ -17,7 +19,7 @@ class RunPrediction:
       particles: function of frame numbers [F] and particle indices [P] -> [F, P, 3], m.
       force: [T - H, 3], N.
       height: [T - H] of the body's mean particle, m.
-      torque: [T - H], N m.
+      torque: [T - H, 3], N m.
       status: of the rollout, or None.
     """
 
@@ -86,8 +88,7 @@ def run_errors(prediction: RunPrediction, truth, reader, indices) -> dict:
     if prediction.particles is not None:
         errors |= soil_errors(prediction.particles(truth.frames, indices), truth)
     elif prediction.modes is not None:
-        first = truth.force_first if hasattr(truth, 'force_first') else _first_frame(truth)
-        modes = prediction.modes[truth.frames - first]
+        modes = prediction.modes[truth.frames - H]
         errors |= soil_errors(reader.decode(modes, indices), truth)
         r = prediction.modes.shape[1]
         square = ((prediction.modes - truth.modes[:, :r]) ** 2).sum(axis=(1, 2)).mean()

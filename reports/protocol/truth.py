@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
-from pca_tools import dataset, subspace
+from pca_tools import dataset, particles, subspace
 
 PARTICLES, DECODED = 'particles', 'decoded'
 # Kind of runs of the case grid, which state none.
@@ -25,14 +25,14 @@ class Truth:
       source: PARTICLES, or DECODED where the dataset holds modes only.
       frames: int [F], numbers of the frames, counted from the first of the record.
       particles: float64 [F, P, 3], m.
-      cut_off: mean square, m2, of what DECODED truth lacks; it adds to squared errors of whole runs,
-        since it is orthogonal to the subspace. 0 for PARTICLES.
+      cut_off: mean square, m2, of what DECODED truth lacks; it adds to squared errors of whole
+        runs, since it is orthogonal to the subspace. 0 for PARTICLES.
       truncation: root mean square, mm, of what the subspace cuts off the run; None if unknown.
       motion: root mean square, mm, of the soil's displacement in the run.
       modes: float64 [T - H, r, 3] recorded scores, m.
       force: float64 [T - H, 3], N, or None.
       height: float64 [T - H] of the body's mean particle, m, or None where it is given.
-      torque: float64 [T - H] about the axis across, N m, or None.
+      torque: float64 [T - H, 3] about the body's reference point, N m, or None.
       dt: s per frame.
       spacing: between particles of the solver, m.
     """
@@ -85,13 +85,8 @@ class TruthReader:
     def sample(self, split: str):
         """The split's particle sample, or None where the dataset holds none."""
         if split not in self._samples:
-            try:
-                # Datasets of version 1, and the code that made them, know no samples.
-                from pca_tools import particles
-
-                self._samples[split] = particles.read_sample(self.folder, split)
-            except (ImportError, FileNotFoundError):
-                self._samples[split] = None
+            there = os.path.exists(particles.sample_path(self.folder, split))
+            self._samples[split] = particles.read_sample(self.folder, split) if there else None
         return self._samples[split]
 
     def indices(self, split: str) -> np.ndarray:
@@ -111,7 +106,8 @@ class TruthReader:
         runs = dataset.read_split(self.folder, split)
         if sample is not None and len(sample) != len(runs):
             raise ValueError(
-                f'{self.folder}: {split} has {len(runs)} records and particles of {len(sample)} runs'
+                f'{self.folder}: {split} has {len(runs)} records, its particles are of '
+                f'{len(sample)} runs'
             )
         for record, run in enumerate(runs):
             yield self._truth(split, record, run, sample, indices)
@@ -123,48 +119,53 @@ class TruthReader:
         frames, cut_off = np.arange(H, run.n_frames), 0.0
         floor = _of_run(metadata.get('projection_mse'), split, record)
         if sample is None:
-            source, particles = DECODED, self.decode(scores[H:], indices)
+            source, positions = DECODED, self.decode(scores[H:], indices)
             start = self.decode(scores[:1], indices)
             cut_off = floor or 0.0
             truncation = None if floor is None else 1e3 * np.sqrt(floor)
         else:
             every = np.arange(len(sample[record])) * sample.frame_stride
-            start, particles = sample[record][:1], sample[record][every >= H]
+            start, positions = sample[record][:1], sample[record][every >= H]
             source, frames = PARTICLES, every[every >= H]
-            rest = particles - self.decode(scores[frames], indices)
+            rest = positions - self.decode(scores[frames], indices)
             truncation = 1e3 * np.sqrt((rest**2).mean())
         motion = _of_run(metadata.get('motion_mse'), split, record)
         if motion is None or source == PARTICLES:
-            motion = ((particles - start) ** 2).mean()
+            motion = ((positions - start) ** 2).mean()
         up = metadata.get('scene', {}).get('up_axis', 1)
         driven = metadata.get('scene', {}).get('rigid_motion') == 'driven'
         body = run.position[H:, : run.n_rigid].astype(np.float64)
-        torque = getattr(run, 'torque', None)
         return Truth(
             record=record,
             case=case.get('case', record),
             kind=case.get('kind') or GRID,
             source=source,
             frames=frames,
-            particles=particles,
+            particles=positions,
             cut_off=float(cut_off),
             truncation=None if truncation is None else float(truncation),
             motion=float(1e3 * np.sqrt(motion)),
             modes=scores[H:],
             force=None if run.force is None else run.force[H:].astype(np.float64),
             height=body[..., up].mean(axis=1) if driven else None,
-            torque=None if torque is None else torque[H:].astype(np.float64)[:, 2],
+            torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             dt=float(metadata['dt']),
-            spacing=self._spacing(case),
+            spacing=self.spacing(split, record),
         )
 
-    def _spacing(self, case):
-        """Spacing (m) of the solver's particles; else of those that the modes stand for."""
+    @property
+    def kept_spacing(self) -> float:
+        """Spacing (m) of the particles that the modes stand for."""
+        initial = self.subspace.initial
+        return float((np.prod(np.ptp(initial, axis=0)) / len(initial)) ** (1 / 3))
+
+    def spacing(self, split: str, record: int) -> float:
+        """Spacing (m) of the solver's particles; of the kept ones where the case does not say."""
+        case = _of_run(self.metadata.get('cases'), split, record) or {}
         packing = case.get('packing') or {}
         if 'cell_size_m' in case and 'particles_per_cell' in packing:
             return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-        volume = np.prod(np.ptp(self.subspace.initial, axis=0))
-        return float((volume / self.subspace.n_soil) ** (1 / 3))
+        return self.kept_spacing
 
 
 def _of_run(values, split, record):
