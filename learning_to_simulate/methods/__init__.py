@@ -1,1 +1,1 @@
-"""Methods beside the graph network: each predicts the same runs from the same inputs."""
+"""Methods of simulation behind one registry; see `registry`."""

@@ -57,14 +57,14 @@ class TrainingState:
         self._checkpoint = tf.train.Checkpoint(
             simulator=trainer.simulator,
             optimizer=trainer.optimizer,
-            averages=trainer.averages,
+            averages=trainer.averaging.variables,
             step=self._step,
             **({'gates': trainer.gates} if trainer.gates else {}),
         )
         self._variables = [
             *trainer.simulator.trainable_variables,
             *trainer.optimizer.variables,
-            *trainer.averages,
+            *trainer.averaging.variables,
             *(trainer.gates.variables if trainer.gates else ()),
         ]
 

@@ -10,8 +10,12 @@ coming frame and has no history (positions, motion of the body, context) is one 
     python -m learning_to_simulate.train --model=mixer_scse --data_path=... --model_path=...
 """
 
+import functools
+
 import sonnet as snt
 import tensorflow as tf
+
+from learning_to_simulate.methods.whole_state import WholeStateSimulator
 
 REDUCTION = 4  # of the channels in the squeeze; Hu et al. take 16 of hundreds of channels
 
@@ -100,3 +104,13 @@ class MotionMixer(snt.Module):
         """Sets the last layer to zero: every output is 0 until it is trained."""
         for variable in self._output.trainable_variables:
             variable.assign(tf.zeros_like(variable))
+
+
+def simulator_with_se(*arguments):
+    """A `WholeStateSimulator` of a mixer with SE; arguments as of `LearnedSimulator`."""
+    return WholeStateSimulator(functools.partial(MotionMixer, of_frames=False), *arguments)
+
+
+def simulator_with_scse(*arguments):
+    """A `WholeStateSimulator` of a mixer with scSE; arguments as of `LearnedSimulator`."""
+    return WholeStateSimulator(functools.partial(MotionMixer, of_frames=True), *arguments)

@@ -5,25 +5,24 @@ import time
 
 import numpy as np
 
-from learning_to_simulate.evaluation import Evaluator
-from learning_to_simulate.full_space.particle_simulator import history_of
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate import evaluation
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods.full_space.particle_simulator import history_of
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
 
-class ParticleEvaluator(Evaluator):
-    """As `Evaluator`; the rows of the model also hold the mean number of edges, and the peak memory
-    of the process so far (`peak_memory_mb`).
+class ParticleEvaluator:
+    """As `evaluation.Evaluator`; the rows of the model also hold the mean number of edges, and the
+    peak memory of the process so far (`peak_memory_mb`).
 
     Args:
-      model: `experiment.ParticleModel`.
+      model: `particle_method.ParticleModel`.
       metadata: of the dataset where particles are decoded from it, else {}: nothing is cut off.
     """
 
     def __init__(self, model, metadata):
-        super().__init__(model, metadata)
-        self._edges = {}
+        self._model, self._metadata, self._edges = model, metadata, {}
 
     def roll_out(self, group) -> Rollout:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
@@ -53,11 +52,12 @@ class ParticleEvaluator(Evaluator):
         self._edges[int(group.record[0])] = float(np.mean(edges)) if edges else 0.0
         return Rollout(positions, forces, [judgement], time.perf_counter() - start)
 
-    def metrics(self, results, split: str) -> dict:
-        """As `Evaluator.metrics`, with edges and memory."""
-        summary = super().metrics(results, split)
+    def run(self, groups, split: str, progress=iter):
+        """As `Evaluator.run`, with edges and memory in the metrics."""
+        results = evaluation.roll_out_all(self.roll_out, groups, progress)
+        summary = evaluation.summarise(results, self._model, self._metadata, split)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         for row in summary['runs']['model']:
             row |= {'edges': round(self._edges[row['record']]), 'peak_memory_mb': peak}
         summary['mean']['model']['peak_memory_mb'] = peak
-        return summary | {'particles': self._model.simulator.scene.n_soil}
+        return results, summary | {'particles': self._model.simulator.scene.n_soil}

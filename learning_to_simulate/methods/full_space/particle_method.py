@@ -6,36 +6,39 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from learning_to_simulate import (
-    checkpoints,
-    experiment,
-    model_config,
-    reading_utils,
-    training_state,
-)
-from learning_to_simulate.full_space import runs
-from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
-from learning_to_simulate.full_space.particle_simulator import (
+from learning_to_simulate import checkpoints, model_config, reading_utils
+from learning_to_simulate.methods.full_space import runs
+from learning_to_simulate.methods.full_space.particle_rollout import ParticleEvaluator
+from learning_to_simulate.methods.full_space.particle_simulator import (
     ParticleSimulator,
     ParticleStatistics,
     compute_statistics,
     typical_radius,
 )
-from learning_to_simulate.full_space.particle_training import ParticleTrainer
-from learning_to_simulate.stop_signals import StopSignals
-from pca_tools import dataset, files, folder_lock
+from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
+from learning_to_simulate.methods.registry import OpenedModel
+from learning_to_simulate.training_run import loop
+from pca_tools import dataset, files
 
 
-class ParticleModel(checkpoints.Model):
-    """A `ParticleSimulator` in the place of a simulator of modes; its edges are of the moment."""
+@dataclasses.dataclass
+class ParticleModel:
+    """A `ParticleSimulator` as model folders and the training loop take it: its edges are of the
+    moment, so it has none to store."""
 
-    def __init__(self, simulator: ParticleSimulator):
-        super().__init__(simulator, None, None)
+    simulator: ParticleSimulator
+    mode_mask: None = None
+    loaded_mask: None = None
+    edge_source: None = None
 
     def layout(self, n_rigid: int):
         """A graph without lasting edges."""
         n_node = n_rigid + self.simulator.scene.n_modes
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
+
+    def edge_counts(self) -> dict[str, int]:
+        """None: edges come and go."""
+        return {}
 
 
 def make_model(data_path, metadata, group, config, rigid_motion=None) -> ParticleModel:
@@ -63,18 +66,18 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
 
 def train(
     data_path,
-    raw_path,
     model_path,
     config,
     rigid_motion=None,
     save_every=None,
     take_over_lock=False,
+    raw_path=None,
 ) -> dict:
     """Trains to the end, or resumes; returns the metrics of the last validation rollout.
 
     Args:
       raw_path: folder of the raw runs, or None to decode the dataset's records.
-      others: as `learning_to_simulate.experiment.train`, with its errors.
+      others: as `subspace_method.train`, with its errors.
     """
     metadata = dataset.read_metadata(data_path)
     read = [
@@ -83,31 +86,27 @@ def train(
         if os.path.exists(dataset.split_path(data_path, split))
     ]
     model = make_model(data_path, metadata, read[0], config, rigid_motion)
-    trainer = ParticleTrainer(model, read[:1])
-    data = {
-        'path': os.path.abspath(data_path),
-        'source': runs.RAW if raw_path else runs.DECODED,
-        'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
-    }
+    source, scene = runs.RAW if raw_path else runs.DECODED, model.simulator.scene
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
-    with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
-        experiment.open_model_path(model_path, model, read[0].n_rigid, data)
-        state = training_state.TrainingState(model_path, trainer)
-        state.remove_leftovers()
-        start = state.restore()
-        scene = model.simulator.scene
-        print(
-            f'{config.preset} on {data_path} ({data["source"]}): {len(read[0].position)} runs, '
-            f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
-            f'{scene.connectivity_radius:.4g} m, {weights} weights, {trainer.total_steps} steps'
-        )
-        evaluator = ParticleEvaluator(model, {} if raw_path else metadata)
-        return experiment.train_steps(
-            model_path, trainer, state, start, evaluator, read[1:], save_every, stop
-        )
+    training = loop.Training(
+        model=model,
+        trainer=ParticleTrainer(model, read[:1]),
+        evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
+        valid=read[1:],
+        n_rigid=read[0].n_rigid,
+        data={
+            'path': os.path.abspath(data_path),
+            'source': source,
+            'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
+        },
+        title=f'{config.preset} on {data_path} ({source}): {len(read[0].position)} runs, '
+        f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
+        f'{scene.connectivity_radius:.4g} m, {weights} weights',
+    )
+    return loop.run(training, model_path, save_every, take_over_lock)
 
 
-def load_model(path: str) -> ParticleModel:
+def load(path: str) -> ParticleModel:
     """Loads a model for evaluation.
 
     Raises:
@@ -128,16 +127,18 @@ def load_model(path: str) -> ParticleModel:
     return ParticleModel(simulator)
 
 
-def load_for_evaluation(model_path, data_path, raw_path, split, overrides):
-    """The model, metadata for its evaluator and the runs of the split in a list.
+def open_model(
+    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
+) -> OpenedModel:
+    """A trained model with the runs of a split; see `registry`.
 
     Raises:
       FileNotFoundError: no model, dataset, raw folder or split there.
       ValueError: an override contradicts the model, or particles of another source or number.
     """
-    model = load_model(model_path)
+    model = load(model_path)
     scene, config = model.simulator.scene, model.simulator.config
-    experiment.refuse_contradictions(model_path, config, overrides)
+    checkpoints.refuse_contradictions(model_path, config, overrides or {})
     source = checkpoints.read_config(model_path)['data']['source']
     if source != (runs.RAW if raw_path else runs.DECODED):
         raise ValueError(
@@ -156,4 +157,11 @@ def load_for_evaluation(model_path, data_path, raw_path, split, overrides):
             raise ValueError(
                 f'{data_path} {"lacks" if has else "has"} a {part}, unlike the data of {model_path}'
             )
-    return model, {} if raw_path else metadata, [group]
+    metadata = {} if raw_path else metadata
+    return OpenedModel(
+        model,
+        [group],
+        metadata,
+        ParticleEvaluator(model, metadata),
+        lambda: ParticleTrainer(model, [group]).one_step_errors(),
+    )

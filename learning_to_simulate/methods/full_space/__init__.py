@@ -14,5 +14,5 @@ in metrics.json are those of the thinned particles, m² per particle and axis as
 edges are the mean of all steps, and `peak_memory_mb` is that of the process.
 
 `runs` reads particles, `particle_network` and `particle_simulator` are the model,
-`particle_training` and `particle_rollout` use it, `experiment` is what the command calls.
+`particle_training` and `particle_rollout` use it, `particle_method` is what the registry calls.
 """

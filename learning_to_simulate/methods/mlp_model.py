@@ -9,6 +9,8 @@ and the motion of the body go in, the next displacement of all modes and the for
 import sonnet as snt
 import tensorflow as tf
 
+from learning_to_simulate.methods.whole_state import WholeStateSimulator
+
 
 class StateMLP(snt.Module):
     """`hidden_layers` ReLU layers of `latent_size`, LayerNorm, and a linear output.
@@ -36,3 +38,8 @@ class StateMLP(snt.Module):
         """Sets the last layer to zero: every output is 0 until it is trained."""
         for variable in self._output.trainable_variables:
             variable.assign(tf.zeros_like(variable))
+
+
+def simulator(*arguments):
+    """A `WholeStateSimulator` of an MLP; arguments as of `LearnedSimulator`."""
+    return WholeStateSimulator(StateMLP, *arguments)

@@ -3,24 +3,26 @@
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.full_space.particle_simulator import history_of
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods.full_space.particle_simulator import history_of
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import Trainer, TwoStageSchedule
+from learning_to_simulate.training import TwoStageSchedule, WeightAverages
 
 _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
 
-class ParticleTrainer(Trainer):
+class ParticleTrainer:
     """Holds the runs, the optimiser and one compiled step; batches are made on the host.
 
     Args:
-      model: `experiment.ParticleModel`.
+      model: `particle_method.ParticleModel`.
       groups: one `RunGroup` of particles in a list.
 
     Raises:
       ValueError: runs shorter than a window.
     """
+
+    gates = None  # edges are made by distance, none are learned
 
     def __init__(self, model, groups):
         (self._group,) = groups
@@ -33,17 +35,22 @@ class ParticleTrainer(Trainer):
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=1.0)
         self.optimizer.build(self.simulator.trainable_variables)
-        self.averages = [tf.Variable(v, name='average') for v in self.simulator.trainable_variables]
+        self.averaging = WeightAverages(
+            self.simulator.trainable_variables, self.config.weight_average
+        )
         self._compiled = tf.function(self._train_step, reduce_retracing=True)
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of its one stage."""
+        return self.config.num_steps
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
         rng = self._generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
         batch = self._batch([self._sample(run, start, rng) for run, start in windows])
-        count = float(step)
-        keep = min(self.config.weight_average, (1.0 + count) / (10.0 + count))
-        return self._compiled(tf.constant(keep, tf.float32), *batch)
+        return self._compiled(tf.constant(step, tf.float32), *batch)
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
         """The batch of training step `step`: (record, first frame) of each window."""
@@ -126,12 +133,11 @@ class ParticleTrainer(Trainer):
         error = tf.reduce_sum((pooled - force) ** 2) / n_graph
         return {'loss': motion + error, 'loss_mse': motion, 'loss_force_mse': error}
 
-    def _train_step(self, keep, *batch):
+    def _train_step(self, step, *batch):
         variables = self.simulator.trainable_variables
         with tf.GradientTape() as tape:
             values = self._losses(*batch)
         gradients = tape.gradient(values['loss'], variables)
         self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
-        for average, variable in zip(self.averages, variables, strict=True):
-            average.assign_sub((1.0 - keep) * (average - variable))
+        self.averaging.update(step)
         return values

@@ -7,9 +7,9 @@ import sonnet as snt
 import tensorflow as tf
 from scipy.spatial import cKDTree
 
-from learning_to_simulate.full_space.particle_network import ParticleNetwork
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import RATE_FLOOR
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.methods.full_space.particle_network import ParticleNetwork
 from learning_to_simulate.scene import RigidMotion, Scene
 
 NEIGHBOURS = 14  # the radius is the mean distance of so many-th neighbours in the first frames
