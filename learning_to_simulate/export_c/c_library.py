@@ -34,26 +34,35 @@ def compiler() -> str:
     raise NoCompiler(f'no C compiler: {wanted} is on the path; install one (apt install gcc)')
 
 
-def sources() -> list[str]:
-    """The C files of the library."""
-    return sorted(glob.glob(os.path.join(c_header.NATIVE, 'src', '*.c')))
-
-
-def compile_library(output: str, extra_sources=(), flags=FLAGS) -> None:
-    """Compiles a shared library whole or not at all.
+def compile_sources(output: str, project: str, flags=FLAGS, extra_sources=()) -> None:
+    """Compiles the C files of a project into a shared library, whole or not at all.
 
     Args:
       output: path of the library.
-      extra_sources: C files besides those of `sources`.
+      project: folder with `include` and `src`.
       flags: of the compiler.
+      extra_sources: more C files.
 
     Raises:
       NoCompiler: there is none, or it fails; with what it said.
     """
-    include = [f'-I{os.path.join(c_header.NATIVE, part)}' for part in ('include', 'src')]
+    include, src = (os.path.join(project, part) for part in ('include', 'src'))
+    _compile(output, [include, src], [*_c_files(src), *extra_sources], flags)
 
+
+def compile_flat(output: str, folder: str, flags=FLAGS) -> None:
+    """The same for a folder that holds all sources and headers."""
+    _compile(output, [folder], _c_files(folder), flags)
+
+
+def _c_files(folder):
+    return sorted(glob.glob(os.path.join(folder, '*.c')))
+
+
+def _compile(output, include, sources, flags):
     def build(name):
-        command = [compiler(), *flags, *include, *sources(), *extra_sources, '-o', name, '-lm']
+        include_flags = [f'-I{folder}' for folder in include]
+        command = [compiler(), *flags, *include_flags, *sources, '-o', name, '-lm']
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise NoCompiler(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
@@ -77,11 +86,11 @@ def load() -> ctypes.CDLL:
     if not os.path.exists(path):
         try:
             os.makedirs(os.path.dirname(path), exist_ok=True)
-            compile_library(path)
+            compile_sources(path, c_header.NATIVE)
         except OSError:  # a home that cannot be written
             path = os.path.join(tempfile.mkdtemp(prefix='lts-'), name)
-            compile_library(path)
-    return _declared(ctypes.CDLL(path))
+            compile_sources(path, c_header.NATIVE)
+    return declared(ctypes.CDLL(path))
 
 
 def _cache_folder():
@@ -89,7 +98,7 @@ def _cache_folder():
     return os.path.join(base, 'learning_to_simulate')
 
 
-def _declared(library):
+def declared(library: ctypes.CDLL) -> ctypes.CDLL:
     """Gives the functions their types, so that ctypes refuses what C would not survive."""
     pointer, size, text = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_char_p
     signatures = {

@@ -5,7 +5,7 @@ With h the last hidden layer of an MLP and W, b its last layer, LayerNorm(h W + 
     f (h W' + b') scale + offset,    f = 1 / sqrt(|h W' + b'|^2 / L + epsilon),
 
 where W' and b' are W and b without their mean over the outputs. The norm needs no W': by a QR
-decomposition |h W' + b'| = |h T + t| with a triangular T, half of the products. Whatever linear layer
+decomposition |h W' + b'| = |h T + t| with a triangular T: half the products. Whatever linear layer
 follows goes into one product with W'. All of it is done in float64 and rounded once.
 """
 

@@ -1,4 +1,4 @@
-"""Soil at rest, body and scene values that a live run may start from: those of the training runs."""
+"""Soil at rest, body and scene values that a live run starts from: those of the training runs."""
 
 import os
 
