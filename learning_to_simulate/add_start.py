@@ -8,10 +8,10 @@ Example:
 """
 
 import os
-import sys
 
-from absl import app, flags
+from absl import flags
 
+from learning_to_simulate import command
 from pca_tools import files
 
 
@@ -25,6 +25,7 @@ def add_start(model_path: str, data_path: str) -> list[str]:
     Raises:
       FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
     """
+    command.import_tensorflow()
     from learning_to_simulate import checkpoints, resting_start
     from pca_tools import dataset
 
@@ -37,18 +38,13 @@ def add_start(model_path: str, data_path: str) -> list[str]:
     return list(written)
 
 
-def main(argv) -> None:
-    """Runs the command."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    try:
-        written = add_start(flags.FLAGS.model_path, flags.FLAGS.data_path)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
-    print(f'wrote {", ".join(written)} to {flags.FLAGS.model_path}')
+def run(values) -> None:
+    """Runs the command with its flags."""
+    written = add_start(values.model_path, values.data_path)
+    print(f'wrote {", ".join(written)} to {values.model_path}')
 
 
 if __name__ == '__main__':
     flags.DEFINE_string('model_path', None, 'Model folder to complete.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset it was trained on.', required=True)
-    app.run(main)
+    command.start(run)

@@ -21,14 +21,14 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import tqdm
-from absl import app, flags
+from absl import flags
 
+from learning_to_simulate import checks, command
 from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
 from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
@@ -183,25 +183,21 @@ def define_flags() -> None:
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
-def main(argv: Sequence[str]) -> None:
-    """Runs the command; bad input ends with its message and exit code 1."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    values, started = flags.FLAGS, time.perf_counter()
-    try:
-        frames, written = render(
-            values.rollout_path,
-            values.data_path,
-            values.output_path,
-            formats=values.format,
-            step_stride=values.step_stride,
-            color_by=values.color_by,
-            plane=values.plane,
-            label=values.label,
-            progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
-        )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+def run(values) -> None:
+    """Runs the command with its flags."""
+    checks.writable_folder(values.output_path)
+    started = time.perf_counter()
+    frames, written = render(
+        values.rollout_path,
+        values.data_path,
+        values.output_path,
+        formats=values.format,
+        step_stride=values.step_stride,
+        color_by=values.color_by,
+        plane=values.plane,
+        label=values.label,
+        progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
+    )
     print(frames.title)
     print(rollout_captions.summary_line(frames))
     for note in frames.notes:
@@ -213,4 +209,4 @@ def main(argv: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(run)

@@ -160,6 +160,7 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
         tqdm.tqdm(total=total, initial=start, unit='step', disable=None, smoothing=0.05) as bar,
         tf.summary.create_file_writer(model_path).as_default(),
     ):
+        bar.write('compiling the first step, up to a minute ...')
         clock = time.perf_counter()
         for i in range(start, total):
             if close_gates and i == trainer.config.gate_steps:
