@@ -1,10 +1,12 @@
 """Model folders: what a trained model is, on disk.
 
-  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest and package versions
-  weights.npz    weights for evaluation (moving averages where the config has them), no code, no
-  pickle ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
+  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest, package versions
+  weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
+                 no code, no pickle
+  start.npz, subspace.npz   what the model needs to run without its dataset (`resting_start`)
+  ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
-A folder that ships with the project holds the first two only.
+A folder that ships with the project holds no checkpoints.
 """
 
 import dataclasses

@@ -1,15 +1,18 @@
 """`CompiledStep`: frames of a model by TensorFlow, the back end of a `stepping.Stepper`."""
 
+import functools
+
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints
+from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.folded_simulator import FoldedSimulator, Given
-from learning_to_simulate.learned_simulator import KnownMotion, SimulatorState
-from learning_to_simulate.rollout import body_shape, corrected_body
+from learning_to_simulate.folded_step import FoldedStep
+from learning_to_simulate.learned_simulator import SimulatorState
+from learning_to_simulate.rigid_body import Correction, KnownMotion
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.two_pass import FramePass
+from learning_to_simulate.step_form import PlainStep
 
 
 class CompiledStep:
@@ -53,7 +56,7 @@ class CompiledStep:
         )
         if self._correct:
             n = layout.n_rigid
-            self._shape = body_shape(self._state.offset[:, :n], layout.origin[:n])
+            self._shape = Correction(self._state.offset[:, :n], layout.origin[:n]).shape
 
     def propose(self, body, displacement):
         """The next frame; the state stays as it is until `accept`.
@@ -69,8 +72,7 @@ class CompiledStep:
         if body is not None:
             motion = [body - self._layout.origin[: self._layout.n_rigid], displacement]
             if self._scene.rigid_motion == RigidMotion.DRIVEN:
-                up = np.eye(self._simulator.dim)[self._scene.up_axis]
-                motion = [x - up * x.mean(axis=0) for x in motion]
+                motion = [without_height(x, self._scene.up_axis) for x in motion]
             known = KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion))
         self._proposed, force = self._call(self._state, known, self._context, self._shape)
         position = self._proposed.offset.numpy()[0] + self._layout.origin
@@ -82,48 +84,12 @@ class CompiledStep:
 
     def _compute(self, state, known, context, shape):
         if self._simulator.config.has_lasting_graph:
-            after, force = self._folded_step(state, known, context)
+            make = functools.partial(FoldedStep, ahead=False, frozen=True)
         else:
-            after, force = self._simulator.step(state, known, context, self._layout)
-        if self._correct:
-            n = self._layout.n_rigid
-            placed, velocity = corrected_body(
-                shape, state.offset[:, :n], after.offset[:, :n], self._layout.origin[:n]
-            )
-            newest = tf.concat([velocity, after.velocity[:, n:, -1]], 1)
-            after = SimulatorState(
-                tf.concat([placed, after.offset[:, n:]], 1),
-                tf.concat([after.velocity[:, :, :-1], newest[:, :, None]], 2),
-            )
-        return after, force
-
-    def _folded_step(self, state, known, context):
-        """`LearnedSimulator.step`, with the weights as constants."""
-        simulator, n = self._simulator, self._layout.n_rigid
-        folded = FoldedSimulator(simulator, self._layout, frozen=True)
-        moving = folded.moving(state)
-        up = np.eye(simulator.dim, dtype=np.float32)[self._scene.up_axis]
-        given = Given(None, None, None, context)
-        if known is not None:
-            count = simulator.config.velocity_inputs
-            offset, velocity = state.offset[:, :n], state.velocity[:, :n, -count:]
-            if self._scene.rigid_motion == RigidMotion.DRIVEN:
-                offset, velocity = (
-                    x - up * tf.reduce_mean(x, 1, keepdims=True) for x in (offset, velocity)
-                )
-            given = Given(offset, velocity, known.velocity, context)
-        outputs = folded.predict(FramePass({}, None), given, moving)
-        after = folded.advance(outputs, moving)
-        body, velocity = (tf.zeros([1, 0, simulator.dim]),) * 2
-        if self._scene.rigid_motion == RigidMotion.PREDICTED:
-            body, velocity = after.body, after.body_velocity[:, :, -1]
-        elif known is not None:
-            body, velocity = known
-            if self._scene.rigid_motion == RigidMotion.DRIVEN:
-                body += after.body[:, None] * up
-                velocity += after.body_velocity[:, None, -1:] * up
-        newest = tf.concat([velocity, after.modes_velocity[:, :, -1]], 1)
-        return SimulatorState(
-            tf.concat([body, after.modes], 1),
-            tf.concat([state.velocity[:, :, 1:], newest[:, :, None]], 2),
-        ), outputs.get('force')
+            make = PlainStep
+        step = make(self._simulator, self._layout, self._correct, shape=shape)
+        one = None if known is None else KnownMotion(*(x[None] for x in known))
+        frames = step.ahead(state, one, context, 1)
+        carry, written = step.advance(step.begin(state), frames(0))
+        force = written[-1] if self._scene.has_force else None
+        return step.state_after(state, known, carry), force

@@ -7,6 +7,7 @@ against them as it comes, with the given motion before the frame is computed.
 import numpy as np
 
 from learning_to_simulate import normalization
+from learning_to_simulate.body_height import without_height
 from learning_to_simulate.rollout_status import (
     BOUNDS_FACTOR,
     RANGE_MARGIN,
@@ -49,7 +50,6 @@ class FrameJudge:
         low, high = widened(*statistics.position_range, extra)
         self._start = low[node_class], high[node_class]
         self._force_limit = None if force_limit is None else FORCE_FACTOR * force_limit
-        self._up = np.eye(statistics.origin.shape[1])[scene.up_axis]
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
         self._given = scene.rigid_motion.is_known and statistics.given_range is not None
         if self._given:
@@ -86,8 +86,9 @@ class FrameJudge:
         if not self._given:
             return None
         if self._driven:  # the height is not given: the up component holds the shape only
-            body = body - body.mean(axis=0) * self._up
-            before = None if before is None else before - before.mean(axis=0) * self._up
+            up = self._scene.up_axis
+            body = without_height(body, up)
+            before = None if before is None else without_height(before, up)
         (low, high), *moving, (slowest, fastest) = self._limits
         extent = body.max(axis=0) - body.min(axis=0)
         good = ((body >= low) & (body <= high)).all()

@@ -1,10 +1,8 @@
 """Records in memory: runs of one dataset split, grouped by their number of rigid particles.
 
 Subspace records are small (about 100 kB a run), so a split is read once, and training windows are
-gathered
-from it inside the compiled step: no input pipeline, no py_function, and which windows a step sees
-  is a
-function of (seed, step) alone.
+gathered from it inside the compiled step: no input pipeline, no py_function, and which windows a
+step sees is a function of (seed, step) alone.
 """
 
 import dataclasses

@@ -42,8 +42,8 @@ from learning_to_simulate import (
     presets,
     reading_utils,
 )
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import rollout_inputs
-from learning_to_simulate.specialised_rollout import rollout_function
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
 from reports import command, record, timing
