@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import features
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.folded_network import (
@@ -21,7 +22,6 @@ from learning_to_simulate.folded_network import (
     edge_blocks,
 )
 from learning_to_simulate.learned_simulator import (
-    EMBEDDING_SIZE,
     Layout,
     LearnedSimulator,
     SimulatorState,
@@ -120,20 +120,7 @@ class FoldedSimulator:
 
     def _split_first_layer(self, w, b):
         """Rows of the node encoder's first layer by the feature that they act on."""
-        s, config, dim = self.simulator, self.simulator.config, self.simulator.dim
-        count = config.velocity_inputs
-        sizes = {'velocity': count * dim}
-        if config.conditioned:
-            sizes |= {'offset': dim, 'acceleration': (count - 1) * dim}
-        if s.rate_scaled:
-            sizes['rate'] = 2
-        if s.knows_next_frame:
-            sizes['coming'] = dim
-        if self.motion == RigidMotion.DRIVEN and config.conditioned:
-            sizes['height'] = INPUT_SEQUENCE_LENGTH
-        sizes['embedding'] = EMBEDDING_SIZE
-        if s.scene.context_names:
-            sizes['context'] = w.shape[0] - sum(sizes.values())
+        sizes = {f.name: f.width(self.simulator) for f in features.of(self.simulator)}
         return dict(zip(sizes, tf.split(w, list(sizes.values())), strict=True)), b
 
     def _constant_part(self, bias):
