@@ -93,8 +93,8 @@ def _height(view):
     return tf.concat([height / scales[0], change / scales[1]], axis=-1)[:, None]
 
 
-def _conditioned(simulator):
-    return simulator.config.conditioned
+def _has_positions(simulator):
+    return simulator.config.position_inputs
 
 
 TABLE = (
@@ -102,19 +102,19 @@ TABLE = (
         'velocity', NODES, lambda s: True, lambda s: s.config.velocity_inputs * s.dim, _velocity
     ),
     Feature(
-        'offset', NODES, _conditioned, lambda s: s.dim,
+        'offset', NODES, _has_positions, lambda s: s.dim,
         lambda view: view.state.offset / view.layout.position_std,
     ),
     Feature(
         'acceleration', NODES,
-        lambda s: s.config.conditioned and s.config.velocity_inputs > 1,
+        lambda s: s.config.position_inputs and s.config.velocity_inputs > 1,
         lambda s: (s.config.velocity_inputs - 1) * s.dim, _acceleration,
     ),
     Feature('rate', SCENE, lambda s: s.rate_scaled, lambda s: 2, _rate),
     Feature('coming', RIGID, lambda s: s.knows_next_frame, lambda s: s.dim, _coming),
     Feature(
         'height', RIGID,
-        lambda s: s.config.conditioned and s.scene.rigid_motion == RigidMotion.DRIVEN,
+        lambda s: s.config.position_inputs and s.scene.rigid_motion == RigidMotion.DRIVEN,
         lambda s: INPUT_SEQUENCE_LENGTH, _height,
     ),
     Feature(

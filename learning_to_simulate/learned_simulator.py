@@ -42,7 +42,7 @@ class Layout:
       n_rigid: R.
       scene: the scene.
       statistics: by node class.
-      conditioned: whether losses are weighted by each component's motion.
+      loss_by_motion: whether losses are weighted by each component's motion.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Layout:
         n_rigid: int,
         scene: Scene,
         statistics: normalization.Statistics,
-        conditioned: bool,
+        loss_by_motion: bool,
     ):
         self.n_rigid = n_rigid
         self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
@@ -83,7 +83,7 @@ class Layout:
             moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
         self.moving = moving
         self.loss_weight = moving.copy()
-        if conditioned:
+        if loss_by_motion:
             # Quiet components cost less: an error counts by its share of the loudest component's
             # motion. Lateral scores are mostly noise, and equal weights would spend the network on
             # them.
@@ -120,9 +120,9 @@ class LearnedSimulator(snt.Module):
             config.hidden_layers,
             config.message_passing_steps,
             output_size=self.dim * (2 if scene.has_force else 1),
-            mean_aggregation=config.conditioned,
+            mean_aggregation=config.mean_aggregation,
         )
-        n_embedding = scene.n_modes + 1 if config.conditioned else NUM_PARTICLE_TYPES
+        n_embedding = scene.n_modes + 1 if config.embedding_by_class else NUM_PARTICLE_TYPES
         initial = tf.random.stateless_normal(
             [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
         )
@@ -139,7 +139,7 @@ class LearnedSimulator(snt.Module):
     @property
     def knows_next_frame(self) -> bool:
         """Whether the coming frame of the body is an input; not in the published presets."""
-        return self.config.conditioned and self.scene.rigid_motion.is_known
+        return self.config.coming_motion_input and self.scene.rigid_motion.is_known
 
     @property
     def rate_scaled(self) -> bool:
@@ -175,7 +175,7 @@ class LearnedSimulator(snt.Module):
     def node_embedding(self, layout: Layout):
         """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
         classes = layout.node_class
-        if not self.config.conditioned:
+        if not self.config.embedding_by_class:
             classes = np.where(classes == 0, *self.particle_types)
         return tf.gather(self._embedding, classes)
 
