@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pca_tools import files
 from reports.timing import Timing
 
+DOCUMENT = 'points.json'
+SCHEMA_VERSION = 1
 OK = 'ok'
 # A soil error this many times that of the better trivial predictor is a failure, not a result.
 DIVERGED_RATIO = 10.0
@@ -104,6 +107,29 @@ class WorkPrecisionPoint:
             return cls(**values | timings | {'families': tuple(values['families'])})
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f'not a point of the report: {error!r}') from error
+
+
+def read_document(path: str) -> dict:
+    """Reads a stored report; its 'points' become `WorkPrecisionPoint`s.
+
+    Raises:
+      FileNotFoundError, ValueError: no report there, or one of another kind or version.
+    """
+    values = files.read_json(path)
+    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(f'{path}: not a report of schema version {SCHEMA_VERSION}')
+    try:
+        read = [WorkPrecisionPoint.from_json(point) for point in values['points']]
+        values['scene'], values['dt'], values['machine']
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{path}: {error!r}') from error
+    return values | {'points': read}
+
+
+def write_document(path: str, document: dict) -> None:
+    """Writes a report, whole or not at all."""
+    points = [point.to_json() for point in document['points']]
+    files.write_json(path, document | {'points': points})
 
 
 def over_seeds(points: Sequence[WorkPrecisionPoint]) -> list[WorkPrecisionPoint]:
