@@ -21,7 +21,7 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import evaluation, experiment, metrics, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files
 from reports import command, markdown
 from reports.record import ROOT

@@ -125,7 +125,8 @@ class Bench:
         self._trainer = Trainer(self.model, self._groups)
         self._gates = self._trainer.gates
         t = self._trainer
-        self._state = [*t.simulator.trainable_variables, *t.optimizer.variables, *t.averages]
+        variables = t.simulator.trainable_variables
+        self._state = [*variables, *t.optimizer.variables, *t.averaging.variables]
         if self._gates:
             self._state += [self._gates.log_alpha, *self._gates.optimizer.variables]
         self._start = [v.numpy() for v in self._state]
@@ -177,7 +178,7 @@ class Bench:
         if mask is not None:
             self.model.fix_mode_edges(mask)
         evaluator = evaluation.Evaluator(self.model, self._metadata)
-        with trainer.averaged_weights():
+        with trainer.averaging.in_place():
             for split in ('valid', 'test'):
                 _, summary = evaluator.run(self._read(split), split)
                 mean = summary['mean']['model']

@@ -19,7 +19,7 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import experiment, presets, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import dataset, files

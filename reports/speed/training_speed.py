@@ -26,7 +26,7 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import evaluation, experiment, noise_utils, presets, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
@@ -185,7 +185,7 @@ def time_to_error(data_path: str, preset: str, target: float, budget: float, **o
                 float(trainer.step(step)['loss'])
                 step += 1
             spent += time.perf_counter() - start
-            with trainer.averaged_weights():
+            with trainer.averaging.in_place():
                 share = evaluator.run(valid, 'valid')[1]['soil_mse_over_best_trivial']
             curve.append((spent, step, share))
             if share is not None and share <= target:

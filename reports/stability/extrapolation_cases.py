@@ -10,7 +10,7 @@ import os
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from mpm import bodies, packing, run, scenes
 from mpm.constitutive import make_soil
 from mpm.motions import grid

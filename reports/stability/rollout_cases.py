@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout_status import RolloutStatus
 from reports.stability import shipped as lib
 from reports.stability.cases import FLAGGED, HOLDS, Case, judged

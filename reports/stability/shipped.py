@@ -6,7 +6,7 @@ import os
 import numpy as np
 
 from learning_to_simulate import experiment, metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from learning_to_simulate.specialised_rollout import rollout_function

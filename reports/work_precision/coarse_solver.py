@@ -27,7 +27,7 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from mpm import batch, coarse, packing, raw_run, scenes
 from mpm.constitutive import make_soil
 from mpm.run import make_simulation, run_case

@@ -8,7 +8,7 @@ all of them fit in an afternoon.
 import dataclasses
 
 from learning_to_simulate import presets
-from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
 SHIPPED = 'shipped presets'

@@ -19,10 +19,9 @@ from collections.abc import Sequence
 import numpy as np
 import tqdm
 
-from learning_to_simulate import checkpoints, evaluation, experiment
-from learning_to_simulate.full_space import experiment as particles
-from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate import checkpoints
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.methods import registry
 from pca_tools import dataset, files, subspace
 from reports import markdown, timing
 from reports.speed import step_latency
@@ -111,29 +110,17 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
     return None
 
 
-def train(data_path: str, model_path: str, config: TrainConfig) -> float:
+def train(data_path: str, model_path: str, config) -> float:
     """Trains, or finishes, a row's model; returns the seconds that this call took."""
     start = time.perf_counter()
-    if config.model == 'full_space':
-        particles.train(data_path, None, model_path, config)
-    else:
-        experiment.train(data_path, model_path, config)
+    registry.get(config.model).load_code().train(data_path, model_path, config)
     return time.perf_counter() - start
-
-
-def _is_full_space(model_path):
-    return checkpoints.read_config(model_path)['config'].get('model') == 'full_space'
 
 
 def open_model(data_path: str, model_path: str, split: str):
     """The evaluator of a trained model, the model, and the runs of a split."""
-    if _is_full_space(model_path):
-        model, metadata, groups = particles.load_for_evaluation(
-            model_path, data_path, None, split, {}
-        )
-        return ParticleEvaluator(model, metadata), model, groups
-    model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, split, {})
-    return evaluation.Evaluator(model, metadata), model, groups
+    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, split)
+    return opened.evaluator, opened.model, opened.groups
 
 
 def evaluate(data_path: str, model_path: str) -> dict:
@@ -255,7 +242,7 @@ def time_live_steps(data_path: str, model_paths: dict, n_run: int) -> dict[str, 
     jobs = {
         key: timing.Job(step_latency.Timed(f'{path}:{data_path}'), warm_up=0)
         for key, path in tqdm.tqdm(model_paths.items(), 'steppers', unit='model', disable=None)
-        if not _is_full_space(path)
+        if not registry.of_folder(path).on_particles
     }
     return timing.in_turns(jobs, n_run, 'live runs in turns')
 
