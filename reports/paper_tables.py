@@ -53,7 +53,7 @@ PUBLISHED_ERRORS = {
 def times(models_path: str, reports_path: str) -> str:
     """Table 3.1: seconds of computing per simulated second."""
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
-    rows = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
+    rows: list[tuple] = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
         report = os.path.join(reports_path, scene, survey.DOCUMENT)
         measured = _times_of_report(report) if os.path.exists(report) else {}

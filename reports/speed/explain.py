@@ -16,6 +16,7 @@ Examples:
 """
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import tensorflow as tf
@@ -72,7 +73,7 @@ class Explanation:
             raise ValueError(
                 f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
             )
-        self._calls = {}
+        self._calls: dict[str, tuple] = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
@@ -206,7 +207,7 @@ class Explanation:
           rounds: timed rollouts of each variant.
         """
         jobs = {
-            name: timing.Job(lambda f=function, x=inputs: f(*x)[0].numpy(), inputs[-1])
+            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()
         }
         times = timing.in_turns(jobs, rounds, 'rollouts in turns')

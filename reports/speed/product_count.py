@@ -65,7 +65,9 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
     given = given_motion(simulator, layout, state, known, n_frame)
     before, results = 0.0, {}
     if ahead:
-        rows = [None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given]
+        offset, velocity, coming = (
+            None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given
+        )
         contexts = None if context is None else tf.tile(context, [n_frame, 1])
 
         def run(rows):
@@ -73,7 +75,7 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
             folded.predict(first, rows, MovingState(None, None, None, None))
             return first.results
 
-        rows = Given(*rows, contexts)
+        rows = Given(offset, velocity, coming, contexts)
         results, before = run(rows), mflop(run, rows) / n_frame
 
     def frame(now, moving):
@@ -81,5 +83,6 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
         outputs = {n: one.read(x) for n, x in folded.predict(one, now, moving).items()}
         return folded.advance(outputs, moving)
 
-    now = Given(*(None if x is None else x[0] for x in given), context)
+    offset, velocity, coming = (None if x is None else x[0] for x in given)
+    now = Given(offset, velocity, coming, context)
     return mflop(frame, now, folded.moving(state)), before

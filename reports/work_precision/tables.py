@@ -40,10 +40,10 @@ def front_labels(
       split: the split of the error.
     """
     rows = [
-        (p.label, p.seconds_per_second(dt), error(p, split))
+        (p.label, time, size)
         for p in over_seeds(points) if p.status == OK and p.overrides
+        if (time := p.seconds_per_second(dt)) is not None and (size := error(p, split)) is not None
     ]  # fmt: skip
-    rows = [row for row in rows if None not in row]
     front = pareto_front([row[1:] for row in rows])
     return {row[0] for row, kept in zip(rows, front, strict=True) if kept}
 
@@ -111,7 +111,8 @@ def summary(*paths: str) -> str:
       *paths: `points.json` of each scene.
     """
     documents = [read_document(path) for path in paths]
-    header, found = ['mean (range over trainings)'], {}
+    header: list[str] = ['mean (range over trainings)']
+    found: dict[str, dict] = {}
     for document in documents:
         header += [f'{document["scene"]}: soil RMS mm', 'force rel. L2', 'ms per step']
         for point in over_seeds(document['points']):
@@ -154,7 +155,7 @@ def shipped(*paths: str) -> str:
                  markdown.span([p.position_error('test') for p in seeds]),
                  floor.position_error('test'),
                  markdown.span([force_error(p, 'test') for p in seeds]),
-                 point.rollout.percentile(50))
+                 point.rollout and point.rollout.percentile(50))
             )  # fmt: skip
     return markdown.table(header, lines)
 
@@ -162,7 +163,8 @@ def shipped(*paths: str) -> str:
 def sweeps(*paths: str) -> str:
     """The rows of the sweeps: soil error on valid and test and the time of a step, per scene."""
     documents = [read_document(path) for path in paths]
-    header, found = ['left out, or added'], {}
+    header: list[str] = ['left out, or added']
+    found: dict[str, dict] = {}
     for document in documents:
         header += [f'{document["scene"]}: valid, mm', 'test, mm', 'ms per step']
         for p in document['points']:
