@@ -23,7 +23,7 @@ EXTRAS = {
     'gpu': ['tensorflow[and-cuda]>=2.21,<2.22'],
     'viz': ['imageio-ffmpeg>=0.6', 'matplotlib>=3.9', 'pillow>=11'],
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
-    'dev': ['pre-commit', 'pytest', 'pytest-xdist', 'ruff'],
+    'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
 
 setuptools.setup(
