@@ -45,6 +45,7 @@ setuptools.setup(
                 'pca_tools',
                 'reports',
                 'run_scripts',
+                'storage',
             )
             for pattern in (name, f'{name}.*')
         ]

@@ -328,7 +328,7 @@ def main(_: Sequence[str]) -> None:
             match_particles=values.match_particles,
         )
     except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(metadata, values.output_path))
 
 

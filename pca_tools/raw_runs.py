@@ -34,6 +34,7 @@ class RawRun:
         torque: float32 [T, 3] on the body about the position of `pose`, newton metres, or None.
         pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
             None.
+        step_context: float32 [T, C], context of every frame where it changes in time, or None.
     """
 
     case: int | str
@@ -44,6 +45,7 @@ class RawRun:
     parameters: dict[str, Any]
     torque: np.ndarray | None = None
     pose: np.ndarray | None = None
+    step_context: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
