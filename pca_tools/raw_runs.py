@@ -226,6 +226,10 @@ class SoilPositions(Sequence):
         self._indices = list(indices)
         self._stride = frame_stride
 
+    def part(self, start: int, stop: int) -> SoilPositions:
+        """Returns the runs from number `start` up to `stop`."""
+        return SoilPositions(self._runs, self._indices[start:stop], self._stride)
+
     def __len__(self) -> int:
         return len(self._indices)
 

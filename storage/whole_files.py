@@ -54,12 +54,17 @@ def write_file(path: str, write: Callable[[str], None]) -> None:
         with open(temporary, 'rb+') as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException as error:
+    except OSError as error:
+        if error.errno is None:
+            raise
+        # A full disk does not say which file did not fit, and a temporary name helps nobody.
+        other = f' ({error.filename})' if error.filename not in (None, temporary, path) else ''
+        raise OSError(
+            error.errno, f'cannot write {path}: {error.strerror or error}{other}'
+        ) from error
+    finally:
         with contextlib.suppress(OSError):
             os.remove(temporary)
-        if isinstance(error, OSError) and error.errno and error.filename in (None, temporary):
-            error.filename = path  # a full disk does not say which file did not fit
-        raise
     sync_folder(os.path.dirname(path))
 
 
