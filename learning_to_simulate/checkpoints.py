@@ -20,12 +20,12 @@ from learning_to_simulate import model_config
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
 from learning_to_simulate.methods import registry
+from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
 
@@ -65,7 +65,7 @@ class Model:
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
             self._layouts[n_rigid] = Layout(
-                adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
+                adjacency, n_rigid, s.scene, s.statistics, s.config.loss_by_motion
             )
         return self._layouts[n_rigid]
 

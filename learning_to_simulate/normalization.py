@@ -159,14 +159,14 @@ def compute_statistics(
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
     # Loads and gravities span decades: a network sees both x and log x of a positive context.
-    logarithm = config.conditioned and context is not None and (context > 0).all()
+    logarithm = config.statistics_by_class and context is not None and (context > 0).all()
     for name, function in (('mean', np.mean), ('std', np.std)):
         values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
-        if config.conditioned
+        if config.statistics_by_class
         else _dataset_wide(metadata, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
@@ -282,7 +282,7 @@ def _targets(values, heights, scene, config):
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
-    if heights is not None and config.conditioned:
+    if heights is not None and config.statistics_by_class:
         # The body's height moves far less than the particles of a turning wheel do.
         change = np.concatenate(
             [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]

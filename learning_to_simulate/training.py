@@ -176,7 +176,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_force=self.config.conditioned,
+                relative_force=self.config.relative_force_loss,
             )
             for g in groups
         ]
@@ -184,7 +184,7 @@ class Trainer:
         self._share = np.cumsum(runs / runs.sum())
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
+            self.learning_rate, global_clipnorm=self.config.clip_norm
         )
         self.optimizer.build(self.simulator.trainable_variables)
         self._model = model
