@@ -23,7 +23,9 @@ EXTRAS = {
     'gpu': ['tensorflow[and-cuda]>=2.21,<2.22'],
     'viz': ['imageio-ffmpeg>=0.6', 'matplotlib>=3.9', 'pillow>=11'],
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
-    'dev': ['pre-commit', 'pytest', 'pytest-xdist', 'ruff'],
+    'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
+    'vtk': ['vtk>=9.4'],
+    'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
 
 setuptools.setup(
@@ -51,6 +53,8 @@ setuptools.setup(
                 'pca_tools',
                 'reports',
                 'run_scripts',
+                'storage',
+                'cluster',
             )
             for pattern in (name, f'{name}.*')
         ]
@@ -60,6 +64,7 @@ setuptools.setup(
         'dm-sonnet>=2.0.2',
         'dm-tree>=0.1.9',
         'graph_nets>=1.1.0',
+        'h5py>=3.11',
         'numba>=0.61',
         'numpy>=2.0',
         'scikit-learn>=1.5',

@@ -16,7 +16,7 @@ Examples:
 """
 
 import dataclasses
-import functools
+from functools import partial
 
 import numpy as np
 import tensorflow as tf
@@ -75,7 +75,7 @@ class Explanation:
             raise ValueError(
                 f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
             )
-        self._calls = {}
+        self._calls: dict[str, tuple] = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
@@ -96,7 +96,7 @@ class Explanation:
 
     def _add(self, name, model, group, layout, kind=FoldedStep, **options):
         """Makes a variant to be timed; returns its inputs."""
-        make_step = functools.partial(kind, **options)
+        make_step = partial(kind, **options)
         function = RolloutFunction(model.simulator, layout, make_step=make_step)
         inputs = rollout_inputs(group, layout, model.simulator.scene)
         self._calls[name] = (function, inputs)
@@ -210,7 +210,7 @@ class Explanation:
           rounds: timed rollouts of each variant.
         """
         jobs = {
-            name: timing.Job(lambda f=function, x=inputs: f(*x)[0].numpy(), inputs[-1])
+            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()
         }
         times = timing.in_turns(jobs, rounds, 'rollouts in turns')

@@ -38,7 +38,7 @@ ORIGINALS = {
     'original way: pairs appended, as published': appended_pairs,
     'original way, pairs made by numpy': numpy_pairs,
 }
-METHODS = {
+METHODS: dict[str, dict] = {
     'fully connected, L = 128, plain': {'preset': 'fcg_original', 'plain': True},
     'fully connected, L = 128': {'preset': 'fcg_original'},
     'partial graph, all rigid, L = 128, plain': {
