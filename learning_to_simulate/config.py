@@ -30,9 +30,8 @@ class TrainConfig:
       gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
         open than not.
       rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
-        keeps all. Only
-        where the motion is prescribed: a blade cuts with its lower edge, and the rest follows from
-          it.
+        keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
+        rest follows from it.
       rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
         body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
         height of the kept ones must be that of all.

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.folded_network import (
     MODES,
@@ -21,11 +22,11 @@ from learning_to_simulate.folded_network import (
 )
 from learning_to_simulate.learned_simulator import (
     EMBEDDING_SIZE,
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
+from learning_to_simulate.rigid_body import KnownMotion
 from learning_to_simulate.scene import RigidMotion
 
 
@@ -279,8 +280,7 @@ class FoldedSimulator:
         return row[:, None]
 
     def _lift(self, height):
-        up = np.eye(self.simulator.dim, dtype=np.float32)[self.simulator.scene.up_axis]
-        return height[:, None] * up
+        return height[:, None] * up_vector(self.simulator.dim, self.simulator.scene.up_axis)
 
     def _first_of_edges(self, block: EdgeBlock):
         scale = 1.0 / self.layout.edge_std[block.edges]

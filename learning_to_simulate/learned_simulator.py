@@ -12,6 +12,7 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import graph_network, normalization, tool_depth
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -27,21 +28,6 @@ class SimulatorState(NamedTuple):
     Attributes:
       offset: float32 [B, V, D], position minus origin, m.
       velocity: float32 [B, V, H - 1, D], displacement of the last H - 1 frames, newest last.
-    """
-
-    offset: tf.Tensor
-    velocity: tf.Tensor
-
-
-class KnownMotion(NamedTuple):
-    """What is given of the coming frame of the rigid body.
-
-    Where the motion is driven, the up component holds the shape only: its mean over the R particles
-    is 0, and the predicted height is added to it.
-
-    Attributes:
-      offset: float32 [B, R, D], m.
-      velocity: float32 [B, R, D], m/frame.
     """
 
     offset: tf.Tensor
@@ -317,6 +303,7 @@ class LearnedSimulator(snt.Module):
         target, force = self.predict(
             state, known if self.knows_next_frame else None, context, layout
         )
+        # v' = rate (std y + mean), plus v where an acceleration is predicted; x' = x + v', per frame.
         velocity = (target * layout.target_std + layout.target_mean) * self.rate(
             known
         ) + self._base_velocity(state, layout)
@@ -349,7 +336,7 @@ class LearnedSimulator(snt.Module):
     def _place_body(self, state, velocity, offset, known, layout):
         """Overwrites the given part of the rigid motion."""
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
-            up = np.eye(self.dim, dtype=np.float32)[self.scene.up_axis]
+            up = up_vector(self.dim, self.scene.up_axis)
             height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
             change = velocity[:, :1]
             body_offset = known.offset + (height + change) * up
@@ -360,27 +347,6 @@ class LearnedSimulator(snt.Module):
             tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
             tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),
         )
-
-
-def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
-    """The given part of true rigid motion.
-
-    Args:
-      offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
-        displacement of the frame; numpy or TensorFlow.
-      scene: decides what is given.
-
-    Returns:
-      `KnownMotion`, or None where nothing is given.
-    """
-    if not scene.rigid_motion.is_known:
-        return None
-    if scene.rigid_motion == RigidMotion.PRESCRIBED:
-        return KnownMotion(offset, velocity)
-    up = np.eye(offset.shape[-1], dtype=np.float32)[scene.up_axis]
-    return KnownMotion(
-        *(x - up * tf.reduce_mean(x, axis=-2, keepdims=True) for x in (offset, velocity))
-    )
 
 
 def initial_state(offset, velocity) -> SimulatorState:

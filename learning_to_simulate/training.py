@@ -1,9 +1,8 @@
 """`Trainer`: compiled training steps over runs held in memory.
 
 Two stages: single steps with noise on the history, then N-step rollouts with gradients through
-  them. A step
-is a function of (weights, optimiser, seed, step): killed and resumed training gives the same
-weights.
+them. A step is a function of (weights, optimiser, seed, step): a training that was killed and
+resumed gives the same weights.
 """
 
 import contextlib
@@ -13,13 +12,14 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import losses, noise_utils
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
     initial_state,
-    known_motion,
 )
+from learning_to_simulate.rigid_body import known_motion
 from learning_to_simulate.scene import RigidMotion
 
 # Independent random streams of one (seed, step).
@@ -317,7 +317,7 @@ class Trainer:
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
-            up = np.eye(self.simulator.dim, dtype=np.float32)[scene.up_axis]
+            up = up_vector(self.simulator.dim, scene.up_axis)
             s = self.simulator.statistics
             factor = (
                 s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]

@@ -16,6 +16,7 @@ Examples:
 """
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import tensorflow as tf
@@ -23,10 +24,11 @@ from absl import flags
 
 from learning_to_simulate import connectivity_utils, experiment, reading_utils
 from learning_to_simulate.folded_simulator import FoldedSimulator
+from learning_to_simulate.folded_step import FoldedStep
 from learning_to_simulate.learned_simulator import EMBEDDING_SIZE, Layout
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.specialised_rollout import SpecialisedRollout
+from learning_to_simulate.step_form import PlainStep
 from pca_tools import files
 from reports import command, markdown, record, timing
 from reports.speed import product_count
@@ -72,7 +74,7 @@ class Explanation:
             raise ValueError(
                 f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
             )
-        self._calls = {}
+        self._calls: dict[str, tuple] = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
@@ -91,9 +93,10 @@ class Explanation:
         """Trained numbers of the model."""
         return _weights(self._simulator)
 
-    def _add(self, name, model, group, layout, kind=SpecialisedRollout, **options):
+    def _add(self, name, model, group, layout, kind=FoldedStep, **options):
         """Makes a variant to be timed; returns its inputs."""
-        function = kind(model.simulator, layout, **options)
+        make_step = partial(kind, **options)
+        function = RolloutFunction(model.simulator, layout, make_step=make_step)
         inputs = rollout_inputs(group, layout, model.simulator.scene)
         self._calls[name] = (function, inputs)
         return inputs
@@ -154,7 +157,7 @@ class Explanation:
         s, layout = model.simulator, self.layout
         self._add('nothing ahead', model, group, layout, ahead=False)
         self._add('gathers', model, group, layout, dense=False)
-        self._add('plain', model, group, layout, RolloutFunction)
+        self._add('plain', model, group, layout, PlainStep)
         in_loop, _ = product_count.specialised_frame(s, layout, inputs, ahead=False)
         name = f'what is known ahead ({self.mflop_ahead:.3g} MFLOP a step before the loop)'
         yield Item(name, 0, in_loop - self.mflop, 0, ('nothing ahead', 'all'))
@@ -206,7 +209,7 @@ class Explanation:
           rounds: timed rollouts of each variant.
         """
         jobs = {
-            name: timing.Job(lambda f=function, x=inputs: f(*x)[0].numpy(), inputs[-1])
+            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()
         }
         times = timing.in_turns(jobs, rounds, 'rollouts in turns')

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import learned_simulator, rollout
+from learning_to_simulate import learned_simulator, rigid_body, rollout
 from pca_tools import rigid_fit
 from tests.learning_to_simulate import models
 
@@ -23,7 +23,7 @@ def test_correction_equals_the_svd_fit_and_scipy(body):
     for _ in range(50):
         turn = Rotation.random(random_state=int(rng.integers(1 << 30)))
         target = turn.apply(shape) + rng.normal(size=3) + 0.05 * rng.normal(size=shape.shape)
-        placed = rollout.rigid_correction(shape[None], target[None])[0].numpy()
+        placed = rigid_body.rigid_correction(shape[None], target[None])[0].numpy()
         fit = rigid_fit.fit_rigid_motion(shape, target)
         np.testing.assert_allclose(placed, shape @ fit.rotation.T + fit.translation, atol=1e-12)
         nearest, _ = Rotation.align_vectors(target - target.mean(axis=0), shape)
