@@ -1,4 +1,4 @@
-"""Numbers in documents have a file: tables agree with the JSON, figures of the JSON with its runs."""
+"""Numbers in documents have a file: tables agree with the JSON, the JSON with its runs."""
 
 import json
 import pathlib
