@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import uuid
 import zipfile
 from collections.abc import Callable, Iterator
 
@@ -10,20 +11,35 @@ import numpy as np
 
 # A run of 5000 particles has 20 MB.
 MAX_BYTES = 2**30
+TEMPORARY = '.tmp'
 
 
 def write_whole(path: str, write: Callable[[str], None]) -> None:
-    """Calls `write` with a temporary name beside `path`, then renames it to `path`."""
+    """Calls `write` with a temporary name beside `path`, then renames it to `path`.
+
+    Raises:
+        OSError: with the path, if the disk is full or does not let it be written; what was there
+            before is kept.
+    """
     folder, name = os.path.split(path)
-    temporary = os.path.join(folder, f'.{name}.{os.getpid()}.tmp')
+    temporary = os.path.join(folder, f'.{name}.{uuid.uuid4().hex}{TEMPORARY}')
     try:
         write(temporary)
         with open(temporary, 'rb') as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(error.errno, f'cannot write {path}: {error.strerror or error}') from error
     finally:
-        if os.path.exists(temporary):
+        with contextlib.suppress(OSError):
             os.remove(temporary)
+
+
+def remove_temporary(folder: str) -> None:
+    """Removes what writers that were killed left in a folder; only its one writer may call it."""
+    for name in os.listdir(folder):
+        if name.startswith('.') and name.endswith(TEMPORARY):
+            os.remove(os.path.join(folder, name))
 
 
 def write_arrays(path: str, **arrays: np.ndarray) -> None:
