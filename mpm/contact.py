@@ -9,10 +9,10 @@ signed distance d from the surface (`bodies.signed_distance`) falls below a = h 
 The grip g is the way that the body has dragged the contact along the surface since it closed; what
 exceeds Coulomb's limit slips. Both act on the soil at the particle's place through its weights
 (as a body force does), and on the body at the nearest point of its surface. The stiffness is a
-quarter of the soil's own, k = M h / 4 with the modulus M of the pressure wave: the depth a - d is then
-some tenths of a millimetre, and the step resolves the frequency of a contact, sqrt(M / rho) / (2 h).
-There is no damping: one that acts on the velocity of a step made the draft depend on the step by 1 %,
-and soil dissipates by itself.
+quarter of the soil's own, k = M h / 4 with the modulus M of the pressure wave: the depth a - d is
+then some tenths of a millimetre, and the step resolves the frequency of a contact,
+sqrt(M / rho) / (2 h). There is no damping: one that acts on the velocity of a step made the draft
+depend on the step by 1 %, and soil dissipates by itself.
 
 Conditions on the nodes inside the body, as most material-point codes have them, move the surface by
 up to a cell as the body crosses the grid (a force that swings by 20 %), and let soil through.

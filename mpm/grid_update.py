@@ -1,7 +1,7 @@
 """The grid between two exchanges: velocities, walls, kicks and drifts.
 
-A node carries (vx, vy, vz, 1 / m). Nodes on and beyond a wall, and nodes that sleeping soil touches,
-do not move: they stay out of the list of free nodes, with zeros.
+A node carries (vx, vy, vz, 1 / m). Nodes on and beyond a wall, and nodes that sleeping soil
+touches, do not move: they stay out of the list of free nodes, with zeros.
 """
 
 import numba

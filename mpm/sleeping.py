@@ -1,8 +1,8 @@
 """Soil that rests is not stepped.
 
-A particle sleeps where nothing has moved for a while: it is neither near the body nor near soil that
-went faster than `SPEED` lately. Nodes that sleeping soil touches do not move, so it is a rigid bed,
-with its stress kept, to the soil that is awake.
+A particle sleeps where nothing has moved for a while: it is neither near the body nor near soil
+that went faster than `SPEED` lately. Nodes that sleeping soil touches do not move, so it is a rigid
+bed, with its stress kept, to the soil that is awake.
 """
 
 import math
@@ -12,11 +12,11 @@ import numpy as np
 from mpm.bodies import Body
 from mpm.grid import Grid
 
-SPEED = 0.0002  # m/s, mean over a period, above which soil moves
+SPEED = 0.0001  # m/s, mean over a period, above which soil moves
 PERIOD = 4  # frames between two looks
 MEMORY = 2  # periods that soil stays awake after it moved
 SOIL_REACH = 3  # cells around moving soil that are awake
-BODY_REACH = 5  # cells around the body
+BODY_REACH = 6  # cells around the body
 
 
 class Sleep:

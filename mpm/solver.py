@@ -1,9 +1,9 @@
 """The material-point solver: steps on the grid between exchanges with the particles.
 
-Particles and grid exchange what they carry at a fixed interval of physical time (`EXCHANGE`), with as
-many explicit steps on the grid in between as the elastic wave needs. APIC smooths once per exchange:
-done in every step, its viscosity grows as the step shrinks, and the draft with it (10 % when the
-step was halved). Now the smoothing belongs to the model, and a smaller step converges.
+Particles and grid exchange what they carry at a fixed interval of physical time (`EXCHANGE`), with
+as many explicit steps on the grid in between as the elastic wave needs. APIC smooths once per
+exchange: done in every step, its viscosity grows as the step shrinks, and the draft with it (10 %
+when the step was halved). Now the smoothing belongs to the model, and a smaller step converges.
 
 One interval, velocity Verlet on nodes that move as the material does:
 
@@ -156,9 +156,7 @@ def advance(
             step = interval * steps + k
             share = dt if 0 < k < steps else 0.5 * dt
             if k > 0:
-                strain_and_force(
-                    block, nodes.velocity, nodes.force, grid, dt, volume, soil, damping_time, fluidity
-                )
+                strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidity)
             is_free = heave[2] > 0.0
             # Rates of the step that comes; at the end of an interval, of the one that was.
             a = step if k < steps else step - 1

@@ -28,10 +28,9 @@ def damping_time(soil: Soil, dx: float) -> float:
 
     Explicit codes call this linear bulk viscosity and use the same 0.06 by default (its origin:
     Landshoff 1955, LA-1930). Here it acts on the rate of the relaxed stress, shear included: waves
-    of two cells lose 10 % of their amplitude per radian, steady flow feels nothing. Without it, waves
-    that the body sets off keep ringing and shake the soil: its resistance fell (the drawbar
-    of a wheel by a sixth, the more the larger the step), which is why the force of a wheel depended
-    on the step.
+    of two cells lose a tenth of their amplitude per radian, steady flow feels nothing. Without it,
+    waves that the body sets off keep ringing and shake the soil, the more the larger the step, and
+    its resistance falls: the drawbar of a wheel by a sixth. That is why it depended on the step.
     """
     return DAMPING * dx / wave_speed(soil)
 

@@ -201,12 +201,13 @@ def _at_first_node(place, value, along_x, along_y, along_z):
 
 
 @numba.njit(**JIT)
-def strain_and_force(block, velocity, force, grid, dt, volume, soil, damping_time, fluidity):
-    """Eq. (2), the stress update over `dt` (s), and eq. (3) added to `force` (N).
+def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidity):
+    """Eq. (2), the stress update over `dt` (s), and eq. (3) added to the nodes' forces.
 
     `damping_time` (s) and `fluidity` (None with the local law): see `constitutive.update_stress`.
     """
     q, gradient, stress = block.particles, block.gradient, block.stress
+    velocity, force = nodes.velocity, nodes.force
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
     for start in range(0, q.shape[1], CHUNK):
