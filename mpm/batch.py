@@ -98,12 +98,7 @@ def _generate(scene, cases, output_path, settings, num_processes, show_progress)
     todo = _unfinished(scene, cases, finished, output_path)
     if not todo:
         return []
-    packed = packing.settled(
-        scene.bin,
-        make_soil(settings.youngs_modulus, scenes.PACKING_MU_S),
-        settings.seed,
-        output_path,
-    )
+    packed = _packed(scene, settings, output_path)
     shared = (scene, packed, settings, output_path)
     new, failures = [], []
 
@@ -131,7 +126,9 @@ def _generate(scene, cases, output_path, settings, num_processes, show_progress)
 
                 note(case, lambda case=case, show=show: _simulate(shared, case, show))
     else:
-        _in_processes(shared, todo, min(num_processes, len(todo)), note, show_progress)
+        _in_processes(
+            (scene, settings, output_path), todo, min(num_processes, len(todo)), note, show_progress
+        )
     if failures:
         raise ValueError(
             f'{len(failures)} of {len(todo)} runs failed, {len(new)} were made and are kept in '
@@ -140,14 +137,14 @@ def _generate(scene, cases, output_path, settings, num_processes, show_progress)
     return new
 
 
-def _in_processes(shared, todo, num_processes, note, show_progress) -> None:
+def _in_processes(folder, todo, num_processes, note, show_progress) -> None:
     """Simulates the cases in processes of their own; `note` takes each as it is finished."""
     context = multiprocessing.get_context('spawn')
-    pool = concurrent.futures.ProcessPoolExecutor(num_processes, context, _keep, (shared,))
+    pool = concurrent.futures.ProcessPoolExecutor(num_processes, context, _keep, folder)
     try:
         futures = {pool.submit(_simulate_kept, case): case for case in todo}
         with tqdm(
-            total=len(todo), desc=shared[0].name, unit='run', disable=not show_progress
+            total=len(todo), desc=folder[0].name, unit='run', disable=not show_progress
         ) as bar:
             for future in concurrent.futures.as_completed(futures):
                 note(futures[future], future.result)
@@ -161,13 +158,19 @@ def _in_processes(shared, todo, num_processes, note, show_progress) -> None:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+def _packed(scene, settings, folder) -> tuple:
+    """Returns the packing of a folder of raw runs, made if it is absent."""
+    soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
+    return packing.settled(scene.bin, soil, settings.seed, folder)
+
+
 # What all runs of a process of the pool share; see `_simulate`.
 _kept: tuple | None = None
 
 
-def _keep(shared: tuple) -> None:
+def _keep(scene, settings, output_path) -> None:
     global _kept
-    _kept = shared
+    _kept = (scene, _packed(scene, settings, output_path), settings, output_path)
 
 
 def _simulate_kept(case) -> dict:

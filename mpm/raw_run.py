@@ -19,8 +19,15 @@ MANIFEST = 'manifest.json'
 
 
 # Arrays of a run beside its parameters; the last three may be absent.
-_ARRAYS = {'positions': 3, 'rigid_positions': 3, 'force': 2, 'torque': 2, 'pose': 2, 'load': 1}
-_WIDTHS = {'torque': 3, 'pose': 7}
+_ARRAYS = {
+    'positions': 3,
+    'rigid_positions': 3,
+    'force': 2,
+    'torque': 2,
+    'pose': 2,
+    'step_context': 2,
+}
+_WIDTHS = {'pose': 7, 'step_context': None}
 # What a run cost depends on the machine and is left out of the digest of its content.
 _COSTS = ('solver_cpu_s',)
 
@@ -76,13 +83,13 @@ def read_run(path: str) -> RawRun:
         arrays = read_arrays(path)
         run = RawRun(
             **{name: arrays[name] for name in ('positions', 'rigid_positions', 'force')},
-            **{name: arrays.get(name) for name in ('torque', 'pose', 'load')},
+            **{name: arrays.get(name) for name in ('torque', 'pose', 'step_context')},
             parameters=json.loads(str(arrays['parameters'])),
         )
         for name, values in arrays_of(run).items():
             if values.dtype.kind != 'f' or values.ndim != _ARRAYS[name]:
                 raise ValueError(f'{name} is {values.dtype} {values.shape}')
-            is_wide = values.ndim == 1 or values.shape[-1] == _WIDTHS.get(name, 3)
+            is_wide = values.shape[-1] == (_WIDTHS.get(name, 3) or values.shape[-1])
             if len(values) != len(run.positions) or not is_wide or not np.isfinite(values).all():
                 raise ValueError(f'{name} is not finite or of other frames: {values.shape}')
         if not isinstance(run.parameters, dict):

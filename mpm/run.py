@@ -27,7 +27,8 @@ class RawRun:
             before version 2.
         pose: float32 [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z)
             that turns the upright body; None in runs of before version 2.
-        load: float32 [T], N on the free vertical motion; None if the height is prescribed.
+        step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load may
+            vary); None if it has none, or in runs of before version 2.
     """
 
     positions: np.ndarray
@@ -36,7 +37,7 @@ class RawRun:
     parameters: dict
     torque: np.ndarray | None = None
     pose: np.ndarray | None = None
-    load: np.ndarray | None = None
+    step_context: np.ndarray | None = None
 
 
 def check_motion(scene: scenes.Scene, motion: Motion, settings: Settings) -> None:
@@ -109,19 +110,30 @@ def run_case(
     motion = motion_of(scene, case)
     check_motion(scene, motion, settings)
     parameters, drive = motion.parameters, motion.drive
+    context = scenes.context_of(scene, parameters)
     soil = soil_of(scene, parameters, settings)
     gravity = scenes.gravity_of(scene, parameters)
     simulation = Simulation(scene.bin, drive, soil, packed[0], settings, gravity)
     kept = slice(None, None, scene.bin.keep_every)
-    frames: dict[str, list] = {'positions': [], 'rigid_positions': [], 'pose': [], 'load': []}
+    frames: dict[str, list] = {
+        'positions': [],
+        'rigid_positions': [],
+        'pose': [],
+        'step_context': [],
+    }
     force, torque = [], []
+    penetration = getattr(simulation, 'penetration', dict)
+    deepest: dict[str, float] = {}
 
     def note() -> None:
         frames['positions'].append(simulation.positions()[kept].astype(np.float32))
         frames['rigid_positions'].append(simulation.rigid_points())
         frames['pose'].append(quaternion_pose(*simulation.pose, drive.body.z_middle))
-        if drive.load is not None:
-            frames['load'].append(float(drive.load(np.array([simulation.time]))[0]))
+        if context:
+            load = float(drive.load(np.array([simulation.time]))[0])
+            frames['step_context'].append(list((context | {'load': load}).values()))
+        for name, value in penetration().items():
+            deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
         note()
@@ -142,7 +154,7 @@ def run_case(
         'solver_version': versions.SOLVER_VERSION,
         'data_version': versions.DATA_VERSION,
         'seed': settings.seed,
-        'context': scenes.context_of(scene, parameters),
+        'context': context,
         **parameters,
         'youngs_modulus_Pa': settings.youngs_modulus,
         'rheology': settings.rheology,
@@ -150,6 +162,8 @@ def run_case(
         'cell_size_m': simulation.grid.dx,
         'soil': soil._asdict(),
         'body_friction': drive.body.friction,
+        # The worst frame of the run.
+        **{f'penetration_{name}': value for name, value in deepest.items()},
         'packing': packed[1],
         'solver_cpu_s': round(time.process_time() - started, 2),
     }
