@@ -1,8 +1,8 @@
 """Soil that rests is not stepped.
 
 A particle sleeps where nothing has moved for a while: it is neither near the body nor near soil
-that went faster than `SPEED` lately. Nodes that sleeping soil touches do not move, so it is a rigid
-bed, with its stress kept, to the soil that is awake.
+that went faster than a thousandth of the body's speed lately. Nodes that sleeping soil touches do
+not move, so it is a rigid bed, with its stress kept, to the soil that is awake.
 """
 
 import math
@@ -12,7 +12,9 @@ import numpy as np
 from mpm.bodies import Body
 from mpm.grid import Grid
 
-SPEED = 0.0001  # m/s, mean over a period, above which soil moves
+# Soil moves if its mean speed over a period exceeds this share of the body's, and at least SLOWEST.
+SHARE = 0.001
+SLOWEST = 2e-5  # m/s
 PERIOD = 4  # frames between two looks
 MEMORY = 2  # periods that soil stays awake after it moved
 SOIL_REACH = 3  # cells around moving soil that are awake
@@ -29,7 +31,7 @@ class Sleep:
     def __init__(self, grid: Grid, is_on: bool):
         self.is_on = is_on
         self._grid = grid
-        self._before = None
+        self._before, self._limit = None, SLOWEST
         # Period in which a cell last moved; all of them at first, for a body may start with a jerk.
         self._moved = np.zeros(grid.shape, dtype=np.int64)
         self._period = 0
@@ -49,8 +51,12 @@ class Sleep:
         cells = self._cells(positions)
         if self._before is not None:
             way = np.linalg.norm(positions - self._before, axis=1)
-            self._moved[tuple(cells[way > SPEED * period].T)] = self._period
+            self._moved[tuple(cells[way > self._limit * period].T)] = self._period
         self._before = positions.copy()
+        # The body's speed in the coming period, at whose end it is compared with the soil's.
+        step = np.abs(np.diff(path, axis=0)) * [1.0, 1.0, body.length + body.radius]
+        speed = np.linalg.norm(step, axis=1).max() * (len(path) - 1) / period
+        self._limit = max(SLOWEST, SHARE * speed)
         recent = _dilated(self._moved >= self._period - MEMORY, -SOIL_REACH, SOIL_REACH)
         return recent[tuple(cells.T)] | self._near(positions, body, path)
 
