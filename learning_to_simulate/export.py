@@ -24,8 +24,8 @@ import numpy as np
 from absl import app, flags
 
 from learning_to_simulate import checkpoints, experiment, export_formats
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_formats import StepFunctions
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import files, subspace
 
 DESCRIPTION_FILE = 'export.json'

@@ -8,13 +8,13 @@ import tensorflow as tf
 from tensorflow.python.framework import convert_to_constants
 
 from learning_to_simulate import rollout
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import (
     KnownMotion,
     SimulatorState,
     initial_state,
     known_motion,
 )
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import files
 

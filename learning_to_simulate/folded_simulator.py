@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.folded_network import (
     MODES,
     RIGID,
@@ -25,7 +26,6 @@ from learning_to_simulate.learned_simulator import (
     LearnedSimulator,
     SimulatorState,
 )
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
 

@@ -12,8 +12,8 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import graph_network, normalization, tool_depth
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.normalization import Statistics
-from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 # No body of the project has more than 20 particles; a damaged number must not ask for the memory

@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import (
     KnownMotion,
     Layout,
@@ -14,7 +15,6 @@ from learning_to_simulate.learned_simulator import (
     initial_state,
     known_motion,
 )
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
 from learning_to_simulate.scene import RigidMotion
 

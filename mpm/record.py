@@ -68,11 +68,12 @@ def runs_of(part: str, limit: int | None = None) -> tuple:
 
 def table(parts, limit: int | None = None) -> str:
     """Returns what the parts hold, by kind and split, as text."""
+    counted = {part: runs_of(part, limit) for part in parts}
     lines = [f'{"part":<16}{"kind":<11}{"runs":>5}' + ''.join(f'{s:>7}' for s in splits.SPLITS)]
-    for part in parts:
+    for part, cases in counted.items():
         scene, _ = PARTS[part]
         counts: dict[str, Counter] = {}
-        for case in runs_of(part, limit):
+        for case in cases:
             kind = 'grid' if isinstance(case, int) else catalogue.parse(scene, case)[0]
             counts.setdefault(kind, Counter())[splits.split_of(scene, case)] += 1
         for kind, by_split in counts.items():
@@ -103,14 +104,12 @@ def make(parts, output_path: str, num_processes: int, limit: int | None) -> dict
         OSError: see `batch.generate`.
     """
     failures = []
-    for part in parts:
-        runs_of(part)
-    for part in parts:
+    for part, cases in {part: runs_of(part, limit) for part in parts}.items():
         scene, _ = PARTS[part]
         folder = os.path.join(output_path, scene.name)
         started = time.time()
         try:
-            new = generate(scene, runs_of(part, limit), folder, Settings(), num_processes)
+            new = generate(scene, cases, folder, Settings(), num_processes)
         except ValueError as error:
             failures.append(f'{part}: {error}')
             continue
@@ -137,7 +136,10 @@ def _write_json(path, content) -> None:
 
 def _read_digests(path) -> dict[str, dict]:
     with open(path, encoding='utf-8') as file:
-        content = json.load(file)
+        try:
+            content = json.load(file)
+        except ValueError as error:
+            raise ValueError(f'{path}: is no JSON: {error}') from error
     if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
         raise ValueError(f'{path}: holds no digests (scene -> run -> digest)')
     return content

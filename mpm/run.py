@@ -27,8 +27,8 @@ class RawRun:
             before version 2.
         pose: float32 [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z)
             that turns the upright body; None in runs of before version 2.
-        step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load may
-            vary); None if it has none, or in runs of before version 2.
+        step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load
+            may vary); None if it has none, or in runs of before version 2.
     """
 
     positions: np.ndarray

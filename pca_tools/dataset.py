@@ -192,8 +192,8 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
             f'has node types {sorted(set(types.tolist()))}; rigid nodes must be '
             f'{RIGID_PARTICLE_ID} or {KINEMATIC_PARTICLE_ID}'
         )
-    frames = metadata['sequence_length'] + 1
-    if trajectory.n_frames != frames:
+    frames, differ = metadata['sequence_length'] + 1, 'frames_of_runs' in metadata
+    if trajectory.n_frames > frames or (trajectory.n_frames < frames and not differ):
         problems.append(
             f'has {trajectory.n_frames} frames, sequence_length + 1 = {frames} were expected'
         )

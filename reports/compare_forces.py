@@ -9,22 +9,15 @@ Examples:
         --scene=wheel --json=forces.json
 """
 
-import json
 import os
-import sys
 
 import numpy as np
-from absl import app, flags, logging
+from absl import flags, logging
 
 from mpm import raw_run, scenes
+from pca_tools import files
 from pca_tools.dataset import read_split
-
-_ORIGINAL_PATH = flags.DEFINE_string(
-    'original_path', None, 'Published dataset folder (train and valid).', required=True
-)
-_RAW_PATH = flags.DEFINE_string('raw_path', None, 'Folder of our raw runs.', required=True)
-_SCENE = flags.DEFINE_enum('scene', 'excavation', sorted(scenes.SCENES), 'Which scene.')
-_JSON = flags.DEFINE_string('json', None, 'Write the table to this file, too.')
+from reports import command, markdown
 
 # Published cases in the order of the records; the validation file was divided in two.
 _TRAIN_RECORDS = {'excavation': 8, 'wheel': 9}
@@ -70,35 +63,43 @@ def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> li
     return rows
 
 
-def main(argv):
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    scene = scenes.scene_named(_SCENE.value)
-    try:
-        rows = compare_folder(scene, _ORIGINAL_PATH.value, _RAW_PATH.value)
-    except ValueError as error:
-        logging.error('%s', error)
-        sys.exit(1)
-    print('case  axis  mean ours  published   ratio  correlation  RMSE (N)  parameters')
-    for row in rows:
-        parameters = ', '.join(f'{value:g}' for value in scene.parameters(row['case']).values())
-        print(
-            f'{row["case"]:4d}  {row["axis"]:>4}  {row["mean_ours_N"]:9.1f}  '
-            f'{row["mean_published_N"]:9.1f}  {row["ratio"]:6.2f}  {row["correlation"]:11.2f}  '
-            f'{row["rmse_N"]:8.1f}  {parameters}'
-        )
+def table(scene: scenes.Scene, rows: list[dict]) -> str:
+    """A line per case and axis, then the means of each axis."""
+    header = ('case', 'axis', 'mean ours N', 'published N', 'ratio', 'correlation', 'RMSE N',
+              'parameters')  # fmt: skip
+    lines = [
+        (*row.values(), ', '.join(f'{v:g}' for v in scene.parameters(row['case']).values()))
+        for row in rows
+    ]
     for axis in 'xy':
-        ours = [row['mean_ours_N'] for row in rows if row['axis'] == axis]
-        theirs = [row['mean_published_N'] for row in rows if row['axis'] == axis]
-        if ours:
-            print(
-                f'{len(ours)} cases, axis {axis}: mean {np.mean(ours):.1f} N, published '
-                f'{np.mean(theirs):.1f} N, ratio {np.mean(ours) / np.mean(theirs):.2f}'
-            )
-    if _JSON.value:
-        with open(_JSON.value, 'w', encoding='utf-8') as file:
-            json.dump(rows, file, indent=1)
+        means = [
+            np.mean([row[key] for row in rows if row['axis'] == axis])
+            for key in ('mean_ours_N', 'mean_published_N')
+            if rows
+        ]
+        if means:
+            lines.append(('**all**', axis, *map(float, means), float(means[0] / means[1])))
+    return markdown.table(header, lines, aligned=True)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string(
+        'original_path', None, 'Published dataset folder (train and valid).', required=True
+    )
+    flags.DEFINE_string('raw_path', None, 'Folder of our raw runs.', required=True)
+    flags.DEFINE_enum('scene', 'excavation', sorted(scenes.SCENES), 'Which scene.')
+    flags.DEFINE_string('json', None, 'Write the table to this file, too.')
+
+
+def main(values, _) -> None:
+    """Runs the command."""
+    scene = scenes.scene_named(values.scene)
+    rows = compare_folder(scene, values.original_path, values.raw_path)
+    print(table(scene, rows))
+    if values.json:
+        files.write_json(values.json, rows)
 
 
 if __name__ == '__main__':
-    app.run(main)
+    command.start(define_flags, main)

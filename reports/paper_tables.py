@@ -16,17 +16,17 @@ Examples:
 """
 
 import os
-import sys
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import evaluation, experiment, metrics, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files
+from reports import command, markdown
+from reports.record import ROOT
 from reports.work_precision import solver_rows, survey
 
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 SCENES = ('excavation', 'wheel')
 ORIGINAL_FOLDERS = {'excavation': 'Excavation_PCA', 'wheel': 'Wheel_PCA'}
 METHODS = {'FCG': 'fcg_original', 'PCG': 'pcg_thesis', '`pcg`': 'pcg'}
@@ -50,17 +50,10 @@ PUBLISHED_ERRORS = {
 }
 
 
-def row(*cells) -> str:
-    """One line of a Markdown table; numbers with three digits, None as a dash."""
-    texts = ('-' if c is None else c if isinstance(c, str) else f'{c:.3g}' for c in cells)
-    return '| ' + ' | '.join(texts) + ' |'
-
-
-def times(models_path: str, reports_path: str) -> list[str]:
+def times(models_path: str, reports_path: str) -> str:
     """Table 3.1: seconds of computing per simulated second."""
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
-    lines = [row(*names), '|---' * len(names) + '|']
-    lines += [row(f'{case}, published', *cells, None) for case, cells in PUBLISHED_TIMES.items()]
+    rows = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
         report = os.path.join(reports_path, scene, survey.DOCUMENT)
         measured = _times_of_report(report) if os.path.exists(report) else {}
@@ -70,11 +63,11 @@ def times(models_path: str, reports_path: str) -> list[str]:
                 mean = files.read_json(path)['mean']['model']
                 measured[preset] = mean['seconds_per_simulated_second']
         fcg, pcg, ours = (measured.get(preset) for preset in METHODS.values())
-        lines.append(
-            row(f'{scene}, ours', measured.get(solver_rows.FINE), measured.get('GNS on particles'),
-                fcg, None, pcg, None, ours)
+        rows.append(
+            (f'{scene}, ours', measured.get(solver_rows.FINE), measured.get('GNS on particles'),
+             fcg, None, pcg, None, ours)
         )  # fmt: skip
-    return lines
+    return markdown.table(names, rows)
 
 
 def _times_of_report(path):
@@ -85,7 +78,7 @@ def _times_of_report(path):
     return {label: seconds for label, seconds in found.items() if seconds}
 
 
-def correction(model_path: str, data_path: str) -> list[str]:
+def correction(model_path: str, data_path: str) -> str:
     """Table 3.2: the wheel without and with rigid correction, MSE 1e-4 m²."""
     names = ('MSE 1e-4 m²', 'published, without', 'with', 'ours, without', 'with')
     model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
@@ -93,42 +86,44 @@ def correction(model_path: str, data_path: str) -> list[str]:
     for corrected in (False, True):
         evaluator = evaluation.Evaluator(model, metadata, rigid_correction=corrected)
         means.append(evaluator.run(groups, 'test')[1]['mean']['model'])
-    lines = [row(*names), '|---' * len(names) + '|']
-    for part, published in PUBLISHED_CORRECTION.items():
-        ours = (_scaled(mean[f'{part}_mse']) for mean in means)
-        lines.append(row(part, *published, *ours))
-    return lines
+    return markdown.table(
+        names,
+        [
+            (part, *published, *(_scaled(mean[f'{part}_mse']) for mean in means))
+            for part, published in PUBLISHED_CORRECTION.items()
+        ],
+    )
 
 
 def _scaled(mse):
     return 'not finite' if mse is None or not np.isfinite(mse) else 1e4 * mse
 
 
-def errors(models_path: str, original_path: str | None, original_models: str | None) -> list[str]:
+def errors(models_path: str, original_path: str | None, original_models: str | None) -> str:
     """Table 3.3: soil MSE, and the force's percentage error of every test run."""
     names = ('', 'soil MSE 1e-4 m²', 'force MPE % of each run', 'mean of its size %')
-    lines = [row(*names), '|---' * len(names) + '|']
+    rows = []
     for scene in SCENES:
         for (case, method), (mse, mpe) in PUBLISHED_ERRORS.items():
             if case == scene:
-                lines.append(_error_row(f'{scene}, {method}, published', 1e-4 * mse, mpe))
-        lines += _rows_of_models(
+                rows.append(_error_row(f'{scene}, {method}, published', 1e-4 * mse, mpe))
+        rows += _rows_of_models(
             f'{scene}, {{}}, our records, test', os.path.join(models_path, scene)
         )
         folder = ORIGINAL_FOLDERS[scene]
         if original_path and os.path.isdir(os.path.join(original_path, folder)):
-            lines += _trivial_rows(scene, os.path.join(original_path, folder))
+            rows += _trivial_rows(scene, os.path.join(original_path, folder))
             if original_models:
                 models = os.path.join(original_models, folder)
-                lines += _rows_of_models(f"{scene}, {{}}, authors' records", models)
-    return lines
+                rows += _rows_of_models(f"{scene}, {{}}, authors' records", models)
+    return markdown.table(names, rows)
 
 
 def _error_row(label, mse, mpe):
     given = [v for v in mpe if v is not None]
     runs = ' '.join('-' if v is None else f'{v:.1f}' for v in mpe)
     whole = bool(given) and len(given) == len(mpe)
-    return row(label, _scaled(mse), runs, float(np.mean(np.abs(given))) if whole else None)
+    return label, _scaled(mse), runs, float(np.mean(np.abs(given))) if whole else None
 
 
 def _rows_of_models(label, folder):
@@ -140,9 +135,8 @@ def _rows_of_models(label, folder):
             continue
         summary = files.read_json(path)
         if not lines:
-            for name in ('stay_still', 'constant_velocity'):
-                text = label.format(name.replace('_', ' '))
-                lines.append(_error_row(text, *_soil_and_force(summary, name)))
+            for key, name in markdown.TRIVIAL.items():
+                lines.append(_error_row(label.format(name), *_soil_and_force(summary, key)))
         lines.append(_error_row(label.format(method), *_soil_and_force(summary, 'model')))
     return lines
 
@@ -166,9 +160,9 @@ def _trivial_rows(scene, folder):
                 truth = group.position[:, H:]
                 guess = predict(group.position[:, :H], truth.shape[1])
                 found.append(metrics.soil_mse(guess, truth, group.n_rigid, n_soil))
-            mse, name = np.concatenate(found), predict.__name__.replace('_', ' ')
+            mse, name = np.concatenate(found), markdown.TRIVIAL[predict.__name__]
             text = f"{scene}, {name}, authors' records, {split}, {len(mse)} runs"
-            lines.append(row(text, _scaled(mse.mean()), '', None))
+            lines.append((text, _scaled(float(mse.mean()))))
     return lines
 
 
@@ -176,13 +170,13 @@ def document(values) -> str:
     """All three tables as Markdown."""
     parts = ['# Tables of the thesis, published and ours', '', _note(), '']
     parts += ['## Table 3.1: seconds of computing per simulated second', '']
-    parts += times(values.models_path, values.reports_path)
+    parts.append(times(values.models_path, values.reports_path))
     model = os.path.join(values.models_path, 'wheel', 'pcg_thesis')
     data = os.path.join(values.datasets_path, 'wheel')
     if os.path.isdir(model) and os.path.isdir(data):
-        parts += ['', '## Table 3.2: rigid correction, wheel, PCG', '', *correction(model, data)]
+        parts += ['', '## Table 3.2: rigid correction, wheel, PCG', '', correction(model, data)]
     parts += ['', '## Table 3.3: errors', '']
-    parts += errors(values.models_path, values.original_path, values.original_models)
+    parts.append(errors(values.models_path, values.original_path, values.original_models))
     return '\n'.join(parts) + '\n'
 
 
@@ -208,18 +202,13 @@ def define_flags() -> None:
                         'models that were trained on them.')  # fmt: skip
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    try:
-        text = document(values)
-        files.write_text(values.output_path, text)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    text = document(values)
+    files.write_text(values.output_path, text)
     print(text)
     print(f'wrote {values.output_path}')
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

@@ -9,65 +9,70 @@ Examples:
 """
 
 import glob
+import itertools
 import os
-import sys
-
-from absl import app
+from collections.abc import Iterator, Sequence
 
 from pca_tools import files
+from reports import command, markdown
+from reports.record import ROOT
 
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 HEADER = (
     'model', 'edges', 'soil MSE 1e-4 m²', 'soil RMS mm', 'of best trivial', 'rigid MSE 1e-4 m²',
-    'force rel. L2', '\\|MPE\\| %',
+    'force rel. L2', '|MPE| %',
 )  # fmt: skip
 
 
-def rows(folder: str, with_trivial: bool):
-    """Yields the cells of a model and, if asked, of its trivial predictors and the floor."""
-    summary = files.read_json(os.path.join(folder, 'metrics.json'))
-    mean = summary['mean']
-    best = min(mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity'))
+def rows(folder: str, with_trivial: bool) -> Iterator[tuple]:
+    """Yields the cells of a model and, if asked, of its trivial predictors and the floor.
 
-    def cells(name, values, edges=''):
-        def number(key, factor=1.0):
-            return f'{factor * values[key]:.3g}' if values.get(key) is not None else ''
+    Raises:
+      FileNotFoundError, ValueError: no metrics.json there, or one that is damaged.
+    """
+    summary = files.read_json(os.path.join(folder, 'metrics.json'))
+    mean, floor = summary['mean'], summary['projection_mse']
+    best = min(mean[name]['soil_mse'] for name in markdown.TRIVIAL)
+
+    def cells(name, values, edges=None):
+        def scaled(key):
+            return None if values.get(key) is None else 1e4 * values[key]
 
         return (
-            name, edges, number('soil_mse', 1e4), number('soil_rms_mm'),
-            f'{values["soil_mse"] / best:.3g}', number('rigid_mse', 1e4),
-            number('force_relative_l2'), number('force_abs_mpe'),
+            name, edges, scaled('soil_mse'), values['soil_rms_mm'], values['soil_mse'] / best,
+            scaled('rigid_mse'), values.get('force_relative_l2'), values.get('force_abs_mpe'),
         )  # fmt: skip
 
     if with_trivial:
-        if summary['projection_mse'] is not None:
-            floor = summary['projection_mse']
-            yield ('*cut off by the modes*', '', f'{1e4 * floor:.3g}', f'{1e3 * floor**0.5:.3g}',
-                   f'{floor / best:.3g}', '', '', '')  # fmt: skip
-        for name in ('stay_still', 'constant_velocity'):
-            yield cells(f'*{name.replace("_", " ")}*', mean[name])
+        if floor is not None:
+            yield cells(f'*{markdown.FLOOR}*', {'soil_mse': floor, 'soil_rms_mm': 1e3 * floor**0.5})
+        for key, name in markdown.TRIVIAL.items():
+            yield cells(f'*{name}*', mean[key])
     edges = sorted({row['edges'] for row in summary['runs']['model']})
-    name = os.path.basename(folder.rstrip('/')).removesuffix('_rollouts')
+    name = os.path.basename(folder).removesuffix('_rollouts')
     yield cells(name, mean['model'], ' / '.join(map(str, edges)))
 
 
-def main(argv) -> None:
+def tables(folders: Sequence[str], aligned: bool = False) -> str:
+    """A table for every parent of the folders, under its name."""
+    parts = []
+    for parent, models in itertools.groupby(folders, os.path.dirname):
+        cells = [c for i, folder in enumerate(models) for c in rows(folder, i == 0)]
+        table = markdown.table(HEADER, cells, aligned)
+        parts.append(f'**{os.path.basename(parent)}**\n\n{table}')
+    return '\n\n'.join(parts)
+
+
+def main(_, arguments) -> None:
     """Runs the command."""
-    folders = argv[1:] or sorted(glob.glob(os.path.join(ROOT, 'models', '*', '*')))
-    parent = None
-    try:
-        for folder in folders:
-            first = os.path.dirname(folder.rstrip('/')) != parent
-            parent = os.path.dirname(folder.rstrip('/'))
-            if first:
-                print(f'\n**{os.path.basename(parent)}**\n')
-                print('| ' + ' | '.join(HEADER) + ' |')
-                print('|---' * len(HEADER) + '|')
-            for cells in rows(folder, first):
-                print('| ' + ' | '.join(cells) + ' |')
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    folders = [os.path.normpath(folder) for folder in arguments]
+    found = folders or sorted(glob.glob(os.path.join(ROOT, 'models', '*', '*')))
+    if not found:
+        raise FileNotFoundError(
+            f'{os.path.join(ROOT, "models")}: no models there (installed without the checkout?); '
+            'name folders that hold a metrics.json'
+        )
+    print(tables(found, aligned=True))
 
 
 if __name__ == '__main__':
-    app.run(main)
+    command.start(lambda: None, main, n_argument=1000)

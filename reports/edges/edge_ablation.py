@@ -26,15 +26,13 @@ errors and times are those of the graph without them. Finished rows are kept in 
 same command goes on where it was stopped.
 """
 
-import json
 import os
-import sys
 import time
 
 import numpy as np
 import tensorflow as tf
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import (
     connectivity_utils,
@@ -48,6 +46,7 @@ from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.specialised_rollout import rollout_function
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
+from reports import command, record, timing
 from reports.edges import edge_ablation_report
 
 FULL, GATES, NRI = 'fully connected', 'learned gates', 'NRI'
@@ -126,7 +125,8 @@ class Bench:
         self._trainer = Trainer(self.model, self._groups)
         self._gates = self._trainer.gates
         t = self._trainer
-        self._state = [*t.simulator.trainable_variables, *t.optimizer.variables, *t.averages]
+        variables = t.simulator.trainable_variables
+        self._state = [*variables, *t.optimizer.variables, *t.averaging.variables]
         if self._gates:
             self._state += [self._gates.log_alpha, *self._gates.optimizer.variables]
         self._start = [v.numpy() for v in self._state]
@@ -178,7 +178,7 @@ class Bench:
         if mask is not None:
             self.model.fix_mode_edges(mask)
         evaluator = evaluation.Evaluator(self.model, self._metadata)
-        with trainer.averaged_weights():
+        with trainer.averaging.in_place():
             for split in ('valid', 'test'):
                 _, summary = evaluator.run(self._read(split), split)
                 mean = summary['mean']['model']
@@ -204,7 +204,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
       rounds: rollouts of each; of fresh models, as weights do not change the time.
 
     Returns:
-      variant -> dict of `ms_min`, `ms_median`, `ms_p95` and `edges`.
+      variant -> dict of `ms_min`, `ms_median`, `ms_p95`, `ms_p99`, `ms_worst` and `edges`.
     """
     metadata = dataset.read_metadata(data_path)
     groups, runs = (
@@ -212,7 +212,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
         for split in ('train', 'test')
     )
     one = runs[0].select(0)
-    calls, seconds, edges = {}, {name: [] for name in masks}, {}
+    jobs, edges = {}, {}
     for name, mask in masks.items():
         kind = 'fully_connected' if mask is None else 'correlation'
         config = presets.make_config('pcg', adjacency=kind, mode_edges=0)
@@ -222,19 +222,12 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
         layout = model.layout(one.n_rigid)
         function = rollout_function(model.simulator, layout)
         inputs = rollout_inputs(one, layout, model.simulator.scene)
-        calls[name], edges[name] = (function, inputs), layout.n_edge
-        for _ in range(3):
-            function(*inputs)[0].numpy()
-    for _ in tqdm.tqdm(range(rounds), unit='round', disable=None):
-        for name, (function, inputs) in calls.items():
-            start = time.perf_counter()
-            function(*inputs)[0].numpy()
-            seconds[name].append((time.perf_counter() - start) / inputs[-1])
-    result = {}
-    for name, values in seconds.items():
-        low, middle, high = 1e3 * np.percentile(values, [0, 50, 95])
-        result[name] = {'ms_min': low, 'ms_median': middle, 'ms_p95': high, 'edges': edges[name]}
-    return json.loads(json.dumps(result))
+        jobs[name] = timing.Job(
+            lambda function=function, inputs=inputs: function(*inputs)[0].numpy(), inputs[-1]
+        )
+        edges[name] = layout.n_edge
+    times = timing.in_turns(jobs, rounds)
+    return {name: found.summary('ms_') | {'edges': edges[name]} for name, found in times.items()}
 
 
 def _budget(v) -> dict:
@@ -265,15 +258,10 @@ def _nri_rows(v):
 def run(v) -> dict:
     """Trains what is not yet in the JSON, times all graphs, and returns the whole result."""
     budget, nri_rows = _budget(v), _nri_rows(v)
-    result = {'scene': os.path.basename(os.path.normpath(v.data_path)), 'budget': budget}
-    result |= {'rows': [], 'timing': {}}
-    if os.path.exists(v.output_path):
-        result = files.read_json(v.output_path)
-        if result.get('budget') != budget:
-            raise ValueError(
-                f'{v.output_path}: holds rows of another budget ({result.get("budget")} there, '
-                f'{budget} now); give another --output_path'
-            )
+    scene = os.path.basename(os.path.normpath(v.data_path))
+    identity = {'scene': scene, 'budget': budget}
+    result = record.resume(v.output_path, identity, {'rows': [], 'timing': {}})
+    result |= record.provenance(v.num_threads)
     shared = {k: budget[k] for k in budget if k.endswith(('steps', 'length', 'batch_size'))}
     done = {(row['variant'], row['seed']) for row in result['rows']}
 
@@ -343,30 +331,24 @@ def define_flags() -> None:
     flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
 
 
-def main(_) -> None:
+def main(v, _) -> None:
     """Runs the command."""
-    v = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(v.num_threads)
-    try:
-        if v.report_only:
-            result = files.read_json(v.output_path)
-        elif not v.data_path:
-            raise ValueError('give --data_path, or --report_only')
-        else:
-            os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
-            result = run(v)
-        text = edge_ablation_report.write(result, os.path.splitext(v.output_path)[0])
-        if v.variant:
-            if not v.edges_path:
-                raise ValueError('--variant needs --edges_path')
-            edges = edge_ablation_report.edges_of(result, v.variant)
-            edge_lists.write(v.edges_path, edges)
-            text += f'\n\nwrote {v.edges_path}: {edges.n_edge} edges, {edges.report["source"]}'
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    if v.report_only:
+        result = files.read_json(v.output_path)
+    elif not v.data_path:
+        raise ValueError('give --data_path, or --report_only')
+    else:
+        os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
+        result = run(v)
+    text = edge_ablation_report.write(result, os.path.splitext(v.output_path)[0])
+    if v.variant:
+        if not v.edges_path:
+            raise ValueError('--variant needs --edges_path')
+        edges = edge_ablation_report.edges_of(result, v.variant)
+        edge_lists.write(v.edges_path, edges)
+        text += f'\n\nwrote {v.edges_path}: {edges.n_edge} edges, {edges.report["source"]}'
     print(text)
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

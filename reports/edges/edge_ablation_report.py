@@ -6,6 +6,7 @@ import numpy as np
 
 from learning_to_simulate import edge_lists, edge_picture
 from pca_tools import files
+from reports import markdown
 
 ORDER = (
     'fully connected', 'all modes', 'NRI', 'learned gates', 'correlation',
@@ -38,45 +39,39 @@ def values_of(rows: list[dict], split: str, key: str) -> list[float]:
 def table(result: dict) -> str:
     """The rows as Markdown: mean over seeds and, in brackets, the smallest and the largest."""
     b = result['budget']
-    lines = [
+    head = (
         f'{result["scene"]}, `pcg`: {b["num_steps"]} single steps, then {b["unroll_steps"]} steps '
         f'through rollouts of {b["unroll_length"]} frames (batch {b["unroll_batch_size"]}); lists '
         f'of {b["keep"]} mode edges; gates of price {b["gate_weight"]:g} learned in the first '
-        f'{b["gate_steps"]} steps. Mean over trainings (smallest to largest).',
-        '',
-        '| edges between modes | trainings | mode edges | all edges | soil MSE of best '
-        'trivial, valid | test | force rel. L2, valid | test | ms per step |',
-        '|---|---|---|---|---|---|---|---|---|',
-    ]
+        f'{b["gate_steps"]} steps. Mean over trainings (smallest to largest).'
+    )
+    return f'{head}\n\n{cells_table(result)}'
+
+
+def cells_table(result: dict) -> str:
+    """The rows alone."""
+    header = (
+        'edges between modes', 'trainings', 'mode edges', 'all edges',
+        'soil MSE of best trivial, valid', 'test', 'force rel. L2, valid', 'test', 'ms per step',
+    )  # fmt: skip
+    lines = []
     for name, rows in grouped(result).items():
-        cells = [name, str(len(rows)), _counts(rows), _span([row['edges'] for row in rows], 0)]
+        cells = [name, len(rows), _counts(rows), markdown.span([r['edges'] for r in rows])]
         for split, key in COLUMNS:
             values = values_of(rows, split, key)
             failed = f', {len(rows) - len(values)} failed' if len(values) < len(rows) else ''
-            cells.append(_span(values, 3) + failed)
+            cells.append(markdown.span(values) + failed)
         timing = result['timing'].get(rows[0]['variant'])
-        cells.append(f'{timing["ms_median"]:.3g}' if timing else '')
-        lines.append('| ' + ' | '.join(cells) + ' |')
-    return '\n'.join(lines)
+        lines.append([*cells, timing and timing['ms_median']])
+    return markdown.table(header, lines)
 
 
 def _counts(rows):
     known = [row for row in rows if row['mode_edges'] is not None]
     if not known:
         return 'all'
-    edges, own = (_span([row[key] for row in known], 0) for key in ('mode_edges', 'self_edges'))
+    edges, own = (markdown.span([r[key] for r in known]) for key in ('mode_edges', 'self_edges'))
     return f'{edges}, self {own}'
-
-
-def _span(values, digits):
-    """'mean (low to high)', or one value where all are equal; '' without any."""
-    if not values:
-        return ''
-    show = (lambda x: f'{x:.{digits}g}') if digits else (lambda x: f'{x:.0f}')
-    low, high = min(values), max(values)
-    if low == high:
-        return show(low)
-    return f'{show(np.mean(values))} ({show(low)} to {show(high)})'
 
 
 def edges_of(result: dict, variant: str) -> edge_lists.EdgeList:
@@ -164,9 +159,5 @@ def write(result: dict, stem: str) -> str:
             f'{stem}.json: not the result of reports edge_ablation ({error!r})'
         ) from error
 
-    def save(name):
-        with open(name, 'w', encoding='utf-8') as file:
-            file.write(text + '\n')
-
-    files.write_atomically(f'{stem}.md', save)
+    files.write_text(f'{stem}.md', text + '\n')
     return text

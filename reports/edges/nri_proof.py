@@ -12,14 +12,14 @@ The same command again resumes.
 
 import dataclasses
 import os
-import sys
 
-from absl import app, flags
+from absl import flags
 from matplotlib.figure import Figure
 
 from nri import experiment, particle_systems, simulate
 from nri.model import NriConfig
 from pca_tools import files
+from reports import command, record
 
 # Unsupervised edge accuracy, Kipf et al. 2018, table 1.
 PUBLISHED = {
@@ -76,8 +76,6 @@ def run(system, n_objects, work_path, counts, config):
     return {
         'system': system,
         'n_objects': n_objects,
-        'command': f'python -m reports nri_proof --system={system} --n_objects={n_objects} '
-        f'--work_path=/tmp/nri_proof',
         'runs': counts,
         'threads': int(os.environ.get('TF_NUM_INTRAOP_THREADS', os.cpu_count())),
         'settings': dataclasses.asdict(config),
@@ -119,23 +117,16 @@ def define_flags():
     flags.DEFINE_string('output_path', 'docs', 'Folder for the JSON file and the picture.')
 
 
-def main(argv):
+def main(given, _) -> None:
     """Reads the flags, runs, writes."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    given = flags.FLAGS
-    try:
-        os.makedirs(given.output_path, exist_ok=True)
-        settings = settings_of(given.system, given.n_objects)
-        result = run(given.system, given.n_objects, given.work_path, *settings)
-        stem = os.path.join(given.output_path, f'nri_{given.system}{given.n_objects}')
-        files.write_json(f'{stem}.json', result)
-        draw(result, f'{stem}.png')
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    os.makedirs(given.output_path, exist_ok=True)
+    settings = settings_of(given.system, given.n_objects)
+    result = run(given.system, given.n_objects, given.work_path, *settings)
+    stem = os.path.join(given.output_path, f'nri_{given.system}{given.n_objects}')
+    files.write_json(f'{stem}.json', record.provenance() | result)
+    draw(result, f'{stem}.png')
     print(f'wrote {stem}.json and .png: {result["test_accuracy"]:.2%} of the edges right')
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

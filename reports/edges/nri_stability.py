@@ -10,11 +10,10 @@ seed, mean over the training runs, and is what `reports edge_ablation --nri_path
 
 import itertools
 import os
-import sys
 
 import numpy as np
 import tensorflow as tf
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import edge_lists, edge_picture
 from nri import data as nri_data
@@ -22,6 +21,7 @@ from nri import experiment
 from nri.export_edges import edge_posterior, spread
 from nri.model import NriConfig, load_model
 from pca_tools import files
+from reports import command, record
 
 
 def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
@@ -143,33 +143,28 @@ def define_flags() -> None:
     flags.DEFINE_float('learning_rate', 1e-3, 'Learning rate.', 0.0)
 
 
-def main(_) -> None:
+def main(v, _) -> None:
     """Runs the command."""
-    v = flags.FLAGS
     tf.config.threading.set_intra_op_parallelism_threads(1)
     names = ('nodes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate')
     settings = {name: getattr(v, name) for name in names}
-    try:
-        rows = []
-        for seed in range(v.seeds):
-            config = NriConfig(**settings, seed=seed, decay_start=v.epochs, decay_epochs=v.epochs)
-            model_path = os.path.join(v.work_path, f'seed_{seed}')
-            rows.append(train_seed(v.data_path, model_path, config, v.threshold))
-        result = {
-            'digests': edge_lists.data_digests(v.data_path),
-            'settings': settings | {'threshold': v.threshold},
-            'compared': compare(rows, v.threshold),
-            'seeds': rows,
-        }
-        os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
-        files.write_json(v.output_path, result)
-        draw(os.path.splitext(v.output_path)[0] + '.png', result)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    rows = []
+    for seed in range(v.seeds):
+        config = NriConfig(**settings, seed=seed, decay_start=v.epochs, decay_epochs=v.epochs)
+        model_path = os.path.join(v.work_path, f'seed_{seed}')
+        rows.append(train_seed(v.data_path, model_path, config, v.threshold))
+    result = record.provenance(1) | {
+        'digests': edge_lists.data_digests(v.data_path),
+        'settings': settings | {'threshold': v.threshold},
+        'compared': compare(rows, v.threshold),
+        'seeds': rows,
+    }
+    os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
+    files.write_json(v.output_path, result)
+    draw(os.path.splitext(v.output_path)[0] + '.png', result)
     for name, value in result['compared'].items():
         print(f'{name:22s} {value}')
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

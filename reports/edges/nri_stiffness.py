@@ -11,17 +11,17 @@ what can be found, not what is found without labels. Writes docs/nri_stiffness.j
 
 import math
 import os
-import sys
 
 import numpy as np
 import tqdm
-from absl import app, flags
+from absl import flags
 from matplotlib.figure import Figure
 
 from nri import data, particle_systems
 from nri.model import NriConfig, NriModel
 from nri.training import Trainer
 from pca_tools import files
+from reports import command, markdown, record
 
 N_OBJECTS, DT, N_FRAMES = 5, 0.1, 49
 STIFFNESSES = (1e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4, 0.6, 0.72, 0.79, 0.8, 1.0, 10.0)
@@ -106,18 +106,19 @@ def measure(epochs):
 
 def table(rows):
     """The rows as Markdown."""
-    lines = ['| k dt² | largest omega dt | energy drift | energy swing | edge accuracy |']
-    lines.append('|---|---|---|---|---|')
-    for row in rows:
-        start = f'| {row["k_dt2"]:g} | {row["omega_dt_max"]:.3g} '
-        if 'refused' in row:
-            lines.append(f'{start}| refused | | |')
-        else:
-            lines.append(
-                f'{start}| {row["energy_drift"]:.1e} | {row["energy_swing"]:.2g} '
-                f'| {row["accuracy"]:.1%} |'
+    header = ('k dt²', 'largest omega dt', 'energy drift', 'energy swing', 'edge accuracy')
+    return markdown.table(
+        header,
+        [
+            (f'{row["k_dt2"]:g}', row['omega_dt_max'], 'refused')
+            if 'refused' in row
+            else (
+                f'{row["k_dt2"]:g}', row['omega_dt_max'], f'{row["energy_drift"]:.1e}',
+                f'{row["energy_swing"]:.2g}', f'{row["accuracy"]:.1%}',
             )
-    return '\n'.join(lines)
+            for row in rows
+        ],
+    )  # fmt: skip
 
 
 def draw(rows, path):
@@ -145,30 +146,22 @@ def define_flags():
     flags.DEFINE_string('output_path', 'docs', 'Folder for the JSON file and the picture.')
 
 
-def main(argv):
+def main(given, _) -> None:
     """Measures, prints the table, writes."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    given = flags.FLAGS
-    try:
-        os.makedirs(given.output_path, exist_ok=True)
-        rows = measure(given.epochs)
-        result = {
-            'command': 'python -m reports nri_stiffness',
-            'objects': N_OBJECTS,
-            'limit_k_dt2': 4 / N_OBJECTS,
-            'training': f'with labels, {TRAIN_RUNS} runs, {given.epochs} epochs',
-            'rows': rows,
-        }
-        stem = os.path.join(given.output_path, 'nri_stiffness')
-        files.write_json(f'{stem}.json', result)
-        draw(rows, f'{stem}.png')
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    os.makedirs(given.output_path, exist_ok=True)
+    rows = measure(given.epochs)
+    result = record.provenance() | {
+        'objects': N_OBJECTS,
+        'limit_k_dt2': 4 / N_OBJECTS,
+        'training': f'with labels, {TRAIN_RUNS} runs, {given.epochs} epochs',
+        'rows': rows,
+    }
+    stem = os.path.join(given.output_path, 'nri_stiffness')
+    files.write_json(f'{stem}.json', result)
+    draw(rows, f'{stem}.png')
     print(table(rows))
     print(f'wrote {stem}.json and .png')
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

@@ -15,16 +15,15 @@ Examples:
 import contextlib
 import multiprocessing
 import os
-import platform
 import queue
-import sys
 import tempfile
 import time
 
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from pca_tools import files
+from reports import command, markdown, record
 from reports.fuzz import bench
 from reports.fuzz.targets import TARGETS
 
@@ -156,13 +155,13 @@ def save_failures(path: str, failures: list[dict], names: list[str], seed: int) 
 def table(counts: dict) -> str:
     """The outcomes by target, as Markdown."""
     promises = {target.name: target.promise.value for target in TARGETS}
-    rows = [['reader', 'promise', 'inputs', *COLUMNS.values()], ['---'] * (3 + len(COLUMNS))]
+    rows = []
     for name, outcomes in counts.items():
         values = [outcomes[key] for key in COLUMNS]
         rows.append([name, promises[name], sum(values), *values])
     sums = [sum(o[key] for o in counts.values()) for key in COLUMNS]
     rows.append(['**all**', '', sum(sums), *sums])
-    return '\n'.join('| ' + ' | '.join(map(str, row)) + ' |' for row in rows)
+    return markdown.table(('reader', 'promise', 'inputs', *COLUMNS.values()), rows)
 
 
 def define_flags() -> None:
@@ -174,41 +173,33 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder for fuzz.json, fuzz.md and failing inputs.')
 
 
-def main(_) -> None:
+def main(values, _) -> int:
     """Runs the command; exit code 1 if an input failed."""
-    values = flags.FLAGS
     known = [target.name for target in TARGETS]
     names = [name for name in known if values.targets is None or name in values.targets]
     if unknown := set(values.targets or ()) - set(known):
-        sys.exit(f'error: no readers named {sorted(unknown)}; there are {known}')
+        raise ValueError(f'no readers named {sorted(unknown)}; there are {known}')
     start = time.time()
-    try:
-        result = fuzz(names, values.count, values.seed, values.num_processes)
-        text = table(result['counts'])
-        if values.output_path:
-            os.makedirs(values.output_path, exist_ok=True)
-            facts = {
-                'command': f'python -m reports fuzz --count={values.count} '
-                f'--seed={values.seed} --num_processes={values.num_processes}',
-                'seconds': round(time.time() - start),
-                'python': platform.python_version(),
-            }
-            files.write_json(os.path.join(values.output_path, 'fuzz.json'), facts | result)
-            with open(os.path.join(values.output_path, 'fuzz.md'), 'w', encoding='utf-8') as file:
-                file.write(f'# Fuzzed readers\n`{facts["command"]}`\n\n{text}\n')
-            save_failures(
-                os.path.join(values.output_path, 'fuzz_failures'), result['failures'], names,
-                values.seed,
-            )  # fmt: skip
-    except OSError as error:
-        sys.exit(f'error: {error}')
+    result = fuzz(names, values.count, values.seed, values.num_processes)
+    text = table(result['counts'])
+    if values.output_path:
+        os.makedirs(values.output_path, exist_ok=True)
+        head = record.provenance() | {'seconds': round(time.time() - start)}
+        files.write_json(os.path.join(values.output_path, 'fuzz.json'), head | result)
+        files.write_text(
+            os.path.join(values.output_path, 'fuzz.md'),
+            f'# Fuzzed readers\n`{head["command"]}`\n\n{text}\n',
+        )
+        save_failures(
+            os.path.join(values.output_path, 'fuzz_failures'), result['failures'], names,
+            values.seed,
+        )  # fmt: skip
     print(text)
     for failure in result['failures'][:20]:
         last_line = failure['why'].strip().splitlines()[-1]
         print(f'input {failure["number"]} of {failure["target"]}: {last_line}')
-    sys.exit(1 if result['failures'] else 0)
+    return int(bool(result['failures']))
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

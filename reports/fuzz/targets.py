@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, edge_lists, model_config, training_state
+from learning_to_simulate import checkpoints, edge_lists, model_config
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.normalization import Statistics
-from learning_to_simulate.presets import TrainConfig
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.training_run import training_state
 from mpm import raw_run
 from nri import data as nri_data
 from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace

@@ -16,13 +16,10 @@ Examples:
 """
 
 import dataclasses
-import sys
-import time
 
 import numpy as np
 import tensorflow as tf
-import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import connectivity_utils, experiment, reading_utils
 from learning_to_simulate.folded_simulator import FoldedSimulator
@@ -31,9 +28,8 @@ from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.specialised_rollout import SpecialisedRollout
 from pca_tools import files
+from reports import command, markdown, record, timing
 from reports.speed import product_count
-
-WARM_UP = 2
 
 
 @dataclasses.dataclass
@@ -209,19 +205,16 @@ class Explanation:
         Args:
           rounds: timed rollouts of each variant.
         """
-        for function, inputs in tqdm.tqdm(self._calls.values(), 'compiling', disable=None):
-            for _ in range(WARM_UP):
-                function(*inputs)[0].numpy()
-        seconds = {name: [] for name in self._calls}
-        for _ in tqdm.tqdm(range(rounds), 'rollouts in turns', unit='round', disable=None):
-            for name, (function, inputs) in self._calls.items():
-                start = time.perf_counter()
-                function(*inputs)[0].numpy()
-                seconds[name].append((time.perf_counter() - start) / inputs[-1])
+        jobs = {
+            name: timing.Job(lambda f=function, x=inputs: f(*x)[0].numpy(), inputs[-1])
+            for name, (function, inputs) in self._calls.items()
+        }
+        times = timing.in_turns(jobs, rounds, 'rollouts in turns')
+        us = {name: 1e3 * np.array(found.samples_ms) for name, found in times.items()}
         for item in self.items:
             if item.variants:
-                off, on = (np.array(seconds[name]) for name in item.variants)
-                item.us_per_step = 1e6 * float(np.median(off - on))
+                off, on = (us[name] for name in item.variants)
+                item.us_per_step = float(np.median(off - on))
         scene = self._simulator.scene
         return {
             'scene': scene.name,
@@ -231,10 +224,8 @@ class Explanation:
             'weights': self.n_weight,
             'mflop_per_step': self.mflop,
             'mflop_ahead_per_step': self.mflop_ahead,
-            'us_per_step': 1e6 * float(np.median(seconds['all'])),
-            'us_per_step_of_variants': {
-                n: (1e6 * np.array(s)).tolist() for n, s in seconds.items()
-            },
+            'us_per_step': float(np.median(us['all'])),
+            'us_per_step_of_variants': {name: samples.tolist() for name, samples in us.items()},
             'items': [dataclasses.asdict(item) for item in self.items],
         }
 
@@ -245,21 +236,14 @@ def _weights(simulator):
 
 def table(values: dict) -> str:
     """The result of `Explanation.measure` as text."""
-    lines = [
+    head = (
         '{scene}, body {rigid_motion}: {nodes} nodes, {edges} edges, {weights} weights, '
-        '{mflop_per_step:.3g} MFLOP and {us_per_step:.1f} us a step'.format(**values),
-        '',
-        f'{"left out":64s} {"edges":>6s} {"MFLOP":>8s} {"weights":>8s} {"us a step":>10s}',
-    ]
-    for item in values['items']:
-        cells = [
-            '-' if item[key] is None else format(item[key], form)
-            for key, form in (
-                ('edges', 'd'), ('mflop', '.4f'), ('weights', 'd'), ('us_per_step', '.1f'),
-            )
-        ]  # fmt: skip
-        lines.append('{:64s} {:>6s} {:>8s} {:>8s} {:>10s}'.format(item['name'], *cells))
-    return '\n'.join(lines)
+        '{mflop_per_step:.3g} MFLOP and {us_per_step:.1f} us a step'.format(**values)
+    )
+    header = ('left out', 'edges', 'MFLOP', 'weights', 'us a step')
+    keys = ('name', 'edges', 'mflop', 'weights', 'us_per_step')
+    rows = [['-' if item[k] is None else item[k] for k in keys] for item in values['items']]
+    return f'{head}\n\n{markdown.table(header, rows, aligned=True)}'
 
 
 def define_flags() -> None:
@@ -271,20 +255,14 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file for the items and all times.')
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
     tf.get_logger().setLevel('ERROR')  # It takes the variants for one function, traced again.
-    try:
-        result = Explanation(values.model_path, values.data_path).measure(values.rounds)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    result = Explanation(values.model_path, values.data_path).measure(values.rounds)
     print(table(result))
     if values.output_path:
-        files.write_json(values.output_path, result)
+        files.write_json(values.output_path, record.provenance(values.num_threads) | result)
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

@@ -15,19 +15,15 @@ Examples:
     python -m reports rollout_time --data_path=datasets/wheel --batch_sizes=1,4,16,64
 """
 
-import sys
-import time
-
 import numpy as np
-import tensorflow as tf
-import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import experiment, presets, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import dataset, files
+from reports import command, markdown, record, timing
 from reports.speed.original_style import (
     OriginalNetwork,
     appended_pairs,
@@ -118,27 +114,31 @@ def measure(data_path: str, rounds: int, batch_sizes=()) -> list[dict]:
     else:
         prepared = {name: prepare(data_path, metadata, o) for name, o in METHODS.items()}
         prepared |= {n: prepare_original(data_path, pairs) for n, pairs in ORIGINALS.items()}
-    seconds = {name: [] for name in prepared}
-    for name in prepared:
-        for _ in range(2):
-            prepared[name]['call']()
-    for _ in tqdm.tqdm(range(rounds), unit='round', disable=None):
-        for name, row in prepared.items():
-            start = time.perf_counter(), time.process_time()
-            row['call']()
-            end = time.perf_counter(), time.process_time()
-            seconds[name].append(np.subtract(end, start))
-    return [_row(name, prepared[name], np.array(seconds[name])) for name in prepared]
+    jobs = {
+        name: timing.Job(row.pop('call'), row.pop('steps') * row['batch'])
+        for name, row in prepared.items()
+    }
+    times = timing.in_turns(jobs, rounds)
+    return [_row(name, row, times[name], metadata['dt']) for name, row in prepared.items()]
 
 
-def _row(name, row, seconds):
-    per_step = 1e3 * seconds / (row['steps'] * row['batch'])
-    low, middle, high = np.percentile(per_step[:, 0], [0, 50, 95]).tolist()
-    return {k: v for k, v in row.items() if k not in ('call', 'steps')} | {
-        'method': name, 'ms_min': low, 'ms_median': middle, 'ms_p95': high,
-        'processor_ms_median': float(np.median(per_step[:, 1])),
-        's_per_simulated_s': middle * 60 / 1e3,
+def _row(name, row, times, dt):
+    return row | {'method': name} | times.summary('ms_') | {
+        'processor_ms_median': float(np.median(times.processor_ms)),
+        's_per_simulated_s': 1e-3 * times.percentile(50) / dt,
     }  # fmt: skip
+
+
+def table(rows: list[dict]) -> str:
+    """The rows of `measure` as text."""
+    columns = {
+        'method': 'method', 'edges': 'edges', 'weights': 'weights', 'ms_min': 'ms per step, min',
+        'ms_median': 'median', 'ms_p95': 'p95', 'processor_ms_median': 'processor',
+        's_per_simulated_s': 's per simulated s',
+    }  # fmt: skip
+    return markdown.table(
+        tuple(columns.values()), [[row[key] for key in columns] for row in rows], aligned=True
+    )
 
 
 def define_flags() -> None:
@@ -150,24 +150,15 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file for the rows.')
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
-    try:
-        batch_sizes = [int(b) for b in values.batch_sizes]
-        rows = measure(values.data_path, values.rounds, batch_sizes)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
-    print(f'{"method":54s} {"edges":>6s} {"weights":>8s} {"ms/step min":>12s} {"median":>8s} '
-          f'{"p95":>8s} {"processor":>10s} {"s per simulated s":>18s}')  # fmt: skip
-    for row in rows:
-        print('{method:54s} {edges:6d} {weights:8d} {ms_min:12.4f} {ms_median:8.4f} {ms_p95:8.4f} '
-              '{processor_ms_median:10.4f} {s_per_simulated_s:18.5f}'.format(**row))  # fmt: skip
+    batch_sizes = [int(b) for b in values.batch_sizes]
+    rows = measure(values.data_path, values.rounds, batch_sizes)
+    print(table(rows))
     if values.output_path:
-        files.write_json(values.output_path, rows)
+        head = record.provenance(values.num_threads)
+        files.write_json(values.output_path, head | {'rows': rows})
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

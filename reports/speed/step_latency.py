@@ -15,19 +15,17 @@ Examples:
         --output_path=/tmp/latency.json
 """
 
-import sys
+import math
 import time
 
-import numpy as np
-import tensorflow as tf
-import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import checkpoints, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.stepping import Stepper
 from pca_tools import dataset, files
+from reports import command, markdown, record, timing
 
 PAIRS = (
     'models/excavation/pcg:datasets/excavation',
@@ -59,17 +57,20 @@ class Timed:
         start = time.perf_counter()
         self._stepper = Stepper.load(self.name, data_path, self._group.n_rigid)
         self.load_seconds = time.perf_counter() - start
-        self._given = 'prescribed' in self._motion or 'driven' in self._motion
-        self.seconds = []
+        self.rigid_motion = checkpoints.read_config(self.name)['scene']['rigid_motion']
+        self._given = self.rigid_motion in ('prescribed', 'driven')
+        self._run = -1
 
     @property
-    def _motion(self):
-        return checkpoints.read_config(self.name)['scene']['rigid_motion']
+    def steps_per_run(self) -> int:
+        """Steps of a test run."""
+        return self._group.position.shape[1] - H
 
-    def run(self, run: int) -> None:
-        """Steps through one test run and keeps the time of each step."""
+    def __call__(self) -> list[float]:
+        """Steps through the next test run, the first after the last; seconds of each step."""
         group, n = self._group, self._group.n_rigid
-        run %= len(group.position)
+        self._run = run = (self._run + 1) % len(group.position)
+        seconds = []
         context = None if group.context is None else group.context[run]
         self._stepper.reset(group.position[run, :H], context)
         tick = time.perf_counter()
@@ -81,37 +82,24 @@ class Timed:
             tick = start + self._pause
             self._stepper.step(pose)
             self._stepper.particles()
-            self.seconds.append(time.perf_counter() - start)
-
-    def row(self) -> dict:
-        """Milliseconds per step."""
-        milliseconds = 1e3 * np.array(self.seconds)
-        low, middle, p95, p99, worst = np.percentile(milliseconds, [0, 50, 95, 99, 100]).tolist()
-        return {
-            'model': self.name,
-            'rigid_motion': self._motion,
-            'steps': len(milliseconds),
-            'ms_min': low,
-            'ms_median': middle,
-            'ms_p95': p95,
-            'ms_p99': p99,
-            'ms_worst': worst,
-            'load_seconds': self.load_seconds,
-        }
+            seconds.append(time.perf_counter() - start)
+        return seconds
 
 
 def measure(pairs, steps: int, rate_hz: float = 0.0) -> list[dict]:
-    """Times all models in turns, at least `steps` steps each."""
-    timed = [Timed(pair, rate_hz) for pair in pairs]
-    run = 0
-    with tqdm.tqdm(total=steps * len(timed), unit='step', disable=None) as bar:
-        while min(len(t.seconds) for t in timed) < steps:
-            for t in timed:
-                before = len(t.seconds)
-                t.run(run)
-                bar.update(len(t.seconds) - before)
-            run += 1
-    return [t.row() for t in timed]
+    """Times all models in turns, run by run, at least `steps` steps each; a row for each."""
+    timed = {pair: Timed(pair, rate_hz) for pair in pairs}
+    jobs = {
+        pair: timing.Job(t, rounds=math.ceil(steps / t.steps_per_run), warm_up=0)
+        for pair, t in timed.items()
+    }
+    times = timing.in_turns(jobs, 1, 'live steps')
+    return [
+        {'model': t.name, 'rigid_motion': t.rigid_motion, 'steps': len(times[pair].samples_ms)}
+        | times[pair].summary('ms_')
+        | {'load_seconds': t.load_seconds}
+        for pair, t in timed.items()
+    ]
 
 
 def define_flags() -> None:
@@ -122,22 +110,16 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file for the rows.')
 
 
-def main(argv) -> None:
+def main(values, pairs) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
-    try:
-        rows = measure(argv[1:] or PAIRS, values.steps, values.rate_hz)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
-    print(f'{"model":32s} {"min":>8s} {"median":>8s} {"p95":>8s} {"p99":>8s} {"worst":>8s} ms/step')
-    for row in rows:
-        print('{model:32s} {ms_min:8.4f} {ms_median:8.4f} {ms_p95:8.4f} {ms_p99:8.4f} '
-              '{ms_worst:8.4f}'.format(**row))  # fmt: skip
+    rows = measure(pairs or PAIRS, values.steps, values.rate_hz)
+    header = ('model', *(f'ms {name}' for name in timing.CLOCKS))
+    cells = [[row['model'], *(row[f'ms_{name}'] for name in timing.CLOCKS)] for row in rows]
+    print(markdown.table(header, cells, aligned=True))
     if values.output_path:
-        files.write_json(values.output_path, rows)
+        head = record.provenance(values.num_threads)
+        files.write_json(values.output_path, head | {'rows': rows})
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main, n_argument=100)

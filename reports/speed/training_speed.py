@@ -7,7 +7,7 @@ speed meets them all; one turn is some steps, after a warm-up. Processor time is
 threads: on a busy machine it says more than the clock.
 
 With `--time_to_error`: seconds of training until the rollouts of the validation runs have a mean
-squared error of that share of the best trivial prediction (stay still, constant velocity).
+squared error of that share of the best trivial prediction (persistence, constant velocity).
 Compilation counts, the validation rollouts do not.
 
 Examples:
@@ -17,19 +17,19 @@ Examples:
         --budget_seconds=600 --output_path=/tmp/training_speed.json
 """
 
-import sys
 import time
 
 import numpy as np
 import sonnet as snt
 import tensorflow as tf
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import evaluation, experiment, noise_utils, presets, reading_utils
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
+from reports import command, markdown, record, timing
 from reports.speed.original_style import OriginalNetwork, appended_pairs, numpy_pairs
 
 ORIGINAL = 'original way'
@@ -131,18 +131,20 @@ def measure(data_path: str, batch_size: int, rounds: int, steps: int, **override
         methods[preset] = our_step(
             data_path, preset, batch_size, num_steps=(rounds + 1) * steps + 1, **overrides
         )
-    seconds = {name: [] for name in methods}
-    for step in methods.values():
+
+    def turn(step):
         for _ in range(steps):
             step()
-    for _ in tqdm.tqdm(range(rounds), unit='round', disable=None):
-        for name, step in methods.items():
-            start = time.perf_counter(), time.process_time()
-            for _ in range(steps):
-                step()
-            end = time.perf_counter(), time.process_time()
-            seconds[name].append(np.subtract(end, start))
-    rates = {k: steps * batch_size / np.median(v, axis=0) for k, v in seconds.items()}
+
+    jobs = {
+        name: timing.Job(lambda step=step: turn(step), steps * batch_size, warm_up=1)
+        for name, step in methods.items()
+    }
+    times = timing.in_turns(jobs, rounds)
+    rates = {
+        name: 1e3 / np.median([found.samples_ms, found.processor_ms], axis=1)
+        for name, found in times.items()
+    }
     return [
         {
             'method': name,
@@ -183,7 +185,7 @@ def time_to_error(data_path: str, preset: str, target: float, budget: float, **o
                 float(trainer.step(step)['loss'])
                 step += 1
             spent += time.perf_counter() - start
-            with trainer.averaged_weights():
+            with trainer.averaging.in_place():
                 share = evaluator.run(valid, 'valid')[1]['soil_mse_over_best_trivial']
             curve.append((spent, step, share))
             if share is not None and share <= target:
@@ -204,38 +206,37 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file for the rows.')
 
 
-def main(_) -> None:
+def table(result: dict) -> str:
+    """The rows of `measure` and `time_to_error` as text."""
+    columns = {
+        'method': 'method', 'samples_per_s': 'samples per s', 'times_original': 'x original',
+        'times_original_by_processor': 'by processor time',
+    }  # fmt: skip
+    cells = [[row[key] for key in columns] for row in result['speed']]
+    text = markdown.table(tuple(columns.values()), cells, aligned=True)
+    for row in result.get('time_to_error', ()):
+        seconds, _, share = row['curve'][-1]
+        end = 'not reached' if row['seconds'] is None else f'reached after {row["seconds"]:.0f} s'
+        text += (
+            f'\n{row["preset"]}: {row["target"]:g} of the best trivial MSE {end} (step '
+            f'{row["steps"]}, {seconds:.0f} s: {markdown.cell(share) or "not finite"})'
+        )
+    return text
+
+
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
-    result = {}
-    try:
-        result['speed'] = measure(values.data_path, values.batch_size, values.rounds, values.steps)
-        print(f'{"method":34s} {"samples/s":>10s} {"x original":>11s} {"by processor":>13s}')
-        for row in result['speed']:
-            print('{method:34s} {samples_per_s:10.1f} {times_original:11.2f} '
-                  '{times_original_by_processor:13.2f}'.format(**row))  # fmt: skip
-        if values.time_to_error:
-            result['time_to_error'] = [
-                time_to_error(values.data_path, preset, values.time_to_error, values.budget_seconds)
-                for preset in PRESETS
-            ]
-        for row in result.get('time_to_error', ()):
-            last = row['curve'][-1]
-            share = 'not finite' if last[2] is None else f'{last[2]:.3g}'
-            end = (
-                'not reached' if row['seconds'] is None else f'reached after {row["seconds"]:.0f} s'
-            )
-            print(
-                f'{row["preset"]}: {row["target"]:g} of the best trivial MSE {end} '
-                f'(step {row["steps"]}, {last[0]:.0f} s: {share})'
-            )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    result = record.provenance(values.num_threads)
+    result['speed'] = measure(values.data_path, values.batch_size, values.rounds, values.steps)
+    if values.time_to_error:
+        result['time_to_error'] = [
+            time_to_error(values.data_path, preset, values.time_to_error, values.budget_seconds)
+            for preset in PRESETS
+        ]
+    print(table(result))
     if values.output_path:
         files.write_json(values.output_path, result)
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

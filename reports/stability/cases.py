@@ -3,6 +3,8 @@
 import dataclasses
 import math
 
+from reports.markdown import cell, table
+
 # A curve of the JSON file holds no more points than a picture can show.
 MAX_POINTS = 160
 HOLDS, FAILS, MEASURED, REFUSED, FLAGGED = 'holds', 'FAILS', 'measured', 'refused', 'flagged'
@@ -42,23 +44,22 @@ def judged(part: str, name: str, figure: float, unit: str, threshold=None, note:
 
 def markdown(rows: list[Case]) -> str:
     """The rows as Markdown, one table per part."""
-    lines = []
+    parts = []
     for part in dict.fromkeys(row.part for row in rows):
-        lines += [f'### {part}', '', '| case | outcome | figure | threshold | |']
-        lines.append('|---|---|---|---|---|')
-        for row in rows:
-            if row.part == part:
-                figure = '' if row.figure is None else f'{_number(row.figure)} {row.unit}'
-                limit = '' if row.threshold is None else _number(row.threshold)
-                outcome = f'**{row.outcome}**' if row.outcome == FAILS else row.outcome
-                cells = (row.name, outcome, figure, limit, row.note)
-                lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
-        lines.append('')
-    return '\n'.join(lines)
-
-
-def _number(value):
-    return 'NaN' if math.isnan(value) else f'{value:.3g}'
+        cells = [
+            (
+                row.name,
+                f'**{row.outcome}**' if row.outcome == FAILS else row.outcome,
+                '' if row.figure is None else f'{cell(row.figure)} {row.unit}',
+                row.threshold,
+                row.note,
+            )
+            for row in rows
+            if row.part == part
+        ]
+        header = ('case', 'outcome', 'figure', 'threshold', '')
+        parts.append(f'### {part}\n\n{table(header, cells)}\n')
+    return '\n'.join(parts)
 
 
 def to_json(value):

@@ -4,8 +4,8 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import graph_network
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import SimulatorState
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import rollout_inputs
 from reports.stability import shipped as lib
 from reports.stability.cases import judged

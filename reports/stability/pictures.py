@@ -144,7 +144,7 @@ def _growth(figure, curves):
         for curve in of_scene:
             seconds = np.array(curve['frames']) / FRAME_RATE
             axes.semilogy(seconds, curve['mm']['model'], label=_preset(curve), **_style(curve))
-        for name, line in (('stay still', ':'), ('constant velocity', (0, (1, 3)))):
+        for name, line in (('persistence', ':'), ('constant velocity', (0, (1, 3)))):
             values = of_scene[0]['mm'][name]
             axes.semilogy(seconds, values, color=INK, linestyle=line, linewidth=1.1, label=name)
         axes.set(xlabel='time (s)', ylabel='soil RMS error (mm)')

@@ -13,15 +13,14 @@ Examples:
 """
 
 import os
-import sys
 import tempfile
 import time
 
-import tensorflow as tf
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from pca_tools import files
+from reports import command, record
 from reports.stability import (
     cases,
     extrapolation_cases,
@@ -85,7 +84,8 @@ def write(rows, curves: dict, seconds: dict, is_quick: bool, output_path: str) -
         output_path: folder.
     """
     values = {'cpu_seconds': seconds, 'rows': rows, 'curves': curves}
-    files.write_json(os.path.join(output_path, DATA), cases.to_json(values))
+    document = record.provenance() | cases.to_json(values)
+    files.write_json(os.path.join(output_path, DATA), document)
     names = pictures.draw_all(curves, output_path)
     command = 'python -m reports stability_report' + (' --quick' if is_quick else '')
     text = [
@@ -118,23 +118,15 @@ def define_flags() -> None:
     flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
 
 
-def main(_) -> None:
+def main(values, _) -> int:
     """Runs the command; exit code 1 if a case fails that was promised to hold."""
-    values = flags.FLAGS
-    tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            rows = report(
-                values.parts, values.quick, values.output_path, values.work_path or folder
-            )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    with tempfile.TemporaryDirectory() as folder:
+        rows = report(values.parts, values.quick, values.output_path, values.work_path or folder)
     print(cases.markdown(rows))
     print(summary(rows))
     print(f'wrote {os.path.join(values.output_path, REPORT)}')
-    sys.exit(1 if any(row.outcome == cases.FAILS for row in rows) else 0)
+    return int(any(row.outcome == cases.FAILS for row in rows))
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

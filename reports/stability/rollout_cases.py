@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout_status import RolloutStatus
 from reports.stability import shipped as lib
 from reports.stability.cases import FLAGGED, HOLDS, Case, judged
@@ -53,7 +53,7 @@ def long_rollout(model, function, factor, continuation):
         None,
         kind,
         f'{lib.worst(judgements)}; x {np.median(trivial[:, -1]) / true_distance:.3g} for constant '
-        f'velocity, 0 for stay still',
+        f'velocity, 0 for persistence',
     )
     keep = slice(None, None, STRIDE)
     curve = {
@@ -77,7 +77,7 @@ def error_growth(model, rolled):
     stay = np.broadcast_to(group.position[:, H - 1 : H, group.n_rigid :], truth.shape)
     methods = {
         'model': rolled[:, :, group.n_rigid :],
-        'stay still': stay,
+        'persistence': stay,
         'constant velocity': lib.constant_velocity(group, truth.shape[1]),
     }
     errors = {
@@ -90,10 +90,10 @@ def error_growth(model, rolled):
 def growth_row(model, curve):
     """Row of the error at the end over the best trivial predictor's there."""
     end = {name: values[-1] for name, values in curve['mm'].items()}
-    trivial = min(end['stay still'], end['constant velocity'])
+    trivial = min(end['persistence'], end['constant velocity'])
     half = curve['mm']['model'][len(curve['frames']) // 2]
-    note = f'{end["model"]:.3g} mm at the end of the data, {half:.3g} mm half way; stay still '
-    note += f'{end["stay still"]:.3g}, constant velocity {end["constant velocity"]:.3g} mm'
+    note = f'{end["model"]:.3g} mm at the end of the data, {half:.3g} mm half way; persistence '
+    note += f'{end["persistence"]:.3g}, constant velocity {end["constant velocity"]:.3g} mm'
     name = f'{model.name}: error at the end of the data over that of the best trivial predictor'
     return judged(PART, name, float(end['model'] / trivial), '', None, note)
 

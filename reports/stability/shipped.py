@@ -5,13 +5,13 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import experiment
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate import experiment, metrics
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from learning_to_simulate.specialised_rollout import rollout_function
+from reports.record import ROOT
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 SCENES = ('excavation', 'wheel')
 PRESETS = ('pcg', 'pcg_thesis', 'fcg_original')
 
@@ -61,20 +61,8 @@ def load(scene: str, preset: str, n_run: int | None = None) -> Shipped:
     model, metadata, groups = experiment.load_for_evaluation(path, data, 'test', {})
     if len(groups) != 1:
         raise ValueError(f'{data}: test runs of {len(groups)} sizes, one was expected')
-    return Shipped(scene, preset, model, metadata, pick(groups[0], slice(n_run)))
-
-
-def pick(group, runs):
-    """The group of some of its runs (slice or indices); whole bodies are not kept."""
-    return dataclasses.replace(
-        group,
-        position=group.position[runs],
-        force=None if group.force is None else group.force[runs],
-        context=None if group.context is None else group.context[runs],
-        record=group.record[runs],
-        body=None,
-        kept=None,
-    )
+    runs = range(len(groups[0].record))[:n_run]
+    return Shipped(scene, preset, model, metadata, groups[0].take(list(runs)))
 
 
 def resample(group, frames):
@@ -124,6 +112,4 @@ def worst(judgements):
 
 def constant_velocity(group, n_frame: int):
     """Mode positions if the last given displacement went on, [S, n_frame, r, D]."""
-    last = group.position[:, H - 1, group.n_rigid :]
-    step = last - group.position[:, H - 2, group.n_rigid :]
-    return last[:, None] + step[:, None] * np.arange(1, n_frame + 1)[None, :, None, None]
+    return metrics.constant_velocity(group.position[:, :H, group.n_rigid :], n_frame)

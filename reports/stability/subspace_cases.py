@@ -6,6 +6,7 @@ import numpy as np
 import tensorflow as tf
 
 from pca_tools import dataset, subspace
+from reports.record import ROOT
 from reports.stability import shipped as lib
 from reports.stability.cases import judged
 
@@ -15,7 +16,7 @@ HALF = {'float16': np.float16, 'bfloat16': tf.bfloat16.as_numpy_dtype}
 
 def cases_of(scene):
     """Rows of one shipped dataset."""
-    folder = os.path.join(lib.ROOT, 'datasets', scene)
+    folder = os.path.join(ROOT, 'datasets', scene)
     space = subspace.Subspace.load(os.path.join(folder, 'subspace.npz'))
     run = dataset.read_split(folder, 'test')[0]
     scores = run.position[:, run.n_rigid :].astype(np.float64)

@@ -21,19 +21,19 @@ it stopped when it is given again.
 """
 
 import os
-import sys
 
 import numpy as np
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from mpm import batch, coarse, packing, raw_run, scenes
 from mpm.constitutive import make_soil
 from mpm.run import make_simulation, run_case
 from mpm.simulation import Settings
 from pca_tools import files
+from reports import command, markdown, record
 
 
 def errors(run, fine) -> dict[str, float]:
@@ -118,11 +118,8 @@ def measure(scene, cases, factors, raw_path: str, output_path: str) -> dict:
     """
     for factor in factors:
         coarse.coarsened(scene, factor)
-    summary = {'scene': scene.name, 'reference': 'fine run, full space', 'mean': {}, 'runs': {}}
-    if os.path.exists(output_path):
-        summary = files.read_json(output_path)
-        if not isinstance(summary, dict) or summary.get('scene') != scene.name:
-            raise ValueError(f'{output_path}: holds no coarse runs of {scene.name}; name another')
+    identity = {'scene': scene.name, 'reference': 'fine run, full space'}
+    summary = record.resume(output_path, identity, {'mean': {}, 'runs': {}})
     # Absent fine runs are made; those that are there are kept as they are.
     batch.generate(scene, cases, raw_path, Settings())
     packed = packing.settled(
@@ -143,6 +140,7 @@ def measure(scene, cases, factors, raw_path: str, output_path: str) -> dict:
                     _warm_up()
                     warm = True
                 done.append(_row_with_bar(scene, case, factor, packed, fine))
+            summary |= record.provenance(1)
             summary['mean'] = _means({k: v for k, v in summary['runs'].items() if v})
             files.write_json(output_path, summary)
     return summary
@@ -161,19 +159,15 @@ def _row_with_bar(scene, case, factor, packed, fine):
 
 def table(summary: dict) -> str:
     """The means as text, one row per method."""
-    lines = [
-        f'{"method":14s} {"runs":>4s} {"soil RMS mm":>12s} {"force rel. L2":>14s} '
-        f'{"CPU s per simulated s":>22s}'
-    ]
+    rows = []
     for method, mean in summary['mean'].items():
-        soil, force = (mean.get(k) for k in ('soil_mse', 'force_relative_l2'))
-        soil = '-' if soil is None else f'{metrics.rms_mm(soil):.4g}'
-        force = '-' if force is None else f'{force:.4g}'
-        lines.append(
-            f'{method:14s} {len(summary["runs"][method]):4d} {soil:>12s} {force:>14s} '
-            f'{mean["seconds_per_simulated_second"]:22.4g}'
-        )
-    return '\n'.join(lines)
+        soil = mean.get('soil_mse')
+        rows.append(
+            (method, len(summary['runs'][method]), soil and float(metrics.rms_mm(soil)),
+             mean.get('force_relative_l2'), mean['seconds_per_simulated_second'])
+        )  # fmt: skip
+    header = ('method', 'runs', 'soil RMS mm', 'force rel. L2', 'CPU s per simulated s')
+    return markdown.table(header, rows, aligned=True)
 
 
 def define_flags() -> None:
@@ -187,20 +181,15 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'JSON file of the rows.', required=True)
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    try:
-        scene = scenes.scene_named(values.scene)
-        cases = scenes.select_cases(scene, values.cases)
-        factors = [float(factor) for factor in values.grid_factors]
-        summary = measure(scene, cases, factors, values.raw_path, values.output_path)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    scene = scenes.scene_named(values.scene)
+    cases = scenes.select_cases(scene, values.cases)
+    factors = [float(factor) for factor in values.grid_factors]
+    summary = measure(scene, cases, factors, values.raw_path, values.output_path)
     print(table(summary))
     print(f'wrote {values.output_path}')
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

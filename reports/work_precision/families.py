@@ -8,12 +8,13 @@ all of them fit in an afternoon.
 import dataclasses
 
 from learning_to_simulate import presets
-from learning_to_simulate.presets import TrainConfig
+from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.scene import RigidMotion
 
 SHIPPED = 'shipped presets'
 LATENT_SIZE = 'latent size'
 OTHER_METHODS = 'other methods'
+DECISIONS = 'decisions'
 # Family -> rows (label, what they are) with the training of their preset.
 WHOLE = {
     SHIPPED: [
@@ -34,6 +35,27 @@ WHOLE = {
         ('GNS on particles', {'preset': 'full_space'}),
     ],
 }
+# Only where it is asked for: what the decisions behind the default are worth, one at a time.
+ON_DEMAND = {
+    DECISIONS: [
+        ('pcg', {'preset': 'pcg'}),
+        ('single-step training only', {'preset': 'pcg', 'unroll_steps': 0}),
+        ('accelerations instead of displacements', {
+            'preset': 'pcg', 'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False,
+            'velocity_inputs': 5,
+        }),
+        ('displacements per frame, not per body displacement', {
+            'preset': 'pcg', 'rate_scaled': False,
+        }),
+        ('five last velocities as inputs', {'preset': 'pcg', 'velocity_inputs': 5}),
+        ('all rigid particles', {'preset': 'pcg', 'rigid_particles': 0}),
+        ('five lowest rigid particles', {'preset': 'pcg', 'rigid_particles': 5}),
+        ('published inputs (no conditioning)', {
+            'preset': 'pcg', 'conditioned': False, 'rate_scaled': False, 'velocity_inputs': 5,
+            'rigid_particles': 0,
+        }),
+    ],
+}  # fmt: skip
 # Presets that one training has to do for: they are references, and slow to train.
 ONE_SEED = ('fcg_original', 'pcg_thesis', 'full_space')
 BASE = ('base of the sweeps', {})

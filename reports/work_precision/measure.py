@@ -19,14 +19,14 @@ from collections.abc import Sequence
 import numpy as np
 import tqdm
 
-from learning_to_simulate import checkpoints, evaluation, experiment
-from learning_to_simulate.full_space import experiment as particles
-from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate import checkpoints
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.methods import registry
 from pca_tools import dataset, files, subspace
+from reports import markdown, timing
 from reports.speed import step_latency
+from reports.timing import Timing
 from reports.work_precision import points
-from reports.work_precision.points import Timing
 
 SPLITS = ('valid', 'test')
 WARM_UP = 5
@@ -110,29 +110,17 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
     return None
 
 
-def train(data_path: str, model_path: str, config: TrainConfig) -> float:
+def train(data_path: str, model_path: str, config) -> float:
     """Trains, or finishes, a row's model; returns the seconds that this call took."""
     start = time.perf_counter()
-    if config.model == 'full_space':
-        particles.train(data_path, None, model_path, config)
-    else:
-        experiment.train(data_path, model_path, config)
+    registry.get(config.model).load_code().train(data_path, model_path, config)
     return time.perf_counter() - start
-
-
-def _is_full_space(model_path):
-    return checkpoints.read_config(model_path)['config'].get('model') == 'full_space'
 
 
 def open_model(data_path: str, model_path: str, split: str):
     """The evaluator of a trained model, the model, and the runs of a split."""
-    if _is_full_space(model_path):
-        model, metadata, groups = particles.load_for_evaluation(
-            model_path, data_path, None, split, {}
-        )
-        return ParticleEvaluator(model, metadata), model, groups
-    model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, split, {})
-    return evaluation.Evaluator(model, metadata), model, groups
+    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, split)
+    return opened.evaluator, opened.model, opened.groups
 
 
 def evaluate(data_path: str, model_path: str) -> dict:
@@ -169,7 +157,7 @@ def evaluate(data_path: str, model_path: str) -> dict:
     values['status'], values['note'] = _judge(summaries)
     references = {
         name: {split: _per_run(s, name) for split, s in summaries.items()}
-        for name in ('stay_still', 'constant_velocity')
+        for name in markdown.TRIVIAL
     }
     floors = dataset.read_metadata(data_path).get('projection_mse', {})
     if all(split in floors for split in SPLITS):
@@ -226,22 +214,18 @@ def time_rollouts(data_path: str, model_paths: dict, rounds: int) -> dict[str, T
     Returns:
       key -> `Timing`.
     """
-    calls, counts = {}, {}
-    for key, path in tqdm.tqdm(model_paths.items(), 'warm-up', unit='model', disable=None):
+    jobs = {}
+    for key, path in tqdm.tqdm(model_paths.items(), 'opening', unit='model', disable=None):
         evaluator, _, groups = open_model(data_path, path, 'test')
         group = _largest(groups)
-        calls[key] = (evaluator, group)
         slow = evaluator.roll_out(group).seconds > SLOW_S
-        counts[key] = min(rounds, SLOW_ROUNDS) if slow else rounds
-        for _ in range(0 if slow else WARM_UP):
-            evaluator.roll_out(group)
-    samples = {key: [] for key in calls}
-    for turn in tqdm.tqdm(range(rounds), 'rollouts in turns', unit='round', disable=None):
-        for key, (evaluator, group) in calls.items():
-            if turn < counts[key]:
-                steps = group.position.shape[1] - INPUT_SEQUENCE_LENGTH
-                samples[key].append(1e3 * evaluator.roll_out(group).seconds / steps)
-    return {key: Timing(tuple(values)) for key, values in samples.items()}
+        jobs[key] = timing.Job(
+            lambda evaluator=evaluator, group=group: evaluator.roll_out(group).seconds,
+            group.position.shape[1] - INPUT_SEQUENCE_LENGTH,
+            min(rounds, SLOW_ROUNDS) if slow else None,
+            0 if slow else WARM_UP,
+        )
+    return timing.in_turns(jobs, rounds, 'rollouts in turns')
 
 
 def time_live_steps(data_path: str, model_paths: dict, n_run: int) -> dict[str, Timing]:
@@ -255,17 +239,12 @@ def time_live_steps(data_path: str, model_paths: dict, n_run: int) -> dict[str, 
     Returns:
       key -> `Timing` of every step; models on particles have no live stepping and no entry.
     """
-    steppers = {
-        key: step_latency.Timed(f'{path}:{data_path}')
+    jobs = {
+        key: timing.Job(step_latency.Timed(f'{path}:{data_path}'), warm_up=0)
         for key, path in tqdm.tqdm(model_paths.items(), 'steppers', unit='model', disable=None)
-        if not _is_full_space(path)
+        if not registry.of_folder(path).on_particles
     }
-    for run in tqdm.tqdm(range(n_run), 'live steps in turns', unit='run', disable=None):
-        for stepper in steppers.values():
-            stepper.run(run)
-    return {
-        key: Timing(tuple(1e3 * s for s in stepper.seconds)) for key, stepper in steppers.items()
-    }
+    return timing.in_turns(jobs, n_run, 'live runs in turns')
 
 
 def time_decoding(data_path: str, rounds: int) -> Timing | None:
@@ -276,9 +255,5 @@ def time_decoding(data_path: str, rounds: int) -> Timing | None:
     space = subspace.Subspace.load(path)
     run = dataset.read_split(data_path, 'test')[0]
     scores = run.position[-1, run.n_rigid :].astype(np.float64)
-    samples = []
-    for _ in range(WARM_UP + rounds):
-        start = time.perf_counter()
-        space.decode(scores)
-        samples.append(1e3 * (time.perf_counter() - start))
-    return Timing(tuple(samples[WARM_UP:]))
+    job = timing.Job(lambda: space.decode(scores), warm_up=WARM_UP)
+    return timing.in_turns({'decoding': job}, rounds)['decoding']

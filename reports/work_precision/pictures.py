@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pca_tools import files
-from reports.work_precision import families, labels, machine, solver_rows, tables
+from reports import markdown, record
+from reports.work_precision import families, labels, solver_rows, tables
 from reports.work_precision.points import OK, WorkPrecisionPoint, over_seeds
 
 # Okabe & Ito 2008: told apart with every common colour blindness; the markers tell it twice.
@@ -16,7 +17,7 @@ STYLES = (
     ('#7F7F7F', 'h'),
 )  # fmt: skip
 REFERENCE_LINES = {
-    'cut off by the modes': (0, (1, 1)), 'stay still': (0, (6, 2)),
+    markdown.FLOOR: (0, (1, 1)), markdown.TRIVIAL['stay_still']: (0, (6, 2)),
     'constant velocity': (0, (6, 2, 1, 2)),
 }  # fmt: skip
 QUANTITIES = {
@@ -151,7 +152,7 @@ def _draw_times(axes, dt, fine):
 def _caption(document, failures):
     lines = [
         'Batch 1, whole compiled rollouts, median of '
-        f'{_rounds(document["points"])} calls in turns. {machine.sentence(document["machine"])}.'
+        f'{_rounds(document["points"])} calls in turns. {record.sentence(document["machine"])}.'
     ]
     names = dict.fromkeys(f'{p.label}, seed {p.seed} ({p.status})' for p in failures)
     if names:

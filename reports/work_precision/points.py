@@ -6,43 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from reports.timing import Timing
+
 OK = 'ok'
 # A soil error this many times that of the better trivial predictor is a failure, not a result.
 DIVERGED_RATIO = 10.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Timing:
-    """Raw samples of one clock, ms per step of one graph.
-
-    Attributes:
-      samples_ms: every measured call, in the order of measurement.
-    """
-
-    samples_ms: tuple[float, ...]
-
-    def __post_init__(self):
-        if not self.samples_ms or not all(s > 0 for s in self.samples_ms):
-            raise ValueError(f'a timing needs positive samples, got {self.samples_ms[:5]!r}')
-
-    def percentile(self, q: float) -> float:
-        """The q-th percentile, ms per step; 0 is the minimum, 100 the worst."""
-        return float(np.percentile(self.samples_ms, q))
-
-    def summary(self) -> dict[str, float]:
-        """min, median, p95, p99 and worst, ms per step."""
-        names = {'min': 0, 'median': 50, 'p95': 95, 'p99': 99, 'worst': 100}
-        return {name: self.percentile(q) for name, q in names.items()}
-
-    def to_json(self) -> dict:
-        """The summary for readers, and the samples in one string for machines."""
-        rounded = {name: float(f'{value:.5g}') for name, value in self.summary().items()}
-        return rounded | {'samples_ms': ' '.join(f'{s:.4g}' for s in self.samples_ms)}
-
-    @classmethod
-    def from_json(cls, values: dict) -> 'Timing':
-        """Rebuilds the timing from its samples."""
-        return cls(tuple(float(s) for s in values['samples_ms'].split()))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +66,7 @@ class WorkPrecisionPoint:
         return float(np.mean(values))
 
     def position_error(self, split: str) -> float | None:
-        """Soil error, mm RMS: in full space where the dataset says what the modes cut off, else
+        """Soil error, mm RMS: in full space where the dataset states its truncation error, else
         within the subspace."""
         full = self.error(split, 'soil_rms_mm_full')
         return self.error(split, 'soil_rms_mm') if full is None else full

@@ -13,27 +13,31 @@ Examples:
     python -m reports error_vs_runtime --data_path=datasets/wheel --quick \\
         --work_path=/tmp/quick --output_path=/tmp/quick_report
 
+    # what the decisions behind `pcg` are worth: one changed at a time, trained in full
+    python -m reports error_vs_runtime --data_path=datasets/wheel --families=decisions \\
+        --work_path=/tmp/decisions --output_path=/tmp/decisions_report
+
     # table and pictures again from the stored numbers; the best model for 0.2 ms a step
     python -m reports error_vs_runtime --from_json \\
         --output_path=docs/error_vs_runtime/excavation --budget_ms=0.2
 """
 
 import os
-import sys
 
-from absl import app, flags
+from absl import flags
 
 from pca_tools import files
+from reports import command
+from reports.record import ROOT
 from reports.work_precision import families, measure, pictures, survey, tables
 from reports.work_precision.points import choose
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 QUICK_TRAINING = {'num_steps': 400, 'unroll_steps': 60, 'unroll_length': 4}
 
 
 def write_report(document: dict, output_path: str) -> list[str]:
     """Writes the table and the pictures of a stored report; returns the file names."""
-    texts = {'table.md': tables.markdown(document), 'table.csv': tables.comma_separated(document)}
+    texts = {'table.md': tables.table(document), 'table.csv': tables.comma_separated(document)}
     written = []
     for name, text in texts.items():
         written.append(os.path.join(output_path, name))
@@ -81,6 +85,16 @@ def make_settings(values) -> survey.Settings:
             'unroll_steps': values.sweep_unroll_steps,
             'unroll_length': values.sweep_unroll_length,
         }
+    if values.families:
+        whole = whole | families.ON_DEMAND
+        if unknown := set(values.families) - {*whole, *sweeps}:
+            raise ValueError(
+                f'unknown families {sorted(unknown)}; there are {", ".join([*whole, *sweeps])}'
+            )
+        whole, sweeps = (
+            {name: rows for name, rows in members.items() if name in values.families}
+            for members in (whole, sweeps)
+        )
     return survey.Settings(
         whole, sweeps, training, values.models_path, seeds, sweep_seeds, values.rounds,
         threads=values.num_threads, num_processes=values.num_processes,
@@ -98,6 +112,8 @@ def define_flags() -> None:
                         'default: models/<name of the dataset folder> of the project.')  # fmt: skip
     flags.DEFINE_string('solver_json', None, 'Rows of reports coarse_solver; default: '
                         'docs/coarse_solver_<scene>.json where it exists.')  # fmt: skip
+    flags.DEFINE_list('families', None, 'Only these, as a report of its own (another '
+                      f'--output_path). Default: all but {families.DECISIONS!r}.')  # fmt: skip
     flags.DEFINE_bool('from_json', False, 'Measure nothing: report from the stored numbers.')
     flags.DEFINE_bool('time_again', False, 'Time all rows again, after a call on a busy machine.')
     flags.DEFINE_bool('quick', False, 'Few rows, little training: within 10 minutes.')
@@ -113,35 +129,30 @@ def define_flags() -> None:
     flags.DEFINE_float('budget_ms', None, 'Name the best model for so many ms per step.')
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    try:
-        if values.from_json:
-            document = survey.read_document(os.path.join(values.output_path, survey.DOCUMENT))
-        else:
-            missing = [n for n in ('data_path', 'work_path') if not values[n].value]
-            if missing:
-                raise ValueError(f'give --{" and --".join(missing)}, or --from_json')
-            scene = os.path.basename(os.path.abspath(values.data_path))
-            if values.models_path is None:
-                values.models_path = os.path.join(ROOT, 'models', scene)
-            solver_json = os.path.join(ROOT, 'docs', f'coarse_solver_{scene}.json')
-            if values.solver_json is None and os.path.exists(solver_json):
-                values.solver_json = solver_json
-            measure.use_threads(values.num_threads)
-            document = survey.Survey(
-                values.data_path, values.work_path, values.output_path, make_settings(values)
-            ).run()
-        written = write_report(document, values.output_path)
-        print(tables.markdown(document))
-        print('wrote ' + ', '.join(written))
-        if values.budget_ms is not None:
-            print(recommendation(document, values.budget_ms))
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    if values.from_json:
+        document = survey.read_document(os.path.join(values.output_path, survey.DOCUMENT))
+    else:
+        missing = [n for n in ('data_path', 'work_path') if not values[n].value]
+        if missing:
+            raise ValueError(f'give --{" and --".join(missing)}, or --from_json')
+        scene = os.path.basename(os.path.abspath(values.data_path))
+        if values.models_path is None:
+            values.models_path = os.path.join(ROOT, 'models', scene)
+        solver_json = os.path.join(ROOT, 'docs', f'coarse_solver_{scene}.json')
+        if values.solver_json is None and os.path.exists(solver_json):
+            values.solver_json = solver_json
+        measure.use_threads(values.num_threads)
+        document = survey.Survey(
+            values.data_path, values.work_path, values.output_path, make_settings(values)
+        ).run()
+    written = write_report(document, values.output_path)
+    print(tables.table(document))
+    print('wrote ' + ', '.join(written))
+    if values.budget_ms is not None:
+        print(recommendation(document, values.budget_ms))
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

@@ -3,7 +3,8 @@
 import os
 
 from pca_tools import files
-from reports.work_precision.points import OK, Timing, WorkPrecisionPoint
+from reports.timing import Timing
+from reports.work_precision.points import OK, WorkPrecisionPoint
 
 FAMILY = 'solver on coarser grids'
 FINE = 'solver'

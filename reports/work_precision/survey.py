@@ -10,16 +10,13 @@ import tqdm
 
 from learning_to_simulate import checkpoints, edge_lists, experiment, reading_utils
 from pca_tools import dataset, files
-from reports.work_precision import families, machine, measure, solver_rows
+from reports import markdown, record
+from reports.work_precision import families, measure, solver_rows
 from reports.work_precision.points import WorkPrecisionPoint
 
 DOCUMENT = 'points.json'
 SCHEMA_VERSION = 1
-REFERENCES = {
-    'projection': 'cut off by the modes',
-    'stay_still': 'stay still',
-    'constant_velocity': 'constant velocity',
-}
+REFERENCES = {'projection': markdown.FLOOR} | markdown.TRIVIAL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +109,7 @@ class Survey:
             'scene': scene.name,
             'dt': scene.dt,
             'data_sha256': self._sha256,
-            'machine': machine.facts(settings.threads),
+            **record.provenance(settings.threads),
             'swept_training': settings.training,
             'points': [],
         }
@@ -240,7 +237,7 @@ class Survey:
         if not any(map(self._needs_time, self._points.values())):
             return
         paths = {d: self._models[d] for d, p in self._points.items() if p.runs and p.seed == 0}
-        self.document['machine'] = machine.facts(self._settings.threads)
+        self.document['machine'] = record.facts(self._settings.threads)
         times = measure.time_rollouts(self._data, paths, self._settings.rounds)
         live = {}
         if os.path.exists(os.path.join(self._data, 'subspace.npz')):

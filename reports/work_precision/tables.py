@@ -4,7 +4,8 @@ import csv
 import io
 from collections.abc import Sequence
 
-from reports.work_precision import machine
+from reports import markdown, record
+from reports.timing import CLOCKS
 from reports.work_precision.points import (
     OK,
     WorkPrecisionPoint,
@@ -50,34 +51,25 @@ def best_trivial(points: Sequence[WorkPrecisionPoint], split: str) -> float | No
     return min((v for v in values if v), default=None)
 
 
-def markdown(document: dict) -> str:
+def table(document: dict) -> str:
     """The table with what a reader must know about it."""
-    points, dt = document['points'], document['dt']
-    position_front = front_labels(points, WorkPrecisionPoint.position_error, dt)
-    force_front = front_labels(points, force_error, dt)
+    points = document['points']
     lines = [
         f'**{document["scene"]}**: error against run time, batch 1. '
-        f'{machine.sentence(document["machine"])}.',
+        f'{record.sentence(document["machine"])}.',
         '',
-        '| ' + ' | '.join(COLUMNS) + ' |',
-        '|---' * len(COLUMNS) + '|',
+        rows_table(document),
     ]
-    for point in over_seeds(points):
-        marks = ' ▲' * (point.label in position_front) + ' ●' * (point.label in force_front)
-        seeds = [p for p in points if p.label == point.label]
-        lines.append(
-            f'| {point.label}{marks} | ' + ' | '.join(_cells(point, seeds, points, dt)) + ' |'
-        )
     failures = [f'- {p.label}, seed {p.seed}: **{p.status}**. {p.note}'
                 for p in points if p.status != OK]  # fmt: skip
     lines += [
         '',
         '▲ on the front of soil error and time, ● of force error and time (test). Soil errors are '
-        'RMS per coordinate with what the modes cut off, mean over runs and seeds; of best '
-        'trivial: soil MSE within the modes over that of the better of stay still and constant '
-        'velocity; in brackets the range over seeds. Times: whole compiled rollouts in turns, '
-        'median; live: single steps from Python. First call: compilation included. MB: peak of a '
-        'process of its own, TensorFlow included.',
+        'RMS per coordinate with the truncation error of the modes, mean over runs and seeds; of '
+        'best trivial: soil MSE within the modes over that of the better of persistence and '
+        'constant velocity; in brackets the range over seeds. Times: whole compiled rollouts in '
+        'turns, median; live: single steps from Python. First call: compilation included. MB: '
+        'peak of a process of its own, TensorFlow included.',
     ]
     training = document.get('swept_training')
     if training:
@@ -91,15 +83,24 @@ def markdown(document: dict) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def _cells(point, seeds, points, dt):
-    """Cells of one label: the mean over its seeds, and their range."""
+def rows_table(document: dict) -> str:
+    """The rows alone: one per label, the mean over its seeds and their range."""
+    points, dt = document['points'], document['dt']
+    position_front = front_labels(points, WorkPrecisionPoint.position_error, dt)
+    force_front = front_labels(points, force_error, dt)
+    lines = []
+    for point in over_seeds(points):
+        marks = ' ▲' * (point.label in position_front) + ' ●' * (point.label in force_front)
+        seeds = [p for p in points if p.label == point.label]
+        lines.append([point.label + marks, *_cells(point, seeds, points, dt)])
+    return markdown.table(COLUMNS, lines)
 
+
+def _cells(point, seeds, points, dt):
     def spread(error):
-        values = [v for v in map(error, seeds) if v is not None]
         if error(point) is None:
             return '' if point.status == OK else f'**{point.status}**'
-        low_high = f' ({min(values):.3g}..{max(values):.3g})' if len(values) > 1 else ''
-        return f'{error(point):.3g}{low_high}'
+        return markdown.span(map(error, seeds))
 
     def ratio(point):
         trivial, value = best_trivial(points, 'test'), point.error('test', 'soil_mse')
@@ -107,25 +108,19 @@ def _cells(point, seeds, points, dt):
 
     rollout = point.rollout
     times = [None] * 3 if rollout is None else [rollout.percentile(q) for q in (50, 99, 100)]
-    times += [point.live and point.live.percentile(99), point.seconds_per_second(dt)]
     return [
-        _text(point.n_edge),
-        _text(point.n_weight),
-        spread(lambda p: p.position_error('valid')),
-        spread(lambda p: p.position_error('test')),
+        point.n_edge,
+        point.n_weight,
+        *(spread(lambda p, s=s: p.position_error(s)) for s in ('valid', 'test')),
         spread(ratio),
-        spread(lambda p: force_error(p, 'valid')),
-        spread(lambda p: force_error(p, 'test')),
-        *map(_text, [*times, point.first_call_s, point.peak_memory_mb, point.training_s]),
+        *(spread(lambda p, s=s: force_error(p, s)) for s in ('valid', 'test')),
+        *times,
+        point.live and point.live.percentile(99),
+        point.seconds_per_second(dt),
+        point.first_call_s,
+        point.peak_memory_mb,
+        point.training_s,
     ]
-
-
-def _text(value):
-    if value is None:
-        return ''
-    if isinstance(value, int):
-        return str(value)
-    return f'{value:.0f}' if value >= 100 else f'{value:.3g}'
 
 
 def comma_separated(document: dict) -> str:
@@ -135,14 +130,13 @@ def comma_separated(document: dict) -> str:
         'first_call_s', 'peak_memory_mb', 'base_memory_mb', 'training_s', 'digest',
     )  # fmt: skip
     errors = ('soil_mse', 'soil_rms_mm', 'soil_rms_mm_full', 'rigid_mse', 'force_relative_l2')
-    clocks = ('min', 'median', 'p95', 'p99', 'worst')
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator='\n')
     writer.writerow(
         [
             *names,
             *(f'{e}_{split}' for split in ('valid', 'test') for e in errors),
-            *(f'{kind}_ms_{c}' for kind in ('rollout', 'live') for c in clocks),
+            *(f'{kind}_ms_{c}' for kind in ('rollout', 'live') for c in CLOCKS),
             's_per_simulated_s',
         ]
     )
@@ -150,7 +144,7 @@ def comma_separated(document: dict) -> str:
         row = ['; '.join(v) if isinstance(v, tuple) else v for v in (getattr(p, n) for n in names)]
         row += [p.error(split, e) for split in ('valid', 'test') for e in errors]
         for timing in (p.rollout, p.live):
-            row += [None] * len(clocks) if timing is None else timing.summary().values()
+            row += [None] * len(CLOCKS) if timing is None else timing.summary().values()
         row.append(p.seconds_per_second(document['dt']))
         writer.writerow(['' if v is None else v for v in row])
     return buffer.getvalue()

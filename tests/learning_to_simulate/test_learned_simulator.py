@@ -6,7 +6,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import graph_network, learned_simulator
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.numpy_twin import Twin

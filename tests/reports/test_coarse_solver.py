@@ -29,7 +29,7 @@ def test_same_grid_has_no_error_and_coarser_cells_cost_less(measured):
     scene, raw, path, summary = measured
     same, twice = (summary['runs'][f'solver_x{f}'][0] for f in (1, 2))
     assert same['soil_mse'] == same['rigid_mse'] == same['force_relative_l2'] == 0.0
-    assert twice['soil_mse'] > 0 and twice['particles'] * 4 == pytest.approx(same['particles'], 4)
+    assert twice['soil_mse'] > 0 and twice['particles'] * 4 == same['particles']
     assert twice['time_step_s'] > 1.9 * same['time_step_s']
     fine = raw_run.read_run(f'{raw}/run_{CASE:03d}.npz')
     cpu = fine.parameters['solver_cpu_s']
@@ -38,7 +38,7 @@ def test_same_grid_has_no_error_and_coarser_cells_cost_less(measured):
     assert 'soil_mse' not in row
     assert files.read_json(path) == summary
     text = coarse_solver.table(summary)
-    assert len(text.splitlines()) == 4 and f'{metrics.rms_mm(twice["soil_mse"]):.4g}' in text
+    assert len(text.splitlines()) == 5 and f'{metrics.rms_mm(twice["soil_mse"]):.3g}' in text
 
 
 def test_rows_that_are_there_are_not_made_again(measured, monkeypatch):
@@ -51,5 +51,5 @@ def test_bad_choices_are_refused(measured, tmp_path):
     scene, raw, path, _ = measured
     with pytest.raises(ValueError, match='must be at least 1'):
         coarse_solver.measure(scene, (CASE,), (0.5,), raw, str(tmp_path / 'new.json'))
-    with pytest.raises(ValueError, match='holds no coarse runs of wheel'):
+    with pytest.raises(ValueError, match='rows of another scene .excavation there, wheel now'):
         coarse_solver.measure(scenes.WHEEL, (63,), (2.0,), raw, path)

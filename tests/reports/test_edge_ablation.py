@@ -94,7 +94,7 @@ def test_whole_comparison_resumes_and_reports(tmp_path, monkeypatch):
     v = types.SimpleNamespace(
         data_path=folder, nri_path=str(nri), output_path=out, seeds=2, keep=4, gate_weight=1.0,
         gate_steps=3, num_steps=6, unroll_steps=0, unroll_length=3, unroll_batch_size=2, rounds=1,
-        variants=None,
+        variants=None, num_threads=1,
     )  # fmt: skip
     with pytest.raises(KeyboardInterrupt):
         edge_ablation.run(v)

@@ -64,7 +64,6 @@ def _three_frames(*arguments):
 
 
 def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
-    monkeypatch.setattr(explain, 'WARM_UP', 0)
     monkeypatch.setattr(explain, 'rollout_inputs', _three_frames)
     tf.config.run_functions_eagerly(True)  # no compilation: the items are the same
     try:

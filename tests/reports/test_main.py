@@ -36,7 +36,7 @@ def test_every_name_has_a_module(name):
 
 def test_old_and_new_names_run_the_same_report(tmp_path):
     new = run('reports', 'results_table')
-    assert new.returncode == 0 and '| pcg |' in new.stdout
+    assert new.returncode == 0 and '| pcg  ' in new.stdout
     assert run('run_scripts.results_table').stdout == new.stdout
     refused = run('reports', 'results_table', str(tmp_path))
     assert refused.returncode == 1 and 'metrics.json' in refused.stderr

@@ -31,7 +31,7 @@ def test_stiffness_rows_hold_the_refusal_above_the_limit(tmp_path, monkeypatch):
     assert 'must be below 2' in rows[1]['refused'] and 'accuracy' not in rows[1]
     assert rows[0]['energy_drift'] < 0.01 and np.isfinite(rows[0]['accuracy'])
     text = nri_stiffness.table(rows)
-    assert '| 0.81 | 2.01 | refused | | |' in text
+    assert '| 0.81 | 2.01 | refused |  |  |' in text
     nri_stiffness.draw(rows, str(tmp_path / 'table.png'))
     assert (tmp_path / 'table.png').read_bytes().startswith(b'\x89PNG')
 

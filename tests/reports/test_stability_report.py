@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from reports.stability import cases, extrapolation_cases, nri_cases, shipped, solver_cases
 from reports.stability import report as stability_report
 

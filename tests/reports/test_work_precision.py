@@ -14,6 +14,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, edge_lists, experiment, presets, reading_utils
 from pca_tools import dataset
+from reports.timing import Timing
 from reports.work_precision import (
     families,
     labels,
@@ -24,7 +25,7 @@ from reports.work_precision import (
     tables,
 )
 from reports.work_precision import report as error_vs_runtime
-from reports.work_precision.points import Timing, WorkPrecisionPoint, choose, pareto_front
+from reports.work_precision.points import WorkPrecisionPoint, choose, pareto_front
 from tests.learning_to_simulate import models, synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -62,8 +63,8 @@ def make_document():
         'machine': {'cpu': 'abacus', 'cores': 2, 'threads': 1, 'tensorflow': '2',
                     'load_average_1min': 0.5},
         'points': [
-            make_point('stay still', error=9.0, **reference),
-            make_point('cut off by the modes', **reference | {'runs': floor}),
+            make_point('persistence', error=9.0, **reference),
+            make_point('truncation error', **reference | {'runs': floor}),
             make_point('fast', ms=0.05, error=5.0),
             make_point('good', ms=0.2, error=2.0, families=('latent size', 'edges')),
             make_point('good', ms=None, error=2.1, seed=1, families=('latent size', 'edges')),
@@ -138,11 +139,11 @@ def test_error_of_a_blown_up_run_is_none():
 
 
 def test_table_shows_fronts_seeds_and_failures():
-    text = tables.markdown(make_document())
+    text = tables.table(make_document())
     assert '| fast ▲ ● |' in text and '| good ▲ |' in text
     assert '| beaten ● |' in text
     good = next(line for line in text.splitlines() if line.startswith('| good'))
-    assert '3.55 (3.5..3.6)' in good and '0.22' in good
+    assert '3.55 (3.5 to 3.6)' in good and '0.22' in good
     assert 'broken, seed 0: **not_trained**. loss is nan' in text
     assert 'num_steps 7' in text and 'abacus' in text
     columns = {line.count('|') for line in text.splitlines() if line.startswith('|')}
@@ -254,7 +255,7 @@ def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
     assert points['base'].families == ('latent size', 'edges')
     assert points['base'].n_edge == 4 * 3 + 5 and points['base'].rollout is not None
     assert len(points['base'].live.samples_ms) == 2 * (synthetic.N_FRAMES - 6)
-    assert points['stay still'].error('test', 'soil_mse') > 0
+    assert points['persistence'].error('test', 'soil_mse') > 0
     assert points['too many edges'].status != 'ok' and points['too many edges'].note
     written = error_vs_runtime.write_report(document, arguments[2])
     assert {'table.md', 'table.csv', 'position.png', 'force.png'} == {
@@ -269,7 +270,7 @@ def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
     monkeypatch.setattr(measure, 'time_rollouts', refuse)
     sound = {'latent size': SMALL_SWEEPS['latent size']}  # A row that failed is tried again.
     again = survey.Survey(*arguments, settings(sweeps=sound))
-    assert {p.label for p in again.run()['points']} >= {'base', 'stay still'}
+    assert {p.label for p in again.run()['points']} >= {'base', 'persistence'}
     monkeypatch.undo()
     monkeypatch.setattr(measure, 'train', refuse)
     before = {p.label: p.rollout for p in document['points']}

@@ -5,8 +5,8 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import graph_network, learned_simulator, reading_utils, training
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.connectivity_utils import Adjacency
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from pca_tools import dataset
 from tests.learning_to_simulate import models
