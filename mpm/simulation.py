@@ -134,8 +134,10 @@ class Simulation:
         if self.heave[2] > 0.0:
             path = path * [1.0, 0.0, 1.0]  # the height of a free body is not prescribed
         stability.check_body_motion(path, body.reach, self.dt, self.grid.dx, self.time)
-        if self._block is None or self._age >= PERIOD:
+        if self._awake is None or self._age >= PERIOD:
             self._wake()
+        elif self._block is None:
+            self._block = make_block(self._particles[self._awake])
         self._age += 1
         weight = None
         if self.drive.load is not None:
@@ -179,14 +181,17 @@ class Simulation:
 
     @property
     def particles(self) -> np.ndarray:
-        """The particles, float64 [N, COLUMNS]; what is written into them counts from then on."""
+        """The particles, float64 [N, COLUMNS]; what is written into them counts from then on.
+
+        Soil that sleeps stays asleep until the next look; to look at it all anew, set them.
+        """
         self._put_back()
         self._block = None
         return self._particles
 
     @particles.setter
     def particles(self, rows: np.ndarray) -> None:
-        self._particles, self._block = rows, None
+        self._particles, self._block, self._awake = rows, None, None
 
     @property
     def share_awake(self) -> float:

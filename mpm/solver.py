@@ -132,7 +132,8 @@ def advance(
         volume: m3 of packed soil per particle.
         damping_time: s, of elastic waves (`stability.damping_time`).
         gravity: m/s2, along -y.
-        settling: factor on all grid velocities per step: 1, or less to settle a packing.
+        settling: factor on grid velocities at each kick (`steps` + 1 an interval): 1, or less to
+            settle a packing.
         motion: `Motion`.
         fluidity: float64 [nodes, 3], work space of the nonlocal law; None: local mu(I).
         impulse: float64 [6], impulse (N s) and angular impulse (N m s, about the reference point)

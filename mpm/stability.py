@@ -93,7 +93,7 @@ def check_time_step(
 
 
 def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, start: float) -> None:
-    """Refuses a body that jumps over cells: contact is looked for at the nodes inside it only.
+    """Refuses a body that jumps over cells: soil could pass through it between two steps.
 
     Args:
         path: float64 [steps + 1, 3], its poses at the steps' ends, x and y in m (y constant where

@@ -130,7 +130,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         half_step: half a time step, s.
         mass, volume: of a particle as packed, kg and m3.
         bulk_modulus: Pa.
-        status: int64 [3]: code and particle are set on an error.
+        status: int64 [2]: code and column of the block are set on an error.
 
     Returns:
         First and last node (exclusive) per axis that can have been touched, six integers.
