@@ -158,6 +158,7 @@ def _whole_state(simulator):
     """`StateMLP`: ReLU layers, LayerNorm of the last one, and a linear output."""
     network = simulator.network
     linear = [m for m in network.submodules if isinstance(m, snt.Linear)]
+    linear.sort(key=lambda m: m.name == 'output')  # submodules come by depth, not in their order
     (norm,) = (m for m in network.submodules if isinstance(m, snt.LayerNorm))
     *hidden, (w, b) = _numpy([(m.w, m.b) for m in linear])
     scale, offset = _numpy((norm.scale, norm.offset))
