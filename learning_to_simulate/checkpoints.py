@@ -20,12 +20,12 @@ from learning_to_simulate import model_config
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
 from learning_to_simulate.methods import registry
+from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
 

@@ -303,7 +303,7 @@ class LearnedSimulator(snt.Module):
         target, force = self.predict(
             state, known if self.knows_next_frame else None, context, layout
         )
-        # v' = rate (std y + mean), plus v where an acceleration is predicted; x' = x + v', per frame.
+        # v' = rate (std y + mean), plus v where an acceleration is predicted; x' = x + v'.
         velocity = (target * layout.target_std + layout.target_mean) * self.rate(
             known
         ) + self._base_velocity(state, layout)

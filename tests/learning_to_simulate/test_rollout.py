@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import learned_simulator, rigid_body, rollout
+from learning_to_simulate import rigid_body, rollout
 from pca_tools import rigid_fit
 from tests.learning_to_simulate import models
 
@@ -36,7 +36,7 @@ def test_compiled_loop_equals_steps_one_by_one(tmp_path):
     result = rollout.roll_out(rollout.RolloutFunction(simulator, layout), group)
     state, known, context, n_frame = rollout.rollout_inputs(group, layout, simulator.scene)
     for k in range(n_frame):
-        coming = learned_simulator.KnownMotion(known.offset[k], known.velocity[k])
+        coming = rigid_body.KnownMotion(known.offset[k], known.velocity[k])
         state, force = simulator.step(state, coming, context, layout)
         scale = np.ptp(group.position[:, :, group.n_rigid :])
         # A random network amplifies float32 round-off over 34 steps: measured 3e-6 of the range of
