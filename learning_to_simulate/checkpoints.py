@@ -1,10 +1,12 @@
 """Model folders: what a trained model is, on disk.
 
-  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest and package versions
-  weights.npz    weights for evaluation (moving averages where the config has them), no code, no
-  pickle ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
+  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest, package versions
+  weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
+                 no code, no pickle
+  start.npz, subspace.npz   what the model needs to run without its dataset (`resting_start`)
+  ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
-A folder that ships with the project holds the first two only.
+A folder that ships with the project holds no checkpoints.
 """
 
 import dataclasses
@@ -15,15 +17,15 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import model_config
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
-from learning_to_simulate.networks import make_simulator
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.methods import registry
+from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
 
@@ -63,9 +65,13 @@ class Model:
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
             self._layouts[n_rigid] = Layout(
-                adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
+                adjacency, n_rigid, s.scene, s.statistics, s.config.loss_by_motion
             )
         return self._layouts[n_rigid]
+
+    def edge_counts(self) -> dict[str, int]:
+        """Number of edges of every graph that was built, by its R."""
+        return {str(n): layout.n_edge for n, layout in self._layouts.items()}
 
     def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
         """Takes another list of mode -> mode edges; graphs are built anew.
@@ -109,7 +115,7 @@ class Model:
         s.predict(state, KnownMotion(body, body), tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
+def save_config(path: str, model: Model, n_rigid: int, data: dict, files_beside=None) -> None:
     """Writes config.json.
 
     Args:
@@ -117,6 +123,8 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
       model: the model.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
+      files_beside: name -> sha256 of what else the model needs (`resting_start`); None where it
+        has nothing of that kind.
     """
     s = model.simulator
     files.write_json(
@@ -128,13 +136,14 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
             'particle_types': list(s.particle_types),
             'n_rigid': n_rigid,
             'edge_source': model.edge_source,
-            'edges': {str(n): layout.n_edge for n, layout in model._layouts.items()},
+            'edges': model.edge_counts(),
             'mode_mask': None if model.mode_mask is None else model.mode_mask.astype(int).tolist(),
             'loaded_mask': None
             if model.loaded_mask is None
             else model.loaded_mask.astype(int).tolist(),
             'statistics': s.statistics.to_json(),
             'data': data,
+            'files': files_beside or {},
             'packages': {
                 name: importlib.metadata.version(name)
                 for name in ('numpy', 'dm-sonnet', 'graph_nets')
@@ -196,7 +205,10 @@ def load_model(path: str) -> Model:
       FileNotFoundError, ValueError: no model there, or weights that are not those of the config.
     """
     parts = model_config.parse(read_config(path), os.path.join(path, CONFIG_FILE))
-    simulator = make_simulator(parts.scene, parts.config, parts.statistics, parts.particle_types)
+    method = registry.get(parts.config.model)
+    simulator = method.make_simulator(
+        parts.scene, parts.config, parts.statistics, parts.particle_types
+    )
     model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
     model.create_variables(parts.n_rigid)
     load_weights(path, simulator)
@@ -239,3 +251,52 @@ def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
         if value.dtype.kind != 'f' or not np.isfinite(value).all():
             raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
     return stored
+
+
+def refuse_contradictions(model_path, config, overrides):
+    """Raises ValueError if an override {field: value} is not what the model's config says."""
+    for field, value in overrides.items():
+        if value != getattr(config, field):
+            raise ValueError(
+                f'--{field}={value} contradicts the model in {model_path}, which has '
+                f'{getattr(config, field)!r}: leave the flag out'
+            )
+
+
+def subspace_digest(metadata):
+    """Which modes the records are scores of; None for folders that do not state it."""
+    return metadata.get('pca', {}).get('digest')
+
+
+def check_dataset(model_path, model, data_path, metadata):
+    """Refuses a dataset that a model does not fit.
+
+    Raises:
+      ValueError: other modes, another subspace, or a force or context that one of them lacks.
+    """
+    scene = model.simulator.scene
+    found, first = metadata['mode_number'], model.simulator.config.modes
+    if found < scene.n_modes or not first and found != scene.n_modes:
+        raise ValueError(
+            f'{data_path} has {found} modes, the model in {model_path} was trained on '
+            f'{"the first " if first else ""}{scene.n_modes}'
+        )
+    digests = (
+        read_config(model_path)['data'].get('subspace'),
+        subspace_digest(metadata),
+    )
+    if None not in digests and digests[0] != digests[1]:
+        raise ValueError(
+            f'{data_path} is in the subspace {digests[1][:12]}..., the model in {model_path} was '
+            f'trained on the modes of {digests[0][:12]}...: convert the runs with --like, or train '
+            f'again'
+        )
+    for key, wanted in (
+        ('rigid_body_force_mean', scene.has_force),
+        ('context_mean', bool(scene.context_names)),
+    ):
+        if (key in metadata) != wanted:
+            has = 'has' if key in metadata else 'lacks'
+            raise ValueError(
+                f'{data_path}/metadata.json {has} {key}, unlike the data of {model_path}'
+            )

@@ -11,11 +11,29 @@ import numpy as np
 
 from learning_to_simulate import metrics
 from learning_to_simulate.checkpoints import Model
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
-from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import files
+
+
+def roll_out_all(roll_out, groups, progress=iter) -> list:
+    """Rolls out every run of a split on its own.
+
+    Args:
+      roll_out: called with a one-run `RunGroup`, returns its `Rollout`.
+      groups: list of `RunGroup`.
+      progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+
+    Returns:
+      list of (record index, one-run `RunGroup`, `Rollout`), sorted by record.
+    """
+    runs = sorted(
+        ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
+        key=lambda item: item[0],
+    )
+    return [(record, group, roll_out(group)) for record, group in progress(runs)]
 
 
 class Evaluator:
@@ -40,61 +58,57 @@ class Evaluator:
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):
-        """Rolls out every run of a split.
-
-        Args:
-          groups: list of `RunGroup`.
-          split: names the projection errors in the metadata.
-          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+        """Rolls out every run of a split; arguments as of `roll_out_all` and `summarise`.
 
         Returns:
-          list of (record index, one-run `RunGroup`, `Rollout`), sorted by record, and the metrics
-          dict.
+          results of `roll_out_all`, metrics of `summarise`.
         """
-        runs = sorted(
-            ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
-            key=lambda item: item[0],
-        )
-        results = [(record, group, self.roll_out(group)) for record, group in progress(runs)]
-        return results, self.metrics(results, split)
+        results = roll_out_all(self.roll_out, groups, progress)
+        return results, summarise(results, self._model, self._metadata, split)
 
-    def metrics(self, results, split: str) -> dict:
-        """The metrics of rolled-out runs: per run, their mean, the trivial predictors and the
-        skill."""
-        scene = self._model.simulator.scene
-        statistics = self._model.simulator.statistics
-        floors = self._metadata.get('projection_mse', {}).get(split)
-        methods: dict[str, list] = {'model': [], 'stay_still': [], 'constant_velocity': []}
-        for record, group, rollout in results:
-            # Modes that the model leaves out count as they do in its particles: they say 0. The
-            # trivial predictors know all of them, so that they are the same for every model.
-            recorded = group.with_left_modes(group.position, as_recorded=True)
-            truth = recorded[:, H:]
-            n_frame = truth.shape[1]
-            force, forces = None, dict.fromkeys(methods)
-            if scene.has_force:
-                force = group.force[:, H:]
-                held = np.repeat(group.force[:, H - 1 : H], n_frame, axis=1)
-                mean = np.broadcast_to(statistics.force_mean, force.shape)
-                forces = {'model': rollout.force, 'stay_still': held, 'constant_velocity': mean}
-            positions = {
-                'model': group.with_left_modes(rollout.position),
-                'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
-                'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
-            }
-            floor = None if floors is None else np.array([floors[record]])
-            for name, rows in methods.items():
-                errors = metrics.run_errors(
-                    positions[name], truth, forces[name], force, group.n_rigid, scene.n_soil, floor
-                )
-                rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
-            methods['model'][-1] |= {
-                **_status_fields(rollout),
-                'edges': len(self._model.layout(group.n_rigid).senders),
-                'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
-                'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
-            }
-        return _summary(methods, floors, scene)
+
+def summarise(results, model, metadata: dict, split: str) -> dict:
+    """The metrics of rolled-out runs: per run, their mean, the trivial predictors and the skill.
+
+    Args:
+      results: of `roll_out_all`.
+      model: its scene and statistics are read, and the edges of its graphs.
+      metadata: of the dataset; says what the subspace cuts off each run, where that is known.
+      split: names the projection errors in the metadata.
+    """
+    scene, statistics = model.simulator.scene, model.simulator.statistics
+    floors = metadata.get('projection_mse', {}).get(split)
+    methods: dict[str, list] = {'model': [], 'stay_still': [], 'constant_velocity': []}
+    for record, group, rollout in results:
+        # Modes that the model leaves out count as they do in its particles: they say 0. The
+        # trivial predictors know all of them, so that they are the same for every model.
+        recorded = group.with_left_modes(group.position, as_recorded=True)
+        truth = recorded[:, H:]
+        n_frame = truth.shape[1]
+        force, forces = None, dict.fromkeys(methods)
+        if scene.has_force:
+            force = group.force[:, H:]
+            held = np.repeat(group.force[:, H - 1 : H], n_frame, axis=1)
+            mean = np.broadcast_to(statistics.force_mean, force.shape)
+            forces = {'model': rollout.force, 'stay_still': held, 'constant_velocity': mean}
+        positions = {
+            'model': group.with_left_modes(rollout.position),
+            'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
+            'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
+        }
+        floor = None if floors is None else np.array([floors[record]])
+        for name, rows in methods.items():
+            errors = metrics.run_errors(
+                positions[name], truth, forces[name], force, group.n_rigid, scene.n_soil, floor
+            )
+            rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
+        methods['model'][-1] |= {
+            **_status_fields(rollout),
+            'edges': len(model.layout(group.n_rigid).senders),
+            'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
+            'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
+        }
+    return _summary(methods, floors, scene)
 
 
 def _status_fields(rollout):

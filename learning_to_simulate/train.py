@@ -24,18 +24,14 @@ Model flags that are not given take the preset's value; in the other modes they 
 model and a flag that contradicts them is refused.
 """
 
-import dataclasses
-import sys
+import inspect
+import re
 
-import tensorflow as tf
 import tqdm
-from absl import app, flags, logging
+from absl import flags
 
-from learning_to_simulate import checkpoints, evaluation, experiment, presets
-from learning_to_simulate.full_space import experiment as particles
-from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
-from learning_to_simulate.full_space.particle_training import ParticleTrainer
-from learning_to_simulate.training import Trainer
+from learning_to_simulate import checks, command, presets
+from learning_to_simulate.methods import registry
 
 _MODE = flags.DEFINE_enum(
     'mode', 'train', ['train', 'eval', 'eval_rollout'], 'Train, or evaluate a trained model.'
@@ -50,7 +46,7 @@ _MODEL_PATH = flags.DEFINE_string(
     'model_path', None, 'Model folder; training resumes from it.', required=True
 )
 _RAW_PATH = flags.DEFINE_string(
-    'raw_path', None, 'Raw runs of the dataset, for --model=full_space; else they are decoded.'
+    'raw_path', None, 'Raw runs of the dataset, for models on particles; else they are decoded.'
 )
 _OUTPUT_PATH = flags.DEFINE_string(
     'output_path', None, 'Folder for rollouts and metrics.json (eval_rollout).'
@@ -58,10 +54,13 @@ _OUTPUT_PATH = flags.DEFINE_string(
 _PRESET = flags.DEFINE_string(
     'preset',
     None,
-    f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.',
+    f'One of {", ".join(registry.all_presets())}; default: the one of --model, else pcg.',
 )
 _MODEL = flags.DEFINE_string(
-    'model', None, f"Network, one of {', '.join(presets.MODELS)}; overrides the preset's."
+    'model',
+    None,
+    "Method; overrides the preset's: "
+    + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
 )
 _ADJACENCY = flags.DEFINE_string(
     'adjacency', None, 'edges.json, mask.npy, fully_connected, algorithm2 or none.'
@@ -82,104 +81,106 @@ _TAKE_OVER_LOCK = flags.DEFINE_bool(
     False,
     'Train in a folder that a dead process of another machine left locked.',
 )
-_NUM_THREADS = flags.DEFINE_integer(
-    'num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1
-)
+flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
+
+
+def _meanings(settings: type) -> dict[str, str]:
+    """Field -> what the docstring of a class of settings says of it."""
+    text = inspect.getdoc(settings).split('Attributes:')[-1]
+    entries = re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M)
+    return {
+        name: ' '.join(meaning.split()) for names, meaning in entries for name in names.split(', ')
+    }
+
 
 # Flags that override single fields of the preset's config; DeepMind's spelling where it has one.
-_FIELD_FLAGS = {'mssg': 'message_passing_steps'}
-for _field in dataclasses.fields(presets.TrainConfig):
-    if _field.name in ('preset', 'model', 'adjacency', 'message_passing_steps'):
+_FIELD_FLAGS = {'message_passing_steps': 'mssg'}
+for _field, (_type, _settings) in registry.setting_fields().items():
+    if _field in ('preset', 'model', 'adjacency'):
         continue
-    _define = {int: flags.DEFINE_integer, float: flags.DEFINE_float, bool: flags.DEFINE_bool}[
-        _field.type
-    ]
-    _define(_field.name, None, f"Overrides the preset's {_field.name}; see TrainConfig.")
-    _FIELD_FLAGS[_field.name] = _field.name
-flags.DEFINE_integer('mssg', None, "Message-passing steps M; overrides the preset's.")
+    _define = {
+        int: flags.DEFINE_integer,
+        float: flags.DEFINE_float,
+        bool: flags.DEFINE_bool,
+        str: flags.DEFINE_string,
+    }[_type]
+    _FIELD_FLAGS.setdefault(_field, _field)
+    _meaning = _meanings(_settings).get(_field, 'see the settings')
+    _define(_FIELD_FLAGS[_field], None, f"{_meaning} (default: the preset's)")
 
 
 def _overrides() -> dict:
     """Config fields that the command line gives."""
-    given = {field: flags.FLAGS[flag].value for flag, field in _FIELD_FLAGS.items()}
+    given = {field: flags.FLAGS[flag].value for field, flag in _FIELD_FLAGS.items()}
     given |= {'model': _MODEL.value, 'adjacency': _ADJACENCY.value}
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _load(overrides):
-    """The class of its trainer, the evaluator, the model, the metadata, the runs of the split."""
-    paths = (_MODEL_PATH.value, _DATA_PATH.value)
-    stored = checkpoints.read_config(_MODEL_PATH.value).get('config')
-    if isinstance(stored, dict) and stored.get('model') == 'full_space':
-        model, metadata, groups = particles.load_for_evaluation(
-            *paths, _RAW_PATH.value, _EVAL_SPLIT.value, overrides
+def _open(overrides) -> registry.OpenedModel:
+    """The trained model and the runs of the split."""
+    return (
+        registry.of_folder(_MODEL_PATH.value)
+        .load_code()
+        .open_model(
+            _MODEL_PATH.value,
+            _DATA_PATH.value,
+            _EVAL_SPLIT.value,
+            overrides,
+            raw_path=_RAW_PATH.value,
+            rigid_correction=_RIGID_CORRECTION.value,
         )
-        return ParticleTrainer, ParticleEvaluator(model, metadata), model, metadata, groups
-    _refuse_raw_path()
-    model, metadata, groups = experiment.load_for_evaluation(*paths, _EVAL_SPLIT.value, overrides)
-    evaluator = evaluation.Evaluator(model, metadata, _RIGID_CORRECTION.value)
-    return Trainer, evaluator, model, metadata, groups
-
-
-def _refuse_raw_path():
-    if _RAW_PATH.value:
-        raise ValueError('--raw_path is for --model=full_space only; other models take records')
+    )
 
 
 def _train(overrides):
-    preset = _PRESET.value or presets.preset_of_model(_MODEL.value)
-    config = presets.make_config(preset, **overrides)
-    rest = (
+    config = presets.make_config(
+        _PRESET.value or presets.preset_of_model(_MODEL.value), **overrides
+    )
+    registry.get(config.model).load_code().train(
+        _DATA_PATH.value,
         _MODEL_PATH.value,
         config,
-        _RIGID_MOTION.value,
-        _SAVE_EVERY.value,
-        _TAKE_OVER_LOCK.value,
+        rigid_motion=_RIGID_MOTION.value,
+        save_every=_SAVE_EVERY.value,
+        take_over_lock=_TAKE_OVER_LOCK.value,
+        raw_path=_RAW_PATH.value,
     )
-    if config.model == 'full_space':
-        particles.train(_DATA_PATH.value, _RAW_PATH.value, *rest)
-    else:
-        _refuse_raw_path()
-        experiment.train(_DATA_PATH.value, *rest)
 
 
 def _evaluate_one_step(overrides):
-    make_trainer, _, model, _, groups = _load(overrides)
+    opened = _open(overrides)
     print(f'one-step errors on {_EVAL_SPLIT.value} of {_DATA_PATH.value}')
-    for name, value in make_trainer(model, groups).one_step_errors().items():
+    for name, value in opened.one_step_errors().items():
         print(f'  {name:24s} {value:.6g}')
 
 
 def _evaluate_rollouts(overrides):
+    from learning_to_simulate import evaluation
+
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    _, evaluator, _, metadata, groups = _load(overrides)
-    results, summary = evaluator.run(
-        groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
+    checks.writable_folder(_OUTPUT_PATH.value)
+    opened = _open(overrides)
+    results, summary = opened.evaluator.run(
+        opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
     )
-    written = evaluation.save_rollouts(_OUTPUT_PATH.value, split, results, summary, metadata)
+    written = evaluation.save_rollouts(_OUTPUT_PATH.value, split, results, summary, opened.metadata)
     print(evaluation.table(summary))
     print(f'wrote {len(written)} files to {_OUTPUT_PATH.value}')
 
 
-def main(_):
-    """Runs the chosen mode; bad input ends with its message and exit code 2."""
-    if _NUM_THREADS.value:
-        tf.config.threading.set_intra_op_parallelism_threads(_NUM_THREADS.value)
-        tf.config.threading.set_inter_op_parallelism_threads(1)
+def run(values) -> None:
+    """Runs the chosen mode."""
     overrides = _overrides()
-    try:
-        if _MODE.value == 'train':
-            _train(overrides)
-        elif _MODE.value == 'eval':
-            _evaluate_one_step(overrides)
-        else:
-            _evaluate_rollouts(overrides)
-    except (ValueError, OSError) as error:
-        logging.debug('stack', exc_info=True)
-        sys.exit(f'error: {error}')
+    command.import_tensorflow(values.num_threads)
+    if values.mode == 'train':
+        _train(overrides)
+    elif values.mode == 'eval':
+        _evaluate_one_step(overrides)
+    else:
+        _evaluate_rollouts(overrides)
 
 
 if __name__ == '__main__':
-    app.run(main)
+    command.start(run)

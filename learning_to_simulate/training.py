@@ -1,9 +1,8 @@
 """`Trainer`: compiled training steps over runs held in memory.
 
 Two stages: single steps with noise on the history, then N-step rollouts with gradients through
-  them. A step
-is a function of (weights, optimiser, seed, step): killed and resumed training gives the same
-weights.
+them. A step is a function of (weights, optimiser, seed, step): a training that was killed and
+resumed gives the same weights.
 """
 
 import contextlib
@@ -13,13 +12,14 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import losses, noise_utils
+from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
     initial_state,
-    known_motion,
 )
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.rigid_body import known_motion
 from learning_to_simulate.scene import RigidMotion
 
 # Independent random streams of one (seed, step).
@@ -112,6 +112,41 @@ class _GroupTensors:
         )
 
 
+class WeightAverages:
+    """Moving averages of the weights, which are what is evaluated and saved.
+
+    Args:
+      variables: the trained ones.
+      decay: of the averages; 0 for none.
+    """
+
+    def __init__(self, variables, decay: float):
+        self._trained, self._decay = variables, decay
+        self.variables = [tf.Variable(v, name='average') for v in variables]
+
+    def update(self, step) -> None:
+        """Takes in the weights after training step `step` (counted from 0)."""
+        count = tf.cast(step, tf.float32)
+        keep = tf.minimum(self._decay, (1.0 + count) / (10.0 + count))  # forgets the start sooner
+        for average, variable in zip(self.variables, self._trained, strict=True):
+            average.assign_sub((1.0 - keep) * (average - variable))
+
+    @contextlib.contextmanager
+    def in_place(self):
+        """Puts the averages in place of the weights, and the trained ones back after."""
+        if not self._decay:
+            yield
+            return
+        trained = [v.numpy() for v in self._trained]
+        for variable, average in zip(self._trained, self.variables, strict=True):
+            variable.assign(average)
+        try:
+            yield
+        finally:
+            for variable, value in zip(self._trained, trained, strict=True):
+                variable.assign(value)
+
+
 class Trainer:
     """Holds the data, the optimiser and one compiled step per group and stage.
 
@@ -141,7 +176,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_force=self.config.conditioned,
+                relative_force=self.config.relative_force_loss,
             )
             for g in groups
         ]
@@ -149,13 +184,15 @@ class Trainer:
         self._share = np.cumsum(runs / runs.sum())
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
+            self.learning_rate, global_clipnorm=self.config.clip_norm
         )
         self.optimizer.build(self.simulator.trainable_variables)
         self._model = model
         if self.config.gate_weight > 0:
             self.gates = EdgeGates(self.simulator.scene.n_modes)
-        self.averages = [tf.Variable(v, name='average') for v in self.simulator.trainable_variables]
+        self.averaging = WeightAverages(
+            self.simulator.trainable_variables, self.config.weight_average
+        )
         self._steps = {}
 
     @property
@@ -238,32 +275,10 @@ class Trainer:
             else:
                 gradients = tape.gradient(values['loss'], variables)
             self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
-            count = tf.cast(step, tf.float32)
-            keep = tf.minimum(
-                config.weight_average, (1.0 + count) / (10.0 + count)
-            )  # forgets the start sooner
-            for average, variable in zip(self.averages, variables, strict=True):
-                average.assign_sub((1.0 - keep) * (average - variable))
+            self.averaging.update(step)
             return values
 
         return train_step
-
-    @contextlib.contextmanager
-    def averaged_weights(self):
-        """Puts the averaged weights in place for evaluation and saving, and the trained ones back
-        after."""
-        if not self.config.weight_average:
-            yield
-            return
-        variables = self.simulator.trainable_variables
-        trained = [v.numpy() for v in variables]
-        for variable, average in zip(variables, self.averages, strict=True):
-            variable.assign(average)
-        try:
-            yield
-        finally:
-            for variable, value in zip(variables, trained, strict=True):
-                variable.assign(value)
 
     def one_step_errors(self, n_batch: int = 50) -> dict[str, float]:
         """Mean one-step losses without noise over random windows, and the position error in m².
@@ -302,7 +317,7 @@ class Trainer:
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
-            up = np.eye(self.simulator.dim, dtype=np.float32)[scene.up_axis]
+            up = up_vector(self.simulator.dim, scene.up_axis)
             s = self.simulator.statistics
             factor = (
                 s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]

@@ -1,4 +1,4 @@
-"""The two scenes of the thesis: their bins, their tables of cases and the motion of the body.
+"""The two scenes of the thesis: their bins and their tables of cases.
 
 Axes: x along the drive (towards -x), y up, z across. The soil's bin begins at 0.1 m on each axis,
 so that every coordinate is positive. Case numbers are those of the published data:
@@ -55,23 +55,6 @@ class Bin:
     def z_middle(self) -> float:
         """z of the middle of the bin, m."""
         return CORNER + self.size[2] / 2
-
-
-@dataclass(frozen=True)
-class Drive:
-    """How the body moves in one case.
-
-    Attributes:
-        body: the rigid body.
-        path: float64 [FRAMES times, 2] positions (x, y) of the reference point at times (s).
-        spin: rad/s about z while driving.
-        load: N on the free vertical motion; 0 if the height is prescribed.
-    """
-
-    body: bodies.Body
-    path: object
-    spin: float = 0.0
-    load: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -170,13 +153,6 @@ SCENES = {scene.name: scene for scene in (EXCAVATION, WHEEL)}
 
 EXCAVATION_MU_S = 0.76
 PACKING_MU_S = 0.76  # one packing for all friction angles
-_RAMP_SPEED = 0.025  # m/s down, and as much forward: 45 degrees
-_CUT_LENGTH = 0.4
-_TIP_START = 0.9  # of the bin's length
-_TIP_CLEARANCE = 0.5 / 75  # m above the surface
-WHEEL_START_X = CORNER + 0.28
-_WHEEL_SPIN = {0.05: 0.78, 0.15: 0.26, 0.30: 0.13}  # rad/s
-_WHEEL_TRAVEL = {20: 0.0156, 40: 0.0120, 70: 0.00585}  # m/s; "40" is a slip of 38.5 %
 SMALL_WHEEL_LOAD_DIVISOR = 9.0
 
 
@@ -189,64 +165,6 @@ def scene_named(name: str) -> Scene:
     if name not in SCENES:
         raise ValueError(f'unknown scene {name!r}; there are {sorted(SCENES)}')
     return SCENES[name]
-
-
-def blade_displacement(motion: int, depth: float, speed: float, times: np.ndarray) -> np.ndarray:
-    """Returns the blade's displacement [T, 2] (x, y) in m at `times` (s) after the start.
-
-    Motion 1: down and forward at 45 degrees to `depth`, 0.4 m at `speed`, up and forward at 45
-    degrees to the starting height, rest. Motion 2: half an ellipse 0.4 m long, `depth` deep,
-    travelled at `speed` in x, and stopped at 95 % of its length.
-    """
-    times = np.asarray(times, dtype=np.float64)
-    if motion == 1:
-        ramp, cut = depth / _RAMP_SPEED, _CUT_LENGTH / speed
-        ends = np.array([0.0, ramp, ramp + cut, 2 * ramp + cut])
-        x = np.interp(times, ends, np.cumsum([0.0, depth, _CUT_LENGTH, depth]))
-        return np.stack([-x, np.interp(times, ends, [0.0, -depth, -depth, 0.0])], axis=1)
-    if motion == 2:
-        total = _CUT_LENGTH / speed
-        s = np.minimum(times, 0.95 * total)
-        return np.stack([-speed * s, -2 * depth / total * np.sqrt(s * total - s**2)], axis=1)
-    raise ValueError(f'motion must be 1 or 2, got {motion}')
-
-
-def make_drive(scene: Scene, parameters: dict) -> Drive:
-    """Returns the body of a case and its motion.
-
-    Raises:
-        ValueError: if the blade would come within a cell of the floor or leave the bin.
-    """
-    box = scene.bin
-    if scene.name == 'wheel':
-        diameter = parameters['diameter_m']
-        travel = _WHEEL_TRAVEL[parameters['slip_percent']]
-
-        def wheel_path(times):
-            x = WHEEL_START_X - travel * np.maximum(times, 0.0)
-            return np.stack([x, np.zeros_like(x)], axis=1)
-
-        return Drive(
-            bodies.make_wheel(diameter, box.z_middle),
-            wheel_path,
-            spin=_WHEEL_SPIN[diameter],
-            load=wheel_load(parameters),
-        )
-    depth, speed = parameters['depth_m'], parameters['speed_m_s']
-    tip = box.surface + _TIP_CLEARANCE
-    if tip - depth < CORNER + box.dx:
-        raise ValueError(
-            f'depth {depth} m brings the blade within a cell ({box.dx:.4g} m) of the floor; '
-            f'the soil is {box.size[1]} m deep'
-        )
-
-    blade = bodies.make_blade(parameters['angle_deg'], box.z_middle)
-    start = np.array([CORNER + _TIP_START * box.size[0], tip + bodies.BLADE_THICKNESS / 2])
-
-    def blade_path(times):
-        return start + blade_displacement(parameters['motion'], depth, speed, times)
-
-    return Drive(blade, blade_path)
 
 
 def wheel_load(parameters: dict) -> float:
@@ -281,9 +199,7 @@ def context_of(scene: Scene, parameters: dict) -> dict:
 
 def describe(scene: Scene) -> dict:
     """Returns the scene as the manifest of raw runs and `metadata.json` carry it."""
-    edges = []
-    if scene.name == 'wheel':
-        edges = [list(edge) for edge in bodies.make_wheel(0.3, scene.bin.z_middle).edges]
+    edges = [list(edge) for edge in bodies.wheel_edges()] if scene.name == 'wheel' else []
     return {
         'name': scene.name,
         'rigid_motion': scene.rigid_motion,

@@ -23,7 +23,9 @@ from tqdm import tqdm
 from mpm import bodies, earthmoving, experiments, packing, raw_run, scenes
 from mpm.batch import generate
 from mpm.constitutive import make_soil
-from mpm.run import Settings, Simulation
+from mpm.motions import grid
+from mpm.run import make_simulation
+from mpm.simulation import Settings
 
 _RAW_PATH = flags.DEFINE_string(
     'raw_path', os.path.join('outputs', 'verify'), 'Folder with the raw runs of both scenes.'
@@ -147,13 +149,13 @@ def earthmoving_ratio(run: raw_run.RawRun) -> float:
     p = run.parameters
     scene = scenes.EXCAVATION
     box = scene.bin
-    path = scenes.make_drive(scene, p).path(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
+    path = grid.make_drive(scene, p).pose(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
     lean = math.radians(p['angle_deg'])
     unit_weight = p['soil']['bulk_density'] * scenes.EARTH_GRAVITY
     kept_weight = unit_weight * packing.particle_volume(box) * box.keep_every
     ours, theirs = [], []
     for t in range(5, scenes.FRAMES - 5, 10):
-        tip = path[t] - [0.0, bodies.BLADE_THICKNESS / 2]
+        tip = path[t, :2] - [0.0, bodies.BLADE_THICKNESS / 2]
         depth = box.surface - tip[1]
         is_moving = path[t, 0] != path[t - 1, 0]
         is_ramp = p['motion'] == 1 and path[t, 1] != path[t - 1, 1]
@@ -191,8 +193,8 @@ def depth_exponents(runs: list[raw_run.RawRun]) -> tuple[float, float]:
     scene = scenes.EXCAVATION
     depths, drafts = [], []
     for run in runs:
-        drive = scenes.make_drive(scene, run.parameters)
-        path = drive.path(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
+        drive = grid.make_drive(scene, run.parameters)
+        path = drive.pose(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
         travel = path[0, 0] - path[:, 0]
         chosen = (travel > EXPONENT_TRAVEL[0]) & (travel < EXPONENT_TRAVEL[1])
         edge = path[chosen, 1] - bodies.BLADE_THICKNESS / 2
@@ -215,9 +217,11 @@ def halved_step(case: int = 186, frames: int = 60) -> float:
     steps = 0
     for factor in (1, 2):
         settings = Settings(steps_per_frame=factor * steps)
-        simulation = Simulation(scene, parameters, soil, particles, settings)
+        simulation = make_simulation(scene, parameters, soil, particles, settings)
         steps = simulation.steps
-        force = [simulation.frame() for _ in tqdm(range(frames), desc='halved step', leave=False)]
+        force = [
+            simulation.frame()[0] for _ in tqdm(range(frames), desc='halved step', leave=False)
+        ]
         means.append(np.mean(force, axis=0)[0])
     return float(means[1] / means[0] - 1.0)
 

@@ -1,8 +1,9 @@
 """Converts raw solver runs to a dataset.
 
-A dataset is `{train,valid,test}.tfrecord`, metadata, subspace and manifest. The subspace is fitted
-on the training runs only. All files are made in a folder beside the output,
-which takes its name at the very end: the output is there whole or not at all.
+A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
+split (`particles_<split>.npz`) and a manifest. The subspace is fitted on the training runs only,
+with one run in memory at a time. Runs whose parameters name a split go there. All files are made in
+a folder beside the output, which takes its name at the very end: it is there whole or not at all.
 
 Examples:
     python -m pca_tools.convert --raw_path=raw/excavation --output_path=datasets/Excavation
@@ -11,6 +12,13 @@ Examples:
     python -m pca_tools.convert --raw_path=raw/wheel --output_path=datasets/Wheel16 --modes=16 \\
         --centering=scalar --hold_out=12,47
 
+    # 24 modes of hundreds of runs: the subspace from every fourth frame
+    python -m pca_tools.convert --raw_path=raw/driving --output_path=datasets/Driving \\
+        --num_modes=24 --frame_stride=4
+
+    # files of the raw folder were changed on purpose: let the manifest follow
+    python -m pca_tools.convert --raw_path=raw/own --rehash
+
     # new runs, all in the test split, in the subspace of the dataset that a model was trained on
     python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
@@ -18,7 +26,7 @@ Examples:
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -26,39 +34,22 @@ from typing import Any
 
 import numpy as np
 from absl import app, flags
-from scipy import spatial
 from tqdm import tqdm
 
-from pca_tools import dataset, files, subspace
+from cluster import workers
+from pca_tools import dataset, files, particles, raw_writer, subspace
+from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
 from pca_tools.metadata import (
-    DIM,
     METADATA_NAME,
-    PROJECTION_KEYS,
-    SCHEMA_VERSION,
     metadata_problems,
 )
-from pca_tools.raw_runs import RawRun, RawRuns, SoilPositions
-from pca_tools.splits import split_cases
-from pca_tools.statistics import mean_share, motion_statistics
+from pca_tools.raw_runs import RawRuns, SoilPositions
+from pca_tools.splits import given_splits, split_cases
+from pca_tools.statistics import mean_share
 
-SUBSPACE_NAME = 'subspace.npz'
-# DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
-CONNECTIVITY_RADIUS = 0.025
-
-
-@dataclasses.dataclass(frozen=True)
-class EncodedRun:
-    """One run in the subspace, with what its record in the metadata says.
-
-    Attributes:
-        trajectory: the record.
-        parameters: all parameters of the case.
-        details: see `projection_details`.
-    """
-
-    trajectory: dataset.Trajectory
-    parameters: dict[str, Any]
-    details: dict[str, float]
+DEFAULT_SPLIT = (0.8, 0.1, 0.1)
+# What must agree between raw runs and the dataset they are to fit; a scene may say more.
+_SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis')
 
 
 def convert(
@@ -67,13 +58,17 @@ def convert(
     *,
     modes: int = 8,
     centering: str = 'configuration',
-    split: Sequence[float] = (0.8, 0.1, 0.1),
+    split: Sequence[float] | None = None,
     seed: int = 0,
     hold_out: Sequence[int | str] = (),
     spread: bool = False,
+    frame_stride: int = 1,
     max_memory_mb: float = 1024.0,
     like: str | None = None,
     overwrite: bool = False,
+    check_units: bool = True,
+    match_particles: bool = False,
+    cluster: str | None = None,
 ) -> dict[str, Any]:
     """Converts a folder of raw runs; arguments as the flags of the same names.
 
@@ -84,25 +79,52 @@ def convert(
         FileNotFoundError: a folder or file is missing.
         ValueError: bad raw runs, bad arguments, or an output folder that is not empty.
     """
+    if frame_stride < 1:
+        raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
     refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
-    if like is None:
-        parts = split_cases(runs.cases, split, seed, hold_out, spread)
-        space = subspace.fit(
-            SoilPositions(runs, parts['train']), modes, centering, max_memory_mb,
-            names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
-        )  # fmt: skip
-        base = None
+    base, space = (None, None) if like is None else _load_like(like)
+    if match_particles:
+        runs.match_particles(None if space is None else space.initial)
+    runs.check(check_units, progress_bar)
+    if base is not None:
+        _refuse_other_data(like, base, runs)
+    if space is None:
+        parts = _deal(runs, split, seed, hold_out, spread)
+        with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
+            wide = subspace.fit(
+                SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
+                names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
+                spare_modes=max(max(FLOOR_MODES) - modes, 0), crew=crew,
+            )  # fmt: skip
+        space = wide.truncated(modes)
     else:
-        parts = {'test': list(range(len(runs)))}
-        base, space = _load_like(like, runs)
-    encoded = _encode_runs(runs, {name: part for name, part in parts.items() if part}, space)
-    metadata = _make_metadata(runs, encoded, space, base)
+        parts, wide = {'test': list(range(len(runs)))}, space
+    parts = {name: part for name, part in parts.items() if part}
+    sampled = particles.choose_particles(space.initial)
+    encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
+    metadata = make_metadata(runs, encoded, space, frame_stride, base)
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
-    _write_dataset(output_path, encoded, space, metadata, overwrite)
+    _write_dataset(output_path, encoded, space, sampled, metadata, overwrite)
     return metadata
+
+
+def _deal(
+    runs: RawRuns,
+    split: Sequence[float] | None,
+    seed: int,
+    hold_out: Sequence[int | str],
+    spread: bool,
+) -> dict[str, list[int]]:
+    """Returns split -> indices of runs: as asked for, as the runs say, or by the default shares."""
+    if split is None:
+        given = [runs.parameters(index).get('split') for index in range(len(runs))]
+        parts = given_splits(runs.cases, given, hold_out)
+        if parts is not None:
+            return parts
+    return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out, spread)
 
 
 def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
@@ -133,14 +155,19 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
 
 
-def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subspace]:
+def _load_like(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
     """Returns metadata and subspace of the dataset that the new runs are to fit."""
     base = dataset.read_metadata(like)
     space = subspace.Subspace.load(os.path.join(like, SUBSPACE_NAME))
     if base.get('pca', {}).get('digest') != space.digest:
         raise ValueError(f'{like}: {SUBSPACE_NAME} is not the one that the metadata names')
+    return base, space
+
+
+def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
+    """Raises if the runs are of another scene than the dataset, or were trained on."""
     scene = base.get('scene', {})
-    for key in sorted(scene.keys() | runs.scene.keys()):
+    for key in _SCENE_KEYS:
         if scene.get(key) != runs.scene.get(key):
             raise ValueError(
                 f'{like}: is of another scene: its {key} is {scene.get(key)!r}, that of the '
@@ -148,144 +175,26 @@ def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subsp
             )
     if base['dt'] != runs.dt:
         raise ValueError(f'{like}: has dt {base["dt"]}, the raw runs have {runs.dt}')
-    known = sorted(set(space.runs) & {str(case) for case in runs.cases})
+    # Case numbers count anew in every kind of run (grid, driven paths).
+    trained = {_kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
+    known = [
+        case
+        for index, case in enumerate(runs.cases)
+        if (runs.parameters(index).get('kind'), str(case)) in trained
+    ]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
-    return base, space
 
 
-def _encode_runs(
-    runs: RawRuns, parts: dict[str, list[int]], space: subspace.Subspace
-) -> dict[str, list[EncodedRun]]:
-    """Projects all runs, one in memory at a time; returns them by split."""
-    spacing = float(np.median(spatial.cKDTree(space.initial).query(space.initial, 2)[0][:, 1]))
-    encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
-    order = [(name, index) for name, indices in parts.items() for index in indices]
-    for name, index in progress_bar(order, 'encode'):
-        run = runs[index]
-        _refuse_other_particles(run, space, spacing)
-        scores = space.encode(run.positions)
-        trajectory = _make_trajectory(len(encoded[name]), run, scores, runs.scene)
-        details = projection_details(run.positions, space, scores)
-        encoded[name].append(EncodedRun(trajectory, {'case': run.case, **run.parameters}, details))
-    return encoded
-
-
-def _refuse_other_particles(run: RawRun, space: subspace.Subspace, spacing: float) -> None:
-    """Raises if column i is not the same particle as in the subspace."""
-    if run.positions.shape[1] != space.n_soil:
-        raise ValueError(
-            f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
-        )
-    shift = float(np.median(np.linalg.norm(run.positions[0] - space.initial, axis=1)))
-    if shift > spacing:
-        raise ValueError(
-            f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
-            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same packing or '
-            'not the same order'
-        )
-
-
-def projection_details(
-    positions: np.ndarray, space: subspace.Subspace, scores: np.ndarray
-) -> dict[str, float]:
-    """Measures what is lost between particles and scores.
-
-    Args:
-        positions: [T, N, 3] metres.
-        space: the subspace.
-        scores: [T, r, 3] encoded positions.
-
-    Returns:
-        `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
-        particle in mm; `motion_mse`, mean square of the displacement from frame 0 in m^2;
-        `motion_kept`, the share of it that lies in the subspace.
-    """
-    residual = positions - space.decode(scores)
-    displacement = positions.astype(np.float64) - positions[0]
-    moved = float(np.mean(displacement**2))
-    kept = float(np.sum((scores - scores[0]) ** 2)) / displacement.size
-    return {
-        'projection_mse': float(np.mean(residual**2)),
-        'projection_max_mm': 1e3 * float(np.sqrt(np.max(np.sum(residual**2, axis=-1)))),
-        'motion_mse': moved,
-        'motion_kept': kept / moved if moved > 0 else 1.0,
-    }
-
-
-def _make_trajectory(
-    key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
-) -> dataset.Trajectory:
-    prescribed = scene['rigid_motion'] == 'prescribed'
-    rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
-    n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
-    context = None
-    if len(run.context):
-        context = np.tile(run.context.astype(np.float32), (len(scores), 1))
-    return dataset.Trajectory(
-        key=key,
-        particle_type=np.repeat(
-            np.int64([rigid_type, dataset.MODE_PARTICLE_ID]), [n_rigid, n_modes]
-        ),
-        position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
-        force=run.force,
-        step_context=context,
-    )
-
-
-def _make_metadata(
-    runs: RawRuns,
-    encoded: dict[str, list[EncodedRun]],
-    space: subspace.Subspace,
-    base: dict[str, Any] | None,
-) -> dict[str, Any]:
-    """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
-    if base is None:
-        statistics = motion_statistics([run.trajectory for run in encoded['train']])
-    else:
-        statistics = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
-    first = next(iter(encoded.values()))[0].trajectory
-
-    return {
-        'schema_version': SCHEMA_VERSION,
-        'scene': runs.scene,
-        'bounds': runs.bounds,
-        'sequence_length': first.n_frames - 1,
-        'frames_stored': first.n_frames,
-        'default_connectivity_radius': CONNECTIVITY_RADIUS,
-        'dim': DIM,
-        'dt': runs.dt,
-        'units': {'position': 'm', 'force': 'N', 'velocity': 'm per frame', 'dt': 's'},
-        **statistics,
-        'rigid_body_ref_point': None,
-        'particles_rigid': first.n_rigid,
-        'mode_number': first.n_modes,
-        'n_soil': space.n_soil,
-        'pca': {
-            'file': SUBSPACE_NAME,
-            'n_modes': space.n_modes,
-            'centering': space.centering,
-            'mean': 'scalar' if space.centering == 'scalar' else 'per_feature',
-            'explained_variance_ratio': space.explained_variance_ratio[: space.n_modes].tolist(),
-            'projection_floor': space.projection_floor(),
-            'fitted_on': list(space.runs),
-            'digest': space.digest,
-        },
-        **{
-            key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
-            for key in PROJECTION_KEYS
-        },
-        'dataset_split': {
-            name: [run.parameters['case'] for run in part] for name, part in encoded.items()
-        },
-        'cases': {name: [run.parameters for run in part] for name, part in encoded.items()},
-    }
+def _kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
+    return parameters.get('kind'), str(parameters.get('case'))
 
 
 def _write_dataset(
     output_path: str,
     encoded: dict[str, list[EncodedRun]],
     space: subspace.Subspace,
+    sampled: np.ndarray,
     metadata: dict[str, Any],
     overwrite: bool,
 ) -> None:
@@ -299,6 +208,11 @@ def _write_dataset(
             path = dataset.split_path(folder, name)
             records = dataset.write_split(path, [run.trajectory for run in part])
             listed[os.path.basename(path)] = {'records': records}
+            path = particles.sample_path(folder, name)
+            particles.write_sample(
+                path, [run.sample for run in part], sampled, space.initial[sampled]
+            )
+            listed[os.path.basename(path)] = {}
         files.write_manifest(folder, listed)
 
     files.write_folder_atomically(output_path, fill, replace=overwrite)
@@ -324,24 +238,48 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
             f'{name:<8}{len(values):>5}{mse:>22.3e}{1e3 * mse**0.5:>11.3f}'
             f'{max(metadata["projection_max_mm"][name]):>15.2f}{100 * kept:>13.2f}%'
         )
+    floors = metadata['projection_floors']
+    for name in metadata['projection_mse']:
+        cells = ', '.join(
+            f'{1e3 * mse**0.5:.3f} with {count}'
+            for count, mse in zip(floors['modes'], floors[name])
+        )
+        lines.append(f'RMS [mm] that modes leave, {name}: {cells}')
+    n_bytes = [
+        entry['bytes']
+        for name, entry in files.read_json(os.path.join(output_path, files.MANIFEST_NAME))[
+            'files'
+        ].items()
+        if name.startswith('particles_')
+    ]
+    n_runs = sum(map(len, metadata['projection_mse'].values()))
+    lines.append(f'particle sample: {1e-3 * sum(n_bytes) / n_runs:.1f} kB a run')
     return '\n'.join(lines)
 
 
 def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder of the new dataset.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder of the new dataset.')
     flags.DEFINE_integer('modes', 8, 'Number of modes r to keep.')
+    flags.DEFINE_alias('num_modes', 'modes')
     flags.DEFINE_enum(
         'centering',
         'configuration',
         subspace.CENTERINGS,
         'Subtracted before the PCA: the mean position of each particle, or one number.',
     )
-    flags.DEFINE_list('split', ['0.8', '0.1', '0.1'], 'Shares of train, valid and test.')
+    flags.DEFINE_list(
+        'split',
+        None,
+        'Shares of train, valid and test. Default: as the runs themselves say, else 0.8,0.1,0.1.',
+    )
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
     flags.DEFINE_bool('spread', False, 'Draw valid and test evenly over the order of the cases.')
+    flags.DEFINE_integer(
+        'frame_stride', 1, 'Fit the subspace to every so many frames of a training run.'
+    )
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
         'like',
@@ -349,6 +287,24 @@ def define_flags() -> None:
         'Existing dataset whose subspace and statistics are used; all runs go to test.',
     )
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset at --output_path.')
+    flags.DEFINE_bool(
+        'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
+    )
+    flags.DEFINE_string(
+        'cluster',
+        None,
+        'Sum up the covariance on workers: local, local:4, slurm, slurm:64, tcp://host:port.',
+    )
+    flags.DEFINE_bool(
+        'match_particles',
+        False,
+        'Reorder the particles of every run: each goes with its nearest neighbour in frame 0.',
+    )
+    flags.DEFINE_bool(
+        'rehash',
+        False,
+        'First let the manifest of --raw_path follow its files, which were changed on purpose.',
+    )
 
 
 def main(_: Sequence[str]) -> None:
@@ -356,22 +312,33 @@ def main(_: Sequence[str]) -> None:
     # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
     os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
     values = flags.FLAGS
+    if not (values.output_path or values.rehash):
+        sys.exit('error: --output_path is missing: the folder of the new dataset')
     try:
+        if values.rehash:
+            changed = raw_writer.rehash(values.raw_path)
+            print(f'{values.raw_path}: the manifest has new entries for {len(changed)} files')
+            if not values.output_path:
+                return
         metadata = convert(
             values.raw_path,
             values.output_path,
             modes=values.modes,
             centering=values.centering,
-            split=[float(share) for share in values.split],
+            split=values.split and [float(share) for share in values.split],
             seed=values.seed,
             hold_out=values.hold_out,
             spread=values.spread,
+            frame_stride=values.frame_stride,
             max_memory_mb=values.max_memory_mb,
             like=values.like,
             overwrite=values.overwrite,
+            check_units=values.check_units,
+            match_particles=values.match_particles,
+            cluster=values.cluster,
         )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(metadata, values.output_path))
 
 

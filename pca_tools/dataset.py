@@ -26,6 +26,9 @@ RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
 MODE_PARTICLE_ID = 6
 NUM_PARTICLE_TYPES = 9
+# Feature lists beside `position` -> values per frame; None: as many as the metadata says. Readers
+# of the published formats ignore those that they do not know (torque, rigid_pose).
+FRAME_SERIES = {'step_context': None, 'force': DIM, 'torque': DIM, 'rigid_pose': 7}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,6 +41,9 @@ class Trajectory:
         position: float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes.
         force: float32 [T, 3] on the rigid body in newtons, or None.
         step_context: float32 [T, C], or None.
+        torque: float32 [T, 3] on the rigid body about the position of `rigid_pose`, newton metres,
+            or None.
+        rigid_pose: float32 [T, 7], position (metres) and unit quaternion (w, x, y, z), or None.
     """
 
     key: int
@@ -45,6 +51,8 @@ class Trajectory:
     position: np.ndarray
     force: np.ndarray | None = None
     step_context: np.ndarray | None = None
+    torque: np.ndarray | None = None
+    rigid_pose: np.ndarray | None = None
 
     @property
     def n_rigid(self) -> int:
@@ -141,14 +149,12 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
     position = _stack_frames(
         record.frames['position'], len(particle_type) * DIM, f'{where}: position'
     )
-    force = step_context = None
-    if 'force' in record.frames:
-        force = _stack_frames(record.frames['force'], DIM, f'{where}: force')
-    if 'step_context' in record.frames:
-        step_context = _stack_frames(record.frames['step_context'], None, f'{where}: step_context')
-    return Trajectory(
-        record.key, particle_type, position.reshape(len(position), -1, DIM), force, step_context
-    )
+    series = {
+        name: _stack_frames(record.frames[name], width, f'{where}: {name}')
+        for name, width in FRAME_SERIES.items()
+        if name in record.frames
+    }
+    return Trajectory(record.key, particle_type, position.reshape(len(position), -1, DIM), **series)
 
 
 def _stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
@@ -186,8 +192,8 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
             f'has node types {sorted(set(types.tolist()))}; rigid nodes must be '
             f'{RIGID_PARTICLE_ID} or {KINEMATIC_PARTICLE_ID}'
         )
-    frames = metadata['sequence_length'] + 1
-    if trajectory.n_frames != frames:
+    frames, differ = metadata['sequence_length'] + 1, 'frames_of_runs' in metadata
+    if trajectory.n_frames > frames or (trajectory.n_frames < frames and not differ):
         problems.append(
             f'has {trajectory.n_frames} frames, sequence_length + 1 = {frames} were expected'
         )
@@ -209,6 +215,13 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
             if len(values) != trajectory.n_frames:
                 problems.append(f'{name} has {len(values)} frames, position {trajectory.n_frames}')
             problems += _non_finite_problems(values, name)
+    for name in ('torque', 'rigid_pose'):
+        values = getattr(trajectory, name)
+        if values is None:
+            continue
+        if values.shape != (trajectory.n_frames, FRAME_SERIES[name]):
+            problems.append(f'{name} has shape {values.shape} for {trajectory.n_frames} frames')
+        problems += _non_finite_problems(values, name)
     return problems + _non_finite_problems(trajectory.position, 'position')
 
 
@@ -252,16 +265,14 @@ def _records_of(
                 'was expected'
             )
         frames = {}
-        for name in ('position', 'step_context', 'force'):
+        for name, width in {'position': None, **FRAME_SERIES}.items():
             values = getattr(trajectory, name)
             if values is None:
                 continue
-            if len(values) != trajectory.n_frames or (
-                name == 'force' and values.shape[1:] != (DIM,)
-            ):
+            if len(values) != trajectory.n_frames or (width and values.shape[1:] != (width,)):
                 raise ValueError(
                     f'{where}: {name} has shape {values.shape} for {trajectory.n_frames} frames '
-                    f'of {DIM} axes'
+                    f'of {width or DIM} values'
                 )
             problems = _non_finite_problems(values, name)
             if problems:

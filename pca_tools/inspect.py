@@ -16,9 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 from absl import app, flags
 
+from pca_tools import files
 from pca_tools.dataset import Trajectory
-from pca_tools.findings import Inspection, Level
-from pca_tools.inspection import inspect_folder
+from pca_tools.inspection import inspect_folder, run_kinds
+from pca_tools.inspection.findings import Inspection, Level
+from pca_tools.raw_checks import AXES
 from pca_tools.statistics import mean_share, trivial_errors
 
 
@@ -32,9 +34,13 @@ def report(inspection: Inspection, modes: int = 12) -> str:
     lines = [inspection.folder]
     if inspection.metadata is not None:
         lines += _contents(inspection)
+        lines += run_kinds.kind_table(inspection)
         lines += _ranges(inspection)
         lines += _trivial(inspection)
+        lines += run_kinds.force_table(inspection)
+        lines += run_kinds.leak_table(inspection)
         lines += _floors(inspection, modes)
+        lines += run_kinds.floor_table(inspection)
         lines += _motion(inspection)
     lines += ['', 'Findings']
     lines += [f'  {finding.level.value:<6}{finding.text}' for finding in inspection.findings]
@@ -47,7 +53,8 @@ def _contents(inspection: Inspection) -> list[str]:
     held = inspection.metadata
     scene = held.get('scene')
     lines = [
-        f'  scene {scene["name"]}, rigid motion {scene["rigid_motion"]}'
+        f'  scene {scene.get("name", "unnamed")}, rigid motion {scene["rigid_motion"]}, '
+        f'{AXES[scene.get("up_axis", 1)]} up'
         if scene
         else '  no scene given',
         f'  dt {held["dt"]:.6g} s, {held["sequence_length"]} + 1 frames '
@@ -75,8 +82,10 @@ def _ranges(inspection: Inspection) -> list[str]:
         'mode score [m]': [run.position[:, run.n_rigid :] for run in runs],
         'mode step [m/frame]': [np.diff(run.position[:, run.n_rigid :], axis=0) for run in runs],
     }
-    if runs[0].force is not None:
-        rows['force [N]'] = [run.force for run in runs]
+    for name, label in (('force', 'force [N]'), ('torque', 'torque [N m]')):
+        values = [getattr(run, name) for run in runs]
+        if all(value is not None for value in values):
+            rows[label] = values
     lines = ['', f'  {"range":<22}{"x":>22}{"y":>22}{"z":>22}']
     for name, samples in rows.items():
         values = np.concatenate([sample.reshape(-1, 3) for sample in samples])
@@ -190,7 +199,8 @@ def main(argv: Sequence[str]) -> None:
     if len(argv) != 2:
         sys.exit('usage: python -m pca_tools.inspect [--modes=12] DATASET')
     inspection = inspect_folder(argv[1])
-    print(report(inspection, flags.FLAGS.modes))
+    for line in report(inspection, flags.FLAGS.modes).splitlines():
+        print(files.printable(line))
     sys.exit(int(inspection.failed))
 
 

@@ -9,6 +9,52 @@ import numpy as np
 from pca_tools.metadata import SPLITS
 
 
+def given_splits(
+    cases: Sequence[int | str], given: Sequence[object], hold_out: Sequence[int | str] = ()
+) -> dict[str, list[int]] | None:
+    """Deals cases to the splits that they themselves name.
+
+    Args:
+        cases: case ids.
+        given: what each names as its split (`parameters['split']` of a raw run), None if nothing.
+        hold_out: ids that go to test whatever they name.
+
+    Returns:
+        split -> indices into `cases`, ascending; None if no case names one.
+
+    Raises:
+        ValueError: unknown names or ids, some that name none, or none in train.
+    """
+    if all(split is None for split in given):
+        return None
+    held = _known_ids(hold_out, cases)
+    parts: dict[str, list[int]] = {split: [] for split in SPLITS}
+    faults = []
+    for index, (case, split) in enumerate(zip(cases, given)):
+        if str(case) in held:
+            parts['test'].append(index)
+        elif split in SPLITS:
+            parts[split].append(index)
+        else:
+            faults.append(f'{case}: {split!r}')
+    if faults:
+        raise ValueError(
+            f'{len(faults)} of {len(cases)} cases name no split of {SPLITS} in their parameters '
+            f'({", ".join(faults[:5])}), the others do; give --split to deal all of them anew'
+        )
+    if not parts['train']:
+        raise ValueError('no case names train as its split: there is nothing to fit a subspace to')
+    return parts
+
+
+def _known_ids(hold_out: Sequence[int | str], cases: Sequence[int | str]) -> set[str]:
+    held = {str(case) for case in hold_out}
+    unknown = held - {str(case) for case in cases}
+    if unknown:
+        raise ValueError(f'hold_out names {sorted(unknown)}, which are not among the cases')
+    return held
+
+
 def split_cases(
     cases: Sequence[int | str],
     fractions: Sequence[float],
@@ -36,10 +82,7 @@ def split_cases(
     """
     if len(fractions) != len(SPLITS) or min(fractions) < 0 or abs(sum(fractions) - 1.0) > 1e-6:
         raise ValueError(f'split {list(fractions)} must be {len(SPLITS)} shares that sum to 1')
-    held = {str(case) for case in hold_out}
-    unknown = held - {str(case) for case in cases}
-    if unknown:
-        raise ValueError(f'hold_out names {sorted(unknown)}, which are not among the cases')
+    held = _known_ids(hold_out, cases)
     rng = np.random.default_rng(seed)
     shuffled = rng.permutation(len(cases)).tolist()
     forced = [index for index in shuffled if str(cases[index]) in held]

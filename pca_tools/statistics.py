@@ -18,7 +18,8 @@ def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[floa
     Returns:
         `vel_mean, vel_std, acc_mean, acc_std` [3] per frame (v_t = x_t - x_{t-1}, a_t = v_t -
         v_{t-1}, not divided by dt), over all nodes that are not kinematic; `rigid_body_force_mean,
-        rigid_body_force_std` [3] and `context_mean, context_std` [C] where the runs have them.
+        rigid_body_force_std` [3], the same for `torque`, and `context_mean, context_std` [C] where
+        the runs have them.
     """
     velocity = _moments(np.diff(_moving(run), axis=0) for run in trajectories)
     acceleration = _moments(np.diff(_moving(run), n=2, axis=0) for run in trajectories)
@@ -31,6 +32,9 @@ def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[floa
     if trajectories[0].force is not None:
         mean, std = _moments(run.force.astype(np.float64) for run in trajectories)
         statistics |= {'rigid_body_force_mean': mean, 'rigid_body_force_std': std}
+    if trajectories[0].torque is not None:
+        mean, std = _moments(run.torque.astype(np.float64) for run in trajectories)
+        statistics |= {'rigid_body_torque_mean': mean, 'rigid_body_torque_std': std}
     if trajectories[0].step_context is not None:
         mean, std = _moments(run.step_context.astype(np.float64) for run in trajectories)
         statistics |= {'context_mean': mean, 'context_std': std}

@@ -18,23 +18,16 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg
-from sklearn import decomposition
 
-from pca_tools import files
+from pca_tools import decompose, files
+from pca_tools.decompose import DIM, decompose_covariance, decompose_matrix
 
 CENTERINGS = ('configuration', 'scalar')
-DIM = 3
 # Singular values kept beyond the modes, for the projection floor against r.
 SPECTRUM_LENGTH = 64
 # A cut between two singular values closer than this leaves the last mode free to turn from fit to
 # fit.
 CLUSTER_GAP = 0.05
-# An SVD holds the matrix, its copy and both factors.
-_SVD_COPIES = 4
-# A rank-k update and an eigenvalue solver in place hold the N x N matrix and one spare copy of it.
-_COVARIANCE_COPIES = 2
-_MAGNITUDE_TIE = 1e-9
 # Arrays of a stored subspace that hold one value.
 _SCALARS = ('total_energy', 'n_rows', 'centering', 'digest')
 
@@ -108,6 +101,12 @@ class Subspace:
         """Mean squared error in m^2 that `n_modes` modes (default r) leave; see the plural."""
         return float(self.projection_floors[self.n_modes if n_modes is None else n_modes])
 
+    def truncated(self, n_modes: int) -> Subspace:
+        """Returns the subspace of the first `n_modes` of its modes."""
+        return dataclasses.replace(
+            self, components=np.ascontiguousarray(self.components[:, :n_modes])
+        )
+
     def encode(self, x: np.ndarray) -> np.ndarray:
         """Projects particle positions.
 
@@ -125,7 +124,7 @@ class Subspace:
             raise ValueError(
                 f'positions have shape {x.shape}, [..., {self.n_soil}, {DIM}] was expected'
             )
-        _refuse_non_finite(x, 'positions')
+        decompose.refuse_non_finite(x, 'positions')
         return np.einsum('...nk,nr->...rk', x - self.mean, self.components, optimize=True)
 
     def decode(self, z: np.ndarray) -> np.ndarray:
@@ -233,6 +232,8 @@ def fit(
     max_memory_mb: float = 1024.0,
     names: Sequence[str] | None = None,
     progress=lambda sequence, label: sequence,
+    spare_modes: int = 0,
+    crew=None,
 ) -> Subspace:
     """Fits a subspace to training runs.
 
@@ -249,9 +250,13 @@ def fit(
         names: names of the runs, for messages and the record; default 0, 1, ...
         progress: wraps a pass over the runs, called with the sequence and a label (for a progress
             bar).
+        crew: `cluster.workers.Workers` that sum up the covariance, in parts; runs must then have
+            `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
+        spare_modes: further modes to keep where the data have them, to measure what they would
+            bring; `Subspace.truncated` drops them.
 
     Returns:
-        The subspace.
+        The subspace, of r to r + `spare_modes` modes.
 
     Raises:
         ValueError: no runs, one row, different N, NaN, no motion at all, more modes than the data
@@ -264,7 +269,7 @@ def fit(
     names = tuple(str(index) for index in range(len(runs))) if names is None else tuple(names)
     if len(names) != len(runs):
         raise ValueError(f'{len(names)} names were given for {len(runs)} runs')
-    mean, n_rows, largest = _mean(runs, names, centering, progress)
+    mean, n_rows, largest = decompose.mean_configuration(runs, names, centering, progress)
     n_soil = len(mean) if mean.ndim else runs[0].shape[1]
     limit = min(n_rows, n_soil)
     if n_modes > limit:
@@ -272,16 +277,16 @@ def fit(
             f'{n_modes} modes were asked for, {n_rows} rows (run x frame x axis) of {n_soil} '
             f'particles have at most {limit}'
         )
-    length = min(max(SPECTRUM_LENGTH, n_modes + 1), limit)
+    length = min(max(SPECTRUM_LENGTH, n_modes + spare_modes + 1), limit)
     budget = max_memory_mb * 2**20
-    if _SVD_COPIES * 8 * n_rows * n_soil <= budget:
-        values, vectors, energy = _decompose_matrix(runs, mean, length, progress)
+    if decompose.SVD_COPIES * 8 * n_rows * n_soil <= budget:
+        values, vectors, energy = decompose_matrix(runs, mean, length, progress)
         noise = max(n_rows, n_soil) * np.finfo(np.float64).eps
-    elif _COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
-        values, vectors, energy = _decompose_covariance(runs, mean, n_soil, length, progress)
+    elif decompose.COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
+        values, vectors, energy = decompose_covariance(runs, mean, n_soil, length, progress, crew)
         noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
     else:
-        needed = _COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
+        needed = decompose.COVARIANCE_COPIES * 8 * n_soil**2 / 2**20
         raise ValueError(
             f'the covariance of {n_soil} particles needs {needed:.0f} MiB, the limit is '
             f'{max_memory_mb:.0f}: raise --max_memory_mb or keep fewer particles'
@@ -293,7 +298,7 @@ def fit(
         raise ValueError(f'asked for {n_modes} modes, data rank is {rank}')
     subspace = Subspace(
         mean=mean,
-        components=_fix_signs(vectors[:, :n_modes]),
+        components=decompose.fix_signs(vectors[:, : min(n_modes + spare_modes, rank, length)]),
         singular_values=values,
         total_energy=energy,
         n_rows=n_rows,
@@ -309,90 +314,3 @@ def fit(
             stacklevel=2,
         )
     return subspace
-
-
-def _mean(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
-    """Returns the mean ([N, 3] or []), the number of rows and the largest coordinate in magnitude.
-
-    Refuses runs that cannot be fitted.
-    """
-    total, frames, n_soil, largest = 0.0, 0, None, 0.0
-    for name, run in zip(names, progress(runs, 'mean')):
-        if run.ndim != 3 or run.shape[2] != DIM or run.shape[1] == 0:
-            raise ValueError(
-                f'run {name}: positions have shape {run.shape}, [T, N, 3] was expected'
-            )
-        if n_soil not in (None, run.shape[1]):
-            raise ValueError(
-                f'run {name} has {run.shape[1]} particles, the runs before it {n_soil}; a column '
-                'must be the same particle in all runs'
-            )
-        n_soil = run.shape[1]
-        _refuse_non_finite(run, f'run {name}')
-        total = total + run.sum(axis=0, dtype=np.float64)
-        frames += len(run)
-        largest = max(largest, float(np.abs(run).max()))
-    if frames < 2:
-        raise ValueError(f'{len(runs)} runs with {frames} frames in all: need at least 2 frames')
-    configuration = total / frames
-    mean = configuration if centering == 'configuration' else np.asarray(configuration.mean())
-    return mean, frames * DIM, largest
-
-
-def _rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Returns float64 [T * 3, N], row k + 3 i = axis k of frame i, centred."""
-    return np.ascontiguousarray((np.asarray(run, np.float64) - mean).transpose(0, 2, 1)).reshape(
-        -1, run.shape[1]
-    )
-
-
-def _decompose_matrix(runs, mean, length, progress):
-    """Returns singular values [S], vectors [N, S] and total energy from the whole matrix."""
-    matrix = np.concatenate([_rows(run, mean) for run in progress(runs, 'matrix')])
-    energy = float(np.sum(matrix**2))
-    if energy == 0.0:
-        return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
-    if mean.ndim:
-        # Columns sum to zero already, so the mean that PCA subtracts itself is round-off.
-        model = decomposition.PCA(n_components=length, svd_solver='full').fit(matrix)
-        return model.singular_values_, model.components_.T, energy
-    # The scalar mean leaves the columns uncentered, and PCA would centre them.
-    _, values, vectors = linalg.svd(matrix, full_matrices=False, overwrite_a=True)
-    return values[:length], vectors[:length].T, energy
-
-
-def _decompose_covariance(runs, mean, n_soil, length, progress):
-    """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
-    covariance = np.zeros((n_soil, n_soil), order='F')
-    for run in progress(runs, 'covariance'):
-        rows = _rows(run, mean)
-        covariance = linalg.blas.dsyrk(1.0, rows.T, beta=1.0, c=covariance, overwrite_c=True)
-    energy = float(np.trace(covariance))
-    values, vectors = linalg.eigh(
-        covariance,
-        lower=False,
-        overwrite_a=True,
-        check_finite=False,
-        subset_by_index=[n_soil - length, n_soil - 1],
-    )
-    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1], energy
-
-
-def _fix_signs(vectors: np.ndarray) -> np.ndarray:
-    """Turns each column so that its largest entry (lowest index on a tie) is positive."""
-    magnitudes = np.abs(vectors)
-    largest = np.argmax(magnitudes >= (1.0 - _MAGNITUDE_TIE) * magnitudes.max(axis=0), axis=0)
-    signs = np.sign(vectors[largest, np.arange(vectors.shape[1])])
-    return np.ascontiguousarray(vectors * signs)
-
-
-def _refuse_non_finite(x: np.ndarray, what: str) -> None:
-    if np.all(np.isfinite(x)):
-        return
-    bad = np.argwhere(~np.isfinite(x))
-    *frame, particle, axis = bad[0].tolist()
-    place = f'frame {frame[-1]}, ' if frame else ''
-    raise ValueError(
-        f'{what}: {len(bad)} NaN or infinite values, the first at {place}particle {particle}, '
-        f'axis {axis}'
-    )

@@ -22,18 +22,14 @@ import tqdm
 from absl import app, flags
 
 from mpm import scenes
+from reports import markdown
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 MODELS = ('fcg_original', 'pcg')
 COLUMNS = (
-    ('method', 24, '{}'),
-    ('edges', 6, '{}'),
-    ('soil RMS mm', 12, '{:.3g}'),
-    ('with cut-off', 12, '{:.3g}'),
-    ('force rel. L2', 13, '{:.3g}'),
-    ('s per simulated s', 17, '{:.3g}'),
-    ('times faster', 12, '{:.0f}'),
-)
+    'method', 'edges', 'soil RMS mm', 'with truncation', 'force rel. L2', 's per simulated s',
+    'times faster',
+)  # fmt: skip
 
 
 def simulate(name: str, case: int, folder: str, position: int) -> subprocess.Popen:
@@ -77,15 +73,14 @@ def evaluate(name: str, raw: str, out: str) -> list[dict]:
         evaluation.save_rollouts(os.path.join(out, preset), 'test', results, summary, metadata)
         mean = summary['mean']
         if len(rows) == 1:
-            for trivial in ('stay_still', 'constant_velocity'):
-                rows.append(_row(trivial.replace('_', ' '), mean[trivial]))
+            rows += [_row(label, mean[key]) for key, label in markdown.TRIVIAL.items()]
         row = _row(preset, mean['model'])
         row['edges'] = summary['runs']['model'][0]['edges']
         row['s per simulated s'] = mean['model']['seconds_per_simulated_second']
         row['times faster'] = solver / row['s per simulated s']
         rows.append(row)
     floor = 1e3 * summary['projection_mse'] ** 0.5
-    rows.append({'method': 'projection floor', 'soil RMS mm': 0.0, 'with cut-off': floor})
+    rows.append({'method': markdown.FLOOR, 'soil RMS mm': 0.0, 'with truncation': floor})
     return rows
 
 
@@ -93,22 +88,15 @@ def _row(name, mean):
     return {
         'method': name,
         'soil RMS mm': mean['soil_rms_mm'],
-        'with cut-off': mean['soil_rms_mm_full'],
+        'with truncation': mean['soil_rms_mm_full'],
         'force rel. L2': mean['force_relative_l2'],
     }
 
 
 def table(name: str, case: int, rows: list[dict]) -> str:
     """The rows as aligned text."""
-    lines = [f'{name}, case {case}']
-    lines.append('  '.join(f'{title:>{width}}' for title, width, _ in COLUMNS))
-    for row in rows:
-        cells = (
-            f'{form.format(row[title]) if row.get(title) is not None else "-":>{width}}'
-            for title, width, form in COLUMNS
-        )
-        lines.append('  '.join(cells))
-    return '\n'.join(lines)
+    cells = [['-' if row.get(title) is None else row[title] for title in COLUMNS] for row in rows]
+    return f'{name}, case {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
 
 
 def _bar(drawn, label):
@@ -177,7 +165,7 @@ def main(_) -> None:
     with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as file:
         json.dump(results, file, indent=2)
     print('\n' + text + '\n')
-    print('soil RMS: error within the 8 modes; with cut-off: including what the modes leave out.')
+    print('soil RMS: error within the 8 modes; with truncation: what these cannot hold, too.')
     print('force of the trivial rows: the last known force, the mean force of the training runs.')
     print('time: CPU seconds of the solver on one core; wall seconds of one compiled rollout.\n')
     for path in pictures:

@@ -77,13 +77,13 @@ def test_no_case_is_in_two_splits_and_none_is_the_demo_case(scene):
 
 def test_records_hold_what_the_solver_recorded():
     """Blade points of the records move as the scene prescribes, to float32."""
-    from mpm import scenes
+    from mpm.motions import grid
 
     metadata = dataset.read_metadata(str(ROOT / 'datasets' / 'excavation'))
     runs = dataset.read_split(str(ROOT / 'datasets' / 'excavation'), 'test')
     times = np.arange(321) * metadata['dt']
     for run, case in zip(runs, metadata['cases']['test']):
-        expected = scenes.blade_displacement(
+        expected = grid.blade_displacement(
             case['motion'], case['depth_m'], case['speed_m_s'], times
         )
         moved = (run.position[:, 0] - run.position[0, 0])[:, :2]

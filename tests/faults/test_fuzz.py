@@ -1,19 +1,20 @@
-"""A bounded part of `python -m run_scripts.fuzz`: the same inputs in every run."""
+"""A bounded part of `python -m reports fuzz`: the same inputs in every run."""
 
 import os
 import random
 
 import pytest
 
-from run_scripts import fuzz, fuzz_bench, fuzz_mutations, fuzz_targets
+from reports.fuzz import bench, mutations, targets
+from reports.fuzz import report as fuzz
 
-NAMES = [target.name for target in fuzz_targets.TARGETS]
+NAMES = [target.name for target in targets.TARGETS]
 
 
 @pytest.mark.parametrize('name', NAMES)
 def test_reader_refuses_or_returns_what_can_be(name, tmp_path):
     """100 inputs a reader; docs/fuzz.md has those of the long run."""
-    result = fuzz_bench.run_block([name], 20, 0, 100, str(tmp_path / 'note'))
+    result = bench.run_block([name], 20, 0, 100, str(tmp_path / 'note'))
     assert result['failures'] == []
     counts = result['counts'][name]
     assert sum(counts.values()) == 100
@@ -57,29 +58,29 @@ def test_faulty_readers_are_found(monkeypatch, tmp_path, read, reason):
         calls.append(folder)
         return Broken.read_anything(folder) if len(calls) == 1 else read(folder)
 
-    target = fuzz_targets.Target(
-        'broken', fuzz_targets.Promise.SEALED, Broken.write, ('a.json',), after_the_first
+    target = targets.Target(
+        'broken', targets.Promise.SEALED, Broken.write, ('a.json',), after_the_first
     )
-    monkeypatch.setattr(fuzz_bench, 'TARGETS', (target,))
-    result = fuzz_bench.run_block(['broken'], 0, 0, 20, str(tmp_path / 'note'))
+    monkeypatch.setattr(bench, 'TARGETS', (target,))
+    result = bench.run_block(['broken'], 0, 0, 20, str(tmp_path / 'note'))
     assert result['counts']['broken']['failed'] >= 15
     assert any(reason in failure['why'] for failure in result['failures'])
 
 
 def test_inputs_are_functions_of_seed_and_number():
-    first, other = (fuzz_bench.make_input(NAMES, seed, 40) for seed in (1, 2))
+    first, other = (bench.make_input(NAMES, seed, 40) for seed in (1, 2))
     assert first != other
     # Whatever was made in between.
     for number in range(0, 40 * len(NAMES), len(NAMES)):
-        fuzz_bench.make_input(NAMES, 1, number + NAMES.index('edges.json'))
-    assert fuzz_bench.make_input(NAMES, 1, 40) == first
+        bench.make_input(NAMES, 1, number + NAMES.index('edges.json'))
+    assert bench.make_input(NAMES, 1, 40) == first
 
 
 def test_forged_json_does_not_depend_on_the_forgeries_before():
     valid = b'{"a": [1, 2], "b": {"c": "x"}, "d": [[1, 2], [3]]}'
 
     def forgeries():
-        return [fuzz_mutations.forge('a.json', valid, random.Random(i)) for i in range(3000)]
+        return [mutations.forge('a.json', valid, random.Random(i)) for i in range(3000)]
 
     assert forgeries() == forgeries()
 
@@ -87,7 +88,7 @@ def test_forged_json_does_not_depend_on_the_forgeries_before():
 def test_damage_and_forgery_change_files():
     valid = b'{"a": [1, 2], "b": {"c": "x"}}'
     rng = random.Random(0)
-    for change in (fuzz_mutations.damage, lambda d, r: fuzz_mutations.forge('a.json', d, r)):
+    for change in (mutations.damage, lambda d, r: mutations.forge('a.json', d, r)):
         assert sum(change(valid, rng) != valid for _ in range(100)) > 80
 
 

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import experiment, presets, reading_utils, training, training_state
+from learning_to_simulate import experiment, presets, reading_utils, training
+from learning_to_simulate.training_run import training_state
 from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic
 
@@ -29,7 +30,9 @@ def config(**overrides):
 
 
 def cheap_step(self, step):
-    for variable, average in zip(self.simulator.trainable_variables, self.averages, strict=True):
+    for variable, average in zip(
+        self.simulator.trainable_variables, self.averaging.variables, strict=True
+    ):
         variable.assign(variable * 0.9 + 0.01 * step)
         average.assign(average * 0.5 + variable * 0.5)
     self.optimizer.iterations.assign_add(1)
@@ -280,7 +283,7 @@ def test_variables_that_are_not_finite_are_never_saved(model, data, what):
     variable = {
         'weight': trainer.simulator.trainable_variables[0],
         'moment': trainer.optimizer.variables[-1],
-        'average': trainer.averages[0],
+        'average': trainer.averaging.variables[0],
     }[what]
     variable.assign(np.full(variable.shape, np.inf))
     before = sorted(os.listdir(model))

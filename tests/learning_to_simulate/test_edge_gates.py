@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, edge_lists, experiment, presets, training_state
+from learning_to_simulate import checkpoints, edge_lists, experiment, presets
 from learning_to_simulate.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
 from learning_to_simulate.training import Trainer
+from learning_to_simulate.training_run import training_state
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 

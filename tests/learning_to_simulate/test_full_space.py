@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, experiment, presets
-from learning_to_simulate.full_space import experiment as particles
-from learning_to_simulate.full_space import runs
-from learning_to_simulate.full_space.particle_network import ParticleNetwork
-from learning_to_simulate.full_space.particle_rollout import ParticleEvaluator
-from learning_to_simulate.full_space.particle_simulator import neighbour_list, typical_radius
-from learning_to_simulate.full_space.particle_training import ParticleTrainer
+from learning_to_simulate import checkpoints, presets
+from learning_to_simulate.methods import registry
+from learning_to_simulate.methods.full_space import particle_method as particles
+from learning_to_simulate.methods.full_space import runs
+from learning_to_simulate.methods.full_space.particle_network import ParticleNetwork
+from learning_to_simulate.methods.full_space.particle_rollout import ParticleEvaluator
+from learning_to_simulate.methods.full_space.particle_simulator import (
+    neighbour_list,
+    typical_radius,
+)
+from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
 from pca_tools import convert, dataset, files
 from tests.learning_to_simulate import synthetic as modes
 from tests.pca_tools import synthetic
@@ -196,7 +200,7 @@ def test_driven_wheel_is_trained_on_decoded_particles(folders, tmp_path):
     """Without raw runs what the subspace cuts off is stated beside the error."""
     folder, _ = folders['wheel']
     summary = particles.train(
-        folder, None, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
+        folder, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
     )
     row = summary['runs']['model'][0]
     assert row['soil_mse_full'] > row['soil_mse'] > 0 and row['rigid_mse'] > 0
@@ -206,19 +210,20 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
     folder, raw = folders['excavation']
     path = str(tmp_path / 'model')
     config = presets.make_config('full_space', **SHORT | {'num_steps': 40, 'noise_std': 0.0})
-    particles.train(folder, raw, path, config, save_every=40)
+    particles.train(folder, path, config, save_every=40, raw_path=raw)
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
-    particles.train(folder, raw, path, config, save_every=40)
-    model, _, groups = particles.load_for_evaluation(path, folder, raw, 'valid', {})
+    particles.train(folder, path, config, save_every=40, raw_path=raw)
+    opened = particles.open_model(path, folder, 'valid', raw_path=raw)
+    model, groups = opened.model, opened.groups
     for variable, stored in zip(model.simulator.trainable_variables, before.values()):
         np.testing.assert_array_equal(variable.numpy(), stored)
     fresh, _ = make(folder, raw)
     losses = [ParticleTrainer(m, groups).one_step_errors(5)['loss'] for m in (model, fresh)]
     assert losses[0] < losses[1]
     with pytest.raises(ValueError, match='trained on particles of raw runs: give --raw_path'):
-        particles.load_for_evaluation(path, folder, None, 'test', {})
+        particles.open_model(path, folder, 'test')
     with pytest.raises(ValueError, match='noise_std=0.3 contradicts'):
-        particles.load_for_evaluation(path, folder, raw, 'test', {'noise_std': 0.3})
+        particles.open_model(path, folder, 'test', {'noise_std': 0.3}, raw)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +243,7 @@ def test_damaged_statistics_are_refused(folders, tmp_path, name, value):
     values['statistics'][name] = value
     (tmp_path / checkpoints.CONFIG_FILE).write_text(json.dumps(values))
     with pytest.raises(ValueError, match=f'config.json: .*statistics.{name}'):
-        particles.load_model(str(tmp_path))
+        particles.load(str(tmp_path))
 
 
 def test_bad_data_is_refused(folders, tmp_path):
@@ -260,4 +265,7 @@ def test_bad_data_is_refused(folders, tmp_path):
     with pytest.raises(ValueError, match='single steps'):
         presets.make_config('full_space', unroll_steps=10)
     with pytest.raises(ValueError, match='not one of a subspace'):
-        experiment.train(folder, str(tmp_path / 'm'), presets.make_config('full_space', **SHORT))
+        model, _ = make(folder, raw)
+        registry.get('full_space').make_simulator(
+            model.simulator.scene, model.simulator.config, None
+        )

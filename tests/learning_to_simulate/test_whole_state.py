@@ -5,13 +5,13 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, experiment, presets, training
-from learning_to_simulate.mixer_model import Excitation
+from learning_to_simulate.methods.mixer_model import Excitation
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.whole_state_twin import WholeStateTwin
 
-MODELS = presets.WHOLE_STATE_MODELS
+MODELS = ('mlp', 'mixer_se', 'mixer_scse')
 SHORT = {'num_steps': 6, 'unroll_steps': 1, 'unroll_length': 2, 'latent_size': 8, 'batch_size': 4}
 
 

@@ -12,7 +12,7 @@ from learning_to_simulate import connectivity_utils, edge_lists
 from nri import data as nri_data
 from nri import experiment, export_edges
 from nri.model import NriConfig, NriModel
-from run_scripts import nri_stability
+from reports.edges import nri_stability
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]

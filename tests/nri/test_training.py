@@ -193,7 +193,7 @@ def accuracy_after(n_step, n_objects, **settings):
 
 
 def test_supervised_encoder_finds_the_springs_of_five_objects():
-    # Measured 0.974; run_scripts.nri_proof trains for longer.
+    # Measured 0.974; reports nri_proof trains for longer.
     assert accuracy_after(1500, 5, learning_rate=2e-3, supervised=True) > 0.94
 
 

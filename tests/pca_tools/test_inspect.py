@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pca_tools import dataset, files
-from pca_tools.findings import Level
 from pca_tools.inspect import initial_share, motion_shares, report
 from pca_tools.inspection import inspect_folder
+from pca_tools.inspection.findings import Level
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
 from tests.pca_tools.commands import run_command

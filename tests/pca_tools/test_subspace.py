@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from pca_tools import files, subspace
+from pca_tools import decompose, files
 from pca_tools.subspace import CENTERINGS, Subspace, fit
 
 # small enough that the matrix does not fit but the covariance of 140 particles does
@@ -181,6 +181,6 @@ def test_save_and_load(tmp_path):
 
 def test_rows_of_the_matrix_are_those_of_the_format():
     run = make_runs(1)[0]
-    rows = subspace._rows(run, np.zeros(()))
+    rows = decompose.rows(run, np.zeros(()))
     for frame, axis in ((0, 0), (3, 2), (19, 1)):
         np.testing.assert_array_equal(rows[axis + 3 * frame], run[frame, :, axis])

@@ -1,0 +1,1 @@
+"""Methods of simulation behind one registry; see `registry`."""

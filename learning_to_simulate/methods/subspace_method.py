@@ -1,0 +1,178 @@
+"""Methods on the scores of the modes: data, model, training and evaluation on disk.
+
+The `code` of gns, the MLP and the mixers in `registry`; which network they are, is the registry's.
+"""
+
+import os
+
+import numpy as np
+
+from learning_to_simulate import (
+    checkpoints,
+    edge_lists,
+    evaluation,
+    normalization,
+    reading_utils,
+    resting_start,
+)
+from learning_to_simulate.checkpoints import load_model as load
+from learning_to_simulate.methods import registry
+from learning_to_simulate.methods.registry import OpenedModel
+from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.training import Trainer
+from learning_to_simulate.training_run import loop
+from pca_tools import dataset, files
+
+__all__ = ['data_digests', 'load', 'make_model', 'open_model', 'train']
+
+
+def data_digests(folder: str) -> dict[str, str]:
+    """File -> sha256 of what a dataset folder trains on."""
+    names = [
+        n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(os.path.join(folder, n))
+    ]
+    return {n: files.sha256_of_file(os.path.join(folder, n)) for n in names}
+
+
+def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkpoints.Model:
+    """A fresh model for the training runs of a dataset, its variables created.
+
+    Args:
+      data_path: dataset folder.
+      metadata: its metadata.
+      groups: `RunGroup`s of the training split.
+      config: `TrainConfig`.
+      rigid_motion: override of the scene's, or None.
+
+    Raises:
+      ValueError: edges that do not fit the dataset, or a scene that the config cannot model.
+    """
+    scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
+    if (
+        config.predict_driven_body
+        and rigid_motion is None
+        and scene.rigid_motion == RigidMotion.DRIVEN
+    ):
+        scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
+    statistics = normalization.compute_statistics(
+        [g.position for g in groups],
+        [g.force for g in groups],
+        [g.context for g in groups],
+        metadata,
+        scene,
+        config,
+    )
+    velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
+    types = groups[0].particle_type
+    simulator = registry.get(config.model).make_simulator(
+        scene, config, statistics, (int(types[0]), int(types[-1]))
+    )
+    model = checkpoints.Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
+    for group in groups:
+        model.layout(group.n_rigid)
+    model.create_variables(groups[0].n_rigid)
+    if config.zero_decoder:
+        simulator.zero_decoder()
+    return model
+
+
+def train(
+    data_path,
+    model_path,
+    config,
+    rigid_motion=None,
+    save_every=None,
+    take_over_lock=False,
+    raw_path=None,
+) -> dict:
+    """Trains to the end of both stages, or resumes; returns the metrics of the last validation
+    rollout.
+
+    Args:
+      data_path: dataset folder.
+      model_path: model folder, made if absent; locked while the training runs.
+      config: `TrainConfig`.
+      rigid_motion: override of the scene's, or None.
+      save_every, take_over_lock: of `loop.run`.
+      raw_path: must be None.
+
+    Raises:
+      ValueError: bad data, edges or config, or raw runs; and as `loop.run`.
+      OSError, SystemExit: as `loop.run`.
+    """
+    _refuse_raw_path(raw_path)
+    metadata = dataset.read_metadata(data_path)
+    groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
+    has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
+    valid = (
+        reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
+    )
+    model = make_model(data_path, metadata, groups, config, rigid_motion)
+    trainer = Trainer(model, groups)
+    layouts = [model.layout(g.n_rigid) for g in groups]
+    weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
+    training = loop.Training(
+        model=model,
+        trainer=trainer,
+        evaluator=evaluation.Evaluator(model, metadata),
+        valid=valid,
+        n_rigid=groups[0].n_rigid,
+        data={
+            'path': os.path.abspath(data_path),
+            'sha256': data_digests(data_path),
+            'subspace': checkpoints.subspace_digest(metadata),
+        },
+        title=f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
+        f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
+        f'{weights} weights; edges: {model.edge_source}',
+    )
+    training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
+    if trainer.gates:
+        training.close_gates = lambda path: _close_gates(training, data_path, path)
+    return loop.run(training, model_path, save_every, take_over_lock)
+
+
+def _refuse_raw_path(raw_path):
+    if raw_path:
+        raise ValueError('--raw_path is for --model=full_space only; other models take records')
+
+
+def _close_gates(training, data_path, model_path):
+    """Fixes the learned edges, writes them beside the model, and says what they are."""
+    trainer, model = training.trainer, training.model
+    config = model.simulator.config
+    edges = trainer.gates.edge_list(config, data_path)
+    trainer.fix_edges(edges.mask)
+    edge_lists.write(os.path.join(model_path, edge_lists.FILE_NAME), edges)
+    beside = checkpoints.read_config(model_path).get('files')
+    checkpoints.save_config(model_path, model, training.n_rigid, training.data, beside)
+    text = f'step {config.gate_steps}: {edges.n_edge} of {edges.mask.size} mode edges stay'
+    return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
+
+
+def open_model(
+    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
+) -> OpenedModel:
+    """A trained model with the runs of a split; see `registry`.
+
+    Raises:
+      FileNotFoundError: no model, dataset or split there.
+      ValueError: an override contradicts the model, or the dataset does not fit it.
+    """
+    _refuse_raw_path(raw_path)
+    model = load(model_path)
+    config = model.simulator.config
+    checkpoints.refuse_contradictions(model_path, config, overrides or {})
+    metadata = dataset.read_metadata(data_path)
+    checkpoints.check_dataset(model_path, model, data_path, metadata)
+    groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
+    for group in groups:
+        model.layout(group.n_rigid)
+    return OpenedModel(
+        model,
+        groups,
+        metadata,
+        evaluation.Evaluator(model, metadata, rigid_correction),
+        lambda: Trainer(model, groups).one_step_errors(),
+    )

@@ -1,0 +1,1 @@
+"""How tools move: the motions of the thesis, of operators, of free drives, of recordings."""

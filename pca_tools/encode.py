@@ -1,0 +1,241 @@
+"""From raw runs to what a dataset stores of them: scores, particles, and what was lost."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pca_tools import dataset, matching, particles
+from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION
+from pca_tools.raw_runs import RawRun, RawRuns
+from pca_tools.statistics import motion_statistics
+from pca_tools.subspace import Subspace
+
+# The truncation error is measured at these numbers of modes, and at the number that is kept.
+FLOOR_MODES = (8, 16, 24, 48)
+SUBSPACE_NAME = 'subspace.npz'
+# DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
+CONNECTIVITY_RADIUS = 0.025
+
+
+@dataclasses.dataclass(frozen=True)
+class EncodedRun:
+    """One run in the subspace, with what its record in the metadata says.
+
+    Attributes:
+        trajectory: the record.
+        parameters: all parameters of the case.
+        details: see `projection_details`.
+        floors: number of modes -> mean squared error in m^2 that so many modes leave.
+        sample: packed particles and their number of frames, see `pca_tools.particles`.
+    """
+
+    trajectory: dataset.Trajectory
+    parameters: dict[str, Any]
+    details: dict[str, float]
+    floors: dict[int, float]
+    sample: tuple[bytes, int]
+
+
+def encode_runs(
+    runs: RawRuns,
+    parts: Mapping[str, Sequence[int]],
+    space: Subspace,
+    n_modes: int,
+    sampled: np.ndarray,
+    progress=lambda sequence, label: sequence,
+) -> dict[str, list[EncodedRun]]:
+    """Projects all runs, one in memory at a time.
+
+    Args:
+        runs: the raw runs.
+        parts: split -> indices into `runs`.
+        space: subspace of at least `n_modes` modes; further ones only give floors.
+        n_modes: r, modes in the records.
+        sampled: int [P], particles to keep as such.
+        progress: wraps the pass, called with the sequence and a label.
+
+    Returns:
+        split -> encoded runs.
+
+    Raises:
+        ValueError: a run is damaged, or its particles are not those of the subspace.
+    """
+    kept = space.truncated(n_modes)
+    spacing = matching.median_spacing(space.initial)
+    encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
+    order = [(name, index) for name, indices in parts.items() for index in indices]
+    for name, index in progress(order, 'encode'):
+        run = runs[index]
+        _refuse_other_particles(run, space, spacing)
+        scores = space.encode(run.positions)
+        kept_scores = np.ascontiguousarray(scores[:, :n_modes])
+        sample = run.positions[:: particles.FRAME_STRIDE, sampled]
+        encoded[name].append(
+            EncodedRun(
+                _make_trajectory(len(encoded[name]), run, kept_scores, runs.scene),
+                {'case': run.case, **run.parameters},
+                projection_details(run.positions, kept, kept_scores),
+                _floors(run.positions, space, scores, n_modes),
+                (particles.pack(sample, space.initial[sampled]), len(sample)),
+            )
+        )
+    return encoded
+
+
+def _refuse_other_particles(run: RawRun, space: Subspace, spacing: float) -> None:
+    """Raises if column i is not the same particle as in the subspace."""
+    if run.positions.shape[1] != space.n_soil:
+        raise ValueError(
+            f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
+        )
+    shift = matching.median_shift(run.positions[0], space.initial)
+    if shift > spacing:
+        raise ValueError(
+            f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
+            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same order '
+            '(then give --match_particles) or not the same packing'
+        )
+
+
+def projection_details(
+    positions: np.ndarray, space: Subspace, scores: np.ndarray
+) -> dict[str, float]:
+    """Measures what is lost between particles and scores.
+
+    Args:
+        positions: [T, N, 3] metres.
+        space: the subspace.
+        scores: [T, r, 3] encoded positions.
+
+    Returns:
+        `projection_mse` in m^2 over frames, particles and axes; `projection_max_mm`, the farthest
+        particle in mm; `motion_mse`, mean square of the displacement from frame 0 in m^2;
+        `motion_kept`, the share of it that lies in the subspace.
+    """
+    residual = positions - space.decode(scores)
+    displacement = positions.astype(np.float64) - positions[0]
+    moved = float(np.mean(displacement**2))
+    kept = float(np.sum((scores - scores[0]) ** 2)) / displacement.size
+    return {
+        'projection_mse': float(np.mean(residual**2)),
+        'projection_max_mm': 1e3 * float(np.sqrt(np.max(np.sum(residual**2, axis=-1)))),
+        'motion_mse': moved,
+        'motion_kept': kept / moved if moved > 0 else 1.0,
+    }
+
+
+def _floors(
+    positions: np.ndarray, space: Subspace, scores: np.ndarray, n_modes: int
+) -> dict[int, float]:
+    """Returns the truncation error of one run against the number of modes, m^2.
+
+    Components are orthonormal: each mode takes its squared scores off the squared distance to the
+    mean.
+    """
+    energy = np.sum((positions - space.mean) ** 2)
+    left = energy - np.cumsum(np.sum(scores**2, axis=(0, 2)))
+    return {
+        count: max(float(left[count - 1]), 0.0) / positions.size
+        for count in sorted({*FLOOR_MODES, n_modes})
+        if count <= space.n_modes
+    }
+
+
+def _make_trajectory(
+    key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
+) -> dataset.Trajectory:
+    prescribed = scene['rigid_motion'] == 'prescribed'
+    rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
+    n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
+    context = run.step_context
+    if context is None and len(run.context):
+        context = np.tile(run.context.astype(np.float32), (len(scores), 1))
+    return dataset.Trajectory(
+        key=key,
+        particle_type=np.repeat(
+            np.int64([rigid_type, dataset.MODE_PARTICLE_ID]), [n_rigid, n_modes]
+        ),
+        position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
+        force=run.force,
+        step_context=context,
+        torque=run.torque,
+        rigid_pose=run.pose,
+    )
+
+
+def make_metadata(
+    runs: RawRuns,
+    encoded: dict[str, list[EncodedRun]],
+    space: Subspace,
+    frame_stride: int,
+    base: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
+    if base is None:
+        moments = motion_statistics([run.trajectory for run in encoded['train']])
+    else:
+        moments = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
+    trajectories = [run.trajectory for part in encoded.values() for run in part]
+    n_frames = max(run.n_frames for run in trajectories)
+    lengths = {name: [run.trajectory.n_frames for run in part] for name, part in encoded.items()}
+    differ = any(run.n_frames != n_frames for run in trajectories)
+
+    return {
+        'schema_version': SCHEMA_VERSION,
+        'scene': runs.scene,
+        'bounds': runs.bounds,
+        'sequence_length': n_frames - 1,
+        'frames_stored': n_frames,
+        # Only where the runs differ in length: sequence_length is then the longest.
+        **({'frames_of_runs': lengths} if differ else {}),
+        'default_connectivity_radius': CONNECTIVITY_RADIUS,
+        'dim': DIM,
+        'dt': runs.dt,
+        'units': {
+            'position': 'm',
+            'force': 'N',
+            'torque': 'N m',
+            'velocity': 'm per frame',
+            'dt': 's',
+        },
+        **moments,
+        'rigid_body_ref_point': None,
+        'particles_rigid': statistics.mode(run.n_rigid for run in trajectories),
+        'mode_number': space.n_modes,
+        'n_soil': space.n_soil,
+        'pca': {
+            'file': SUBSPACE_NAME,
+            'n_modes': space.n_modes,
+            'centering': space.centering,
+            'mean': 'scalar' if space.centering == 'scalar' else 'per_feature',
+            'explained_variance_ratio': space.explained_variance_ratio[: space.n_modes].tolist(),
+            'projection_floor': space.projection_floor(),
+            'frame_stride': frame_stride if base is None else base['pca'].get('frame_stride', 1),
+            'fitted_on': list(space.runs),
+            'digest': space.digest,
+        },
+        'projection_floors': {
+            'modes': list(next(iter(encoded.values()))[0].floors),
+            **{name: _mean_floors(part) for name, part in encoded.items()},
+        },
+        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in encoded},
+        **{
+            key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
+            for key in PROJECTION_KEYS
+        },
+        'dataset_split': {
+            name: [run.parameters['case'] for run in part] for name, part in encoded.items()
+        },
+        'cases': {name: [run.parameters for run in part] for name, part in encoded.items()},
+    }
+
+
+def _mean_floors(part: list[EncodedRun]) -> list[float]:
+    """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
+    return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()

@@ -1,0 +1,220 @@
+"""A sample of the soil's particles beside the records: `particles_<split>.npz`.
+
+Records hold mode scores, which know nothing of what the subspace cuts off. So that every method
+can be judged on particles, and particle methods trained, the converter also keeps a fixed sample of
+the bed: P particles spread over it, every fourth frame, to within 0.02 mm.
+
+A run is stored as whole steps of `resolution` from the rest place, differenced along time, signs
+folded (0, -1, 1, -2 -> 0, 1, 2, 3), byte planes apart, LZMA: most particles rest most of the time,
+so nearly all bytes are 0. Runs are packed one by one and can be read one by one.
+"""
+
+from __future__ import annotations
+
+import lzma
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from pca_tools import files
+
+DIM = 3
+SAMPLE_SIZE = 600
+FRAME_STRIDE = 4
+# Metres; positions are kept to half of it.
+RESOLUTION = 4e-5
+SEED = 0
+# Steps that a folded 32-bit difference can hold: 43 km.
+_MAX_STEPS = 2**30
+_LZMA = [{'id': lzma.FILTER_LZMA2, 'preset': 6 | lzma.PRESET_EXTREME}]
+_KINDS = {
+    'indices': ('i', 1), 'rest': ('f', 2), 'frames': ('i', 1), 'offsets': ('i', 1),
+    'data': ('u', 1), 'frame_stride': ('i', 0), 'resolution': ('f', 0),
+}  # fmt: skip
+
+
+def sample_path(folder: str, split: str) -> str:
+    """Returns the path of a split's particle sample."""
+    return os.path.join(folder, f'particles_{split}.npz')
+
+
+def choose_particles(points: np.ndarray, count: int = SAMPLE_SIZE, seed: int = SEED) -> np.ndarray:
+    """Draws particles that are spread over the bed.
+
+    The points are halved along their longest extent until there are `count` groups of nearly equal
+    size, and one point of each is drawn: no region is missed and none counts twice.
+
+    Args:
+        points: [N, D] positions.
+        count: P; all points are taken where there are not more.
+        seed: of the draws.
+
+    Returns:
+        int32 [P] indices, ascending.
+    """
+    points = np.asarray(points, np.float64)
+    if count >= len(points):
+        return np.arange(len(points), dtype=np.int32)
+    rng = np.random.default_rng(seed)
+    groups = [(np.arange(len(points)), count)]
+    chosen = []
+    while groups:
+        members, wanted = groups.pop()
+        if wanted == 1:
+            chosen.append(int(rng.choice(members)))
+            continue
+        axis = int(np.argmax(np.ptp(points[members], axis=0)))
+        members = members[np.argsort(points[members, axis], kind='stable')]
+        half = wanted // 2
+        cut = max(half, min(len(members) - (wanted - half), len(members) * half // wanted))
+        groups += [(members[:cut], half), (members[cut:], wanted - half)]
+    return np.sort(np.int32(chosen))
+
+
+def pack(positions: np.ndarray, rest: np.ndarray, resolution: float = RESOLUTION) -> bytes:
+    """Packs the positions of one run.
+
+    Args:
+        positions: [F, P, 3] metres.
+        rest: [P, 3] metres; steps are counted from here.
+        resolution: of the steps, metres; `unpack` gives positions to within half of it.
+
+    Raises:
+        ValueError: a particle is farther from rest than a step count can hold.
+    """
+    offset = (np.asarray(positions, np.float64) - rest) / resolution
+    if not np.all(np.abs(offset) < _MAX_STEPS):
+        raise ValueError(
+            f'a particle is {np.abs(offset).max() * resolution:.3g} m from its rest place, which '
+            f'steps of {resolution} m cannot hold'
+        )
+    steps = np.rint(offset).astype(np.int32).transpose(2, 1, 0)  # axis, particle, frame
+    change = np.diff(steps, axis=-1, prepend=np.int32(0))
+    folded = ((change << 1) ^ (change >> 31)).astype('<u4')
+    planes = np.ascontiguousarray(folded.reshape(-1, 1).view(np.uint8).T)
+    return lzma.compress(planes.tobytes(), lzma.FORMAT_RAW, filters=_LZMA)
+
+
+def unpack(data: bytes, n_frames: int, rest: np.ndarray, resolution: float) -> np.ndarray:
+    """Unpacks one run; returns float64 [F, P, 3] metres.
+
+    Raises:
+        ValueError: the bytes are damaged or do not hold `n_frames` frames.
+    """
+    size = 4 * n_frames * rest.size
+    try:
+        decoder = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
+        planes = decoder.decompress(data, size + 1)
+    except lzma.LZMAError as error:
+        raise ValueError(f'packed particles are damaged ({error})') from error
+    if len(planes) != size:
+        raise ValueError(f'packed particles hold {len(planes)} bytes, {size} were expected')
+    planes = np.frombuffer(planes, np.uint8).reshape(4, -1)
+    folded = np.ascontiguousarray(planes.T).view('<u4').reshape(rest.shape[1], len(rest), n_frames)
+    change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
+    steps = np.cumsum(change, axis=-1, dtype=np.int64)
+    return rest + resolution * steps.transpose(2, 1, 0)
+
+
+def write_sample(
+    path: str,
+    packed: Sequence[tuple[bytes, int]],
+    indices: np.ndarray,
+    rest: np.ndarray,
+    frame_stride: int = FRAME_STRIDE,
+    resolution: float = RESOLUTION,
+) -> None:
+    """Writes the packed runs of a split, in the order of its records.
+
+    Args:
+        path: of the file.
+        packed: bytes of `pack` and number of frames F of each run.
+        indices: int [P], which particles.
+        rest: float64 [P, 3] that they were packed with.
+        frame_stride: frames of the record from one kept frame to the next.
+        resolution: that they were packed with.
+    """
+    blobs = [data for data, _ in packed]
+    files.write_npz(
+        path,
+        indices=np.asarray(indices, np.int32),
+        rest=np.asarray(rest, np.float64),
+        frames=np.array([count for _, count in packed], np.int32),
+        offsets=np.cumsum([0, *map(len, blobs)]),
+        data=np.frombuffer(b''.join(blobs), np.uint8),
+        frame_stride=frame_stride,
+        resolution=resolution,
+    )
+
+
+class ParticleSample(Sequence):
+    """The particles of a split, unpacked one run at a time.
+
+    `sample[i]` is float64 [F, P, 3] in metres: particle `indices[p]` in frame `f * frame_stride` of
+    record i, to within half of `resolution`.
+
+    Attributes:
+        indices: int32 [P], columns of the raw runs and rows of the subspace.
+        rest: float64 [P, 3], their places in frame 0 of the first training run, metres.
+        frame_stride: frames of the record from one kept frame to the next.
+        resolution: metres.
+    """
+
+    def __init__(self, path: str):
+        """Reads a file of `write_sample`; nothing is unpacked yet.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is damaged or foreign.
+        """
+        arrays = files.read_npz(path)
+        for name, (kind, ndim) in _KINDS.items():
+            array = arrays.get(name)
+            if array is None or array.dtype.kind != kind or array.ndim != ndim:
+                raise ValueError(f'{path}: is not a particle sample: {name} is missing or foreign')
+        self._path, self._data = path, arrays['data']
+        self._frames, self._offsets = arrays['frames'], arrays['offsets']
+        self.indices, self.rest = arrays['indices'], arrays['rest']
+        self.frame_stride = int(arrays['frame_stride'])
+        self.resolution = float(arrays['resolution'])
+        if (
+            self._data.dtype != np.uint8
+            or self.rest.shape != (len(self.indices), DIM)
+            or not np.all(np.isfinite(self.rest))
+            or not 0 < self.resolution < np.inf
+            or self.frame_stride < 1
+            or np.any(np.diff(self.indices, prepend=-1) < 1)
+            or len(self._offsets) != len(self._frames) + 1
+            or self._offsets[0] != 0
+            or self._offsets[-1] != len(self._data)
+            or np.any(np.diff(self._offsets) < 0)
+            or np.any(self._frames < 1)
+            or np.any(self._frames.astype(np.int64) * self.rest.size * 8 > files.MAX_BYTES)
+        ):
+            raise ValueError(f'{path}: is not a particle sample: its arrays do not fit each other')
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        index = range(len(self))[index]
+        data = self._data[self._offsets[index] : self._offsets[index + 1]].tobytes()
+        try:
+            return unpack(data, int(self._frames[index]), self.rest, self.resolution)
+        except ValueError as error:
+            raise ValueError(f'{self._path}: run {index}: {error}') from error
+
+
+def read_sample(folder: str, split: str) -> ParticleSample:
+    """Opens the particle sample of a split of a dataset.
+
+    Raises:
+        FileNotFoundError: the dataset has none (those made before there were samples).
+        ValueError: it is damaged, or not the one in the manifest.
+    """
+    path = sample_path(folder, split)
+    if not os.path.exists(path):
+        raise FileNotFoundError(f'{path}: this dataset holds no particle sample; convert it again')
+    files.check_manifest(folder, [os.path.basename(path)])
+    return ParticleSample(path)

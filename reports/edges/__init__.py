@@ -1,0 +1,1 @@
+"""Edges between modes: what they are worth, and whether they can be found."""

@@ -1,0 +1,170 @@
+"""How stable is the graph that NRI finds? The same training from several seeds, compared.
+
+Examples:
+    python -m reports nri_stability --data_path=datasets/excavation \\
+        --work_path=/tmp/nri_excavation --output_path=docs/edges/excavation_nri.json
+
+Resumes where it was stopped; a picture (.png) lies beside the JSON. The JSON holds P(edge) of every
+seed, mean over the training runs, and is what `reports edge_ablation --nri_path` takes.
+"""
+
+import itertools
+import os
+
+import numpy as np
+import tensorflow as tf
+from absl import flags
+
+from learning_to_simulate import edge_lists, edge_picture
+from nri import data as nri_data
+from nri import experiment
+from nri.export_edges import edge_posterior, spread
+from nri.model import NriConfig, load_model
+from pca_tools import files
+from reports import command, record
+
+
+def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
+    """Trains NRI from one seed, or finishes it, and returns what it found.
+
+    Args:
+      data_path: dataset folder.
+      model_path: folder of this seed's model.
+      config: the settings, with the seed.
+      threshold: an edge has a probability above it.
+
+    Returns:
+      the row of the seed: P(edge) [V, V] ([receiver][sender], null on the diagonal), spread over
+      the runs, edges above the threshold, test loss and status.
+    """
+    metrics = experiment.train(data_path, model_path, config)
+    model = load_model(model_path)
+    data = nri_data.load(data_path, 'train', config.nodes)
+    posterior = edge_posterior(model, data.features, 0)
+    p = posterior.mean(axis=0)
+    return {
+        'seed': config.seed,
+        'weights': model.digest,
+        'node_names': list(model.node_names),
+        'edges': int((p > threshold).sum()),
+        'status': metrics['test']['status'],
+        'test_loss': metrics['test']['loss'],
+        'seconds': metrics['seconds'],
+        **spread(posterior, threshold),
+        'probabilities': [[None if np.isnan(x) else round(float(x), 5) for x in r] for r in p],
+    }
+
+
+def matrices(rows: list[dict]) -> np.ndarray:
+    """P(edge) of all seeds: float64 [seeds, V, V], NaN on the diagonal."""
+    return np.array([row['probabilities'] for row in rows], np.float64)
+
+
+def compare(rows: list[dict], threshold: float) -> dict:
+    """Agreement of the seeds, each beside what unrelated graphs of the same density would have.
+
+    Args:
+      rows: of `train_seed`.
+      threshold: an edge has a probability above it.
+
+    Returns:
+      dict: mean and range over pairs of seeds of `jaccard` (edges in both over edges in either),
+      of `agreement` (share of node pairs on which both say the same) and of `correlation` of the
+      probabilities; `jaccard_by_chance`, `agreement_by_chance`; `in_all_seeds` and `in_any_seed`,
+      numbers of edges.
+    """
+    p = matrices(rows)[:, ~np.eye(len(rows[0]['node_names']), dtype=bool)]
+    found = p > threshold
+    pairs = list(itertools.combinations(range(len(rows)), 2))
+
+    def over_pairs(function):
+        values = [function(a, b) for a, b in pairs]
+        known = [v for v in values if v is not None]
+        if not known:
+            return None
+        return {'mean': float(np.mean(known)), 'min': min(known), 'max': max(known)}
+
+    def jaccard(a, b):
+        either = int((found[a] | found[b]).sum())
+        return float((found[a] & found[b]).sum() / either) if either else None
+
+    def correlation(a, b):
+        if not (p[a].std() > 0 and p[b].std() > 0):
+            return None
+        return float(np.corrcoef(p[a], p[b])[0, 1])
+
+    density = found.mean(axis=1)
+    both = [density[a] * density[b] for a, b in pairs]
+    neither = [(1 - density[a]) * (1 - density[b]) for a, b in pairs]
+    return {
+        'jaccard': over_pairs(jaccard),
+        'jaccard_by_chance': float(
+            np.mean([x / (1 - y) if y < 1 else 1.0 for x, y in zip(both, neither)])
+        ),
+        'agreement': over_pairs(lambda a, b: float((found[a] == found[b]).mean())),
+        'agreement_by_chance': float(np.mean(np.add(both, neither))),
+        'correlation': over_pairs(correlation),
+        'in_all_seeds': int(found.all(axis=0).sum()),
+        'in_any_seed': int(found.any(axis=0).sum()),
+        'pairs_of_nodes': int(p.shape[1]),
+    }
+
+
+def draw(path: str, result: dict) -> None:
+    """P(edge) of every seed and their mean, senders x receivers.
+
+    Args:
+      path: PNG file.
+      result: what the JSON holds.
+    """
+    rows = result['seeds']
+    figure, axes = edge_picture.new_figure(len(rows) + 1)
+    p = matrices(rows)
+    titles = [f'seed {r["seed"]}: {r["edges"]} edges, {r["entropy_bits"]:.2f} bits' for r in rows]
+    for axis, matrix, title in zip(axes[0], [*p, p.mean(axis=0)], [*titles, 'mean over seeds']):
+        edge_picture.show_matrix(axis, matrix, rows[0]['node_names'])
+        axis.set_title(title, fontsize=10)
+    edge_picture.save(path, figure)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
+    flags.DEFINE_string('work_path', None, 'Folder for the models.', required=True)
+    flags.DEFINE_string('output_path', None, 'JSON file of the result.', required=True)
+    flags.DEFINE_integer('seeds', 5, 'Trainings to compare.', 2)
+    flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
+    flags.DEFINE_enum('nodes', 'modes', nri_data.NODE_KINDS, 'Nodes of the graph.')
+    flags.DEFINE_integer('epochs', 8, 'Epochs of each training.', 1)
+    flags.DEFINE_integer('hidden', 32, 'Width of all layers.', 1)
+    flags.DEFINE_integer('window', 49, 'Frames that the encoder sees.', 2)
+    flags.DEFINE_integer('stride', 2, 'Frames of the data between two of them.', 1)
+    flags.DEFINE_integer('batch_size', 16, 'Windows in a batch.', 1)
+    flags.DEFINE_float('learning_rate', 1e-3, 'Learning rate.', 0.0)
+
+
+def main(v, _) -> None:
+    """Runs the command."""
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    names = ('nodes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate')
+    settings = {name: getattr(v, name) for name in names}
+    rows = []
+    for seed in range(v.seeds):
+        config = NriConfig(**settings, seed=seed, decay_start=v.epochs, decay_epochs=v.epochs)
+        model_path = os.path.join(v.work_path, f'seed_{seed}')
+        rows.append(train_seed(v.data_path, model_path, config, v.threshold))
+    result = record.provenance(1) | {
+        'digests': edge_lists.data_digests(v.data_path),
+        'settings': settings | {'threshold': v.threshold},
+        'compared': compare(rows, v.threshold),
+        'seeds': rows,
+    }
+    os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
+    files.write_json(v.output_path, result)
+    draw(os.path.splitext(v.output_path)[0] + '.png', result)
+    for name, value in result['compared'].items():
+        print(f'{name:22s} {value}')
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

@@ -1,0 +1,238 @@
+"""Damaged and forged versions of valid files, each a function of one random generator.
+
+`damage` changes bytes as disks, transfers and editors do. `forge` changes what the file says and
+makes its checksums right again, as somebody with bad intentions would: what a reader must then
+judge is the content.
+"""
+
+import copy
+import io
+import json
+import math
+import random
+import re
+import struct
+import zipfile
+
+import numpy as np
+
+from pca_tools.tfrecord_io import masked_crc32c
+
+_INTEGERS = (0, 1, -1, 127, 255, 256, 2**15, 2**31 - 1, 2**31, 2**32, 2**36, 2**62, 2**63, 2**64)
+_VALUES: tuple = (
+    None, True, False, 0, 1, -1, 3, 0.5, 1e-320, 1e308, -1e308, math.nan, math.inf, 2**31, 2**53,
+    2**70, -(2**70), 1e400, '', 'x', '0', '../../etc/passwd', '\ud800', [], {}, [[]], [0], [None],
+    {'a': 1}, 'x' * 3000,
+)  # fmt: skip
+_POINTER = b'version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 190515362\n'
+
+
+def damage(data: bytes, rng: random.Random) -> bytes:
+    """One to three changes of bytes."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        data = rng.choice(_DAMAGES)(data, rng)
+    return data
+
+
+def _flip(data, rng):
+    changed = bytearray(data)
+    if changed:
+        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def _span(data, rng):
+    start = rng.randrange(len(data) + 1)
+    return start, min(start + rng.choice((1, 2, 4, 8, 16, 64, 1000)), len(data))
+
+
+def _truncate(data, rng):
+    return data[: rng.randrange(len(data) + 1)]
+
+
+def _cut(data, rng):
+    start, end = _span(data, rng)
+    return data[:start] + data[end:]
+
+
+def _repeat(data, rng):
+    start, end = _span(data, rng)
+    return data[:end] + data[start:end] * rng.choice((1, 2, 50)) + data[end:]
+
+
+def _zero(data, rng):
+    start, end = _span(data, rng)
+    return data[:start] + bytes(end - start) + data[end:]
+
+
+def _noise(data, rng):
+    start, end = _span(data, rng)
+    return data[:start] + rng.randbytes(end - start) + data[end:]
+
+
+def _insert(data, rng):
+    start = rng.randrange(len(data) + 1)
+    return data[:start] + rng.randbytes(rng.choice((1, 7, 64))) + data[start:]
+
+
+def _append(data, rng):
+    return data + rng.choice((b'\n' * 7, bytes(64), rng.randbytes(20), data[:100], data))
+
+
+def _number(data, rng):
+    value, size = rng.choice(_INTEGERS), rng.choice((2, 4, 8))
+    start = rng.randrange(len(data) + 1)
+    number = (value % 2 ** (8 * size)).to_bytes(size, rng.choice(('little', 'big')))
+    return data[:start] + number + data[start + size :]
+
+
+def _splice(data, rng):
+    start, other = rng.randrange(len(data) + 1), rng.randrange(len(data) + 1)
+    return data[:start] + data[other:]
+
+
+def _replace_whole(data, rng):
+    return rng.choice((b'', _POINTER, b'\x89PNG\r\n', bytes(len(data)), rng.randbytes(200)))
+
+
+_DAMAGES = (
+    _flip, _flip, _flip, _truncate, _cut, _repeat, _zero, _noise, _insert, _append, _number,
+    _number, _splice, _replace_whole,
+)  # fmt: skip
+
+
+def forge(name: str, data: bytes, rng: random.Random) -> bytes:
+    """Changes the content of a file by its kind, with right checksums.
+
+    Args:
+        name: file name; its ending says the kind.
+        data: valid content.
+        rng: of the change.
+    """
+    ending = name.rpartition('.')[2]
+    kinds = {'json': _forge_json, 'npz': _forge_npz, 'npy': _forge_npy}
+    return (kinds | {'tfrecord': _forge_records}).get(ending, damage)(data, rng)
+
+
+def _forge_json(data, rng):
+    root = [json.loads(data)]
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        places = [(root, 0)]
+        _collect(root[0], places)
+        parent, key = rng.choice(places)
+        action = rng.randrange(6)
+        if action == 0 and parent is not root:
+            del parent[key]
+        elif action == 1 and isinstance(parent, list):
+            parent.insert(rng.randrange(len(parent) + 1), copy.deepcopy(parent[key]))
+        elif action == 2 and isinstance(parent[key], (int, float)):
+            factor = rng.choice((-1, 0, 2, 1000, 1e-30))
+            parent[key] = parent[key] * factor
+        elif action == 3 and isinstance(parent, dict):
+            parent[rng.choice(('x', 'case', '__class__', ''))] = copy.deepcopy(parent[key])
+        elif action == 4:
+            other, index = rng.choice(places)
+            parent[key] = copy.deepcopy(other[index])
+        else:
+            parent[key] = copy.deepcopy(rng.choice(_VALUES))  # later changes go into it
+    text = json.dumps(root[0])
+    if rng.random() < 0.02:  # deeper than any parser's stack
+        text = text[:-1] + ', "deep": ' + '[' * 5000 + ']' * 5000 + '}'
+    return text.encode('utf-8', 'surrogatepass')
+
+
+def _collect(value, places):
+    """Appends (container, key) of everything inside a JSON value."""
+    if isinstance(value, (dict, list)):
+        for key in list(value) if isinstance(value, dict) else range(len(value)):
+            places.append((value, key))
+            _collect(value[key], places)
+
+
+def _forge_npz(data, rng):
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    name = rng.choice(sorted(members))
+    action = rng.randrange(8)
+    if action == 0:
+        del members[name]
+    elif action == 1:
+        members[rng.choice(('evil.npy', '../evil.npy', '/evil.npy', 'evil.py'))] = members[name]
+    elif action == 2:
+        members[name] = members[rng.choice(sorted(members))]
+    else:
+        members[name] = _forge_npy(members[name], rng)
+    methods = (zipfile.ZIP_DEFLATED,) * 6 + (zipfile.ZIP_STORED, zipfile.ZIP_BZIP2)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, 'w', rng.choice(methods)) as archive:
+        for member, content in members.items():
+            archive.writestr(member, content)
+    forged = stream.getvalue()
+    if rng.random() < 0.1:  # lie about sizes, flags and methods in the directory of the archive
+        at = forged.rindex(b'PK\x01\x02') + rng.choice((8, 10, 20, 24, 42))
+        number = rng.choice(_INTEGERS) % 2**32
+        forged = forged[:at] + struct.pack('<I', number) + forged[at + 4 :]
+    return forged
+
+
+def _forge_npy(data, rng):
+    action = rng.randrange(5)
+    if action == 0:
+        return damage(data, rng)
+    if action == 1:  # another shape or type in the header, padded to the same length
+        head = data[: data.index(b'\n') + 1]
+        shape = rng.choice(
+            ('(9,)', '()', '(0,)', '(-1,)', '(1000000, 1000000)', '(0, 10000000000000000000000)')
+        )
+        text = re.sub(rb'\([^)]*\)', shape.encode(), head, count=1)
+        if rng.random() < 0.5:
+            kind = rng.choice(('<f2', '|O', '<U0', '|V0', '<c16', '>f8', '|b1', '<M8[s]', '<U9'))
+            text = re.sub(rb"'descr': '[^']*'", f"'descr': '{kind}'".encode(), text, count=1)
+        text = text.rstrip(b' \n')[:117].ljust(len(head) - 1) + b'\n'
+        return text[:8] + struct.pack('<H', len(text) - 10) + text[10:] + data[len(head) :]
+    array = np.load(io.BytesIO(data))
+    flat = array.reshape(-1).copy()
+    if action == 2 and flat.size and array.dtype.kind in 'fiu':
+        values = np.array([0, -1, 1e30, math.nan, math.inf, 7, 1e-30])
+        with np.errstate(all='ignore'):
+            flat[rng.randrange(flat.size)] = values[rng.randrange(7)].astype(array.dtype)
+        changed = flat.reshape(array.shape)
+    elif action == 3 and array.ndim:
+        end = rng.randrange(len(array) + 1)
+        changed = rng.choice((array[:end], array[None], array.T, np.repeat(array, 2, axis=0)))
+    else:
+        kinds = ('f2', 'f8', 'i4', 'c16', 'U3', 'S3', 'b1', 'M8[s]')
+        try:
+            with np.errstate(all='ignore'):
+                changed = array.astype(rng.choice(kinds))
+        except (ValueError, TypeError):
+            changed = np.zeros(array.shape, rng.choice(kinds))
+    stream = io.BytesIO()
+    np.save(stream, changed)
+    return stream.getvalue()
+
+
+def _forge_records(data, rng):
+    payloads, offset = [], 0
+    while offset < len(data):
+        (length,) = struct.unpack_from('<Q', data, offset)
+        payloads.append(data[offset + 12 : offset + 12 + length])
+        offset += 16 + length
+    action, at = rng.randrange(8), rng.randrange(len(payloads))
+    if action == 0:  # a length that the file does not have, under a right checksum
+        header = struct.pack('<Q', rng.choice(_INTEGERS) % 2**64)
+        lie = header + struct.pack('<I', masked_crc32c(header))
+        return b''.join(map(_framed, payloads[:at])) + lie + payloads[at]
+    if action == 1:
+        payloads.insert(at, rng.choice(payloads))
+    elif action == 2:
+        del payloads[at]
+    else:
+        payloads[at] = damage(payloads[at], rng)
+    return b''.join(map(_framed, payloads))
+
+
+def _framed(payload):
+    header = struct.pack('<Q', len(payload))
+    crc = struct.pack('<I', masked_crc32c(header))
+    return header + crc + payload + struct.pack('<I', masked_crc32c(payload))

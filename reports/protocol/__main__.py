@@ -1,0 +1,257 @@
+"""Judges methods by the protocol: per run, in full space, over seeds, against all baselines.
+
+Train fits the baselines, valid chooses (the median seed, the ridge), test is only judged. Models
+are rolled out by `learning_to_simulate.train --mode=eval_rollout`, each in a process of its own.
+
+Examples:
+    # the shipped models of both scenes and all baselines: docs/protocol/<scene>.json and tables
+    python -m reports.protocol --work_path=/tmp/protocol --output_path=docs/protocol
+
+    # and five seeds of an MLP, trained here; a second call goes on
+    python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/tmp/protocol \\
+        --output_path=docs/protocol
+
+    # other models: folders under one name are seeds of one method
+    python -m reports.protocol --data_path=datasets/wheel --model=mine=/tmp/a --model=mine=/tmp/b \\
+        --work_path=/tmp/protocol --output_path=/tmp/judged
+
+    # tables of documents again, from their JSON; --check only says where they differ
+    python -m reports.protocol --update=docs/protocol.md
+"""
+
+import glob
+import os
+
+import numpy as np
+import tqdm
+from absl import flags
+
+from pca_tools import dataset, files
+from reports import command, record
+from reports.protocol import baselines, documents, rollouts, run_errors, tables
+from reports.protocol.truth import TruthReader
+
+SPLITS = ('valid', 'test')
+SCHEMA_VERSION = 1
+
+
+def data_facts(reader: TruthReader, truths: dict) -> dict:
+    """What the judged data are."""
+    names = ['train', *SPLITS]
+    first = truths[SPLITS[0]][0]
+    return {
+        'path': os.path.relpath(reader.folder, record.ROOT),
+        'version': reader.metadata.get('data_version', 1),
+        'train_runs': len(dataset.read_split(reader.folder, 'train')),
+        'sha256': {
+            f'{n}.tfrecord': files.sha256_of_file(dataset.split_path(reader.folder, n))
+            for n in names
+        },
+        'truth': _truth_in_words(first),
+        'spacing_mm': 1e3 * first.spacing,
+        'modes': reader.metadata['mode_number'],
+    }
+
+
+def _truth_in_words(truth):
+    count, frames = truth.particles.shape[1], np.unique(np.diff(truth.frames)).tolist()
+    text = f'{count} particles in every {frames[0]}. frame' if frames != [1] else (
+        f'{count} particles in every frame'
+    )  # fmt: skip
+    if truth.source == 'decoded':
+        text += (
+            ', decoded from the modes; what the modes cut off is added to errors of whole runs, '
+            'horizons are within the modes'
+        )
+    return text
+
+
+def run_facts(truth) -> dict:
+    """What tables say of a run."""
+    return {
+        'record': truth.record,
+        'case': truth.case,
+        'kind': truth.kind,
+        'motion_mm': truth.motion,
+        'truncation_mm': truth.truncation,
+    }
+
+
+def clean(errors: dict) -> dict:
+    """Errors of a run as JSON: what is not finite is None, and counts as failed."""
+    if isinstance(errors, dict):
+        return {k: clean(v) for k, v in errors.items()}
+    return None if isinstance(errors, float) and not np.isfinite(errors) else errors
+
+
+def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
+    """Runs and errors of all methods.
+
+    Args:
+      reader: of the dataset.
+      methods: dicts of `name`, `baseline`, `about` and `seeds`: dicts of `seed`, `source` and
+        `predictions` (split -> `RunPrediction` per record).
+      progress: wraps the list of runs.
+
+    Returns:
+      `data`, `runs` (split -> facts of each run) and `methods` with the errors of every run in
+      place of the predictions.
+    """
+    judged = [
+        {k: m[k] for k in ('name', 'baseline', 'about')}
+        | {
+            'seeds': [
+                {'seed': s['seed'], 'source': s['source'], 'runs': {n: [] for n in SPLITS}}
+                for s in m['seeds']
+            ]
+        }
+        for m in methods
+    ]
+    runs = {split: [] for split in SPLITS}
+    first = {}
+    for split in SPLITS:
+        indices = reader.indices(split)
+        for truth in progress(reader.read(split)):
+            first.setdefault(split, [truth])
+            runs[split].append(run_facts(truth))
+            for method, out in zip(methods, judged, strict=True):
+                for seed, row in zip(method['seeds'], out['seeds'], strict=True):
+                    prediction = seed['predictions'][split][truth.record]
+                    errors = run_errors.run_errors(prediction, truth, reader, indices)
+                    row['runs'][split].append(clean(errors))
+    return {'data': data_facts(reader, first), 'runs': runs, 'methods': judged}
+
+
+def _models_of(scene, values):
+    """name -> model folders, from --model or the shipped ones of the scene."""
+    found: dict[str, list] = {}
+    given = values.model
+    if not given:
+        shipped = sorted(glob.glob(os.path.join(record.ROOT, 'models', scene, '*')))
+        given = [f'{os.path.basename(path)}={path}' for path in shipped]
+    for item in given:
+        name, _, path = item.partition('=')
+        if not path:
+            raise ValueError(f'--model={item}: NAME=FOLDER was expected')
+        found.setdefault(name, []).append(path)
+    for preset in values.train:
+        folder = os.path.join(values.work_path, 'models', scene)
+        found[preset] = [
+            os.path.join(folder, f'{preset}_{seed}') for seed in range(values.num_seeds)
+        ]
+    return found
+
+
+def _model_method(name, paths, data_path, reader, values, scene):
+    """A method of the seeds of one model; those of --train are trained first."""
+    seeds = []
+    for i, path in enumerate(paths):
+        if name in values.train:
+            print(f'training {name}, seed {i}: {path}', flush=True)
+            rollouts.train(data_path, path, [f'--preset={name}', f'--seed={i}', '--num_threads=1'])
+        config = files.read_json(os.path.join(path, 'config.json'))
+        predictions = {}
+        for split in SPLITS:
+            print(f'rolling out {name}, {os.path.basename(path)}, {split}', flush=True)
+            folder = rollouts.roll_out(
+                data_path, path, split, os.path.join(values.work_path, 'rollouts', scene)
+            )
+            count = len(dataset.read_split(data_path, split))
+            predictions[split] = rollouts.read(folder, split, count, reader.metadata)
+        shipped = os.path.abspath(path).startswith(record.ROOT + os.sep)
+        seeds.append(
+            {
+                'seed': config.get('config', {}).get('seed'),
+                'source': os.path.relpath(path, record.ROOT) if shipped else 'trained for this',
+                'predictions': predictions,
+            }
+        )
+    about = {'preset': config.get('config', {}).get('preset')}
+    return {'name': name, 'baseline': False, 'about': about, 'seeds': seeds}
+
+
+def protocol(data_path: str, values) -> dict:
+    """The document of one dataset; see `judge`."""
+    reader = TruthReader(data_path)
+    scene = reader.metadata.get('scene', {}).get('name', os.path.basename(data_path))
+    print(f'{data_path}: fitting baselines', flush=True)
+    methods = [
+        {
+            'name': b.name,
+            'baseline': True,
+            'about': b.about,
+            'seeds': [
+                {
+                    'seed': None,
+                    'source': 'fitted for this',
+                    'predictions': {n: baselines.predictions(b, reader, n) for n in SPLITS},
+                }
+            ],
+        }
+        for b in baselines.fit_all(reader)
+    ]
+    for name, paths in _models_of(scene, values).items():
+        methods.append(_model_method(name, paths, data_path, reader, values, scene))
+
+    def progress(runs):
+        return tqdm.tqdm(runs, unit='run', desc='judging', disable=None)
+
+    document = {
+        'schema_version': SCHEMA_VERSION,
+        'scene': scene,
+        'file': os.path.basename(values.output_path.rstrip('/')) + f'/{scene}.json',
+        'record': record.provenance(),
+        **judge(reader, methods, progress),
+    }
+    return tables.complete(document)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_multi_string(
+        'data_path', ['datasets/excavation', 'datasets/wheel'], 'Dataset folder; may be repeated.'
+    )
+    flags.DEFINE_multi_string(
+        'model', [], 'NAME=FOLDER of a trained model; a name may be repeated with its seeds. '
+        'Default: models/<scene>/*.'
+    )  # fmt: skip
+    flags.DEFINE_list('train', [], 'Presets that are trained here, with several seeds.')
+    flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
+    flags.DEFINE_string('work_path', None, 'Folder for trainings and rollouts; calls resume.')
+    flags.DEFINE_string('output_path', None, 'Folder for <scene>.json.')
+    flags.DEFINE_multi_string('update', [], 'Document whose tables are made again.')
+    flags.DEFINE_bool('check', False, 'With --update: write nothing, fail where tables differ.')
+
+
+def main(values, _) -> int:
+    """Runs the command; returns the exit code."""
+    if values.update:
+        return _documents(values.update, values.check)
+    if not values.work_path or not values.output_path:
+        raise ValueError('--work_path and --output_path are needed (or --update)')
+    os.makedirs(values.output_path, exist_ok=True)
+    for data_path in values.data_path:
+        document = protocol(data_path, values)
+        path = os.path.join(values.output_path, f'{document["scene"]}.json')
+        files.write_json(path, document)
+        for quantity in document['summary']['test']['all']:
+            print(f'\n{document["scene"]}, test, {quantity}')
+            print(tables.quantity_table(document, 'test', quantity))
+        print(f'wrote {path}', flush=True)
+    return 0
+
+
+def _documents(paths, check):
+    wrong = 0
+    for path in paths:
+        if not check:
+            print(f'{path}: {documents.update(path)} tables written')
+            continue
+        for mark in documents.differences(path):
+            print(f'{path}: {mark}: the table is not what the JSON says')
+            wrong += 1
+    return 1 if wrong else 0
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

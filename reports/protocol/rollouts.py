@@ -1,0 +1,154 @@
+"""Rollouts of trained models, as the files that `train --mode=eval_rollout` writes: the same for
+every method of the registry."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from pca_tools import dataset, files
+from reports.protocol.run_errors import RunPrediction
+from reports.record import ROOT
+
+_TRAIN = [sys.executable, '-m', 'learning_to_simulate.train']
+
+
+def train(data_path: str, model_path: str, flags: list[str]) -> None:
+    """Trains a model, goes on where its training ended, or finds it done; see `_run`."""
+    if not _is_trained(model_path):
+        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
+
+
+def _is_trained(model_path):
+    """Whether the last checkpoint of a network is that of its last step; a process that only says
+    so would take as long to start as a rollout."""
+    path = os.path.join(model_path, 'config.json')
+    if not os.path.exists(path):
+        return False
+    config = files.read_json(path).get('config', {})
+    total = config.get('num_steps', 0) + config.get('unroll_steps', 0)
+    return total > 0 and os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
+
+
+def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
+    """Rolls a model out over a split; returns the folder of its files.
+
+    The folder is named by what the model is, so a second call finds it done; metrics.json is the
+    last file to be written.
+    """
+    digest = files.sha256_of_file(os.path.join(model_path, 'config.json'))[:6]
+    weights = [n for n in sorted(os.listdir(model_path)) if n.endswith('.npz')]
+    digest += ''.join(files.sha256_of_file(os.path.join(model_path, n))[:6] for n in weights)
+    output = os.path.join(folder, f'{os.path.basename(model_path)}_{digest}', split)
+    if not os.path.exists(os.path.join(output, 'metrics.json')):
+        _run(
+            [
+                '--mode=eval_rollout',
+                f'--data_path={data_path}',
+                f'--model_path={model_path}',
+                f'--eval_split={split}',
+                f'--output_path={output}',
+            ]
+        )
+    return output
+
+
+def _run(flags):
+    """Runs `learning_to_simulate.train`.
+
+    Raises:
+      ValueError: it failed; the message holds its last lines.
+    """
+    done = subprocess.run([*_TRAIN, *flags], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        tail = '\n'.join((done.stdout + done.stderr).strip().splitlines()[-5:])
+        raise ValueError(f'learning_to_simulate.train {" ".join(flags)} failed:\n{tail}')
+
+
+def read(folder: str, split: str, n_run: int, metadata: dict) -> list[RunPrediction]:
+    """The predictions of a folder of rollout files, in the order of the records.
+
+    A method that predicts particles and no modes writes them beside DeepMind's keys as
+    `predicted_particles` [F, P, 3], `particle_frames` [F] (numbers of the record's frames) and
+    `particle_indices` [P].
+
+    Raises:
+      FileNotFoundError: a run has no file.
+      ValueError: a file holds neither the modes of the dataset nor particles.
+    """
+    return [
+        _prediction(os.path.join(folder, f'rollout_{split}_{record}.npz'), metadata)
+        for record in range(n_run)
+    ]
+
+
+def _prediction(path, metadata):
+    arrays = files.read_npz(path)
+    if lacking := {'predicted_rollout', 'particle_types'} - arrays.keys():
+        raise ValueError(f'{path}: lacks {sorted(lacking)}')
+    nodes = arrays['predicted_rollout'].astype(np.float64)
+    soil = arrays['particle_types'] == dataset.MODE_PARTICLE_ID
+    particles = modes = None
+    if 'predicted_particles' in arrays:
+        particles = _lookup(path, arrays)
+    elif soil.sum() == metadata['mode_number']:
+        modes = nodes[:, soil]
+    else:
+        raise ValueError(
+            f'{path}: holds {soil.sum()} soil nodes and no predicted_particles; the dataset has '
+            f'{metadata["mode_number"]} modes'
+        )
+    up = metadata.get('scene', {}).get('up_axis', 1)
+    force, torque = (
+        arrays[key].astype(np.float64) if key in arrays else None
+        for key in ('predicted_forces', 'predicted_torques')
+    )
+    return RunPrediction(
+        modes=modes,
+        particles=particles,
+        force=force,
+        height=nodes[:, ~soil, up].mean(axis=1) if (~soil).any() else None,
+        torque=torque,
+        status=str(arrays['status']) if 'status' in arrays else None,
+    )
+
+
+def _lookup(path, arrays):
+    """The predicted particles as a function of frames and particle indices."""
+    stored = arrays['predicted_particles'].astype(np.float64)
+    frames, indices = arrays['particle_frames'], arrays['particle_indices']
+    if stored.shape[:2] != (len(frames), len(indices)):
+        raise ValueError(
+            f'{path}: predicted_particles {stored.shape} for {len(frames)} frames and '
+            f'{len(indices)} particles'
+        )
+
+    def at(wanted_frames, wanted_indices):
+        missing = set(wanted_frames.tolist()) - set(frames.tolist())
+        missing_particles = set(wanted_indices.tolist()) - set(indices.tolist())
+        if missing or missing_particles:
+            raise ValueError(
+                f'{path}: lacks {len(missing)} frames (such as {sorted(missing)[:3]}) and '
+                f'{len(missing_particles)} particles of the truth'
+            )
+        row = {int(f): i for i, f in enumerate(frames)}
+        column = {int(p): i for i, p in enumerate(indices)}
+        rows = [row[int(f)] for f in wanted_frames]
+        return stored[np.ix_(rows, [column[int(p)] for p in wanted_indices])]
+
+    return at
+
+
+def from_open_loop(prediction, group, run: int, scene) -> RunPrediction:
+    """One run of an `open_loop.Prediction`; what the method does not predict is None."""
+    said, n_rigid = prediction.predicts, group.n_rigid
+    position = prediction.position[run]
+    return RunPrediction(
+        modes=position[:, n_rigid:] if 'soil' in said else None,
+        force=prediction.force[run] if 'force' in said else None,
+        height=position[:, :n_rigid, scene.up_axis].mean(axis=1) if 'height' in said else None,
+        torque=prediction.torque[run]
+        if 'torque' in said and prediction.torque is not None
+        else None,
+    )

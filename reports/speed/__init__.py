@@ -1,0 +1,1 @@
+"""Times: rollouts, live steps, training; what a rollout leaves out."""

@@ -1,0 +1,1 @@
+"""The cases of `reports stability_report`, one file per part of the project."""

@@ -1,0 +1,134 @@
+"""Where solver, subspace, network and NRI are stable, where they refuse, and where they fail.
+
+Experiments, not assertions (those are in tests/stiff): a line per case with outcome, figure and
+threshold, as Markdown and JSON, with pictures.
+
+Examples:
+    python -m reports stability_report --quick --output_path=/tmp/stability   # 1 model, minutes
+
+    # the report in docs/stability; solver runs outside the training range are kept in work_path
+    python -m reports stability_report --output_path=docs/stability --work_path=/tmp/truths
+
+    python -m reports stability_report --parts=nri,subspace --output_path=/tmp/stability
+"""
+
+import os
+import tempfile
+import time
+
+import tqdm
+from absl import flags
+
+from pca_tools import files
+from reports import command, record
+from reports.stability import (
+    cases,
+    extrapolation_cases,
+    network_cases,
+    nri_cases,
+    pictures,
+    rollout_cases,
+    solver_cases,
+    subspace_cases,
+)
+
+PARTS = {
+    'solver': lambda quick, bar, work: solver_cases.run_all(quick, bar),
+    'subspace': lambda quick, bar, work: subspace_cases.run_all(quick, bar),
+    'rollouts': lambda quick, bar, work: rollout_cases.run_all(quick, bar),
+    'extrapolation': extrapolation_cases.run_all,
+    'network': lambda quick, bar, work: network_cases.run_all(quick, bar),
+    'nri': lambda quick, bar, work: nri_cases.run_all(quick, bar),
+}
+REPORT, DATA = 'stability.md', 'stability.json'
+
+
+def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -> list[cases.Case]:
+    """Runs the parts and writes table, JSON and pictures; returns the rows.
+
+    Args:
+        parts: keys of `PARTS`.
+        is_quick: one model, short runs, no solver truth.
+        output_path: folder.
+        work_path: folder for solver runs, used again if they are there.
+
+    Raises:
+        ValueError: an unknown part.
+    """
+    if unknown := set(parts) - PARTS.keys():
+        raise ValueError(f'unknown parts {sorted(unknown)}; there are {", ".join(PARTS)}')
+    os.makedirs(output_path, exist_ok=True)
+    rows: list[cases.Case] = []
+    curves: dict = {}
+    seconds: dict[str, float] = {}
+    for part in parts:
+        started = time.process_time()
+
+        def bar(items, part=part):
+            return tqdm.tqdm(items, desc=part, disable=None, leave=False)
+
+        new, drawn = PARTS[part](is_quick, bar, work_path)
+        rows += new
+        curves |= drawn
+        seconds[part] = round(time.process_time() - started, 1)
+        write(rows, curves, seconds, is_quick, output_path)
+    return rows
+
+
+def write(rows, curves: dict, seconds: dict, is_quick: bool, output_path: str) -> None:
+    """Writes JSON, pictures and Markdown of the parts that are done.
+
+    Args:
+        rows: of all parts so far.
+        curves: by name, for the pictures.
+        seconds: CPU time of each part.
+        is_quick: named in the text.
+        output_path: folder.
+    """
+    values = {'cpu_seconds': seconds, 'rows': rows, 'curves': curves}
+    document = record.provenance() | cases.to_json(values)
+    files.write_json(os.path.join(output_path, DATA), document)
+    names = pictures.draw_all(curves, output_path)
+    command = 'python -m reports stability_report' + (' --quick' if is_quick else '')
+    text = [
+        '# Stability report',
+        '',
+        f'Written by `{command} --output_path=...`; do not edit. Figures and curves: `{DATA}`.',
+        '',
+        summary(rows),
+        '',
+        cases.markdown(rows),
+        *(f'![{name[:-4].replace("_", " ")}]({name})' for name in names),
+        '',
+    ]
+    files.write_text(os.path.join(output_path, REPORT), '\n'.join(text))
+
+
+def summary(rows: list[cases.Case]) -> str:
+    """How many rows of each outcome, as a sentence."""
+    outcomes = [row.outcome for row in rows]
+    counts = (f'{outcomes.count(outcome)} {outcome}' for outcome in dict.fromkeys(outcomes))
+    return f'{len(rows)} cases: ' + ', '.join(counts) + '.'
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_bool('quick', False, 'One model, short runs, no solver truth.')
+    flags.DEFINE_string('output_path', None, 'Folder of the report.', required=True)
+    flags.DEFINE_string('work_path', None, 'Keeps solver runs, to be used again.')
+    flags.DEFINE_list('parts', list(PARTS), 'Which parts to run.')
+    flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
+
+
+def main(values, _) -> int:
+    """Runs the command; exit code 1 if a case fails that was promised to hold."""
+    with tempfile.TemporaryDirectory() as folder:
+        rows = report(values.parts, values.quick, values.output_path, values.work_path or folder)
+    print(cases.markdown(rows))
+    print(summary(rows))
+    print(f'wrote {os.path.join(values.output_path, REPORT)}')
+    return int(any(row.outcome == cases.FAILS for row in rows))
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

@@ -1,0 +1,85 @@
+"""The published motions against their definition and their records."""
+
+import numpy as np
+import pytest
+
+from mpm import bodies, scenes
+from mpm.motions import grid
+
+
+def test_first_motion_is_ramp_cut_ramp():
+    times = np.arange(0, 30, 0.01)
+    path = grid.blade_displacement(1, 0.05, 0.1, times)
+    assert path[:, 1].min() == pytest.approx(-0.05)
+    velocity = np.diff(path, axis=0) / 0.01
+    np.testing.assert_allclose(velocity[50], [-0.025, -0.025], atol=1e-12)
+    np.testing.assert_allclose(velocity[400], [-0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(velocity[700], [-0.025, 0.025], atol=1e-12)
+    np.testing.assert_allclose(path[-1], [-0.5, 0.0], atol=1e-12)
+
+
+def test_second_motion_is_half_an_ellipse():
+    times = np.linspace(0, 10, 1001)
+    path = grid.blade_displacement(2, 0.08, 0.1, times)
+    on_ellipse = ((path[:, 0] + 0.2) / 0.2) ** 2 + (path[:, 1] / 0.08) ** 2
+    np.testing.assert_allclose(on_ellipse, 1.0, atol=1e-12)
+    assert path[:, 0].min() == pytest.approx(-0.38)
+    np.testing.assert_allclose(np.diff(path[100:300, 0]), -0.001, atol=1e-12)
+
+
+def test_published_blade_motion():
+    """Travel between stored frames of published records (float32 files, four decimals)."""
+    # Case 213, motion 1 at 4 cm/s: from frame 80 to 160 of the record, 0.0333 m down and forward.
+    path = grid.blade_displacement(1, 0.10, 0.04, np.array([80.0, 160.0]) / 60)
+    np.testing.assert_allclose(path[1] - path[0], [-0.0333, -0.0333], atol=1e-4)
+    # Case 186, motion 2 at 10 cm/s, frames 80 and 160 (record: 0.7005 and 0.5672).
+    path = grid.blade_displacement(2, 0.08, 0.10, np.array([80.0, 160.0]) / 60)
+    assert path[1, 0] - path[0, 0] == pytest.approx(0.5672 - 0.7005, abs=1e-4)
+
+
+def test_unknown_motion_is_refused():
+    with pytest.raises(ValueError, match='motion'):
+        grid.blade_displacement(3, 0.1, 0.1, np.zeros(1))
+
+
+@pytest.mark.parametrize(('slip', 'ratio'), [(20, 0.2), (40, 0.385), (70, 0.7)])
+@pytest.mark.parametrize('diameter', [0.05, 0.15, 0.3])
+def test_wheel_slips_as_much_as_it_says(slip, ratio, diameter):
+    parameters = scenes.WHEEL.parameters(122) | {'slip_percent': slip, 'diameter_m': diameter}
+    drive = grid.make_drive(scenes.WHEEL, parameters)
+    first, second = drive.pose(np.array([0.0, 1.0]))
+    travel, turn = first[0] - second[0], second[2] - first[2]
+    assert 1 - travel / (turn * diameter / 2) == pytest.approx(ratio, abs=0.001)
+
+
+@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
+def test_bodies_stay_within_the_bounds(scene):
+    """Every case, at every frame, with a margin of a cell."""
+    times = np.arange(scenes.FRAMES) / scenes.FRAME_RATE
+    low, high = np.array(scene.bin.bounds).T
+    for case in range(1, scene.case_count + 1):
+        drive = grid.make_drive(scene, scene.parameters(case))
+        poses = drive.pose(times)
+        for x, y, theta in poses[[0, 80, 160, 240, 320]]:
+            if drive.load is not None:
+                y = scene.bin.surface + drive.body.radius
+            points = bodies.sample_points(drive.body, x, y, theta)
+            assert (points > low + scene.bin.dx).all() and (points < high - scene.bin.dx).all()
+
+
+@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
+def test_pose_rests_before_time_zero(scene):
+    drive = grid.make_drive(scene, scene.parameters(scene.demo_case))
+    poses = drive.pose(np.array([-0.8, -0.01, 0.0, 0.5]))
+    np.testing.assert_array_equal(poses[:2], poses[[2, 2]])
+    assert (poses[3] != poses[2]).any()
+
+
+def test_blade_leans_back_by_its_angle():
+    parameters = scenes.EXCAVATION.parameters(1) | {'angle_deg': 30.8}
+    drive = grid.make_drive(scenes.EXCAVATION, parameters)
+    rows = bodies.sample_points(drive.body, *drive.pose(np.zeros(1))[0]).reshape(4, 5, 3)
+    rise = rows[-1, 0] - rows[0, 0]
+    assert np.degrees(np.arctan2(rise[0], rise[1])) == pytest.approx(30.8)
+    with pytest.raises(ValueError, match='60.0'):
+        grid.make_drive(scenes.EXCAVATION, parameters | {'angle_deg': 61.0})

@@ -1,0 +1,82 @@
+"""Whether a change of the code changes what the shipped models compute, to the last bit.
+
+Rolls every shipped model out over the test split of its dataset, trains a small model for a few
+steps of both stages, and keeps the sha256 of the results. Bits are those of one machine: other
+processors round differently. Before and after a change:
+
+  python -m tests.rollout_bits --write=/tmp/bits.json
+  python -m tests.rollout_bits --compare=/tmp/bits.json
+"""
+
+import argparse
+import glob
+import hashlib
+import json
+import sys
+
+import numpy as np
+
+from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate.evaluation import Evaluator
+from learning_to_simulate.training import Trainer
+from pca_tools import dataset
+
+
+def _digest(*arrays):
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def of_rollouts(path: str) -> str:
+    """Digest of all test rollouts of the model in a folder `models/<dataset>/<preset>`."""
+    data_path = 'datasets/' + path.split('/')[1]
+    model, metadata, groups = experiment.load_for_evaluation(path, data_path, 'test', {})
+    evaluator = Evaluator(model, metadata)
+    rollouts = [evaluator.roll_out(group) for group in groups]
+    return _digest(*(a for r in rollouts for a in (r.position, r.force)))
+
+
+def of_training(data_path: str, steps: int = 3) -> str:
+    """Digest of the weights after some steps of both training stages."""
+    unrolled = {'unroll_length': 3, 'unroll_steps': steps, 'unroll_noise': 0.5}
+    config = presets.make_config('pcg', latent_size=16, num_steps=steps, **unrolled)
+    metadata = dataset.read_metadata(data_path)
+    groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
+    model = experiment.make_model(data_path, metadata, groups, config)
+    trainer = Trainer(model, groups)
+    for step in range(2 * steps):
+        trainer.step(step)
+    return _digest(
+        *(v.numpy() for v in (*model.simulator.trainable_variables, *trainer.averaging.variables))
+    )
+
+
+def main():
+    """Runs the command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--write', help='JSON file to keep the digests in')
+    parser.add_argument('--compare', help='JSON file of before; a difference ends with exit code 1')
+    parser.add_argument('--no_training', action='store_true', help='rollouts only')
+    args = parser.parse_args()
+    found = {path: of_rollouts(path) for path in sorted(glob.glob('models/*/*'))}
+    if not args.no_training:
+        for data_path in sorted(glob.glob('datasets/*')):
+            found[f'training on {data_path}'] = of_training(data_path)
+    before = {}
+    if args.compare:
+        with open(args.compare, encoding='utf-8') as file:
+            before = json.load(file)
+    for name, value in found.items():
+        word = '' if name not in before else 'same' if before[name] == value else 'CHANGED'
+        print(f'{name:36s} {value[:16]} {word}')
+    if args.write:
+        with open(args.write, 'w', encoding='utf-8') as file:
+            json.dump(found, file, indent=1)
+    if any(before.get(name, value) != value for name, value in found.items()):
+        sys.exit('error: bits have changed')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,29 @@
+"""The demonstration: its table, and what it refuses."""
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from run_scripts import demo
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def test_demo_table_leaves_out_what_a_row_lacks():
+    text = demo.table('wheel', 7, [{'method': 'solver', 's per simulated s': 12.0}])
+    title, _, _, row = text.splitlines()
+    cells = [cell.strip() for cell in row.strip('|').split('|')]
+    assert title == 'wheel, case 7' and cells == ['solver', '-', '-', '-', '-', '12', '-']
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [(['--scenes=moon'], 'unknown scene'), (['--cases=1,2', '--scenes=wheel'], '2 cases for 1')],
+)
+def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, message):
+    command = [sys.executable, '-m', 'run_scripts.demo', f'--output_path={tmp_path}', *arguments]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode != 0 and message in done.stderr and 'Traceback' not in done.stderr
+    assert not list(tmp_path.iterdir())
