@@ -7,10 +7,16 @@ hard requirement would break one of the installs. `constraints.txt` pins the set
 """
 
 import pathlib
+import re
 
 import setuptools
 
 README = pathlib.Path(__file__).with_name('README.md')
+
+VERSION = re.search(
+    r"__version__ = '(.*)'",
+    pathlib.Path(__file__).with_name('learning_to_simulate').joinpath('_version.py').read_text(),
+)[1]
 
 EXTRAS = {
     'cpu': ['tensorflow-cpu>=2.21,<2.22'],
@@ -19,12 +25,12 @@ EXTRAS = {
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
     'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
     'vtk': ['vtk>=9.4'],
-    'dev': ['pre-commit', 'pytest', 'pytest-xdist', 'ruff'],
+    'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
 
 setuptools.setup(
     name='learning-to-simulate-soil',
-    version='0.1.0',
+    version=VERSION,
     description='Graph-network simulation of granular soil driven by a rigid body',
     long_description=README.read_text(encoding='utf-8') if README.exists() else '',
     long_description_content_type='text/markdown',
@@ -67,4 +73,5 @@ setuptools.setup(
         'tqdm>=4.66',
     ],
     extras_require=EXTRAS,
+    entry_points={'console_scripts': ['lts = learning_to_simulate.cli:main']},
 )

@@ -12,7 +12,16 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PACKAGES = ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'reports', 'run_scripts', 'storage', 'cluster')
+PACKAGES = (
+    'learning_to_simulate',
+    'mpm',
+    'nri',
+    'pca_tools',
+    'reports',
+    'run_scripts',
+    'storage',
+    'cluster',
+)
 MAX_LINES = 400
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
