@@ -153,8 +153,8 @@ def _make_trajectory(
     prescribed = scene['rigid_motion'] == 'prescribed'
     rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
     n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
-    context = None
-    if len(run.context):
+    context = run.step_context
+    if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
     return dataset.Trajectory(
         key=key,

@@ -17,13 +17,15 @@ from pca_tools.matching import median_spacing
 from pca_tools.metadata import DIM, RIGID_MOTIONS
 
 AXES = ('x', 'y', 'z')
-# Arrays with a first axis of frames -> number of axes, length of the last one.
+# Arrays with a first axis of frames -> number of axes, length of the last one (None: one value for
+# each of the scene's context_names).
 SERIES = {
     'positions': (3, DIM),
     'rigid_positions': (3, DIM),
     'force': (2, DIM),
     'torque': (2, DIM),
     'pose': (2, 7),
+    'step_context': (2, None),
 }
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
@@ -137,6 +139,7 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
         if name not in arrays or (name == 'rigid_positions' and scene['rigid_motion'] == 'none'):
             continue
         values = arrays[name]
+        width = width or len(scene['context_names'])
         if (
             values.dtype.kind not in 'fiu'
             or values.ndim != ndim

@@ -40,10 +40,10 @@ def write_raw(
             [T, N, D] is needed; the rest is optional, but the same in all runs:
             `rigid_positions` [T, R, D] points fixed to the body, `force` [T, D] and `torque`
             [T, 3] on it, its `pose` [T, 7] (position, quaternion w x y z), `context` (name ->
-            number, one value per run), `case` (id; default its index), `split` (train, valid or
-            test), `kind`, and `parameters` (anything JSON can hold). Metres, newtons; D = 2 or 3,
-            a third coordinate of 0 is added to 2. T and R may differ from run to run, N may not:
-            particle i is the same particle in all runs.
+            number), `step_context` [T, C] where that changes in time, `case` (id; default its
+            index), `split` (train, valid or test), `kind`, and `parameters` (anything JSON can
+            hold). Metres, newtons; D = 2 or 3, a third coordinate of 0 is added to 2. T and R may
+            differ from run to run, N may not: particle i is the same particle in all runs.
         dt: seconds from frame to frame.
         up_axis: axis against gravity, 0, 1, 2 or 'x', 'y', 'z'.
         body: what is known of the body's motion beforehand: 'prescribed' (all), 'driven' (rotation

@@ -1,0 +1,51 @@
+"""What the documents show runs as it is written."""
+
+import importlib.util
+import pathlib
+import re
+
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate import api
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+
+
+def _example(name):
+    path = ROOT / 'examples' / f'{name}.py'
+    module = importlib.util.module_from_spec(
+        spec := importlib.util.spec_from_file_location(name, path)
+    )
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_live_stepping(capsys):
+    frame = _example('live_stepping').main(0.5)
+    assert frame.status == 'ok' and frame.force[0] > 0
+    assert 'surface between' in capsys.readouterr().out
+
+
+def test_rollout(tmp_path):
+    pytest.importorskip('matplotlib')
+    rollout, recorded = _example('rollout').main(str(tmp_path))
+    assert rollout.status == 'ok' and recorded.truth is not None
+    assert {p.name for p in tmp_path.iterdir()} == {'dig.npz', 'dig.png'}
+
+
+def test_lines_of_the_python_page(tmp_path, monkeypatch):
+    """As written, but for the length of the training."""
+    pytest.importorskip('matplotlib')
+    text = (ROOT / 'docs' / 'python_api.md').read_text(encoding='utf-8')
+    code = re.search(r'```python\n(.*?)```', text, re.S)[1]
+    monkeypatch.chdir(tmp_path)
+    preset = api.preset
+    short = {'num_steps': 2, 'unroll_steps': 0}
+    monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
+    assert lts.preset('pcg').num_steps == 2
+    values = {}
+    exec(code, values)
+    assert values['frame'].status == values['rollout'].status == 'ok'
+    assert {p.name for p in tmp_path.iterdir()} == {'dig.gif', 'dig.npz', 'my_model'}
+    assert lts.load('my_model').config.latent_size == 32
