@@ -65,7 +65,7 @@ class Model:
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
             self._layouts[n_rigid] = Layout(
-                adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
+                adjacency, n_rigid, s.scene, s.statistics, s.config.loss_by_motion
             )
         return self._layouts[n_rigid]
 

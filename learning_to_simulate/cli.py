@@ -24,6 +24,7 @@ COMMANDS = {
     'export': ('learning_to_simulate.export', [], 'writes a SavedModel, LiteRT or ONNX model'),
     'add-start': ('learning_to_simulate.add_start', [], 'makes an old model folder self-contained'),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
+    'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
     'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),
     'inspect': ('pca_tools.inspect', [], 'what is in a dataset, and what is wrong with it'),
     'modes': ('pca_tools.plot_modes', [], 'draws a subspace: energy, errors, modes'),

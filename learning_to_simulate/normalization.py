@@ -19,6 +19,8 @@ from learning_to_simulate.scene import RigidMotion, Scene
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
 STD_FLOOR = 1e-3
+# A spread below this share of a force's size is the rounding of float32 records.
+FORCE_ROUNDING = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,14 +161,14 @@ def compute_statistics(
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
     # Loads and gravities span decades: a network sees both x and log x of a positive context.
-    logarithm = config.conditioned and context is not None and (context > 0).all()
+    logarithm = config.statistics_by_class and context is not None and (context > 0).all()
     for name, function in (('mean', np.mean), ('std', np.std)):
         values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
-        if config.conditioned
+        if config.statistics_by_class
         else _dataset_wide(metadata, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
@@ -267,10 +269,15 @@ def _by_node_class(positions, velocities, force, origin, r):
         'displacement_mean': displacement_mean,
         'displacement_std': _floored(displacement_std),
         'force_mean': None if force is None else force.mean(axis=0),
-        'force_std': None
-        if force is None
-        else np.full(force.shape[1], max(force.std(axis=0).max(), np.finfo(float).tiny)),
+        'force_std': None if force is None else np.full(force.shape[1], _force_spread(force)),
     }
+
+
+def _force_spread(force):
+    """The loudest axis' standard deviation, N, which all axes share; of a force that never changes
+    (a body in the air), which has no spread to count in, 1 N."""
+    spread = force.std(axis=0).max()
+    return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
 def _targets(values, heights, scene, config):
@@ -282,7 +289,7 @@ def _targets(values, heights, scene, config):
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
-    if heights is not None and config.conditioned:
+    if heights is not None and config.statistics_by_class:
         # The body's height moves far less than the particles of a turning wheel do.
         change = np.concatenate(
             [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]

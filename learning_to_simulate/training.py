@@ -76,8 +76,8 @@ class _GroupTensors:
             self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
             if relative_force:
                 size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
-                size = np.maximum(size, FORCE_FLOOR * size.max())
-                weight = (statistics.force_std[0] / size) ** 2
+                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
+                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
             else:
                 weight = np.ones(self.n_run)
             self.force_weight = tf.constant(weight, tf.float32)
@@ -176,7 +176,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_force=self.config.conditioned,
+                relative_force=self.config.relative_force_loss,
             )
             for g in groups
         ]
@@ -184,7 +184,7 @@ class Trainer:
         self._share = np.cumsum(runs / runs.sum())
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
+            self.learning_rate, global_clipnorm=self.config.clip_norm
         )
         self.optimizer.build(self.simulator.trainable_variables)
         self._model = model

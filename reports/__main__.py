@@ -11,6 +11,7 @@ import sys
 # Name -> module, and what it answers.
 REPORTS = {
     'results_table': ('results_table', 'errors of the shipped models beside the trivial ones'),
+    'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
     'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
     'error_vs_runtime': ('work_precision.report', 'error against run time: table, pictures'),

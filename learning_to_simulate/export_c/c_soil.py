@@ -88,6 +88,21 @@ class Soil:
         return cls(library, model, kernel)
 
     @property
+    def model(self) -> int:
+        """Address of the `lts_model`, for another run of it."""
+        return self._model
+
+    @property
+    def address(self) -> int:
+        """Of the `lts_instance`, for calls of lts.h that have no method here."""
+        return self._soil
+
+    @property
+    def n_soil(self) -> int:
+        """N; 0 without a subspace."""
+        return self._n_soil
+
+    @property
     def digest(self) -> str:
         """sha256 of all numbers of the model."""
         return self._digest

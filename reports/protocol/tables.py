@@ -18,7 +18,7 @@ def _about(document, method):
 def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -> str:
     """Median, mean, worst of all methods in one quantity, and over each baseline the geometric mean
     of the ratios and the wins."""
-    rows = document['summary'][split][kind].get(quantity, {})
+    rows = document['summary'][split][kind][quantity]
     baselines = [m['name'] for m in document['methods'] if m['baseline'] and m['name'] in rows]
     header = ['method', 'median', 'mean', 'worst']
     header += [f'over {name}' for name in baselines]

@@ -23,9 +23,10 @@ import tensorflow as tf
 from absl import flags
 
 from learning_to_simulate import connectivity_utils, experiment, reading_utils
+from learning_to_simulate.features import EMBEDDING_SIZE
 from learning_to_simulate.folded_simulator import FoldedSimulator
 from learning_to_simulate.folded_step import FoldedStep
-from learning_to_simulate.learned_simulator import EMBEDDING_SIZE, Layout
+from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.step_form import PlainStep
@@ -118,7 +119,7 @@ class Explanation:
         if layout.n_edge == layout.n_node**2:
             return
         full = connectivity_utils.fully_connected(layout.n_node)
-        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.conditioned)
+        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.loss_by_motion)
         yield self._on_top('edges that the graph does not have', 'full', model, group, full)
 
     def _rigid_particles(self, model, data_path, metadata, group):

@@ -88,6 +88,7 @@ def test_parameters_say_what_was_run(coarse_excavation, excavation_packing, shor
     assert (p['case'], p['kind'], p['path_seed'], p['split']) == ('stops_0001', 'stops', 1, 'train')
     assert p['solver_version'] == versions.SOLVER_VERSION
     assert p['data_version'] == versions.DATA_VERSION
+    assert p['penetration_deepest_cells'] >= 0.0 and p['penetration_inside'] >= 0
     assert p['blade_width_m'] in (0.30, 0.457) and p['solver_cpu_s'] > 0.0
     new = run.run_case(coarse_excavation, 'stops_9001', excavation_packing, Settings())
     assert new.parameters['split'] is None
