@@ -35,7 +35,7 @@ def main(folder: str = 'own', **settings):
     rng = np.random.default_rng(1)
     runs = (run(depth, speed) for depth, speed in rng.uniform([0.02, 0.1], [0.08, 0.4], (6, 2)))
     write_raw(raw, runs, dt=1 / 60, up_axis='y', body='prescribed')
-    convert.convert(raw, data, modes=4)
+    convert.convert(raw, data)
     dataset = lts.Dataset(data)
     trained = lts.train(lts.preset('pcg', **settings), dataset, model)
     errors = trained.evaluate(dataset.test)
