@@ -33,9 +33,7 @@ class Body(NamedTuple):
         radius: m.
         half_width: across, m.
         z_middle: z of the reference point, m; it never moves.
-        front_shift: m, how far behind the middle the line lies that parts front from back.
         friction: Coulomb coefficient between body and soil.
-        outset: where contact begins, cells outside the surface (see `grid_update.contact`).
         points: float64 [R, 3], sample points relative to the reference point (m).
     """
 
@@ -43,9 +41,7 @@ class Body(NamedTuple):
     radius: float
     half_width: float
     z_middle: float
-    front_shift: float
     friction: float
-    outset: float
     points: np.ndarray
 
     @property
@@ -75,11 +71,7 @@ def make_blade(z_middle: float, width: float = BLADE_WIDTH) -> Body:
         for row in range(4)
         for column in range(5)
     ]
-    # Three quarters of the thickness count as front: the face that pushes then always holds a
-    # whole row of nodes, and no soil passes through the blade.
-    return Body(
-        length, radius, width / 2, z_middle, radius / 2, BLADE_FRICTION, 0.5, np.array(points)
-    )
+    return Body(length, radius, width / 2, z_middle, BLADE_FRICTION, np.array(points))
 
 
 def make_wheel(diameter: float, z_middle: float) -> Body:
@@ -101,7 +93,7 @@ def make_wheel(diameter: float, z_middle: float) -> Body:
         for side in (-1.0, 1.0)
         for angle in angles
     ]
-    return Body(0.0, radius, width / 2, z_middle, 0.0, WHEEL_FRICTION, 1.0, np.array(points))
+    return Body(0.0, radius, width / 2, z_middle, WHEEL_FRICTION, np.array(points))
 
 
 def wheel_edges() -> tuple:
@@ -132,24 +124,28 @@ def sample_points(body: Body, x: float, y: float, theta: float) -> np.ndarray:
 
 
 @numba.njit(inline='always', **JIT)
-def signed_distance(body, px, py, pz):
+def signed_distance(body, sine, cosine, rx, ry, z):
     """Signed distance (m, negative inside) and outward normal of the nearest face.
 
     Args:
         body: `Body`.
-        px, py, pz: position in the body's own frame (m).
+        sine, cosine: of its angle.
+        rx, ry: position relative to the reference point (m).
+        z: absolute z (m).
 
     Returns:
-        (distance, nx, ny, nz), the normal in the body's frame. Inside, the distance is exact;
-        outside, a lower bound.
+        (distance, nx, ny, nz). Exact, but for a lower bound outside of the rims between the round
+        surface and the two flat ends.
     """
-    beyond = py - min(max(py, 0.0), body.length)
-    distance = math.sqrt(beyond * beyond + px * px) - body.radius
-    side = abs(pz) - body.half_width
+    # In the body's own frame: `along` the segment, `beyond` its ends.
+    along, ahead = ry * cosine - rx * sine, rx * cosine + ry * sine
+    beyond = along - min(max(along, 0.0), body.length)
+    norm = math.sqrt(beyond * beyond + ahead * ahead)
+    distance = norm - body.radius
+    side = abs(z - body.z_middle) - body.half_width
     if side > distance:
-        return side, 0.0, 0.0, 1.0 if pz > 0.0 else -1.0
-    across = px - body.front_shift
-    norm = math.sqrt(beyond * beyond + across * across)
+        return side, 0.0, 0.0, 1.0 if z > body.z_middle else -1.0
     if norm == 0.0:
-        return distance, -1.0, 0.0, 0.0
-    return distance, across / norm, beyond / norm, 0.0
+        return distance, -cosine, -sine, 0.0
+    ahead, beyond = ahead / norm, beyond / norm
+    return distance, ahead * cosine - beyond * sine, ahead * sine + beyond * cosine, 0.0

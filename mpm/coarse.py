@@ -9,7 +9,6 @@ import dataclasses
 
 import numpy as np
 
-from mpm import columns
 from mpm.scenes import Bin, Scene
 
 # Planes of particles stand at most so many cells apart (1.07 in the fine excavation). The wheel's
@@ -67,5 +66,4 @@ def thinned(packed: tuple[np.ndarray, dict], scene: Scene) -> tuple[np.ndarray, 
     """Returns a settled packing (`packing.settle`) with the particles that the scene simulates."""
     particles, statistics = packed
     particles = particles[:: scene.bin.simulate_every].copy()
-    particles[:, columns.IDENTITY] = np.arange(len(particles))
     return particles, statistics | {'particles': len(particles)}

@@ -14,17 +14,18 @@ for _name in sorted(os.listdir(_FOLDER)):
     if _name.endswith('.py'):
         with open(os.path.join(_FOLDER, _name), 'rb') as _file:
             _source = _file.read()
-        if b'@numba.njit' in _source:
+        if b'@numba.njit' in _source or b'@intrinsic' in _source:
             _digest.update(_source)
 numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest()[:16])
 
 # Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
 # (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular
-# fluidity, number of the particle. One row is three cache lines.
-X, V, C, S, VOLUME_RATIO, FLUIDITY, IDENTITY, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 24
+# fluidity, GRIP: how far the body has dragged its contact with the particle (see `contact`).
+# Row i is particle i, always. Kernels work on the transpose of the rows that are awake.
+X, V, C, S, VOLUME_RATIO, FLUIDITY, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 26
 
 # Status codes of `solver.advance`.
-OK, LEFT_GRID = 0, 1
+OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
 
 # Fused multiply-adds only: leave to reorder sums made the gather a third slower and hides NaN.
 JIT = dict(cache=True, fastmath={'contract'}, error_model='numpy')

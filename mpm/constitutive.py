@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numba
 
-from mpm.columns import FLUIDITY, JIT, VOLUME_RATIO, C, S
+from mpm.columns import FLUIDITY, JIT, VOLUME_RATIO, S
 
 
 class Soil(NamedTuple):
@@ -44,6 +44,7 @@ NONLOCAL_TIME = 1.0e-4
 # Fluidity (1/s) from which flow starts: zero would be a fixed point. Creep at it is 1e-4 a second.
 FLUIDITY_SEED = 1.0e-4
 POISSON_RATIO = 0.3
+TINY = 1e-300  # keeps 0 / 0 away
 
 
 def friction_coefficient(friction_angle_deg: float) -> float:
@@ -93,25 +94,18 @@ def make_soil(youngs_modulus: float, mu_s: float, poisson_ratio: float = POISSON
 
 
 @numba.njit(inline='always', **JIT)
-def relax_local(tau_trial, p, dt, soil):
-    """Returns the relaxed tau (Pa) of the local mu(I) law, implicit in the step `dt`.
+def relax_local(tau_trial, p, a, soil):
+    """Returns the relaxed tau (Pa) of the local mu(I) law, implicit in the step dt.
 
     The positive root of tau = tau_trial - G dt gamma_dot(tau, p), where mu(I) = tau / p
-    (Dunatunga and Kamrin 2015, eq. 4.6); written so that nothing cancels.
+    (Dunatunga and Kamrin 2015, eq. 4.6), with a = G I0 dt sqrt(p / rho_s) / d (Pa); written so that
+    nothing cancels.
     """
-    if tau_trial <= soil.mu_s * p:
-        return tau_trial
     s2 = soil.mu_2 * p
-    a = (
-        soil.shear_modulus
-        * soil.inertial_number_0
-        * dt
-        * math.sqrt(p / soil.grain_density)
-        / soil.grain_diameter
-    )
     b = s2 + tau_trial + a
     h = s2 * tau_trial + soil.mu_s * p * a
-    return 2.0 * h / (b + math.sqrt(max(b * b - 4.0 * h, 0.0)))
+    flowing = 2.0 * h / max(b + math.sqrt(max(b * b - 4.0 * h, 0.0)), TINY)
+    return tau_trial if tau_trial <= soil.mu_s * p else flowing
 
 
 @numba.njit(inline='always', **JIT)
@@ -132,52 +126,77 @@ def fluidity_source(g, tau, p, soil):
 @numba.njit(inline='always', **JIT)
 def relax_nonlocal(tau_trial, p, g, dt, soil):
     """Returns the relaxed tau (Pa) for a granular fluidity `g`: gamma_dot = g tau / p."""
-    return tau_trial * p / (p + soil.shear_modulus * dt * g)
+    return tau_trial * p / max(p + soil.shear_modulus * dt * g, TINY)
 
 
 @numba.njit(inline='always', **JIT)
 def pressure_of(ratio, bulk_modulus):
     """Pressure (Pa) of soil at `ratio` of its packed volume: linear in density, no tension."""
-    if ratio >= 1.0:
-        return 0.0
-    return bulk_modulus * (1.0 / ratio - 1.0)
+    return max(bulk_modulus * (1.0 / ratio - 1.0), 0.0)
 
 
-@numba.njit(inline='always', **JIT)
-def update_stress(q, dt, soil, fluidity, g_new):
-    """Elastic trial stress of one particle row `q` from its velocity gradient, then relaxation."""
-    trace = q[C] + q[C + 4] + q[C + 8]
-    ratio = q[VOLUME_RATIO] * (1.0 + dt * trace)
-    q[VOLUME_RATIO] = ratio
-    p = pressure_of(ratio, soil.bulk_modulus)
-    if p <= 0.0:
-        for a in range(6):
-            q[S + a] = 0.0
-        q[FLUIDITY] = 0.0
-        return
-    # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.
-    h = 0.5 * dt
-    wxy, wyz, wzx = h * (q[C + 1] - q[C + 3]), h * (q[C + 5] - q[C + 7]), h * (q[C + 6] - q[C + 2])
-    sxx, syy, szz = q[S], q[S + 1], q[S + 2]
-    sxy, syz, szx = q[S + 3], q[S + 4], q[S + 5]
-    g2 = 2.0 * soil.shear_modulus * dt
-    third = trace / 3.0
-    txx = sxx + 2.0 * (wxy * sxy - wzx * szx) + g2 * (q[C] - third)
-    tyy = syy + 2.0 * (wyz * syz - wxy * sxy) + g2 * (q[C + 4] - third)
-    tzz = szz + 2.0 * (wzx * szx - wyz * syz) + g2 * (q[C + 8] - third)
-    g1 = soil.shear_modulus * dt
-    txy = sxy + wxy * (syy - sxx) - wzx * syz + wyz * szx + g1 * (q[C + 1] + q[C + 3])
-    tyz = syz + wyz * (szz - syy) - wxy * szx + wzx * sxy + g1 * (q[C + 5] + q[C + 7])
-    tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (q[C + 6] + q[C + 2])
-    tau = math.sqrt(0.5 * (txx * txx + tyy * tyy + tzz * tzz) + txy * txy + tyz * tyz + tzx * tzx)
-    if fluidity is not None:
-        g_new = max(g_new, FLUIDITY_SEED)
-        relaxed = relax_nonlocal(tau, p, g_new, dt, soil)
-        q[FLUIDITY] = g_new + dt * fluidity_source(g_new, relaxed, p, soil)
-    else:
-        relaxed = relax_local(tau, p, dt, soil)
-    factor = 1.0
-    if tau > 0.0:
-        factor = relaxed / tau
-    q[S], q[S + 1], q[S + 2] = factor * txx, factor * tyy, factor * tzz
-    q[S + 3], q[S + 4], q[S + 5] = factor * txy, factor * tyz, factor * tzx
+@numba.njit(**JIT)
+def update_stress(q, start, stop, gradient, stress, dt, soil, damping_time, fluidity):
+    """Elastic trial stress of particles from their velocity gradients, then relaxation.
+
+    Written without branches, so that several particles share a vector register.
+
+    Args:
+        q: float64 [COLUMNS, n]: deviator, volume ratio and fluidity are updated.
+        start, stop: which columns.
+        gradient: float64 [9, stop - start], velocity gradients (1/s), row by row.
+        stress: float64 [6, stop - start], filled with the stress that acts: sigma + damping_time
+            d sigma / dt (Pa; xx yy zz xy yz zx).
+        dt: s.
+        soil: `Soil`.
+        damping_time: s, see `stability.damping_time`.
+        fluidity: None: local mu(I); anything else: the granular fluidity relaxes the stress.
+    """
+    h, g1 = 0.5 * dt, soil.shear_modulus * dt
+    rate = soil.shear_modulus * soil.inertial_number_0 * dt
+    rate /= math.sqrt(soil.grain_density) * soil.grain_diameter
+    lead = damping_time / dt
+    for n in range(start, stop):
+        c = n - start
+        lxx, lxy, lxz = gradient[0, c], gradient[1, c], gradient[2, c]
+        lyx, lyy, lyz = gradient[3, c], gradient[4, c], gradient[5, c]
+        lzx, lzy, lzz = gradient[6, c], gradient[7, c], gradient[8, c]
+        trace = lxx + lyy + lzz
+        before = pressure_of(q[VOLUME_RATIO, n], soil.bulk_modulus)
+        ratio = q[VOLUME_RATIO, n] * (1.0 + dt * trace)
+        q[VOLUME_RATIO, n] = ratio
+        p = pressure_of(ratio, soil.bulk_modulus)
+        # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.
+        wxy, wyz, wzx = h * (lxy - lyx), h * (lyz - lzy), h * (lzx - lxz)
+        sxx, syy, szz = q[S, n], q[S + 1, n], q[S + 2, n]
+        sxy, syz, szx = q[S + 3, n], q[S + 4, n], q[S + 5, n]
+        third = trace / 3.0
+        txx = sxx + 2.0 * (wxy * sxy - wzx * szx) + 2.0 * g1 * (lxx - third)
+        tyy = syy + 2.0 * (wyz * syz - wxy * sxy) + 2.0 * g1 * (lyy - third)
+        tzz = szz + 2.0 * (wzx * szx - wyz * syz) + 2.0 * g1 * (lzz - third)
+        txy = sxy + wxy * (syy - sxx) - wzx * syz + wyz * szx + g1 * (lxy + lyx)
+        tyz = syz + wyz * (szz - syy) - wxy * szx + wzx * sxy + g1 * (lyz + lzy)
+        tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (lzx + lxz)
+        shear = txy * txy + tyz * tyz + tzx * tzx
+        tau = math.sqrt(0.5 * (txx * txx + tyy * tyy + tzz * tzz) + shear)
+        if fluidity is not None:
+            g = max(q[FLUIDITY, n], FLUIDITY_SEED)
+            relaxed = relax_nonlocal(tau, p, g, dt, soil)
+            g += dt * fluidity_source(g, relaxed, p, soil)
+            q[FLUIDITY, n] = g if p > 0.0 else 0.0
+        else:
+            relaxed = relax_local(tau, p, rate * math.sqrt(p), soil)
+        # Soil without pressure carries nothing: p = 0 gives relaxed = 0.
+        factor = relaxed / max(tau, TINY)
+        txx, tyy, tzz = factor * txx, factor * tyy, factor * tzz
+        txy, tyz, tzx = factor * txy, factor * tyz, factor * tzx
+        q[S, n], q[S + 1, n], q[S + 2, n] = txx, tyy, tzz
+        q[S + 3, n], q[S + 4, n], q[S + 5, n] = txy, tyz, tzx
+        # The rate of the relaxed stress damps elastic waves and leaves steady flow alone.
+        p += lead * (p - before) if p > 0.0 else 0.0
+        stress[0, c] = txx - p + lead * (txx - sxx)
+        stress[1, c] = tyy - p + lead * (tyy - syy)
+        stress[2, c] = tzz - p + lead * (tzz - szz)
+        stress[3, c] = txy + lead * (txy - sxy)
+        stress[4, c] = tyz + lead * (tyz - syz)
+        stress[5, c] = tzx + lead * (tzx - szx)

@@ -6,10 +6,12 @@ import math
 import numba
 import numpy as np
 
-from mpm import bodies, columns, packing, solver, stability
+from mpm import bodies, columns, packing
 from mpm.constitutive import Soil, make_soil, update_stress
-from mpm.grid_update import update_grid
+from mpm.grid import Grid, make_grid
+from mpm.grid_update import start_nodes
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene
+from mpm.solver import EXCHANGE, Solver, make_block, make_nodes
 from mpm.transfers import particles_to_grid
 
 
@@ -56,30 +58,48 @@ class Experiment:
 
     Attributes:
         particles: float64 [N, COLUMNS], free of stress and at rest at first.
-        grid: `packing.Grid`.
-        dt: time step, s (the CFL limit unless `steps_per_second` says otherwise).
-        impulse: float64 [6], N s and N m s given to the body so far, the second about its
-            reference point.
+        solver: `solver.Solver`; its `steps` and `dt` are those of the CFL limit.
     """
 
-    def __init__(self, room: Bin, block: Bin, soil: Soil, lift: float = 0.0, smooth_sides=False):
-        """Fills the lower corner of `room` with `block`, raised by `lift` m."""
-        self.soil = soil
-        grid = packing.make_grid(room)
-        walls = grid.walls[:5] + (int(smooth_sides),)
-        self.grid = packing.Grid(grid.shape, grid.origin, grid.dx, walls)
-        self.volume = packing.particle_volume(block)
+    def __init__(
+        self,
+        room: Bin,
+        block: Bin,
+        soil: Soil,
+        lift: float = 0.0,
+        smooth_sides: bool = False,
+        steps: int = 0,
+    ):
+        """Fills the lower corner of `room` with `block`, raised by `lift` m.
+
+        Args:
+            room: the box.
+            block: the soil in it.
+            soil: what it is.
+            lift: m.
+            smooth_sides: whether the walls across z are smooth.
+            steps: per exchange interval; 0: from the CFL limit.
+        """
+        grid = make_grid(room)
+        grid = grid._replace(walls=grid.walls[:5] + (int(smooth_sides),))
         self.particles = packing.lattice(block, seed=0)
         self.particles[:, 1] += lift
-        self.dt = stability.max_time_step(soil, room.dx)
-        self.impulse = np.zeros(6)
-        self._work = np.zeros(4 * grid.nodes)
-        self._status = np.zeros(3, dtype=np.int64)
+        self.solver = Solver(grid, soil, packing.particle_volume(block), steps)
+
+    @property
+    def grid(self) -> Grid:
+        """The background grid."""
+        return self.solver.grid
 
     @property
     def mass(self) -> float:
         """Mass of one particle, kg."""
-        return self.volume * self.soil.bulk_density
+        return self.solver.volume * self.solver.soil.bulk_density
+
+    @property
+    def impulse(self) -> np.ndarray:
+        """Impulse given to the body so far [6]: N s, and N m s about its reference point."""
+        return self.solver.impulse
 
     def momentum(self) -> np.ndarray:
         """Returns the momentum [3] of the soil, N s."""
@@ -87,65 +107,58 @@ class Experiment:
 
     def energy(self, gravity: float = EARTH_GRAVITY) -> float:
         """Returns the `energy` of the soil, J."""
-        return energy(self.particles, self.soil, self.volume, self.grid.dx, gravity)
+        s = self.solver
+        return energy(self.particles, s.soil, s.volume, s.grid.dx, gravity)
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Leaves only the particles of a mask or a list of rows."""
+        self.particles = self.particles[rows]
 
     def advance(
         self,
-        steps: int,
+        seconds: float,
         gravity: float = EARTH_GRAVITY,
         body: bodies.Body | None = None,
-        path: np.ndarray | None = None,
-    ) -> None:
-        """Takes `steps` steps, with a body on a prescribed `path` [steps + 1, 3] if given.
+        pose=None,
+    ) -> float:
+        """Advances by whole exchange intervals, at least `seconds`; returns how far, s.
 
-        A path holds x, y (m) of the body's reference point and its angle (rad).
+        Args:
+            seconds: s.
+            gravity: m/s2.
+            body: a body, if there is one.
+            pose: function of times [T] (s, from the start of this call) that returns x, y (m) and
+                angle (rad) of its reference point, [T, 3].
 
         Raises:
             ValueError: if a particle leaves the grid.
         """
-        self.particles = packing.sort_by_cell(self.particles, self.grid)
-        solver.advance(
-            self.particles,
-            self._work,
-            None,
-            self.grid.shape,
-            self.grid.origin,
-            self.grid.dx,
-            self.dt,
-            self.grid.walls,
-            self.soil,
-            self.volume,
-            gravity,
-            1.0,
-            body,
-            np.zeros((steps + 1, 3)) if path is None else path,
-            np.zeros(0),
-            np.zeros(3),
-            self.impulse,
-            self._status,
-        )
-        if self._status[0] != columns.OK:
-            raise ValueError(f'particle {self._status[1]} left the grid')
+        intervals = math.ceil(seconds / EXCHANGE - 1e-9)
+        order = packing.cell_order(self.particles, self.grid)
+        block = make_block(self.particles[order])
+        path = None
+        if body is not None:
+            path = pose(self.solver.dt * np.arange(intervals * self.solver.steps + 1))
+        self.solver.advance(block, intervals, gravity, 1.0, body, path)
+        self.particles[order] = block.particles.T
+        return intervals * EXCHANGE
 
 
-def free_fall(steps: int = 400) -> dict:
+def free_fall(seconds: float = 0.2) -> dict:
     """Drops a block; returns the relative error of its fall and its largest change of shape.
 
-    The fall is compared with the parabola g t2 / 2 sampled as the semi-implicit scheme does,
-    g dt2 n (n + 1) / 2; the scheme's own distance from the parabola is 1 / n.
+    The fall is compared with the parabola g t2 / 2, which velocity Verlet takes exactly.
     """
     room = Bin((0.2, 0.1, 0.2), 0.02, (0, 0, 0), 1, 0.6, ())
     block = Bin((0.2, 0.1, 0.2), 0.02, (10, 5, 10), 1, 0.6, ())
     experiment = Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.4)
     # Away from the sticky walls.
-    particles = experiment.particles
-    inside = np.abs(particles[:, [0, 2]] - CORNER - 0.1).max(axis=1) < 0.06
-    experiment.particles = particles[inside]
-    experiment.particles[:, columns.IDENTITY] = np.arange(inside.sum())
+    across = experiment.particles[:, [0, 2]]
+    experiment.keep(np.abs(across - CORNER - 0.1).max(axis=1) < 0.06)
     start = experiment.particles[:, :3].copy()
-    experiment.advance(steps)
-    fall = start - packing.in_identity_order(experiment.particles)[:, :3]
-    exact = EARTH_GRAVITY * experiment.dt**2 * steps * (steps + 1) / 2
+    time = experiment.advance(seconds)
+    fall = start - experiment.particles[:, :3]
+    exact = EARTH_GRAVITY * time**2 / 2
     return {
         'fall_m': exact,
         'error': float(abs(fall[:, 1].mean() / exact - 1.0)),
@@ -161,30 +174,20 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
         particles: the settled packing.
         soil: of the packing.
     """
-    grid = packing.make_grid(box)
+    grid, nodes = make_grid(box), make_nodes(make_grid(box))
     volume = packing.particle_volume(box)
     mass = volume * soil.bulk_density
-    work = np.zeros(4 * grid.nodes)
-    dt = stability.max_time_step(soil, box.dx)
-    status = np.zeros(3, dtype=np.int64)
-    top = particles_to_grid(
-        particles,
-        work,
-        grid.shape,
-        grid.origin,
-        box.dx,
-        dt,
-        mass,
-        volume,
-        soil.bulk_modulus,
-        status,
+    status = np.zeros(2, dtype=np.int64)
+    # Half a step of one second: what is scattered is half the force, in N.
+    extent = particles_to_grid(
+        make_block(particles), nodes.velocity, grid, 0.5, mass, volume, soil.bulk_modulus, status
     )
-    before = work.reshape(-1, 4).copy()
-    update_grid(work, grid.shape, top, dt, 0.0, grid.walls, 1.0)
-    after = work.reshape(-1, 4)
-    held = (before[:, 3] > 0.0) & (after[:, :3] == 0.0).all(axis=1)
+    before = nodes.velocity.reshape(-1, 4).copy()
+    free, _ = start_nodes(nodes, grid, extent, 0.0)
+    held = before[:, 3] > 0.0
+    held[nodes.free[:free] // 4] = False
     # What the walls take, and the weight of the soil that sits on their own nodes.
-    reaction = -before[held, 1].sum() / dt + before[held, 3].sum() * EARTH_GRAVITY
+    reaction = -before[held, 1].sum() / 0.5 + before[held, 3].sum() * EARTH_GRAVITY
     middle = np.abs(particles[:, [0, 2]] - CORNER - np.array(box.size)[[0, 2]] / 2)
     chosen = (middle < np.array(box.size)[[0, 2]] / 2 - box.size[1]).all(axis=1)
     depth = box.surface - particles[chosen, 1]
@@ -198,20 +201,30 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     }
 
 
-def contact_momentum(steps: int = 200) -> dict:
-    """Shoots a blade through weightless soil; returns the momentum that is not accounted for."""
+def blade_in_weightless_soil(modulus: float = 1.5e6, steps: int = 0) -> tuple[Experiment, float]:
+    """Shoots a blade through soil at 2 m/s; returns what is left of it, and the blade's speed.
+
+    It ends before the first grain is a cell and a half from a wall, which would take momentum, too.
+    """
     room = Bin((0.4, 0.1, 0.4), 0.02, (0, 0, 0), 1, 0.5, ())
     block = Bin((0.4, 0.1, 0.4), 0.02, (30, 8, 30), 1, 0.5, ())
-    experiment = Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.15)
-    particles = experiment.particles
-    inside = np.abs(particles[:, [0, 2]] - CORNER - 0.2).max(axis=1) < 0.1
-    experiment.particles = particles[inside]
-    experiment.particles[:, columns.IDENTITY] = np.arange(inside.sum())
-    blade = bodies.make_blade(CORNER + 0.2)
-    path = np.full((steps + 1, 3), -math.radians(20.0))
-    path[:, 0] = CORNER + 0.35 - 2.0 * experiment.dt * np.arange(steps + 1)
-    path[:, 1] = CORNER + 0.15
-    experiment.advance(steps, gravity=0.0, body=blade, path=path)
+    experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15, steps=steps)
+    across = experiment.particles[:, [0, 2]]
+    experiment.keep(np.abs(across - CORNER - 0.2).max(axis=1) < 0.1)
+    speed = 2.0
+
+    def pose(times):
+        path = np.full((len(times), 3), -math.radians(20.0))
+        path[:, 0], path[:, 1] = CORNER + 0.35 - speed * times, CORNER + 0.15
+        return path
+
+    experiment.advance(0.08, 0.0, bodies.make_blade(CORNER + 0.2), pose)
+    return experiment, speed
+
+
+def contact_momentum() -> dict:
+    """Shoots a blade through weightless soil; returns the momentum that is not accounted for."""
+    experiment, _ = blade_in_weightless_soil()
     impulse = experiment.impulse[:3]
     given = np.linalg.norm(impulse)
     lost = np.linalg.norm(experiment.momentum() + impulse)
@@ -219,10 +232,11 @@ def contact_momentum(steps: int = 200) -> dict:
 
 
 @numba.njit
-def _shear_row(row, steps, dt, rate, soil, fluidity):
+def _shear(q, steps, dt, rate, soil, fluidity):
+    gradient, stress = np.zeros((9, 1)), np.zeros((6, 1))
+    gradient[1, 0] = rate
     for _ in range(steps):
-        row[columns.C + 1] = rate
-        update_stress(row, dt, soil, fluidity, row[columns.FLUIDITY])
+        update_stress(q, 0, 1, gradient, stress, dt, soil, 0.0, fluidity)
 
 
 def homogeneous_shear(
@@ -234,11 +248,11 @@ def homogeneous_shear(
     """
     soil = make_soil(1.5e6, 0.76)
     rate = inertial_number * math.sqrt(pressure / soil.grain_density) / soil.grain_diameter
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
+    q = np.zeros((columns.COLUMNS, 1))
+    q[columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
     # Steps of a tenth of a per mille of shear, to a strain of one half.
-    _shear_row(row, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
-    s = row[columns.S : columns.S + 6]
+    _shear(q, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
+    s = q[columns.S : columns.S + 6, 0]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     rise = inertial_number / soil.inertial_number_0
     mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * (rise if is_nonlocal else rise / (1.0 + rise))
@@ -260,9 +274,8 @@ def column_collapse(aspect: float, length: float = 0.2, seconds: float = 1.5) ->
         (length, length * aspect, 4 * dx), dx, (count, round(count * aspect), 6), 1, 0.0, ()
     )
     experiment = Experiment(room, block, make_soil(1.5e6, 0.5), smooth_sides=True)
-    steps = math.ceil(seconds / experiment.dt / 50)
     for _ in range(50):
-        experiment.advance(steps)
+        experiment.advance(seconds / 50)
     # The farthest half per cent are single grains.
     front = np.quantile(experiment.particles[:, 0], 0.995) - CORNER
     expected = 1.2 * aspect if aspect < 1.8 else 1.9 * aspect ** (2.0 / 3.0)

@@ -2,44 +2,41 @@
 
 import numba
 
-from mpm.columns import FLUIDITY, JIT
-from mpm.transfers import weights
+from mpm.columns import FLUIDITY, JIT, index
+from mpm.transfers import strides_of, weights
 
 
 @numba.njit(**JIT)
-def diffuse_fluidity(particles, work, shape, top, origin, dx, dt, soil):
-    """Fills work[:, 2] with the diffusive increment of the fluidity over a step, per node.
+def diffuse_fluidity(block, work, grid, box, interval, soil):
+    """Adds the diffusive increment of the fluidity over an exchange interval to the particles.
 
     The fluidity goes to the nodes as a mass-weighted mean; a 7-point Laplacian between nodes that
     carry soil (no flux elsewhere) gives the increment, which the particles gather. Only the
     increment is gathered: interpolating the fluidity itself would diffuse far more than the law.
+
+    Args:
+        block: `solver.Block`, its places those of this interval.
+        work: float64 [nodes, 3], overwritten: weight, mean fluidity, increment of each node.
+        grid: `grid.Grid`.
+        box: first and last node (exclusive) per axis that can have been touched.
+        interval: s.
+        soil: `Soil`.
     """
-    nx, ny, nz = shape
-    inverse = 1.0 / dx
-    work[: top * nx * nz] = 0.0
-    for n in range(particles.shape[0]):
-        q = particles[n]
-        gx = (q[0] - origin[0]) * inverse - 0.5
-        gy = (q[1] - origin[1]) * inverse - 0.5
-        gz = (q[2] - origin[2]) * inverse - 0.5
-        bi, bj, bk = int(gx), int(gy), int(gz)
-        fx, fy, fz = gx - bi, gy - bj, gz - bk
-        wx, wy, wz = weights(fx), weights(fy), weights(fz)
-        for j in range(3):
-            for i in range(3):
-                row = ((bj + j) * nx + bi + i) * nz + bk
-                for k in range(3):
-                    w = wy[j] * wx[i] * wz[k]
-                    work[row + k, 0] += w
-                    work[row + k, 1] += w * q[FLUIDITY]
-    rate = dt * (soil.nonlocal_amplitude * soil.grain_diameter) ** 2 / soil.nonlocal_time
-    rate *= inverse * inverse
-    for node in range(top * nx * nz):
+    q = block.particles
+    nx, nz = grid.shape[0], grid.shape[2]
+    work[:] = 0.0
+    for n in range(q.shape[1]):
+        for node, w in _around(block, n, grid):
+            work[node, 0] += w
+            work[node, 1] += w * q[FLUIDITY, n]
+    length = soil.nonlocal_amplitude * soil.grain_diameter
+    rate = interval * length * length / soil.nonlocal_time / (grid.dx * grid.dx)
+    for node in range(len(work)):
         if work[node, 0] > 0.0:
             work[node, 1] /= work[node, 0]
-    for j in range(1, top - 1):
-        for i in range(1, nx - 1):
-            for k in range(1, nz - 1):
+    for j in range(box[2], box[3]):
+        for i in range(box[0], box[1]):
+            for k in range(box[4], box[5]):
                 node = (j * nx + i) * nz + k
                 if work[node, 0] > 0.0:
                     total = 0.0
@@ -49,3 +46,22 @@ def diffuse_fluidity(particles, work, shape, top, origin, dx, dt, soil):
                         if work[node + step, 0] > 0.0:
                             total += work[node + step, 1] - work[node, 1]
                     work[node, 2] = rate * total
+    for n in range(q.shape[1]):
+        for node, w in _around(block, n, grid):
+            q[FLUIDITY, n] += w * work[node, 2]
+
+
+@numba.njit(**JIT)
+def _around(block, n, grid):
+    """Yields (node, weight) of the 27 nodes around a particle."""
+    wx, wy, wz = (
+        weights(block.place[0, n]),
+        weights(block.place[1, n]),
+        weights(block.place[2, n]),
+    )
+    strides = strides_of(grid.shape)
+    for j in range(3):
+        for i in range(3):
+            row = block.base[n] + index(j) * strides[1] + index(i) * strides[0]
+            for k in range(3):
+                yield row // index(4) + index(k), wy[j] * wx[i] * wz[k]

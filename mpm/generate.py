@@ -1,13 +1,22 @@
-"""Simulates cases of a scene and writes them as raw runs.
+"""Simulates runs of a scene and writes them as raw runs.
 
 Examples:
     python -m mpm.generate --scene=excavation --cases=mini --output_path=/tmp/raw/excavation
     python -m mpm.generate --scene=wheel --cases=122 --output_path=/tmp/raw/wheel
     python -m mpm.generate --scene=excavation --cases=full --num_processes=16 --output_path=DIR
 
+    # paths of an operator (kinds take turns), free drives of the wheel; nobody has seen these seeds
+    python -m mpm.generate --scene=excavation --operator_seeds=9000-9009 --output_path=/tmp/raw/new
+    python -m mpm.generate --scene=wheel --operator_seeds=9000-9009 --kinds=stops,reverse \\
+        --output_path=/tmp/raw/new_wheel
+
+    # a path of your own: time_s, x_m, y_m, angle_deg (see mpm/motions/recording.py)
+    python -m mpm.generate --scene=excavation --path=mine.csv --output_path=/tmp/raw/mine
+
 A folder belongs to one scene and one packing. A command that was interrupted goes on where it
 stopped when it is given again. All runs start from the same settled packing, which is made once and
-kept in the folder.
+kept in the folder. All motions are checked against floor, walls and time step before the first run.
+`python -m mpm.record` makes the whole data of record.
 """
 
 import sys
@@ -15,13 +24,39 @@ import time
 
 from absl import app, flags, logging
 
-from mpm import scenes
+from mpm import bodies, scenes
 from mpm.batch import generate
+from mpm.motions import catalogue
+from mpm.motions.recording import Recording
 from mpm.simulation import RHEOLOGIES, Settings
 
 _SCENE = flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
 _CASES = flags.DEFINE_string(
-    'cases', 'mini', "'mini' (40 cases spread over the grid), 'full', or numbers: 44,122."
+    'cases',
+    None,
+    "Cases of the grid: 'mini' (40 spread over it, if nothing else is named), 'full', or numbers: "
+    '44,122.',
+)
+_OPERATOR_SEEDS = flags.DEFINE_string(
+    'operator_seeds',
+    None,
+    'Seeds of paths that an operator drives (excavation) or of free drives (wheel): 9000-9009.',
+)
+_KINDS = flags.DEFINE_string(
+    'kinds',
+    None,
+    'Kinds of these paths; a seed s has the kind number s modulo their count. All: '
+    + '; '.join(f'{name}: {",".join(kinds)}' for name, kinds in catalogue.KINDS.items())
+    + '.',
+)
+_PATH = flags.DEFINE_list('path', [], 'CSV files of paths: time_s, x_m, y_m, angle_deg [, load_N].')
+_BLADE_WIDTH = flags.DEFINE_float(
+    'blade_width', bodies.BLADE_WIDTH, 'Width of the blade on the paths of files, m.'
+)
+_LIKE_CASE = flags.DEFINE_integer(
+    'like_case',
+    scenes.WHEEL.demo_case,
+    'Case of the wheel grid whose soil, gravity, wheel and load the paths of files have.',
 )
 _OUTPUT_PATH = flags.DEFINE_string('output_path', None, 'Folder of the raw runs.', required=True)
 _NUM_PROCESSES = flags.DEFINE_integer(
@@ -36,21 +71,38 @@ _RHEOLOGY = flags.DEFINE_enum(
 _SEED = flags.DEFINE_integer('seed', 0, 'Seed of the initial packing.')
 
 
+def chosen_runs(scene: scenes.Scene) -> tuple:
+    """Returns what the flags name: cases, ids of seeds, recordings.
+
+    Raises:
+        ValueError: see `scenes.select_cases` and `catalogue.select_seeds`.
+    """
+    runs: tuple = ()
+    if _OPERATOR_SEEDS.value is not None:
+        runs += catalogue.select_seeds(scene, _OPERATOR_SEEDS.value, _KINDS.value)
+    elif _KINDS.value is not None:
+        raise ValueError('--kinds chooses among paths of seeds; give --operator_seeds, too')
+    runs += tuple(Recording(path, _LIKE_CASE.value, _BLADE_WIDTH.value) for path in _PATH.value)
+    if _CASES.value is not None or not runs:
+        runs = scenes.select_cases(scene, _CASES.value or 'mini') + runs
+    return runs
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
     started = time.time()
     try:
         scene = scenes.scene_named(_SCENE.value)
-        cases = scenes.select_cases(scene, _CASES.value)
+        runs = chosen_runs(scene)
         settings = Settings(_YOUNGS_MODULUS.value, _RHEOLOGY.value, _SEED.value)
-        new = generate(scene, cases, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value)
+        new = generate(scene, runs, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value)
     except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)
     cpu = [entry['parameters']['solver_cpu_s'] for entry in new]
     print(
-        f'{scene.name}: {len(new)} runs simulated, {len(cases) - len(new)} were there already, '
+        f'{scene.name}: {len(new)} runs simulated, {len(runs) - len(new)} were there already, '
         f'in {_OUTPUT_PATH.value}; {time.time() - started:.0f} s'
         + (f', {sum(cpu) / len(cpu):.1f} s of CPU a run' if cpu else '')
     )

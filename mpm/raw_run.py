@@ -18,29 +18,59 @@ from mpm.run import RawRun
 MANIFEST = 'manifest.json'
 
 
-def file_name(case: int) -> str:
-    """Returns the name of the file of a case."""
-    return f'run_{case:03d}.npz'
+# Arrays of a run beside its parameters; the last three may be absent.
+_ARRAYS = {
+    'positions': 3,
+    'rigid_positions': 3,
+    'force': 2,
+    'torque': 2,
+    'pose': 2,
+    'step_context': 2,
+}
+_WIDTHS = {'pose': 7, 'step_context': None}
+# What a run cost depends on the machine and is left out of the digest of its content.
+_COSTS = ('solver_cpu_s',)
+
+
+def file_name(case: int | str) -> str:
+    """Returns the name of the file of a run."""
+    return f'run_{case:03d}.npz' if isinstance(case, int) else f'run_{case}.npz'
 
 
 def write_run(folder: str, run: RawRun) -> dict:
     """Writes one run and returns its entry of the manifest."""
     case = run.parameters['case']
     path = os.path.join(folder, file_name(case))
-    write_arrays(
-        path,
-        positions=run.positions,
-        rigid_positions=run.rigid_positions,
-        force=run.force,
-        parameters=np.array(json.dumps(run.parameters)),
-    )
+    write_arrays(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))
     return {
         'file': file_name(case),
         'case': case,
         'bytes': os.path.getsize(path),
         'sha256': digest(path),
+        'content': content_digest(run),
         'parameters': run.parameters,
     }
+
+
+def arrays_of(run: RawRun) -> dict[str, np.ndarray]:
+    """Returns the arrays of a run by name, those that it has."""
+    arrays = {name: getattr(run, name) for name in _ARRAYS}
+    return {name: array for name, array in arrays.items() if array is not None}
+
+
+def content_digest(run: RawRun) -> str:
+    """Returns the sha256 of what a run holds, in hexadecimal: same seed, same digest.
+
+    It covers names, shapes, bytes (little-endian) and parameters, not the compression of the file
+    nor the time that the run took.
+    """
+    found = hashlib.sha256()
+    for name, array in arrays_of(run).items():
+        found.update(f'{name} {array.shape} '.encode())
+        found.update(np.ascontiguousarray(array, dtype='<f4').tobytes())
+    kept = {name: value for name, value in run.parameters.items() if name not in _COSTS}
+    found.update(json.dumps(kept, sort_keys=True).encode())
+    return found.hexdigest()
 
 
 def read_run(path: str) -> RawRun:
@@ -52,17 +82,15 @@ def read_run(path: str) -> RawRun:
     try:
         arrays = read_arrays(path)
         run = RawRun(
-            positions=arrays['positions'],
-            rigid_positions=arrays['rigid_positions'],
-            force=arrays['force'],
+            **{name: arrays[name] for name in ('positions', 'rigid_positions', 'force')},
+            **{name: arrays.get(name) for name in ('torque', 'pose', 'step_context')},
             parameters=json.loads(str(arrays['parameters'])),
         )
-        frames = (len(run.positions), 3)
-        for name, ndim in (('positions', 3), ('rigid_positions', 3), ('force', 2)):
-            values = arrays[name]
-            if values.dtype.kind != 'f' or values.ndim != ndim:
+        for name, values in arrays_of(run).items():
+            if values.dtype.kind != 'f' or values.ndim != _ARRAYS[name]:
                 raise ValueError(f'{name} is {values.dtype} {values.shape}')
-            if (len(values), values.shape[-1]) != frames or not np.isfinite(values).all():
+            is_wide = values.shape[-1] == (_WIDTHS.get(name, 3) or values.shape[-1])
+            if len(values) != len(run.positions) or not is_wide or not np.isfinite(values).all():
                 raise ValueError(f'{name} is not finite or of other frames: {values.shape}')
         if not isinstance(run.parameters, dict):
             raise ValueError('parameters is no JSON object')
@@ -78,12 +106,12 @@ def digest(path: str) -> str:
 
 
 def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
-    """Writes the manifest of a folder of raw runs, sorted by case."""
+    """Writes the manifest of a folder of raw runs, sorted by file name."""
     content = {
         'scene': scenes.describe(scene),
         'dt': 1.0 / scenes.FRAME_RATE,
         'bounds': [list(axis) for axis in scene.bin.bounds],
-        'runs': sorted(runs, key=lambda run: run['case']),
+        'runs': sorted(runs, key=lambda run: run['file']),
     }
 
     def write(temporary):
@@ -110,7 +138,9 @@ def read_manifest(folder: str) -> dict | None:
         for entry in manifest['runs']:
             if os.path.basename(entry['file']) != entry['file']:
                 raise ValueError(f'{entry["file"]!r} points out of the folder')
-            entry['case'] + 0, entry['bytes'] + 0, entry['sha256'] + '', entry['parameters'].keys()
+            entry['bytes'] + 0, entry['sha256'] + '', entry['parameters'].keys()
+            if not isinstance(entry['case'], (int, str)):
+                raise ValueError(f'case {entry["case"]!r} is neither a number nor a text')
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f'{path} is not a manifest of raw runs: {error!r}') from error
     return manifest
@@ -138,10 +168,11 @@ def finished_runs(folder: str, scene: scenes.Scene, settings: dict) -> list[dict
     finished = []
     for entry in manifest['runs']:
         for name, value in settings.items():
-            if entry['parameters'][name] != value:
+            made = entry['parameters'].get(name)
+            if made != value:
                 raise ValueError(
-                    f'{folder}: {entry["file"]} was made with {name} = '
-                    f'{entry["parameters"][name]!r}, not {value!r}; name another folder'
+                    f'{folder}: {entry["file"]} was made with {name} = {made!r}, not '
+                    f'{value!r}; name another folder'
                 )
         path = os.path.join(folder, entry['file'])
         if os.path.exists(path) and os.path.getsize(path) == entry['bytes']:

@@ -1,4 +1,4 @@
-"""One run of a case: from the settled packing to the arrays of a raw run."""
+"""One run: from the settled packing to the arrays of a raw run."""
 
 import time
 from collections.abc import Callable
@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import scenes
+from mpm import scenes, splits, stability, versions
 from mpm.constitutive import Soil, make_soil
-from mpm.motions import grid
+from mpm.motions import checks, grid
+from mpm.motions.catalogue import Motion, motion_of
+from mpm.motions.recording import Recording
 from mpm.simulation import Settings, Simulation
 
 
@@ -21,12 +23,44 @@ class RawRun:
         rigid_positions: float32 [T, R, 3], m.
         force: float32 [T, 3], N, on the body by the soil, mean over the frame that ends at t.
         parameters: what was run, JSON-compatible.
+        torque: float32 [T, 3], N m, about the body's reference point, as the force; None in runs of
+            before version 2.
+        pose: float32 [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z)
+            that turns the upright body; None in runs of before version 2.
+        step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load
+            may vary); None if it has none, or in runs of before version 2.
     """
 
     positions: np.ndarray
     rigid_positions: np.ndarray
     force: np.ndarray
     parameters: dict
+    torque: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    step_context: np.ndarray | None = None
+
+
+def check_motion(scene: scenes.Scene, motion: Motion, settings: Settings) -> None:
+    """Refuses a motion that the bin or the time step does not allow, before anything is simulated.
+
+    Raises:
+        ValueError: see `checks.check_drive`.
+    """
+    _check_drive(
+        scene, motion.drive, motion.frames, soil_of(scene, motion.parameters, settings), settings
+    )
+
+
+def _check_drive(scene, drive, frames, soil, settings) -> None:
+    steps = settings.steps_per_frame or stability.steps_per_frame(
+        1 / scenes.FRAME_RATE, soil, scene.bin.dx, settings.rheology == 'nonlocal'
+    )
+    checks.check_drive(drive, scene.bin, frames, steps)
+
+
+def soil_of(scene: scenes.Scene, parameters: dict, settings: Settings) -> Soil:
+    """Returns the soil of a run."""
+    return make_soil(settings.youngs_modulus, scenes.static_friction(scene, parameters))
 
 
 def make_simulation(
@@ -42,71 +76,117 @@ def make_simulation(
         settings: stiffness, law, steps.
 
     Raises:
-        ValueError: see `Simulation`.
+        ValueError: see `checks.check_drive` and `Simulation`.
     """
-    return Simulation(
-        scene.bin,
-        grid.make_drive(scene, parameters),
-        soil,
-        particles,
-        settings,
-        scenes.gravity_of(scene, parameters),
-    )
+    drive = grid.make_drive(scene, parameters)
+    _check_drive(scene, drive, scenes.FRAMES - 1, soil, settings)
+    gravity = scenes.gravity_of(scene, parameters)
+    return Simulation(scene.bin, drive, soil, particles, settings, gravity)
 
 
 def run_case(
     scene: scenes.Scene,
-    case: int,
+    case: int | str | Recording,
     packed: tuple[np.ndarray, dict],
     settings: Settings,
     on_frame: Callable[[int], None] | None = None,
 ) -> RawRun:
-    """Simulates one case.
+    """Simulates one run.
 
     Args:
         scene: the scene.
-        case: its number.
+        case: what to run, see `catalogue.motion_of`.
         packed: the settled particles and their statistics (`packing.settle`).
         settings: stiffness, law, seed.
-        on_frame: called with the number of each finished frame.
+        on_frame: called with the number of simulated frames, those of a lead-in included.
 
     Returns:
-        The run: T = 321 frames at 60 Hz, the first before driving.
+        The run: T = 321 frames at 60 Hz (more for a longer recording), the first before driving.
 
     Raises:
-        ValueError: see `Simulation`.
+        ValueError: a wheel that sinks to the floor; see also `catalogue.motion_of`,
+            `checks.check_drive` and `Simulation`.
     """
     started = time.process_time()
-    parameters = scene.parameters(case)
-    soil = make_soil(settings.youngs_modulus, scenes.static_friction(scene, parameters))
-    simulation = make_simulation(scene, parameters, soil, packed[0], settings)
+    motion = motion_of(scene, case)
+    check_motion(scene, motion, settings)
+    parameters, drive = motion.parameters, motion.drive
+    context = scenes.context_of(scene, parameters)
+    soil = soil_of(scene, parameters, settings)
+    gravity = scenes.gravity_of(scene, parameters)
+    simulation = Simulation(scene.bin, drive, soil, packed[0], settings, gravity)
     kept = slice(None, None, scene.bin.keep_every)
-    positions = [simulation.positions()[kept].astype(np.float32)]
-    rigid = [simulation.rigid_points()]
-    force = []
-    for frame in range(1, scenes.FRAMES):
-        force.append(simulation.frame()[0])
-        positions.append(simulation.positions()[kept].astype(np.float32))
-        rigid.append(simulation.rigid_points())
+    frames: dict[str, list] = {
+        'positions': [],
+        'rigid_positions': [],
+        'pose': [],
+        'step_context': [],
+    }
+    force, torque = [], []
+    deepest: dict[str, float] = {}
+
+    def note() -> None:
+        frames['positions'].append(simulation.positions()[kept].astype(np.float32))
+        frames['rigid_positions'].append(simulation.rigid_points())
+        frames['pose'].append(quaternion_pose(*simulation.pose, drive.body.z_middle))
+        if context:
+            load = float(drive.load(np.array([simulation.time]))[0])
+            frames['step_context'].append(list((context | {'load': load}).values()))
+        for name, value in simulation.penetration().items():
+            deepest[name] = max(value, deepest.get(name, 0))
+
+    if not drive.lead_in:
+        note()
+    for frame in range(1 - drive.lead_in, motion.frames + 1):
+        result = simulation.frame()
+        _refuse_sunk(simulation, scene.bin)
+        if frame >= 0:
+            force.append(result[0])
+            torque.append(result[1])
+            note()
         if on_frame is not None:
-            on_frame(frame)
+            on_frame(frame + drive.lead_in)
+    # Without a lead-in nothing is known of the frame that ends at time 0; the first is repeated.
+    first = slice(0, 0 if drive.lead_in else 1)
+    arrays = frames | {'force': force[first] + force, 'torque': torque[first] + torque}
     record = {
-        'case': case,
+        'case': motion.case,
+        'split': splits.split_of(scene, motion.case),
+        'solver_version': versions.SOLVER_VERSION,
+        'data_version': versions.DATA_VERSION,
         'seed': settings.seed,
-        'context': scenes.context_of(scene, parameters),
+        'context': context,
         **parameters,
         'youngs_modulus_Pa': settings.youngs_modulus,
         'rheology': settings.rheology,
+        'sleep': settings.sleep,
         'time_step_s': simulation.dt,
         'cell_size_m': simulation.grid.dx,
         'soil': soil._asdict(),
-        'body_friction': simulation.drive.body.friction,
+        'body_friction': drive.body.friction,
+        # The worst frame of the run.
+        **{f'penetration_{name}': value for name, value in deepest.items()},
         'packing': packed[1],
         'solver_cpu_s': round(time.process_time() - started, 2),
     }
     return RawRun(
-        positions=np.asarray(positions, dtype=np.float32),
-        rigid_positions=np.asarray(rigid, dtype=np.float32),
-        force=np.asarray(force[:1] + force, dtype=np.float32),
         parameters=record,
+        **{name: np.asarray(a, dtype=np.float32) for name, a in arrays.items() if len(a)},
     )
+
+
+def _refuse_sunk(simulation: Simulation, box: scenes.Bin) -> None:
+    """Raises if a body that rides freely has sunk to the floor of the bin."""
+    drive = simulation.drive
+    lowest = simulation.pose[1] - drive.body.radius
+    if drive.load is not None and not lowest > scenes.CORNER:
+        raise ValueError(
+            f'the wheel sank to the floor at {simulation.time:.3f} s (lowest point at y = '
+            f'{lowest:.4f} m, the floor at {scenes.CORNER} m): {box.size[1]:.4g} m of soil do '
+            'not carry it'
+        )
+
+
+def quaternion_pose(x: float, y: float, theta: float, z: float) -> np.ndarray:
+    """Returns a pose in the plane as float64 [7]: x, y, z (m), quaternion w, x, y, z."""
+    return np.array([x, y, z, np.cos(theta / 2), 0.0, 0.0, np.sin(theta / 2)])

@@ -4,12 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import bodies, columns, packing, solver, stability
+from mpm import bodies, columns, packing, stability
 from mpm.constitutive import Soil
+from mpm.contact import signed_distances
+from mpm.grid import make_grid
 from mpm.motions.drive import Drive
 from mpm.scenes import EARTH_GRAVITY, FRAME_RATE, Bin
+from mpm.sleeping import PERIOD, Sleep
+from mpm.solver import EXCHANGE, Solver, make_block
 
-SORT_EVERY = 4  # frames
+INTERVALS = round(1.0 / (FRAME_RATE * EXCHANGE))  # exchanges per frame
 REST_FRAMES = 48  # the wheel rests before it drives; the load grows over the first half
 RHEOLOGIES = ('local', 'nonlocal')
 
@@ -22,25 +26,35 @@ class Settings:
         youngs_modulus: Pa.
         rheology: 'local' mu(I), or 'nonlocal' granular fluidity.
         seed: of the packing's jitter.
-        steps_per_frame: 0: from the CFL limit.
+        steps_per_frame: a multiple of 18 (`solver.EXCHANGE`); 0: from the CFL limit.
+        sleep: whether soil that rests is left out (`sleeping`).
     """
 
     youngs_modulus: float = 1.5e6
     rheology: str = 'local'
     seed: int = 0
     steps_per_frame: int = 0
+    sleep: bool = True
 
     def __post_init__(self):
         if self.rheology not in RHEOLOGIES:
             raise ValueError(f'rheology must be one of {RHEOLOGIES}, got {self.rheology!r}')
+        if self.steps_per_frame % INTERVALS:
+            raise ValueError(
+                f'steps_per_frame is {self.steps_per_frame}, must be a multiple of {INTERVALS}: '
+                f'particles and grid exchange every {EXCHANGE:.3g} s'
+            )
 
 
 class Simulation:
     """Soil and body of one run, advanced frame by frame.
 
     Attributes:
-        particles: float64 [N, COLUMNS], sorted by cell now and then (see `columns.IDENTITY`).
-        rider: float64 [3], see `solver.advance`: the free body's height, speed and mass.
+        heave: float64 [3], see `solver.Motion`: the free body's height, speed and mass.
+        grid: `grid.Grid`.
+        soil: of the bin.
+        drive: the body and its motion.
+        gravity: m/s2.
         dt: time step, s; `steps` of them make a frame.
         time: s since driving began (negative at rest).
     """
@@ -67,30 +81,27 @@ class Simulation:
         Raises:
             ValueError: a step that is not stable, or what `frame` raises.
         """
-        self._box = box
-        self.soil = soil
-        self.grid = packing.make_grid(box)
-        self.drive = drive
-        self.gravity = gravity
-        self.particles = packing.at_gravity(particles, gravity)
         is_nonlocal = settings.rheology == 'nonlocal'
         if is_nonlocal:
             stability.check_friction(soil)
-        self.steps = settings.steps_per_frame or stability.steps_per_frame(
-            1 / FRAME_RATE, soil, self.grid.dx, is_nonlocal
+        self.soil, self.drive, self.gravity = soil, drive, gravity
+        self.grid = make_grid(box)
+        volume = packing.particle_volume(box)
+        self._solver = Solver(
+            self.grid, soil, volume, settings.steps_per_frame // INTERVALS, is_nonlocal
         )
-        self.dt = 1 / FRAME_RATE / self.steps
+        self.dt, self.steps = self._solver.dt, self._solver.steps * INTERVALS
         stability.check_time_step(self.dt, soil, self.grid.dx, is_nonlocal)
-        self._work = np.zeros(4 * self.grid.nodes)
-        self._fluidity = np.zeros((self.grid.nodes, 3)) if is_nonlocal else None
-        self._status = np.zeros(3, dtype=np.int64)
-        self.rider = np.zeros(3)
+        self._particles = packing.at_gravity(particles, gravity)
+        self._sleep = Sleep(self.grid, settings.sleep)
+        self._block, self._awake, self._age = None, None, 0
+        self.heave = np.zeros(3)
         self.time = 0.0
         self._frame = 0
         if drive.load is not None:
             # Resting on the surface; its mass is that which weighs the first load on the Earth.
-            self.rider[0] = box.surface + drive.body.radius
-            self.rider[2] = float(drive.load(np.zeros(1))[0]) / EARTH_GRAVITY
+            self.heave[0] = box.surface + drive.body.radius
+            self.heave[2] = float(drive.load(np.zeros(1))[0]) / EARTH_GRAVITY
             self._rest()
 
     def _rest(self) -> None:
@@ -118,59 +129,97 @@ class Simulation:
 
     def _advance(self, share_of_load: float) -> np.ndarray:
         """Advances the steps of a frame from `time`; returns the impulse [6] on the body."""
-        if self._frame % SORT_EVERY == 0:
-            self.particles = packing.sort_by_cell(self.particles, self.grid)
         times = self.time + np.arange(self.steps + 1) * self.dt
         body, path = self.drive.body, self.drive.pose(times)
-        if self.rider[2] > 0.0:
+        if self.heave[2] > 0.0:
             path = path * [1.0, 0.0, 1.0]  # the height of a free body is not prescribed
         stability.check_body_motion(path, body.reach, self.dt, self.grid.dx, self.time)
-        load = np.zeros(0)
+        if self._awake is None or self._age >= PERIOD:
+            self._wake()
+        elif self._block is None:
+            self._block = make_block(self._particles[self._awake])
+        self._age += 1
+        weight = None
         if self.drive.load is not None:
-            load = share_of_load * self.drive.load(times)
-        impulse = np.zeros(6)
-        solver.advance(
-            self.particles,
-            self._work,
-            self._fluidity,
-            self.grid.shape,
-            self.grid.origin,
-            self.grid.dx,
-            self.dt,
-            self.grid.walls,
-            self.soil,
-            packing.particle_volume(self._box),
-            self.gravity,
-            1.0,
-            body,
-            path,
-            load,
-            self.rider,
-            impulse,
-            self._status,
-        )
-        if self._status[0] != columns.OK:
-            raise ValueError(
-                f'particle {self._status[1]} left the grid at {self.time:.3f} s '
-                f'(step {self._status[2]})'
+            weight = share_of_load * self.drive.load(times)
+        self._solver.impulse[:] = 0.0
+        try:
+            self._solver.advance(
+                self._block, INTERVALS, self.gravity, 1.0, body, path, weight, self.heave
             )
-        speed = np.sqrt((self.particles[:, columns.V : columns.V + 3] ** 2).sum(axis=1).max())
-        if not speed * self.dt <= stability.VELOCITY_CFL * self.grid.dx:
+        except ValueError as error:
+            raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
+        v = self._block.particles[columns.V : columns.V + 3]
+        speed = np.sqrt((v * v).sum(axis=0).max(initial=0.0))
+        if not speed * EXCHANGE <= stability.VELOCITY_CFL * self.grid.dx:
             raise ValueError(
-                f'soil at {speed:.3g} m/s crosses {speed * self.dt / self.grid.dx:.3g} cells a '
-                f'step at {self.time:.3f} s; at most {stability.VELOCITY_CFL} is resolved'
+                f'soil at {speed:.3g} m/s crosses {speed * EXCHANGE / self.grid.dx:.3g} cells '
+                f'between two exchanges at {self.time:.3f} s; at most {stability.VELOCITY_CFL} is '
+                'resolved'
             )
-        return impulse
+        return self._solver.impulse.copy()
+
+    def _wake(self) -> None:
+        """Chooses the particles that the next frames step."""
+        self._put_back()
+        times = self.time + np.arange(PERIOD + 1) / FRAME_RATE
+        path = self.drive.pose(times)
+        if self.heave[2] > 0.0:
+            path[:, 1] = self.heave[0]
+        q = self._particles
+        awake = self._sleep.awake(q[:, :3], self.drive.body, path, PERIOD / FRAME_RATE)
+        q[~awake, columns.V : columns.S] = 0.0
+        self._solver.nodes.asleep[:] = self._sleep.nodes_asleep(q[~awake, :3])
+        rows = np.flatnonzero(awake)
+        self._awake = rows[packing.cell_order(q[rows], self.grid)]
+        self._block, self._age = make_block(q[self._awake]), 0
+
+    def _put_back(self) -> None:
+        """Brings the rows of the particles up to date with those that were stepped."""
+        if self._block is not None:
+            self._particles[self._awake] = self._block.particles.T
+
+    @property
+    def particles(self) -> np.ndarray:
+        """The particles, float64 [N, COLUMNS]; what is written into them counts from then on.
+
+        Soil that sleeps stays asleep until the next look; to look at it all anew, set them.
+        """
+        self._put_back()
+        self._block = None
+        return self._particles
+
+    @particles.setter
+    def particles(self, rows: np.ndarray) -> None:
+        self._particles, self._block, self._awake = rows, None, None
+
+    @property
+    def share_awake(self) -> float:
+        """Share of the particles that the last frame stepped."""
+        return len(self._awake) / len(self._particles)
 
     @property
     def pose(self) -> tuple[float, float, float]:
         """x and y (m) of the body's reference point and its angle theta (rad), now."""
         x, y, theta = self.drive.pose(np.array([self.time]))[0]
-        return float(x), float(self.rider[0] if self.rider[2] > 0.0 else y), float(theta)
+        return float(x), float(self.heave[0] if self.heave[2] > 0.0 else y), float(theta)
 
     def positions(self) -> np.ndarray:
-        """Returns the positions [N, 3] of all particles in the order of identity, m."""
-        return packing.in_identity_order(self.particles)[:, :3]
+        """Returns the positions [N, 3] of all particles, m."""
+        if self._block is not None:
+            self._particles[self._awake, :3] = self._block.particles[:3].T
+        return self._particles[:, :3].copy()
+
+    def penetration(self) -> dict:
+        """Returns how deep soil lies in the body now.
+
+        Returns:
+            `deepest_cells`: of any particle below the surface, in cells (0: none is inside);
+            `inside`: number of particles deeper than a quarter of a cell.
+        """
+        depth = -signed_distances(self.drive.body, self.pose, self.positions())
+        deepest = max(0.0, float(depth.max()) / self.grid.dx)
+        return {'deepest_cells': deepest, 'inside': int((depth > 0.25 * self.grid.dx).sum())}
 
     def rigid_points(self) -> np.ndarray:
         """Returns the body's sample points [R, 3], m."""

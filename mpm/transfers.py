@@ -1,4 +1,15 @@
-"""Transfers between particles and grid: APIC with quadratic B-splines, MLS stress.
+"""Transfers between particles and grid: quadratic B-splines, MLS stress, APIC at the exchange.
+
+Within an exchange interval (`solver`) the weights w_ip are frozen. With x_i - x_p the way from
+particle to node and D = dx2 / 4 the inertia of a quadratic B-spline:
+
+    momentum    (m v)_i = sum_p w_ip m_p (v_p + C_p (x_i - x_p))                       (1)
+    gradient    L_p     = sum_i w_ip v_i (x_i - x_p)^T / D                             (2)
+    force       f_i     = -sum_p w_ip V_p sigma_p (x_i - x_p) / D                      (3)
+    back        v_p = sum_i w_ip v_i,  C_p = L_p,  x_p += sum_i w_ip u_i               (4)
+
+u_i is the way that node i has gone since the last exchange. A node is four numbers in a row, so
+every sum is over vectors of four (`vectors`).
 
 Sources:
   APIC: Jiang, Schroeder, Selle, Teran, Stomakhin (2015), ACM Trans. Graph. 34, 51.
@@ -7,8 +18,20 @@ Sources:
 
 import numba
 
-from mpm.columns import FLUIDITY, IDENTITY, JIT, LEFT_GRID, VOLUME_RATIO, C, S, V, index
+from mpm import vectors
+from mpm.columns import (
+    JIT,
+    LEFT_GRID,
+    TURNED_INSIDE_OUT,
+    VOLUME_RATIO,
+    C,
+    S,
+    V,
+    index,
+)
 from mpm.constitutive import pressure_of, update_stress
+
+CHUNK = 64  # particles whose stresses are updated together, so that the compiler uses wide vectors
 
 
 @numba.njit(inline='always', **JIT)
@@ -17,163 +40,225 @@ def weights(f):
     return 0.5 * (1.0 - f) ** 2, 0.75 - (f - 0.5) ** 2, 0.5 * f**2
 
 
-@numba.njit(**JIT)
-def particles_to_grid(particles, grid, shape, origin, dx, dt, mass, volume, bulk_modulus, status):
-    """Scatters mass and momentum (stress included) to `grid` [4 nodes]; returns the top row.
+@numba.njit(inline='always', **JIT)
+def _third(i, triple):
+    """triple[i] in a form that is unrolled."""
+    return triple[0] if i == 0 else (triple[1] if i == 1 else triple[2])
 
-    Nodes are numbered (j nx + i) nz + k with j up, so that the rows above the soil, which are
-    never touched, lie in one piece at the end. The fourth value of a node is its mass.
+
+@numba.njit(inline='always', **JIT)
+def scatter(grid, base, strides, place, first, along_x, along_y, along_z):
+    """Adds w (first + i along_x + j along_y + k along_z) to the 27 nodes around a particle.
+
+    Args:
+        grid: float64 [4 nodes].
+        base: index of node (0, 0, 0) of the 27 in `grid`.
+        strides: steps of the index along x and along y; z is 4.
+        place: the particle's fractions (fx, fy, fz), see `weights`.
+        first, along_x, along_y, along_z: vectors of four.
     """
-    nx, ny, nz = shape
-    inverse = 1.0 / dx
-    stress_scale = -dt * volume * 4.0 * inverse * inverse
-    top = 0
-    for n in range(particles.shape[0]):
-        gy = (particles[n, 1] - origin[1]) * inverse - 0.5
-        # A comparison that is false for NaN too, before anything becomes an index.
-        if not (gy >= 0.0 and gy < ny - 2):
-            status[0] = LEFT_GRID
-            status[1] = int(particles[n, IDENTITY])
-            return -1
-        if int(gy) > top:
-            top = int(gy)
-    top += 3
-    grid[: top * nx * nz * 4] = 0.0
-    for n in range(particles.shape[0]):
-        q = particles[n]
-        gx = (q[0] - origin[0]) * inverse - 0.5
-        gy = (q[1] - origin[1]) * inverse - 0.5
-        gz = (q[2] - origin[2]) * inverse - 0.5
-        if not (gx >= 0.0 and gx < nx - 2 and gz >= 0.0 and gz < nz - 2):
-            status[0] = LEFT_GRID
-            status[1] = int(q[IDENTITY])
-            return -1
-        bi, bj, bk = int(gx), int(gy), int(gz)
-        fx, fy, fz = gx - bi, gy - bj, gz - bk
-        x0, x1, x2 = weights(fx)
-        y0, y1, y2 = weights(fy)
-        z0, z1, z2 = weights(fz)
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    for j in range(3):
+        row_value = first
+        for i in range(3):
+            w = _third(j, wy) * _third(i, wx)
+            node = base + index(j) * strides[1] + index(i) * strides[0]
+            a, b = vectors.scale(w, row_value), vectors.scale(w, along_z)
+            vectors.store(grid, node, vectors.muladd(wz[0], a, vectors.load(grid, node)))
+            a, node = vectors.add(a, b), node + index(4)
+            vectors.store(grid, node, vectors.muladd(wz[1], a, vectors.load(grid, node)))
+            a, node = vectors.add(a, b), node + index(4)
+            vectors.store(grid, node, vectors.muladd(wz[2], a, vectors.load(grid, node)))
+            row_value = vectors.add(row_value, along_x)
+        first = vectors.add(first, along_y)
 
-        ratio = q[VOLUME_RATIO]
-        pressure = pressure_of(ratio, bulk_modulus)
-        scale = stress_scale * ratio
-        sxy, syz, szx = scale * q[S + 3], scale * q[S + 4], scale * q[S + 5]
-        axx = (scale * (q[S] - pressure) + mass * q[C]) * dx
-        axy = (sxy + mass * q[C + 1]) * dx
-        axz = (szx + mass * q[C + 2]) * dx
-        ayx = (sxy + mass * q[C + 3]) * dx
-        ayy = (scale * (q[S + 1] - pressure) + mass * q[C + 4]) * dx
-        ayz = (syz + mass * q[C + 5]) * dx
-        azx = (szx + mass * q[C + 6]) * dx
-        azy = (syz + mass * q[C + 7]) * dx
-        azz = (scale * (q[S + 2] - pressure) + mass * q[C + 8]) * dx
-        # Momentum carried to node b + (0, 0, 0), then increments per node.
-        ox, oy, oz = -fx - 0.5, -fy - 0.5, -fz - 0.5
-        mx = mass * q[V] + axx * ox + axy * oy + axz * oz
-        my = mass * q[V + 1] + ayx * ox + ayy * oy + ayz * oz
-        mz = mass * q[V + 2] + azx * ox + azy * oy + azz * oz
-        base = index(((bj * nx + bi) * nz + bk) * 4)
-        for j in range(3):
-            w_j = y0 if j == 0 else (y1 if j == 1 else y2)
-            for i in range(3):
-                w_ij = w_j * (x0 if i == 0 else (x1 if i == 1 else x2))
-                row = base + index((j * nx + i) * nz * 4)
-                px = w_ij * (mx + axx * i + axy * j)
-                py = w_ij * (my + ayx * i + ayy * j)
-                pz = w_ij * (mz + azx * i + azy * j)
-                pm = w_ij * mass
-                bx, by, bz = w_ij * axz, w_ij * ayz, w_ij * azz
-                grid[row] += z0 * px
-                grid[row + index(1)] += z0 * py
-                grid[row + index(2)] += z0 * pz
-                grid[row + index(3)] += z0 * pm
-                px, py, pz = px + bx, py + by, pz + bz
-                grid[row + index(4)] += z1 * px
-                grid[row + index(5)] += z1 * py
-                grid[row + index(6)] += z1 * pz
-                grid[row + index(7)] += z1 * pm
-                px, py, pz = px + bx, py + by, pz + bz
-                grid[row + index(8)] += z2 * px
-                grid[row + index(9)] += z2 * py
-                grid[row + index(10)] += z2 * pz
-                grid[row + index(11)] += z2 * pm
-    return top
+
+@numba.njit(inline='always', **JIT)
+def gather(grid, base, strides, place):
+    """Returns sum w g, sum w i g, sum w j g, sum w k g over the 27 nodes; see `scatter`."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    total = vectors.make(0.0, 0.0, 0.0, 0.0)
+    total_i, total_j, total_k = total, total, total
+    for j in range(3):
+        plane = vectors.make(0.0, 0.0, 0.0, 0.0)
+        for i in range(3):
+            w = _third(j, wy) * _third(i, wx)
+            node = base + index(j) * strides[1] + index(i) * strides[0]
+            # Along z first: sum w g and sum w k g of three nodes.
+            middle = vectors.scale(wz[1], vectors.load(grid, node + index(4)))
+            last = vectors.scale(wz[2], vectors.load(grid, node + index(8)))
+            row = vectors.muladd(wz[0], vectors.load(grid, node), vectors.add(middle, last))
+            plane = vectors.muladd(w, row, plane)
+            total_i = vectors.muladd(i * w, row, total_i)
+            total_k = vectors.muladd(w, vectors.muladd(2.0, last, middle), total_k)
+        total = vectors.add(total, plane)
+        total_j = vectors.muladd(float(j), plane, total_j)
+    return total, total_i, total_j, total_k
+
+
+@numba.njit(inline='always', **JIT)
+def interpolate(grid, base, strides, place):
+    """Returns sum w g over the 27 nodes as a tuple of four; see `scatter`."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    total = vectors.make(0.0, 0.0, 0.0, 0.0)
+    for j in range(3):
+        for i in range(3):
+            node = base + index(j) * strides[1] + index(i) * strides[0]
+            row = vectors.scale(wz[0], vectors.load(grid, node))
+            row = vectors.muladd(wz[1], vectors.load(grid, node + index(4)), row)
+            row = vectors.muladd(wz[2], vectors.load(grid, node + index(8)), row)
+            total = vectors.muladd(_third(j, wy) * _third(i, wx), row, total)
+    return vectors.parts(total)
+
+
+@numba.njit(inline='always', **JIT)
+def strides_of(shape):
+    """Steps of the index of a node along x and y; nodes are numbered ((j nx + i) nz + k) 4."""
+    return index(4 * shape[2]), index(4 * shape[0] * shape[2])
 
 
 @numba.njit(**JIT)
-def grid_to_particles(particles, grid, shape, origin, dx, dt, soil, fluidity):
-    """Gathers velocity and its gradient, moves the particles, updates and relaxes the stress."""
-    nx, ny, nz = shape
-    inverse = 1.0 / dx
-    for n in range(particles.shape[0]):
-        q = particles[n]
-        gx = (q[0] - origin[0]) * inverse - 0.5
-        gy = (q[1] - origin[1]) * inverse - 0.5
-        gz = (q[2] - origin[2]) * inverse - 0.5
+def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modulus, status):
+    """Eq. (1), and the half kick of the soil's own forces (3) that begins an exchange interval.
+
+    Fills `block.base` and `block.place` for the interval, adds momentum and mass to `velocity`.
+
+    Args:
+        block: `solver.Block` of the particles that are awake.
+        velocity: float64 [4 nodes], zero: momentum (N s) and mass (kg) afterwards.
+        grid: `grid.Grid`.
+        half_step: half a time step, s.
+        mass, volume: of a particle as packed, kg and m3.
+        bulk_modulus: Pa.
+        status: int64 [2]: code and column of the block are set on an error.
+
+    Returns:
+        First and last node (exclusive) per axis that can have been touched, six integers.
+    """
+    q = block.particles
+    nx, ny, nz = grid.shape
+    inverse = 1.0 / grid.dx
+    strides = strides_of(grid.shape)
+    stress_scale = -half_step * volume * 4.0 * inverse * inverse
+    i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
+    for n in range(q.shape[1]):
+        gx = (q[0, n] - grid.origin[0]) * inverse - 0.5
+        gy = (q[1, n] - grid.origin[1]) * inverse - 0.5
+        gz = (q[2, n] - grid.origin[2]) * inverse - 0.5
+        # Comparisons that are false for NaN too, before anything becomes an index.
+        is_inside = gx >= 0.0 and gx < nx - 2 and gy >= 0.0 and gy < ny - 2
+        if not (is_inside and gz >= 0.0 and gz < nz - 2):
+            status[0], status[1] = LEFT_GRID, n
+            break
+        ratio = q[VOLUME_RATIO, n]
+        if not ratio > 0.0:
+            status[0], status[1] = TURNED_INSIDE_OUT, n
+            break
         bi, bj, bk = int(gx), int(gy), int(gz)
-        fx, fy, fz = gx - bi, gy - bj, gz - bk
-        x0, x1, x2 = weights(fx)
-        y0, y1, y2 = weights(fy)
-        z0, z1, z2 = weights(fz)
-        vx = vy = vz = 0.0
-        cxx = cxy = cxz = cyx = cyy = cyz = czx = czy = czz = 0.0
-        g_new = q[FLUIDITY]
+        i0, i1 = min(i0, bi), max(i1, bi + 3)
+        j0, j1 = min(j0, bj), max(j1, bj + 3)
+        k0, k1 = min(k0, bk), max(k1, bk + 3)
+        place = (gx - bi, gy - bj, gz - bk)
         base = index(((bj * nx + bi) * nz + bk) * 4)
-        for j in range(3):
-            w_j = y0 if j == 0 else (y1 if j == 1 else y2)
-            tx = ty = tz = 0.0
-            for i in range(3):
-                w = w_j * (x0 if i == 0 else (x1 if i == 1 else x2))
-                row = base + index((j * nx + i) * nz * 4)
-                # Along z first: sum w v and sum w k v.
-                mx = z1 * grid[row + index(4)]
-                my = z1 * grid[row + index(5)]
-                mz = z1 * grid[row + index(6)]
-                ax = z2 * grid[row + index(8)]
-                ay = z2 * grid[row + index(9)]
-                az = z2 * grid[row + index(10)]
-                sx = w * (z0 * grid[row] + mx + ax)
-                sy = w * (z0 * grid[row + index(1)] + my + ay)
-                sz = w * (z0 * grid[row + index(2)] + mz + az)
-                cxz += w * (mx + 2.0 * ax)
-                cyz += w * (my + 2.0 * ay)
-                czz += w * (mz + 2.0 * az)
-                tx += sx
-                ty += sy
-                tz += sz
-                cxx += i * sx
-                cyx += i * sy
-                czx += i * sz
-                if fluidity is not None:
-                    node = ((bj + j) * nx + bi + i) * nz + bk
-                    g_new += w * (
-                        z0 * fluidity[node, 2]
-                        + z1 * fluidity[node + 1, 2]
-                        + z2 * fluidity[node + 2, 2]
-                    )
-            vx += tx
-            vy += ty
-            vz += tz
-            cxy += j * tx
-            cyy += j * ty
-            czy += j * tz
-        # First moments about the particle, times the inverse inertia of the B-spline.
-        d4 = 4.0 * inverse
-        ox, oy, oz = fx + 0.5, fy + 0.5, fz + 0.5
-        cxx = d4 * (cxx - ox * vx)
-        cxy = d4 * (cxy - oy * vx)
-        cxz = d4 * (cxz - oz * vx)
-        cyx = d4 * (cyx - ox * vy)
-        cyy = d4 * (cyy - oy * vy)
-        cyz = d4 * (cyz - oz * vy)
-        czx = d4 * (czx - ox * vz)
-        czy = d4 * (czy - oy * vz)
-        czz = d4 * (czz - oz * vz)
-        q[V], q[V + 1], q[V + 2] = vx, vy, vz
-        q[C], q[C + 1], q[C + 2] = cxx, cxy, cxz
-        q[C + 3], q[C + 4], q[C + 5] = cyx, cyy, cyz
-        q[C + 6], q[C + 7], q[C + 8] = czx, czy, czz
-        q[0] += dt * vx
-        q[1] += dt * vy
-        q[2] += dt * vz
-        update_stress(q, dt, soil, fluidity, g_new)
+        block.base[n] = base
+        block.place[0, n], block.place[1, n], block.place[2, n] = place
+        # The columns of m C - dt/2 V sigma / D, per cell.
+        p = pressure_of(ratio, bulk_modulus)
+        s = stress_scale * ratio
+        dx = grid.dx
+        xx, yy, zz = s * (q[S, n] - p), s * (q[S + 1, n] - p), s * (q[S + 2, n] - p)
+        xy, yz, zx = s * q[S + 3, n], s * q[S + 4, n], s * q[S + 5, n]
+        along_x = vectors.make(
+            (xx + mass * q[C, n]) * dx,
+            (xy + mass * q[C + 3, n]) * dx,
+            (zx + mass * q[C + 6, n]) * dx,
+            0.0,
+        )
+        along_y = vectors.make(
+            (xy + mass * q[C + 1, n]) * dx,
+            (yy + mass * q[C + 4, n]) * dx,
+            (yz + mass * q[C + 7, n]) * dx,
+            0.0,
+        )
+        along_z = vectors.make(
+            (zx + mass * q[C + 2, n]) * dx,
+            (yz + mass * q[C + 5, n]) * dx,
+            (zz + mass * q[C + 8, n]) * dx,
+            0.0,
+        )
+        first = vectors.make(mass * q[V, n], mass * q[V + 1, n], mass * q[V + 2, n], mass)
+        first = _at_first_node(place, first, along_x, along_y, along_z)
+        scatter(velocity, base, strides, place, first, along_x, along_y, along_z)
+    return i0, i1, j0, j1, k0, k1
+
+
+@numba.njit(inline='always', **JIT)
+def _at_first_node(place, value, along_x, along_y, along_z):
+    """An affine field, given at the particle, at the first of the 27 nodes."""
+    value = vectors.muladd(-place[2] - 0.5, along_z, value)
+    value = vectors.muladd(-place[1] - 0.5, along_y, value)
+    return vectors.muladd(-place[0] - 0.5, along_x, value)
+
+
+@numba.njit(**JIT)
+def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidity):
+    """Eq. (2), the stress update over `dt` (s), and eq. (3) added to the nodes' forces.
+
+    `damping_time` (s) and `fluidity` (None with the local law): see `constitutive.update_stress`.
+    """
+    q, gradient, stress = block.particles, block.gradient, block.stress
+    velocity, force = nodes.velocity, nodes.force
+    strides = strides_of(grid.shape)
+    per_cell = 4.0 / grid.dx
+    for start in range(0, q.shape[1], CHUNK):
+        stop = min(q.shape[1], start + CHUNK)
+        for n in range(start, stop):
+            place = (block.place[0, n], block.place[1, n], block.place[2, n])
+            columns = _gradient(velocity, block.base[n], strides, place, per_cell)
+            for axis in range(3):
+                column = _third(axis, columns)
+                gradient[axis, n - start] = column[0]
+                gradient[axis + 3, n - start] = column[1]
+                gradient[axis + 6, n - start] = column[2]
+        update_stress(q, start, stop, gradient, stress, dt, soil, damping_time, fluidity)
+        for n in range(start, stop):
+            place = (block.place[0, n], block.place[1, n], block.place[2, n])
+            c, factor = n - start, -volume * per_cell * q[VOLUME_RATIO, n]
+            xy, yz, zx = factor * stress[3, c], factor * stress[4, c], factor * stress[5, c]
+            along_x = vectors.make(factor * stress[0, c], xy, zx, 0.0)
+            along_y = vectors.make(xy, factor * stress[1, c], yz, 0.0)
+            along_z = vectors.make(zx, yz, factor * stress[2, c], 0.0)
+            first = vectors.make(0.0, 0.0, 0.0, 0.0)
+            first = _at_first_node(place, first, along_x, along_y, along_z)
+            scatter(force, block.base[n], strides, place, first, along_x, along_y, along_z)
+
+
+@numba.njit(inline='always', **JIT)
+def _gradient(velocity, base, strides, place, per_cell):
+    """The three columns of L_p, each (d vx, d vy, d vz, -) along one axis."""
+    total, total_i, total_j, total_k = gather(velocity, base, strides, place)
+    x = vectors.scale(per_cell, vectors.muladd(-place[0] - 0.5, total, total_i))
+    y = vectors.scale(per_cell, vectors.muladd(-place[1] - 0.5, total, total_j))
+    z = vectors.scale(per_cell, vectors.muladd(-place[2] - 0.5, total, total_k))
+    return vectors.parts(x), vectors.parts(y), vectors.parts(z)
+
+
+@numba.njit(**JIT)
+def grid_to_particles(block, velocity, displacement, grid):
+    """Eq. (4): what the particles take back at the end of an exchange interval."""
+    q = block.particles
+    strides = strides_of(grid.shape)
+    per_cell = 4.0 / grid.dx
+    for n in range(q.shape[1]):
+        base = block.base[n]
+        place = (block.place[0, n], block.place[1, n], block.place[2, n])
+        v = interpolate(velocity, base, strides, place)
+        u = interpolate(displacement, base, strides, place)
+        columns = _gradient(velocity, base, strides, place, per_cell)
+        for axis in range(3):
+            q[axis, n] += u[axis]
+            q[V + axis, n] = v[axis]
+            column = _third(axis, columns)
+            q[C + axis, n] = column[0]
+            q[C + 3 + axis, n] = column[1]
+            q[C + 6 + axis, n] = column[2]

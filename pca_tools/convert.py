@@ -16,6 +16,9 @@ Examples:
     python -m pca_tools.convert --raw_path=raw/driving --output_path=datasets/Driving \\
         --num_modes=24 --frame_stride=4
 
+    # files of the raw folder were changed on purpose: let the manifest follow
+    python -m pca_tools.convert --raw_path=raw/own --rehash
+
     # new runs, all in the test split, in the subspace of the dataset that a model was trained on
     python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
@@ -23,6 +26,7 @@ Examples:
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -32,22 +36,17 @@ import numpy as np
 from absl import app, flags
 from tqdm import tqdm
 
-from pca_tools import dataset, files, particles, subspace
-from pca_tools.encode import FLOOR_MODES, EncodedRun, encode_runs
+from cluster import workers
+from pca_tools import dataset, files, particles, raw_writer, subspace
+from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
 from pca_tools.metadata import (
-    DIM,
     METADATA_NAME,
-    PROJECTION_KEYS,
-    SCHEMA_VERSION,
     metadata_problems,
 )
 from pca_tools.raw_runs import RawRuns, SoilPositions
 from pca_tools.splits import given_splits, split_cases
-from pca_tools.statistics import mean_share, motion_statistics
+from pca_tools.statistics import mean_share
 
-SUBSPACE_NAME = 'subspace.npz'
-# DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
-CONNECTIVITY_RADIUS = 0.025
 DEFAULT_SPLIT = (0.8, 0.1, 0.1)
 # What must agree between raw runs and the dataset they are to fit; a scene may say more.
 _SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis')
@@ -67,6 +66,9 @@ def convert(
     max_memory_mb: float = 1024.0,
     like: str | None = None,
     overwrite: bool = False,
+    check_units: bool = True,
+    match_particles: bool = False,
+    cluster: str | None = None,
 ) -> dict[str, Any]:
     """Converts a folder of raw runs; arguments as the flags of the same names.
 
@@ -81,22 +83,27 @@ def convert(
         raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
     refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
-    if like is None:
+    base, space = (None, None) if like is None else _load_like(like)
+    if match_particles:
+        runs.match_particles(None if space is None else space.initial)
+    runs.check(check_units, progress_bar)
+    if base is not None:
+        _refuse_other_data(like, base, runs)
+    if space is None:
         parts = _deal(runs, split, seed, hold_out, spread)
-        wide = subspace.fit(
-            SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
-            names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
-            spare_modes=max(max(FLOOR_MODES) - modes, 0),
-        )  # fmt: skip
-        space, base = wide.truncated(modes), None
+        with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
+            wide = subspace.fit(
+                SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
+                names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
+                spare_modes=max(max(FLOOR_MODES) - modes, 0), crew=crew,
+            )  # fmt: skip
+        space = wide.truncated(modes)
     else:
-        parts = {'test': list(range(len(runs)))}
-        base, space = _load_like(like, runs)
-        wide = space
+        parts, wide = {'test': list(range(len(runs)))}, space
     parts = {name: part for name, part in parts.items() if part}
     sampled = particles.choose_particles(space.initial)
     encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
-    metadata = _make_metadata(runs, encoded, space, frame_stride, base)
+    metadata = make_metadata(runs, encoded, space, frame_stride, base)
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
@@ -148,12 +155,17 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
 
 
-def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subspace]:
+def _load_like(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
     """Returns metadata and subspace of the dataset that the new runs are to fit."""
     base = dataset.read_metadata(like)
     space = subspace.Subspace.load(os.path.join(like, SUBSPACE_NAME))
     if base.get('pca', {}).get('digest') != space.digest:
         raise ValueError(f'{like}: {SUBSPACE_NAME} is not the one that the metadata names')
+    return base, space
+
+
+def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
+    """Raises if the runs are of another scene than the dataset, or were trained on."""
     scene = base.get('scene', {})
     for key in _SCENE_KEYS:
         if scene.get(key) != runs.scene.get(key):
@@ -172,78 +184,10 @@ def _load_like(like: str, runs: RawRuns) -> tuple[dict[str, Any], subspace.Subsp
     ]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
-    return base, space
 
 
 def _kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
     return parameters.get('kind'), str(parameters.get('case'))
-
-
-def _make_metadata(
-    runs: RawRuns,
-    encoded: dict[str, list[EncodedRun]],
-    space: subspace.Subspace,
-    frame_stride: int,
-    base: dict[str, Any] | None,
-) -> dict[str, Any]:
-    """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
-    if base is None:
-        statistics = motion_statistics([run.trajectory for run in encoded['train']])
-    else:
-        statistics = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
-    first = next(iter(encoded.values()))[0].trajectory
-
-    return {
-        'schema_version': SCHEMA_VERSION,
-        'scene': runs.scene,
-        'bounds': runs.bounds,
-        'sequence_length': first.n_frames - 1,
-        'frames_stored': first.n_frames,
-        'default_connectivity_radius': CONNECTIVITY_RADIUS,
-        'dim': DIM,
-        'dt': runs.dt,
-        'units': {
-            'position': 'm',
-            'force': 'N',
-            'torque': 'N m',
-            'velocity': 'm per frame',
-            'dt': 's',
-        },
-        **statistics,
-        'rigid_body_ref_point': None,
-        'particles_rigid': first.n_rigid,
-        'mode_number': first.n_modes,
-        'n_soil': space.n_soil,
-        'pca': {
-            'file': SUBSPACE_NAME,
-            'n_modes': space.n_modes,
-            'centering': space.centering,
-            'mean': 'scalar' if space.centering == 'scalar' else 'per_feature',
-            'explained_variance_ratio': space.explained_variance_ratio[: space.n_modes].tolist(),
-            'projection_floor': space.projection_floor(),
-            'frame_stride': frame_stride if base is None else base['pca'].get('frame_stride', 1),
-            'fitted_on': list(space.runs),
-            'digest': space.digest,
-        },
-        'projection_floors': {
-            'modes': list(next(iter(encoded.values()))[0].floors),
-            **{name: _mean_floors(part) for name, part in encoded.items()},
-        },
-        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in encoded},
-        **{
-            key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
-            for key in PROJECTION_KEYS
-        },
-        'dataset_split': {
-            name: [run.parameters['case'] for run in part] for name, part in encoded.items()
-        },
-        'cases': {name: [run.parameters for run in part] for name, part in encoded.items()},
-    }
-
-
-def _mean_floors(part: list[EncodedRun]) -> list[float]:
-    """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
-    return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()
 
 
 def _write_dataset(
@@ -316,7 +260,7 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
 def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder of the new dataset.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder of the new dataset.')
     flags.DEFINE_integer('modes', 8, 'Number of modes r to keep.')
     flags.DEFINE_alias('num_modes', 'modes')
     flags.DEFINE_enum(
@@ -343,6 +287,24 @@ def define_flags() -> None:
         'Existing dataset whose subspace and statistics are used; all runs go to test.',
     )
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset at --output_path.')
+    flags.DEFINE_bool(
+        'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
+    )
+    flags.DEFINE_string(
+        'cluster',
+        None,
+        'Sum up the covariance on workers: local, local:4, slurm, slurm:64, tcp://host:port.',
+    )
+    flags.DEFINE_bool(
+        'match_particles',
+        False,
+        'Reorder the particles of every run: each goes with its nearest neighbour in frame 0.',
+    )
+    flags.DEFINE_bool(
+        'rehash',
+        False,
+        'First let the manifest of --raw_path follow its files, which were changed on purpose.',
+    )
 
 
 def main(_: Sequence[str]) -> None:
@@ -350,7 +312,14 @@ def main(_: Sequence[str]) -> None:
     # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
     os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
     values = flags.FLAGS
+    if not (values.output_path or values.rehash):
+        sys.exit('error: --output_path is missing: the folder of the new dataset')
     try:
+        if values.rehash:
+            changed = raw_writer.rehash(values.raw_path)
+            print(f'{values.raw_path}: the manifest has new entries for {len(changed)} files')
+            if not values.output_path:
+                return
         metadata = convert(
             values.raw_path,
             values.output_path,
@@ -364,9 +333,12 @@ def main(_: Sequence[str]) -> None:
             max_memory_mb=values.max_memory_mb,
             like=values.like,
             overwrite=values.overwrite,
+            check_units=values.check_units,
+            match_particles=values.match_particles,
+            cluster=values.cluster,
         )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(metadata, values.output_path))
 
 

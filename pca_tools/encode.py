@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import spatial
 
-from pca_tools import dataset, particles
+from pca_tools import dataset, matching, particles
+from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION
 from pca_tools.raw_runs import RawRun, RawRuns
+from pca_tools.statistics import motion_statistics
 from pca_tools.subspace import Subspace
 
 # The truncation error is measured at these numbers of modes, and at the number that is kept.
 FLOOR_MODES = (8, 16, 24, 48)
+SUBSPACE_NAME = 'subspace.npz'
+# DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
+CONNECTIVITY_RADIUS = 0.025
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +67,7 @@ def encode_runs(
         ValueError: a run is damaged, or its particles are not those of the subspace.
     """
     kept = space.truncated(n_modes)
-    spacing = float(np.median(spatial.cKDTree(space.initial).query(space.initial, 2)[0][:, 1]))
+    spacing = matching.median_spacing(space.initial)
     encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
     order = [(name, index) for name, indices in parts.items() for index in indices]
     for name, index in progress(order, 'encode'):
@@ -88,12 +94,12 @@ def _refuse_other_particles(run: RawRun, space: Subspace, spacing: float) -> Non
         raise ValueError(
             f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
         )
-    shift = float(np.median(np.linalg.norm(run.positions[0] - space.initial, axis=1)))
+    shift = matching.median_shift(run.positions[0], space.initial)
     if shift > spacing:
         raise ValueError(
             f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
-            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same packing or '
-            'not the same order'
+            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same order '
+            '(then give --match_particles) or not the same packing'
         )
 
 
@@ -144,20 +150,101 @@ def _floors(
 def _make_trajectory(
     key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
 ) -> dataset.Trajectory:
-    prescribed = scene['rigid_motion'] == 'prescribed'
-    rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
-    n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
-    context = None
-    if len(run.context):
+    one = {'rigid_motion': scene['rigid_motion'], 'points': run.rigid_positions.shape[1]}
+    types = [
+        np.full(
+            body['points'],
+            dataset.KINEMATIC_PARTICLE_ID
+            if body['rigid_motion'] == 'prescribed'
+            else dataset.RIGID_PARTICLE_ID,
+        )
+        for body in scene.get('bodies', [one])
+    ]
+    context = run.step_context
+    if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
     return dataset.Trajectory(
         key=key,
-        particle_type=np.repeat(
-            np.int64([rigid_type, dataset.MODE_PARTICLE_ID]), [n_rigid, n_modes]
-        ),
+        particle_type=np.concatenate(
+            [*types, np.full(scores.shape[1], dataset.MODE_PARTICLE_ID)]
+        ).astype(np.int64),
         position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
         force=run.force,
         step_context=context,
         torque=run.torque,
         rigid_pose=run.pose,
+        body_force=run.body_force,
+        body_pose=run.body_pose,
     )
+
+
+def make_metadata(
+    runs: RawRuns,
+    encoded: dict[str, list[EncodedRun]],
+    space: Subspace,
+    frame_stride: int,
+    base: dict[str, Any] | None,
+) -> dict[str, Any]:
+    """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
+    if base is None:
+        moments = motion_statistics([run.trajectory for run in encoded['train']])
+    else:
+        moments = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
+    trajectories = [run.trajectory for part in encoded.values() for run in part]
+    n_frames = max(run.n_frames for run in trajectories)
+    lengths = {name: [run.trajectory.n_frames for run in part] for name, part in encoded.items()}
+    differ = any(run.n_frames != n_frames for run in trajectories)
+
+    return {
+        'schema_version': SCHEMA_VERSION,
+        'scene': runs.scene,
+        'bounds': runs.bounds,
+        'sequence_length': n_frames - 1,
+        'frames_stored': n_frames,
+        # Only where the runs differ in length: sequence_length is then the longest.
+        **({'frames_of_runs': lengths} if differ else {}),
+        'default_connectivity_radius': CONNECTIVITY_RADIUS,
+        'dim': DIM,
+        'dt': runs.dt,
+        'units': {
+            'position': 'm',
+            'force': 'N',
+            'torque': 'N m',
+            'velocity': 'm per frame',
+            'dt': 's',
+        },
+        **moments,
+        'rigid_body_ref_point': None,
+        'particles_rigid': statistics.mode(run.n_rigid for run in trajectories),
+        'mode_number': space.n_modes,
+        'n_soil': space.n_soil,
+        'pca': {
+            'file': SUBSPACE_NAME,
+            'n_modes': space.n_modes,
+            'centering': space.centering,
+            'mean': 'scalar' if space.centering == 'scalar' else 'per_feature',
+            'explained_variance_ratio': space.explained_variance_ratio[: space.n_modes].tolist(),
+            'projection_floor': space.projection_floor(),
+            'frame_stride': frame_stride if base is None else base['pca'].get('frame_stride', 1),
+            'fitted_on': list(space.runs),
+            'digest': space.digest,
+        },
+        'projection_floors': {
+            'modes': list(next(iter(encoded.values()))[0].floors),
+            **{name: _mean_floors(part) for name, part in encoded.items()},
+        },
+        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in encoded},
+        **{
+            key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
+            for key in PROJECTION_KEYS
+        },
+        'dataset_split': {
+            name: [run.parameters['case'] for run in part] for name, part in encoded.items()
+        },
+        'cases': {name: [run.parameters for run in part] for name, part in encoded.items()},
+    }
+
+
+def _mean_floors(part: list[EncodedRun]) -> list[float]:
+    """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
+    return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()

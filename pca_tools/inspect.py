@@ -16,9 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 from absl import app, flags
 
+from pca_tools import files
 from pca_tools.dataset import Trajectory
 from pca_tools.inspection import inspect_folder, run_kinds
 from pca_tools.inspection.findings import Inspection, Level
+from pca_tools.raw_checks import AXES
 from pca_tools.statistics import mean_share, trivial_errors
 
 
@@ -51,7 +53,8 @@ def _contents(inspection: Inspection) -> list[str]:
     held = inspection.metadata
     scene = held.get('scene')
     lines = [
-        f'  scene {scene["name"]}, rigid motion {scene["rigid_motion"]}'
+        f'  scene {scene.get("name", "unnamed")}, rigid motion {scene["rigid_motion"]}, '
+        f'{AXES[scene.get("up_axis", 1)]} up'
         if scene
         else '  no scene given',
         f'  dt {held["dt"]:.6g} s, {held["sequence_length"]} + 1 frames '
@@ -196,7 +199,8 @@ def main(argv: Sequence[str]) -> None:
     if len(argv) != 2:
         sys.exit('usage: python -m pca_tools.inspect [--modes=12] DATASET')
     inspection = inspect_folder(argv[1])
-    print(report(inspection, flags.FLAGS.modes))
+    for line in report(inspection, flags.FLAGS.modes).splitlines():
+        print(files.printable(line))
     sys.exit(int(inspection.failed))
 
 

@@ -1,11 +1,13 @@
-"""The authors' PCA side files: numpy arrays in pickles, read through an unpickler that admits
-nothing else.
+"""Numpy arrays in pickles, read through an unpickler that admits nothing else.
+
+They are the authors' PCA side files, and the object arrays of geoelements' `.npz`.
 
 This is the only place of the project that reads pickles. A pickle is a program: the stock loader
-would run whatever it names. Here the names that numpy's pickles use lead to stand-ins of this file
-that only take notes, and every other name ends the reading. Not even numpy's own functions are
-called: `dtype.__setstate__` takes flags with which an array of numbers is handled as an array of
-pointers.
+would run whatever it names. Here the opcodes are gone through first: only those that numpy's arrays
+need, and no place in the unpickler's memory beyond what the file can fill. Names lead to stand-ins
+of this file that only take notes and cannot be changed; every other name ends the reading. Not even
+numpy's own functions are called: `dtype.__setstate__` takes flags with which an array of numbers is
+handled as an array of pointers.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import pickletools
 import re
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +31,31 @@ _MULTIARRAY_MODULES = ('numpy.core.multiarray', 'numpy._core.multiarray')
 _NUMBER_TYPE = re.compile('[fiuc](1|2|4|8|16)')
 
 
-class _Type:
+# What numpy's pickles of arrays, scalars and tuples or lists of them are made of.
+_OPCODES = frozenset((
+    'PROTO', 'FRAME', 'STOP', 'MARK', 'POP', 'POP_MARK', 'GLOBAL', 'STACK_GLOBAL', 'REDUCE',
+    'BUILD', 'EMPTY_TUPLE', 'TUPLE', 'TUPLE1', 'TUPLE2', 'TUPLE3', 'EMPTY_LIST', 'APPEND',
+    'APPENDS', 'LIST', 'NONE', 'NEWTRUE', 'NEWFALSE', 'INT', 'BININT', 'BININT1', 'BININT2',
+    'LONG', 'LONG1', 'BINFLOAT', 'FLOAT', 'UNICODE', 'BINUNICODE', 'SHORT_BINUNICODE', 'STRING',
+    'BINSTRING', 'SHORT_BINSTRING', 'BINBYTES', 'SHORT_BINBYTES', 'BINBYTES8', 'PUT', 'BINPUT',
+    'LONG_BINPUT', 'MEMOIZE', 'GET', 'BINGET', 'LONG_BINGET',
+))  # fmt: skip
+_PUTS = ('PUT', 'BINPUT', 'LONG_BINPUT')
+# Of arrays in object arrays in object arrays.
+_MAX_DEPTH = 4
+
+
+class _Fixed(type):
+    """A class whose attributes a pickle cannot set (`BUILD` on the class itself)."""
+
+    def __setattr__(cls, name, value):
+        raise ValueError(f'sets {name} of a class')
+
+
+class _Type(metaclass=_Fixed):
     """Stands in for numpy.dtype: notes its name and its byte order."""
+
+    __slots__ = ('name', 'order')
 
     def __init__(self, name, *_):
         self.name, self.order = name, '='
@@ -44,8 +71,10 @@ class _Type:
         return np.dtype(self.order + self.name)
 
 
-class _Array:
+class _Array(metaclass=_Fixed):
     """Stands in for numpy's `_reconstruct` and the array it makes: notes the array's state."""
+
+    __slots__ = ('state',)
 
     def __init__(self, *_):
         self.state = None
@@ -61,11 +90,16 @@ class _Array:
         return np.ndarray(shape, kind.dtype(), bytearray(data), order='F' if fortran else 'C')
 
 
-class _Scalar:
+class _Scalar(metaclass=_Fixed):
     """Stands in for numpy's `scalar`."""
+
+    __slots__ = ('kind', 'data')
 
     def __init__(self, kind, data):
         self.kind, self.data = kind, data
+
+    def __setstate__(self, state):
+        raise ValueError('gives a number a state')
 
     def array(self) -> np.ndarray:
         if not isinstance(self.kind, _Type) or not isinstance(self.data, bytes):
@@ -108,9 +142,78 @@ def read_array(path: str) -> np.ndarray:
     with open(path, 'rb') as file:
         data = file.read()
     try:
-        noted = _ArrayUnpickler(io.BytesIO(data)).load()
+        noted = _load(data)
         if not isinstance(noted, (_Array, _Scalar)):
             raise ValueError(f'holds {type(noted).__name__}')
         return noted.array()
     except Exception as error:  # a damaged pickle fails in many ways, none of which is ours
         raise ValueError(f'{path}: is not a pickled numpy array of numbers: {error}') from error
+
+
+def parse_objects(data: bytes, where: str) -> Any:
+    """Parses the pickle inside a `.npy` member of type object.
+
+    Args:
+        data: bytes behind the header.
+        where: file and member, for messages.
+
+    Returns:
+        nested lists and tuples of numpy arrays of numbers, and plain numbers; an object array
+        becomes a list, one of several axes a list of lists.
+
+    Raises:
+        ValueError: anything else in it.
+    """
+    try:
+        return _plain(_load(data), 0)
+    except Exception as error:  # as in read_array
+        raise ValueError(f'{where}: is not an array of numpy arrays: {error}') from error
+
+
+def _load(data: bytes) -> Any:
+    _scan(data)
+    return _ArrayUnpickler(io.BytesIO(data)).load()
+
+
+def _scan(data: bytes) -> None:
+    """Raises unless the pickle uses admitted opcodes and fills its memory place by place."""
+    filled = 0
+    for opcode, argument, _ in pickletools.genops(data):
+        if opcode.name not in _OPCODES:
+            raise ValueError(f'uses {opcode.name}, which no numpy array needs')
+        if opcode.name in _PUTS:
+            # The unpickler makes room for every place up to the one that is named.
+            if int(argument) > filled:
+                raise ValueError(f'fills place {argument} of its memory after {filled} others')
+            filled += 1
+        elif opcode.name == 'MEMOIZE':
+            filled += 1
+
+
+def _plain(noted: Any, depth: int) -> Any:
+    if depth > _MAX_DEPTH:
+        raise ValueError('is nested too deeply')
+    if isinstance(noted, _Array) and noted.state is not None and len(noted.state) == 5:
+        shape, kind, items = noted.state[1], noted.state[2], noted.state[4]
+        if isinstance(items, list):
+            if not isinstance(kind, _Type) or not str(kind.name).startswith('O'):
+                raise ValueError('is not an array of objects')
+            return _shaped([_plain(item, depth + 1) for item in items], shape)
+    if isinstance(noted, (_Array, _Scalar)):
+        return noted.array()
+    if isinstance(noted, (list, tuple)):
+        return type(noted)(_plain(item, depth + 1) for item in noted)
+    if isinstance(noted, (int, float)):
+        return noted
+    raise ValueError(f'holds {type(noted).__name__}')
+
+
+def _shaped(items: list, shape: Any) -> Any:
+    """Gives a flat list the axes of its array."""
+    if shape == ():
+        return items[0] if len(items) == 1 else items
+    if len(shape) > 2 or np.prod(shape, dtype=object) != len(items):
+        raise ValueError(f'has {len(items)} objects in an array of shape {shape}')
+    if len(shape) == 1:
+        return items
+    return [items[i : i + shape[1]] for i in range(0, len(items), max(shape[1], 1))]

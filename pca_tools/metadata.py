@@ -43,11 +43,25 @@ def read_metadata(folder: str) -> dict[str, Any]:
     path = os.path.join(folder, METADATA_NAME)
     if not os.path.isdir(folder):
         raise FileNotFoundError(f'{folder}: no such dataset folder')
+    if not os.path.exists(path):
+        raise FileNotFoundError(f'{path}: no such file{_what_else(folder)}')
     metadata = files.read_json(path)
     problems = metadata_problems(metadata)
     if problems:
-        raise ValueError(f'{path}: ' + '; '.join(problems))
+        raise ValueError(f'{path}: ' + '; '.join(problems) + _what_else(folder))
     return metadata
+
+
+def _what_else(folder: str) -> str:
+    """Names the format of a folder that is no dataset of ours, with what to do; else empty."""
+    from pca_tools.formats import detect  # knows all formats, this one included
+
+    try:
+        kind = detect.detect(folder)
+    except (ValueError, OSError):
+        return ''
+    known = kind in detect.FORMATS or kind == detect.RAW
+    return f'. {detect.explain(kind, folder)}' if known else ''
 
 
 def metadata_problems(metadata: Any) -> list[str]:
@@ -119,7 +133,7 @@ def _record_problems(metadata: dict[str, Any]) -> list[str]:
     problems = []
     if not isinstance(metadata.get('pca', {}), dict):
         problems.append(f'pca is {metadata["pca"]!r}, an object was expected')
-    for key in ('dataset_split', 'cases', *PROJECTION_KEYS):
+    for key in ('dataset_split', 'cases', 'frames_of_runs', *PROJECTION_KEYS):
         value = metadata.get(key, {})
         if not isinstance(value, dict) or not all(
             isinstance(part, list) for part in value.values()

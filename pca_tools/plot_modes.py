@@ -26,6 +26,7 @@ from sklearn import decomposition
 
 from pca_tools import dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
+from pca_tools.raw_checks import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import DIM, Subspace
 
@@ -76,9 +77,17 @@ def plot_energy_and_error(space: Subspace, path: str) -> None:
     _save(figure, path)
 
 
-def plot_modes(space: Subspace, path: str) -> None:
-    """Draws each mode as particles coloured by their weight, from the side and from above."""
-    x, y, z = space.initial.T
+def plot_modes(space: Subspace, path: str, up_axis: int = 1) -> None:
+    """Draws each mode as particles coloured by their weight, from the side and from above.
+
+    Args:
+        space: the subspace.
+        path: of the picture.
+        up_axis: axis against gravity; the longer of the other two is drawn along the page.
+    """
+    level = [axis for axis in range(3) if axis != up_axis]
+    along, depth = sorted(level, key=lambda axis: -np.ptp(space.initial[:, axis]))
+    x, y, z = space.initial[:, [along, up_axis, depth]].T
     figure = Figure(figsize=(10, 2.1 * space.n_modes), layout='constrained')
     figure.suptitle(f'Modes on the particles as they lie at the start of run {space.runs[0]}')
     grid = figure.subplots(space.n_modes, 2, squeeze=False)
@@ -86,7 +95,10 @@ def plot_modes(space: Subspace, path: str) -> None:
         weights = space.components[:, mode]
         limit = np.abs(weights).max()
         order = np.argsort(np.abs(weights))  # the strongest on top, else others hide them
-        for axes, across, name in ((row[0], y, 'y up [m]'), (row[1], z, 'z [m]')):
+        for axes, across, name in (
+            (row[0], y, f'{AXES[up_axis]} up [m]'),
+            (row[1], z, f'{AXES[depth]} [m]'),
+        ):
             points = axes.scatter(
                 x[order],
                 across[order],
@@ -102,7 +114,7 @@ def plot_modes(space: Subspace, path: str) -> None:
         row[1].set_title('from above', fontsize=9)
         figure.colorbar(points, ax=row.tolist(), shrink=0.8)
     for axes in grid[-1]:
-        axes.set_xlabel('x [m]')
+        axes.set_xlabel(f'{AXES[along]} [m]')
     _save(figure, path)
 
 
@@ -231,7 +243,7 @@ def main(argv: Sequence[str]) -> None:
     if len(argv) != 2:
         sys.exit('usage: python -m pca_tools.plot_modes DATASET --output_path=PLOTS')
     try:
-        dataset.read_metadata(argv[1])
+        up_axis = dataset.read_metadata(argv[1]).get('scene', {}).get('up_axis', 1)
         space = Subspace.load(os.path.join(argv[1], SUBSPACE_NAME))
         reductions: list[ReductionRow] = []
         if values.raw_path:
@@ -244,7 +256,7 @@ def main(argv: Sequence[str]) -> None:
             )
         os.makedirs(values.output_path, exist_ok=True)
         plot_energy_and_error(space, os.path.join(values.output_path, 'energy_and_error.png'))
-        plot_modes(space, os.path.join(values.output_path, 'modes.png'))
+        plot_modes(space, os.path.join(values.output_path, 'modes.png'), up_axis)
         numbers = {
             'explained_variance_ratio': space.explained_variance_ratio.tolist(),
             'projection_floors': space.projection_floors.tolist(),
@@ -252,7 +264,7 @@ def main(argv: Sequence[str]) -> None:
         }
         files.write_json(os.path.join(values.output_path, 'modes.json'), numbers)
     except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(table(space, reductions))
     print(f'\n{values.output_path}: energy_and_error.png, modes.png, modes.json')
 

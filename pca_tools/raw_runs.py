@@ -1,34 +1,22 @@
-"""Raw solver runs: one `.npz` per run and a `manifest.json`.
+"""Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/raw_data.md`.
 
-The ground-truth solver writes them. The folder is trusted no further than its manifest: bytes and
-sha256 are checked when a run is first opened.
+The ground-truth solver writes them, and `pca_tools.write_raw` for data of any other origin. The
+folder is trusted no further than its manifest: bytes and sha256 are checked when a run is first
+opened.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from pca_tools import files
-from pca_tools.metadata import DIM, RIGID_MOTIONS
-
-_RUN_KEYS = ('positions', 'rigid_positions', 'parameters')
-# Arrays with a first axis of frames -> number of axes, length of the last one.
-_SERIES = {
-    'positions': (3, DIM),
-    'rigid_positions': (3, DIM),
-    'force': (2, DIM),
-    'torque': (2, DIM),
-    'pose': (2, 7),
-}
-_ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
-_SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
+from pca_tools import files, matching, raw_checks
+from pca_tools.raw_checks import AXES, SERIES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +26,18 @@ class RawRun:
     Attributes:
         case: its case id.
         positions: float32 [T, N, 3] soil particles, metres.
-        rigid_positions: float32 [T, R, 3] points fixed to the rigid body, metres.
+        rigid_positions: float32 [T, R, 3] points fixed to the rigid body, metres; R = 0 without
+            one.
         force: float32 [T, 3] on the body, newtons, or None.
         context: float64 [C] global context values.
         parameters: all parameters of the case and of the solver.
         torque: float32 [T, 3] on the body about the position of `pose`, newton metres, or None.
         pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
             None.
+        step_context: float32 [T, C], context of every frame where it changes in time, or None.
+        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None; `force` is then
+            their sum.
+        body_pose: float32 [T, B, 7] of each of several bodies, or None.
     """
 
     case: int | str
@@ -55,6 +48,9 @@ class RawRun:
     parameters: dict[str, Any]
     torque: np.ndarray | None = None
     pose: np.ndarray | None = None
+    step_context: np.ndarray | None = None
+    body_force: np.ndarray | None = None
+    body_pose: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
@@ -73,58 +69,25 @@ class RawRuns(Sequence):
 
         Raises:
             FileNotFoundError: the folder or its manifest is missing.
-            ValueError: the manifest is not one of raw runs, lists nothing, or lists a case twice.
+            ValueError: the manifest is not one of raw runs; all of its faults are listed.
         """
         self.folder = folder
         path = os.path.join(folder, files.MANIFEST_NAME)
         if not os.path.isdir(folder):
             raise FileNotFoundError(f'{folder}: no such folder of raw runs')
         manifest = files.read_json(path)
-        if (
-            not isinstance(manifest, dict)
-            or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys()
-        ):
-            raise ValueError(f'{path}: is not a manifest of raw runs (scene, dt, bounds, runs)')
+        faults = raw_checks.manifest_faults(manifest)
+        if faults:
+            raise raw_checks.faults_error(path, faults)
         self.scene: dict[str, Any] = manifest['scene']
-        self.dt = manifest['dt']
-        self.bounds = manifest['bounds']
-        if (
-            isinstance(self.dt, bool)
-            or not isinstance(self.dt, (int, float))
-            or not (0 < self.dt < math.inf)
-        ):
-            raise ValueError(f'{path}: dt is {self.dt!r}, a positive number was expected')
-        lacking = [
-            key for key in _SCENE_KEYS if not isinstance(self.scene, dict) or key not in self.scene
-        ]
-        if lacking or self.scene['rigid_motion'] not in RIGID_MOTIONS:
-            raise ValueError(
-                f'{path}: scene {self.scene!r} lacks {lacking} or has an unknown rigid_motion'
-            )
-        names = self.scene['context_names']
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ValueError(f'{path}: context_names is {names!r}, a list of texts was expected')
+        self.dt: float = manifest['dt']
+        self.bounds: list[list[float]] = manifest['bounds']
         self._entries = manifest['runs']
-        if not isinstance(self._entries, list):
-            raise ValueError(f'{path}: runs is no list')
-        for entry in self._entries:
-            if (
-                not isinstance(entry, dict)
-                or _ENTRY_KEYS - entry.keys()
-                or not isinstance(entry['file'], str)
-                or not isinstance(entry['case'], (int, str))
-            ):
-                raise ValueError(
-                    f'{path}: a run is listed as {entry!r}, not with {sorted(_ENTRY_KEYS)}'
-                )
         self.cases = [entry['case'] for entry in self._entries]
-        if not self.cases:
-            raise ValueError(f'{path}: lists no runs; let the solver finish at least one')
-        repeated = sorted({case for case in self.cases if self.cases.count(case) > 1}, key=str)
-        if repeated:
-            raise ValueError(f'{path}: lists the cases {repeated} more than once')
         self._verified: set[int] = set()
         self._shape: tuple[int, ...] | None = None
+        self._reference: np.ndarray | None = None
+        self._orders: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -141,86 +104,122 @@ class RawRuns(Sequence):
         path = os.path.join(self.folder, os.path.basename(entry['file']))
         files.refuse_git_lfs_pointer(path)
         if index not in self._verified:
-            if (os.path.getsize(path), files.sha256_of_file(path)) != (
-                entry['bytes'],
-                entry['sha256'],
-            ):
+            size = os.path.getsize(path)
+            if (size, files.sha256_of_file(path)) != (entry['bytes'], entry['sha256']):
                 raise ValueError(
-                    f'{path}: differs from the manifest ({os.path.getsize(path)} bytes, '
-                    f'{entry["bytes"]} listed); delete it and let the solver make it again'
+                    f'{path}: differs from the manifest ({size} bytes, {entry["bytes"]} listed); '
+                    'copy it again from where it is whole, or, if it was changed on purpose, let '
+                    'the manifest follow: python -m pca_tools.convert --rehash '
+                    f'--raw_path={self.folder}'
                 )
             self._verified.add(index)
-        run = self._parse(path, entry['case'], files.read_npz(path))
-        shape = (
-            *run.positions.shape[:2],
-            run.rigid_positions.shape[1],
-            run.torque is not None,
-            run.pose is not None,
-        )
+        arrays = files.read_npz(path)
+        faults = raw_checks.array_faults(arrays, self.scene)
+        if faults:
+            raise ValueError(f'{path}: ' + '; '.join(faults))
+        run = self._run_of(arrays, entry['case'])
+        shape = (run.positions.shape[1], run.torque is not None, run.pose is not None)
         if self._shape is None:
             self._shape = shape
         if shape != self._shape:
             raise ValueError(
-                f'{path}: has (frames, particles, rigid points, torque, pose) {shape}, the runs '
-                f'before it {self._shape}'
+                f'{path}: has (particles, torque, pose) {shape}, the runs before it {self._shape}'
             )
-        return run
+        if self._reference is None:
+            return run
+        if index not in self._orders:
+            self._orders[index] = matching.match_particles(run.positions[0], self._reference)
+        return dataclasses.replace(run, positions=run.positions[:, self._orders[index]])
+
+    def match_particles(self, reference: np.ndarray | None = None) -> None:
+        """Lets all runs list their particles in one order: nearest neighbours in frame 0.
+
+        Args:
+            reference: [N, 3] metres; default frame 0 of the first run.
+        """
+        self._reference = self[0].positions[0] if reference is None else reference
+
+    def _run_of(self, arrays: dict[str, np.ndarray], case: int | str) -> RawRun:
+        series = {
+            name: np.asarray(arrays[name], np.float32) if name in arrays else None
+            for name in SERIES
+        }
+        if not self.scene['force']:
+            series['force'] = None
+        if self.scene['rigid_motion'] == 'none':
+            series['rigid_positions'] = np.zeros((len(series['positions']), 0, 3), np.float32)
+        parameters, context = raw_checks.read_context(arrays, self.scene)
+        return RawRun(case=case, context=context, parameters=parameters, **series)
 
     def parameters(self, index: int) -> dict[str, Any]:
         """Returns the parameters of run `index`, from the manifest where it lists them."""
         listed = self._entries[index].get('parameters')
         return listed if isinstance(listed, dict) else self[index].parameters
 
-    def _parse(self, path: str, case: int | str, arrays: dict[str, np.ndarray]) -> RawRun:
-        lacking = [key for key in _RUN_KEYS if key not in arrays]
-        if self.scene['force'] and 'force' not in arrays:
-            lacking.append('force')
-        if lacking:
-            raise ValueError(f'{path}: lacks the arrays {lacking}')
-        frames = arrays['positions'].shape[0] if arrays['positions'].ndim else 0
-        for name, (ndim, width) in _SERIES.items():
-            values = arrays.get(name)
-            if values is None:
-                continue
-            if (
-                values.dtype.kind not in 'fiu'
-                or values.ndim != ndim
-                or len(values) != frames
-                or values.shape[-1] != width
-                or not values.size
-            ):
-                raise ValueError(
-                    f'{path}: {name} has shape {values.shape}, {values.dtype} for {frames} frames '
-                    f'of {width} values'
-                )
-            if not np.all(np.isfinite(values)):
-                bad = np.argwhere(~np.isfinite(values))
-                raise ValueError(
-                    f'{path}: {name} holds {len(bad)} NaN or infinite values, the first at frame '
-                    f'{bad[0][0]}, ' + (f'point {bad[0][1]}' if ndim == 3 else f'axis {bad[0][1]}')
-                )
-        try:
-            parameters = json.loads(str(arrays['parameters']))
-            context = [float(parameters['context'][name]) for name in self.scene['context_names']]
-            if not np.all(np.isfinite(context)):
-                raise ValueError(f'context {context} is not finite')
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise ValueError(
-                f'{path}: parameters must be a JSON object with context '
-                f'{self.scene["context_names"]}: {error!r}'
-            ) from error
-        series = {
-            name: np.asarray(arrays[name], np.float32) if name in arrays else None
-            for name in _SERIES
-        }
-        if not self.scene['force']:
-            series['force'] = None
-        return RawRun(
-            case=case, context=np.array(context, np.float64), parameters=parameters, **series
-        )
-
     def __iter__(self) -> Iterator[RawRun]:
         return (self[index] for index in range(len(self)))
+
+    def check(self, check_units: bool = True, progress=lambda sequence, label: sequence) -> None:
+        """Opens every run and refuses the folder with all that is wrong with it.
+
+        A scene that does not say which axis points up gets the one that gravity or the bounds tell,
+        with a warning.
+
+        Args:
+            check_units: whether positions and dt must be plausible in metres and seconds.
+            progress: wraps the pass, called with the sequence and a label.
+
+        Raises:
+            ValueError: faults of any run, implausible units, or no telling which axis points up.
+        """
+        extent, faults = raw_checks.Extent(), []
+        bounds = np.asarray(self.bounds, np.float64)
+        first = None
+        for index in progress(range(len(self)), 'check'):
+            try:
+                run = self[index]
+            except (ValueError, OSError) as error:
+                faults.append(str(error))
+                continue
+            extent.add(run.positions, run.rigid_positions, self.dt, bounds)
+            first = run if first is None else first
+            shift = matching.median_shift(run.positions[0], first.positions[0])
+            if shift > extent.spacing:
+                faults.append(
+                    f'case {run.case}: its particles start {shift:.3g} m (median) from those of '
+                    f'case {first.case}, more than their spacing of {extent.spacing:.3g} m: not '
+                    'the same order (then give --match_particles), or not the same packing (then '
+                    'train a full-space model: learning_to_simulate.train --model=full_space)'
+                )
+        if np.all(np.isfinite(extent.low)):
+            if check_units:
+                faults += raw_checks.unit_faults(extent, self.bounds, self.dt)
+            faults += self._up_axis_faults(extent)
+        if faults:
+            raise raw_checks.faults_error(self.folder, faults)
+
+    def _up_axis_faults(self, extent: raw_checks.Extent) -> list[str]:
+        axis, reason = raw_checks.infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
+        stated = self.scene.get('up_axis')
+        if stated is None and axis is None:
+            return [
+                'scene.up_axis is missing and cannot be inferred '
+                f'({reason}); write it into the manifest: 0 (x), 1 (y) or 2 (z)'
+            ]
+        if stated is None:
+            warnings.warn(
+                f'{self.folder}: scene.up_axis is missing; {axis} ({AXES[axis]}) is taken, because '
+                f'{reason}',
+                stacklevel=3,
+            )
+            self.scene = {**self.scene, 'up_axis': axis}
+        elif axis is not None and axis != stated:
+            warnings.warn(
+                f'{self.folder}: scene.up_axis is {stated} ({AXES[stated]}) but {AXES[axis]} looks '
+                f'like the upward axis: {reason}',
+                stacklevel=3,
+            )
+        return []
 
 
 class SoilPositions(Sequence):
@@ -231,6 +230,10 @@ class SoilPositions(Sequence):
         self._runs = runs
         self._indices = list(indices)
         self._stride = frame_stride
+
+    def part(self, start: int, stop: int) -> SoilPositions:
+        """Returns the runs from number `start` up to `stop`."""
+        return SoilPositions(self._runs, self._indices[start:stop], self._stride)
 
     def __len__(self) -> int:
         return len(self._indices)

@@ -1,4 +1,4 @@
-"""One rollout, truth and prediction, ready to be drawn: particles, body, force, errors per frame.
+"""One rollout, with its truth where there is one, ready to be drawn.
 
 Reads the `rollout_{split}_{i}.npz` of `learning_to_simulate.train --mode=eval_rollout` (DeepMind's
 key names) and, where the dataset has one, the subspace that turns mode scores back into particles.
@@ -17,25 +17,20 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate import metrics
+from learning_to_simulate.scene import Scene
 from pca_tools import files
 from pca_tools.metadata import metadata_problems
 from pca_tools.subspace import Subspace
 
-TEXTS = ('metadata', 'status', 'status_reason')  # of a rollout file
+TEXTS = ('metadata', 'scene', 'status', 'status_reason')  # of a rollout file
 SUBSPACE_NAME = 'subspace.npz'
 SOIL_PARTICLE_TYPE = 6
 DIM = 3
 TRUTH, PREDICTION = 'truth', 'prediction'
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1)}
-_REQUIRED = (
-    'initial_positions',
-    'predicted_rollout',
-    'ground_truth_rollout',
-    'particle_types',
-    'metadata',
-)
-_FORCES = ('initial_forces', 'predicted_forces', 'ground_truth_forces')
+_REQUIRED = ('initial_positions', 'predicted_rollout', 'particle_types')
+_TRUE_POSITIONS, _TRUE_FORCES = 'ground_truth_rollout', ('initial_forces', 'ground_truth_forces')
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
@@ -57,7 +52,8 @@ class RolloutFrames:
         name: file name without its ending.
         title: scene, case and its parameters, one line.
         label: name of the model that predicted, or ''.
-        scores: {truth, prediction} -> float64 [T, r, 3], m.
+        scores: {truth, prediction} -> float64 [T, r, 3], m; of a path that nobody recorded, the
+            prediction alone, as in the next two.
         rigid: {truth, prediction} -> float64 [T, R, 3], m.
         force: {truth, prediction} -> float64 [T, 3], N, or None.
         rigid_type: particle type of the rigid points.
@@ -86,7 +82,22 @@ class RolloutFrames:
     @property
     def n_frames(self) -> int:
         """T."""
-        return len(self.rigid[TRUTH])
+        return len(self.rigid[PREDICTION])
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """What there is to see: truth and prediction, or the prediction alone."""
+        return tuple(which for which in (TRUTH, PREDICTION) if which in self.rigid)
+
+    @property
+    def reference(self) -> str:
+        """What limits, scales and bodies are taken from: the truth where there is one."""
+        return self.shown[0]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether there are errors to show."""
+        return TRUTH in self.rigid
 
     @functools.cached_property
     def time(self) -> np.ndarray:
@@ -144,8 +155,8 @@ class RolloutFrames:
     @functools.cached_property
     def rigid_rms_mm(self) -> np.ndarray:
         """[T] RMS error of the rigid points per coordinate, mm; zero where they are given."""
-        n_rigid = self.rigid[TRUTH].shape[1]
-        if not n_rigid:
+        n_rigid = self.rigid[PREDICTION].shape[1]
+        if not n_rigid or not self.has_truth:
             return np.zeros(self.n_frames)
         prediction, truth = (self.rigid[which][:, None] for which in (PREDICTION, TRUTH))
         return metrics.rms_mm(metrics.rigid_mse(prediction, truth, n_rigid))
@@ -202,11 +213,12 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         if name not in TEXTS and array.dtype.kind not in 'fiu':
             raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
     metadata = _metadata(rollout_path, arrays)
-    truth, prediction, force = _joined(rollout_path, arrays)
+    nodes, force = _joined(rollout_path, arrays)
+    prediction = nodes[PREDICTION]
     n_modes = metadata['mode_number']
-    if not 0 < n_modes <= truth.shape[1]:
+    if not 0 < n_modes <= prediction.shape[1]:
         raise ValueError(
-            f'{rollout_path}: has {truth.shape[1]} nodes but its metadata says mode_number '
+            f'{rollout_path}: has {prediction.shape[1]} nodes but its metadata says mode_number '
             f'{n_modes!r}'
         )
     start = len(arrays['initial_positions'])
@@ -219,7 +231,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     subspace = _subspace(data_path, metadata, n_modes)
     if subspace is None:
         notes.append('Without subspace.npz there are no particles: mode scores are drawn instead.')
-    n_rigid = truth.shape[1] - n_modes
+    n_rigid = prediction.shape[1] - n_modes
     if subspace is None and not n_rigid:
         raise ValueError(
             f'{rollout_path}: has modes only, and {data_path} no {SUBSPACE_NAME} to rebuild the '
@@ -227,13 +239,13 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         )
     split, record = _place(rollout_path)
     floors = metadata.get('projection_mse', {}).get(split, [])
-    both = {TRUTH: truth[:length], PREDICTION: prediction[:length]}
+    nodes = {which: values[:length] for which, values in nodes.items()}
     return RolloutFrames(
         name=os.path.splitext(os.path.basename(rollout_path))[0],
         title=_title(metadata, split, record),
         label=label,
-        scores={which: nodes[:, n_rigid:] for which, nodes in both.items()},
-        rigid={which: nodes[:, :n_rigid] for which, nodes in both.items()},
+        scores={which: values[:, n_rigid:] for which, values in nodes.items()},
+        rigid={which: values[:, :n_rigid] for which, values in nodes.items()},
         force=None if force is None else {which: f[:length] for which, f in force.items()},
         rigid_type=int(arrays['particle_types'][0]),
         first_predicted=start,
@@ -245,52 +257,118 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     )
 
 
+def of_rollout(rollout) -> RolloutFrames:
+    """A `path_rollout.SoilRollout` ready to be drawn; of a path there is no truth."""
+    start, n_modes = len(rollout.history), rollout.scene.n_modes
+    given = rollout.history[:, rollout.history.shape[1] - n_modes :]
+    scores = {PREDICTION: np.concatenate([given, rollout.modes])}
+    rigid = {PREDICTION: rollout.body}
+    force = None
+    if rollout.force is not None:
+        before = np.zeros((start, DIM))
+        if rollout.truth and rollout.truth[2] is not None:
+            before = rollout.truth[2][:start]
+        force = {PREDICTION: np.concatenate([before, rollout.force])}
+    if rollout.truth:
+        scores[TRUTH], rigid[TRUTH], true_force = rollout.truth
+        if force is not None:
+            force[TRUTH] = true_force
+    return RolloutFrames(
+        name=rollout.name,
+        title=rollout.scene.name.capitalize(),
+        label='',
+        scores=scores,
+        rigid=rigid,
+        force=force,
+        rigid_type=0,
+        first_predicted=start,
+        dt=rollout.scene.dt,
+        n_soil=rollout.scene.n_soil,
+        projection_mse=None,
+        subspace=None if rollout.soil is None else rollout.soil.subspace,
+        notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
+    )
+
+
 def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    missing = [key for key in _REQUIRED if key not in arrays]
+    wanted = (*_REQUIRED, 'scene' if 'scene' in arrays else 'metadata')
+    missing = [key for key in wanted if key not in arrays]
     if missing:
         raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
     try:
-        metadata = json.loads(str(arrays['metadata']))
+        stated = json.loads(str(arrays[wanted[-1]]))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f'{path}: its metadata is not JSON: {error}') from error
-    problems = metadata_problems(metadata)
+        raise ValueError(f'{path}: its {wanted[-1]} is not JSON: {error}') from error
+    if wanted[-1] == 'scene':
+        return _metadata_of_scene(path, stated)
+    problems = metadata_problems(stated)
     if problems:
         raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
-    return metadata
+    return stated
+
+
+def _metadata_of_scene(path: str, stated: Any) -> dict[str, Any]:
+    """What a drawing needs of the metadata, from the scene of a path that nobody recorded."""
+    try:
+        scene = Scene.from_json(stated)
+        good = scene.dt > 0 and scene.n_modes > 0
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f'{path}: its scene is none ({error})') from error
+    if not good:
+        raise ValueError(f'{path}: its scene has dt {scene.dt!r} and {scene.n_modes!r} modes')
+    return {
+        'dt': scene.dt,
+        'mode_number': scene.n_modes,
+        'n_soil': scene.n_soil,
+        'scene': {'name': scene.name},
+    }
 
 
 def _joined(path: str, arrays: dict[str, np.ndarray]):
-    """Returns truth and prediction [T, V, 3], and {truth, prediction} -> forces [T, 3] or None."""
-    given, predicted, truth = (np.asarray(arrays[key], np.float64) for key in _REQUIRED[:3])
-    nodes = (len(arrays['particle_types']), DIM)
-    if not all(a.ndim == 3 and a.shape[1:] == nodes for a in (given, predicted, truth)) or len(
-        predicted
-    ) != len(truth):
+    """Returns {truth, prediction} -> [T, V, 3], and {truth, prediction} -> forces [T, 3] or None;
+    without the truth where there is none."""
+    positions = {PREDICTION: 'predicted_rollout', TRUTH: _TRUE_POSITIONS}
+    given = np.asarray(arrays['initial_positions'], np.float64)
+    later = {w: np.asarray(arrays[k], np.float64) for w, k in positions.items() if k in arrays}
+    count, n_frames = len(arrays['particle_types']), len(arrays['predicted_rollout'])
+    if given.shape[1:] != (count, DIM) or any(
+        values.shape != (n_frames, count, DIM) for values in later.values()
+    ):
+        shapes = {positions[which]: values.shape for which, values in later.items()}
         raise ValueError(
-            f'{path}: shapes do not fit: {len(arrays["particle_types"])} particle types, '
-            f'initial_positions {given.shape}, predicted_rollout {predicted.shape}, '
-            f'ground_truth_rollout {truth.shape}'
+            f'{path}: shapes do not fit: {count} particle types, initial_positions {given.shape}, '
+            + ', '.join(f'{name} {shape}' for name, shape in shapes.items())
         )
-    if not np.isfinite(given).all() or not np.isfinite(truth).all():
+    if not all(np.isfinite(x).all() for x in (given, *(later[w] for w in later if w == TRUTH))):
         raise ValueError(f'{path}: the ground truth has NaN or infinite values')
-    force = None
-    if any(key in arrays for key in _FORCES):
-        missing = [key for key in _FORCES if key not in arrays]
-        if missing:
-            raise ValueError(f'{path}: has forces but lacks {missing}')
-        for key, frames in zip(_FORCES, (given, predicted, truth)):
-            if arrays[key].shape != (len(frames), DIM):
-                raise ValueError(
-                    f'{path}: {key} has shape {arrays[key].shape}, {(len(frames), DIM)} was '
-                    'expected'
-                )
-        force = {
-            which: np.concatenate([arrays['initial_forces'], arrays[key]]).astype(np.float64)
-            for which, key in ((TRUTH, 'ground_truth_forces'), (PREDICTION, 'predicted_forces'))
-        }
-        if not np.isfinite(force[TRUTH]).all():
-            raise ValueError(f'{path}: the true force has NaN or infinite values')
-    return np.concatenate([given, truth]), np.concatenate([given, predicted]), force
+    nodes = {which: np.concatenate([given, values]) for which, values in later.items()}
+    return nodes, _forces(path, arrays, len(given), n_frames, TRUTH in later)
+
+
+def _forces(path, arrays, n_given, n_frames, has_truth):
+    """{truth, prediction} -> forces [T, 3], or None; of a path, zero in the given frames."""
+    wanted = {'predicted_forces': n_frames}
+    wanted |= dict(zip(_TRUE_FORCES, (n_given, n_frames))) if has_truth else {}
+    if not any(key in arrays for key in wanted):
+        return None
+    missing = [key for key in wanted if key not in arrays]
+    if missing:
+        raise ValueError(f'{path}: has forces but lacks {missing}')
+    for key, length in wanted.items():
+        if arrays[key].shape != (length, DIM):
+            raise ValueError(
+                f'{path}: {key} has shape {arrays[key].shape}, {(length, DIM)} was expected'
+            )
+    before = arrays['initial_forces'] if has_truth else np.zeros((n_given, DIM))
+    keys = {TRUTH: 'ground_truth_forces', PREDICTION: 'predicted_forces'}
+    force = {
+        which: np.concatenate([before, arrays[key]]).astype(np.float64)
+        for which, key in keys.items()
+        if which == PREDICTION or has_truth
+    }
+    if has_truth and not np.isfinite(force[TRUTH]).all():
+        raise ValueError(f'{path}: the true force has NaN or infinite values')
+    return force
 
 
 def _finite_length(prediction: np.ndarray, force: np.ndarray | None) -> int:

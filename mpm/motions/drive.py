@@ -20,8 +20,11 @@ class Drive:
             at its first value.
         load: times [T] (s) -> float64 [T], N on the free vertical motion; None if the height is
             prescribed.
+        lead_in: frames that are simulated before the first recorded one: an earlier pass of the
+            tool over the bed. Times of `pose` and `load` count from the first simulated frame.
     """
 
     body: Body
     pose: Callable[[np.ndarray], np.ndarray]
     load: Callable[[np.ndarray], np.ndarray] | None = None
+    lead_in: int = 0

@@ -96,7 +96,7 @@ def leak_table(inspection: Inspection) -> list[str]:
 def force_table(inspection: Inspection) -> list[str]:
     """Share of the force's variance in each band of frequencies, by kind."""
     dt = inspection.metadata['dt']
-    bands = [f'{low:g}-{high:g}' for low, high in zip(BANDS, (*BANDS[1:], 0.5 / dt))]
+    bands = [f'{low:g}-{high:.3g}' for low, high in zip(BANDS, (*BANDS[1:], 0.5 / dt))]
     lines = []
     for kind, places in kinds_of(inspection).items():
         runs = [inspection.splits[split][index] for split, index in places]

@@ -223,8 +223,8 @@ def no_context(current, arrays):
     'change, text',
     [
         (nan_at(4, 9, 17), 'run_004.npz: positions holds 1 NaN .* frame 9, point 17'),
-        (fewer_particles, r'run_003.npz: has .* \(24, 100, 16, False, False\), the runs before'),
-        (shuffled_particles, 'case 3: its particles start .*not the same packing'),
+        (fewer_particles, r'run_003.npz: has .* \(100, False, False\), the runs before'),
+        (shuffled_particles, 'case 3: its particles start .*not the same order'),
         (no_force, r"run_00..npz: lacks the arrays \['force'\]"),
         (short_force, r'force has shape \(23, 3\), float32 for 24 frames'),
         (no_context, 'parameters must be a JSON object with context'),

@@ -1,0 +1,133 @@
+"""Compiles the C that is the same for every model, once per machine, and loads it."""
+
+import ctypes
+import functools
+import glob
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+
+from learning_to_simulate.export_c import c_header
+from pca_tools import files
+
+FLAGS = ('-std=c99', '-O3', '-fPIC', '-shared', '-fvisibility=hidden')
+
+
+class NoCompiler(RuntimeError):
+    """There is no C compiler, or it cannot compile the library."""
+
+
+def compiler() -> str:
+    """The system's C compiler: $CC, or the first of cc, gcc and clang.
+
+    Raises:
+      NoCompiler: there is none.
+    """
+    named = os.environ.get('CC')
+    for name in (shlex.split(named)[0],) if named else ('cc', 'gcc', 'clang'):
+        if path := shutil.which(name):
+            return path
+    wanted = f'$CC is {named!r}, which' if named else 'none of cc, gcc and clang'
+    raise NoCompiler(f'no C compiler: {wanted} is on the path; install one (apt install gcc)')
+
+
+def compile_sources(output: str, project: str, flags=FLAGS, extra_sources=()) -> None:
+    """Compiles the C files of a project into a shared library, whole or not at all.
+
+    Args:
+      output: path of the library.
+      project: folder with `include` and `src`.
+      flags: of the compiler.
+      extra_sources: more C files.
+
+    Raises:
+      NoCompiler: there is none, or it fails; with what it said.
+    """
+    include, src = (os.path.join(project, part) for part in ('include', 'src'))
+    _compile(output, [include, src], [*_c_files(src), *extra_sources], flags)
+
+
+def compile_flat(output: str, folder: str, flags=FLAGS) -> None:
+    """The same for a folder that holds all sources and headers."""
+    _compile(output, [folder], _c_files(folder), flags)
+
+
+def _c_files(folder):
+    return sorted(glob.glob(os.path.join(folder, '*.c')))
+
+
+def _compile(output, include, sources, flags):
+    def build(name):
+        include_flags = [f'-I{folder}' for folder in include]
+        command = [compiler(), *flags, *include_flags, *sources, '-o', name, '-lm']
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise NoCompiler(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
+
+    files.write_atomically(output, build)
+
+
+@functools.cache
+def load() -> ctypes.CDLL:
+    """The library of this machine, compiled at the first call of all and kept in the user's cache.
+
+    Raises:
+      NoCompiler: it is not there and cannot be compiled.
+    """
+    content = hashlib.sha256(repr(FLAGS).encode())
+    for path in sorted(glob.glob(os.path.join(c_header.NATIVE, '*', '*'))):
+        with open(path, 'rb') as file:
+            content.update(file.read())
+    name = f'lts-{content.hexdigest()[:16]}.so'
+    path = os.path.join(_cache_folder(), name)
+    if not os.path.exists(path):
+        try:
+            os.makedirs(os.path.dirname(path), exist_ok=True)
+            compile_sources(path, c_header.NATIVE)
+        except OSError:  # a home that cannot be written
+            path = os.path.join(tempfile.mkdtemp(prefix='lts-'), name)
+            compile_sources(path, c_header.NATIVE)
+    return declared(ctypes.CDLL(path))
+
+
+def _cache_folder():
+    base = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    return os.path.join(base, 'learning_to_simulate')
+
+
+def declared(library: ctypes.CDLL) -> ctypes.CDLL:
+    """Gives the functions their types, so that ctypes refuses what C would not survive."""
+    pointer, size, text = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_char_p
+    signatures = {
+        'lts_describe': (pointer, pointer),
+        'lts_init': (pointer, pointer, size, ctypes.c_int, ctypes.POINTER(pointer)),
+        'lts_kernel': (pointer,),
+        'lts_reset': (pointer, pointer, pointer),
+        'lts_start': (pointer, ctypes.c_int, pointer, pointer, pointer),
+        'lts_start_pose': (pointer, ctypes.c_int, pointer),
+        'lts_start_context': (pointer, ctypes.c_int, pointer),
+        'lts_prepare': (pointer,),
+        'lts_frame': (pointer, pointer, pointer),
+        'lts_frame_at': (pointer, pointer, pointer),
+        'lts_advance': (pointer, ctypes.c_double, pointer, pointer, pointer),
+        'lts_modes': (pointer, pointer),
+        'lts_points': (pointer, pointer),
+        'lts_particles': (pointer, pointer, size),
+        'lts_height_map': (pointer, pointer, pointer),
+        'lts_judge': (pointer, pointer),
+        'lts_save': (pointer, pointer, size),
+        'lts_load': (pointer, pointer, size),
+        'lts_clone': (pointer, pointer),
+    }
+    for name, types in signatures.items():
+        getattr(library, name).argtypes = types
+        getattr(library, name).restype = ctypes.c_int
+    for name in ('lts_size', 'lts_state_size'):
+        getattr(library, name).argtypes = (pointer,)
+        getattr(library, name).restype = size
+    library.lts_error_text.argtypes = (ctypes.c_int,)
+    library.lts_error_text.restype = text
+    return library

@@ -1,0 +1,293 @@
+"""`Soil`: a model of the C library, called by ctypes."""
+
+import ctypes
+
+import numpy as np
+
+from learning_to_simulate.export_c import c_header, c_library
+from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.stepping import Frame
+from learning_to_simulate.stepping import _checked as _checked_array
+
+KERNELS = ('scalar', 'vector4', 'avx2')
+_MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
+_CHECKS = {
+    'LTS_OUTSIDE_START': 'coordinate',
+    'LTS_OUTSIDE_POSE': 'coordinate',
+    'LTS_OUTSIDE_SPEED': 'displacement',
+    'LTS_LEFT_BOUNDS': 'coordinate',
+}
+
+
+def _checked(name, values, shape):
+    """As in `stepping`, and in the order of C."""
+    return np.ascontiguousarray(_checked_array(name, values, shape))
+
+
+class Soil:
+    """One run of a model of the C library.
+
+    Args:
+      library: `c_library.declared` of a shared library.
+      model: address of its `lts_model`.
+      kernel: 'best', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
+
+    Raises:
+      ValueError: a model of another ABI version, a kernel that this machine lacks.
+    """
+
+    def __init__(self, library: ctypes.CDLL, model: int, kernel: str = 'best'):
+        self._c, self._model = library, model
+        d = c_header.structures()['lts_description']()
+        self._done(library.lts_describe(model, ctypes.addressof(d)))
+        self._n, self._n_modes, self._n_soil = d.n_rigid, d.n_modes, d.n_soil
+        self._n_start, self._has_force, self._digest = d.n_start, d.has_force, d.digest.decode()
+        self._motion = _MOTIONS[d.motion]
+        names = d.context_names.decode()
+        self._context_names = tuple(names.split(',')) if names else ()
+        if kernel not in ('best', *KERNELS):
+            raise ValueError(f'kernel is {kernel!r}, must be best, {", ".join(KERNELS)}')
+        self._memory = np.empty(library.lts_size(model), np.uint8)
+        soil = ctypes.c_void_p()
+        code = library.lts_init(
+            model,
+            self._memory.ctypes.data,
+            self._memory.nbytes,
+            c_header.constants()[f'LTS_{kernel.upper()}'],
+            ctypes.byref(soil),
+        )
+        if code < 0:
+            raise ValueError(f'this machine lacks kernel {kernel!r}')
+        self._soil = soil.value
+        self._result = c_header.structures()['lts_result']()
+        self._at_result = ctypes.addressof(self._result)
+        # Every call reads from the same array: an address costs a microsecond.
+        self._pose = np.empty((self._n, 3))
+        self._at_pose = self._pose.ctypes.data
+        self._started = False
+
+    @classmethod
+    def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'Soil':
+        """A model of a shared library that an exported project built.
+
+        Args:
+          path: of the library.
+          symbol: name of its model, `lts_...`.
+          kernel: of the constructor.
+
+        Raises:
+          ValueError: no such library, or no such model in it.
+        """
+        try:
+            library = c_library.declared(ctypes.CDLL(path))
+            model = ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
+        except (OSError, ValueError, AttributeError) as error:
+            raise ValueError(f'{path}: no library of the model {symbol} ({error})') from error
+        return cls(library, model, kernel)
+
+    @property
+    def model(self) -> int:
+        """Address of the `lts_model`, for another run of it."""
+        return self._model
+
+    @property
+    def address(self) -> int:
+        """Of the `lts_instance`, for calls of lts.h that have no method here."""
+        return self._soil
+
+    @property
+    def n_soil(self) -> int:
+        """N; 0 without a subspace."""
+        return self._n_soil
+
+    @property
+    def digest(self) -> str:
+        """sha256 of all numbers of the model."""
+        return self._digest
+
+    @property
+    def kernel(self) -> str:
+        """Which arithmetic runs: 'avx2', 'vector4' (SSE2, NEON) or 'scalar'."""
+        return KERNELS[self._c.lts_kernel(self._soil)]
+
+    def reset(self, history, context=None) -> None:
+        """Starts from the last H frames; as `stepping.Stepper.reset`."""
+        history = _checked('history', history, (H, self._n + self._n_modes, 3))
+        context = self._checked_context(context)
+        self._done(
+            self._c.lts_reset(
+                self._soil, history.ctypes.data, None if context is None else context.ctypes.data
+            )
+        )
+        self._started = True
+
+    def _checked_context(self, context):
+        names = self._context_names
+        if (context is None) == bool(names):
+            raise ValueError(f'the scene takes context {list(names)}, got {context}')
+        return _checked('context', context, (len(names),)) if names else None
+
+    def start(self, start: int = 0, pose=None, twist=None, context=None) -> None:
+        """Starts from soil at rest.
+
+        Args:
+          start: index of one of the starts; -1 takes the one whose context is nearest.
+          pose: of the body, [7]: reference point, m, and rotation w, x, y, z from its attitude in
+            the training run; None: where it was there.
+          twist: [6], its motion so far: linear, m/s, and angular velocity, rad/s; None: at rest.
+          context: [C]; None: that of the start.
+
+        Raises:
+          ValueError: no such start, wrong shape, values that are not finite, no rotation.
+        """
+        count = self._n_start
+        if not -1 <= start < max(count, 1) or not count:
+            raise ValueError(f'start is {start}, the model has {count} starts')
+        pose, twist, context = (
+            None if value is None else _checked(name, value, shape)
+            for name, value, shape in (
+                ('pose', pose, (7,)),
+                ('twist', twist, (6,)),
+                ('context', context, (len(self._context_names),)),
+            )
+        )
+        at = [None if v is None else v.ctypes.data for v in (pose, twist, context)]
+        self._done(self._c.lts_start(self._soil, start, *at))
+        self._started = True
+
+    def prepare(self) -> None:
+        """Computes all of the coming frame that needs no pose, so that `step` answers sooner."""
+        self._require_start('prepare')
+        self._done(self._c.lts_prepare(self._soil))
+
+    def step(self, rigid_pose=None) -> Frame:
+        """Predicts the next frame; as `stepping.Stepper.step`."""
+        self._require_start('step')
+        if self._motion.is_known != (rigid_pose is not None):
+            takes = 'takes' if rigid_pose is None else 'does not take'
+            raise ValueError(f'the body is {self._motion}: step() {takes} a pose')
+        at = None
+        if rigid_pose is not None:
+            self._pose[:] = _checked('rigid_pose', rigid_pose, self._pose.shape)
+            at = self._at_pose
+        self._done(self._c.lts_frame(self._soil, at, self._at_result))
+        return self._newest()
+
+    def step_at(self, pose) -> Frame:
+        """The next frame of a body that was started by `start`, at a pose [7] as there."""
+        self._require_start('step_at')
+        pose = _checked('pose', pose, (7,))
+        self._done(self._c.lts_frame_at(self._soil, pose.ctypes.data, self._at_result))
+        return self._newest()
+
+    def _require_start(self, name):
+        if not self._started:
+            raise ValueError(f'call reset() with the first frames before {name}()')
+
+    def _newest(self):
+        modes, points = np.empty((self._n_modes, 3)), np.empty((self._n, 3))
+        self._c.lts_modes(self._soil, modes.ctypes.data)
+        self._c.lts_points(self._soil, points.ctypes.data)
+        force = np.array(self._result.force, np.float32) if self._has_force else None
+        return Frame(modes, force, points)
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3] positions of the soil in the newest frame, m.
+
+        Raises:
+          ValueError: before `reset`, or without a subspace.
+        """
+        self._require_soil('particles')
+        particles = np.empty((self._n_soil, 3), np.float32)
+        self._done(self._c.lts_particles(self._soil, particles.ctypes.data, self._n_soil))
+        return particles
+
+    def height_map(self, origin, cell: float, shape) -> np.ndarray:
+        """Highest particle centre in each cell of a grid across the up axis.
+
+        Args:
+          origin: [2] outer corner of the first cell along the two other axes, m.
+          cell: size of a cell, m.
+          shape: (cells along the first axis, along the second).
+
+        Returns:
+          float32 `shape`, m; NaN where a cell holds no particle.
+
+        Raises:
+          ValueError: as `particles`, or a grid without cells.
+        """
+        self._require_soil('height_map')
+        grid = c_header.structures()['lts_grid'](
+            (ctypes.c_double * 2)(*_checked('origin', origin, (2,))),
+            float(cell),
+            (ctypes.c_int32 * 2)(*map(int, shape)),
+        )
+        if not (cell > 0 and min(grid.n) > 0):
+            raise ValueError(f'a grid of {tuple(shape)} cells of {cell} m has no cells')
+        heights = np.empty(tuple(grid.n), np.float32)
+        self._done(self._c.lts_height_map(self._soil, ctypes.addressof(grid), heights.ctypes.data))
+        return heights
+
+    def _require_soil(self, name):
+        if not self._n_soil or not self._started:
+            missing = 'reset()' if self._n_soil else 'a subspace'
+            raise ValueError(f'{name}() needs {missing} first')
+
+    @property
+    def frame_status(self) -> int:
+        """Status bits of the newest frame: 0, or a sum of the LTS_... bits of lts.h."""
+        return self._result.status
+
+    @property
+    def judgement(self) -> Judgement:
+        """The worst that has held since the start, as `rollout_status.judge` of the same frames."""
+        self._require_start('judgement')
+        found = c_header.structures()['lts_judgement']()
+        self._c.lts_judge(self._soil, ctypes.addressof(found))
+        constants = c_header.constants()
+        if not found.status:
+            return Judgement(RolloutStatus.OK)
+        if found.status == constants['LTS_NON_FINITE']:
+            what = 'force' if found.node < 0 else 'position'
+            return Judgement(
+                RolloutStatus.NON_FINITE, found.frame, found.node, f'{what} is not finite'
+            )
+        status = RolloutStatus.EXTRAPOLATING
+        if found.status == constants['LTS_LEFT_BOUNDS']:
+            status = RolloutStatus.LEFT_BOUNDS
+        limits = f'{found.value:.4g}{{0}} is outside [{found.low:.4g}, {found.high:.4g}]'
+        if found.status == constants['LTS_OUTSIDE_CONTEXT']:
+            name = self._context_names[found.axis]
+            return Judgement(status, found.frame, -1, f'{name} {limits.format("")} of training')
+        what = next(text for name, text in _CHECKS.items() if constants[name] == found.status)
+        if found.node < 0:
+            extent = found.status == constants['LTS_OUTSIDE_POSE']
+            what = 'extent of the body' if extent else 'displacement of the body'
+        axis = 'xyz'[found.axis] if found.axis >= 0 else ''
+        return Judgement(
+            status,
+            found.frame,
+            found.node,
+            f'{what} {axis} '.replace('  ', ' ') + limits.format(' m') + ' m',
+        )
+
+    def save(self) -> bytes:
+        """The state, for `load_state`; 1 to 5 kB."""
+        state = ctypes.create_string_buffer(self._c.lts_state_size(self._model))
+        self._done(self._c.lts_save(self._soil, state, len(state)))
+        return state.raw
+
+    def load_state(self, state: bytes) -> None:
+        """Goes back to a saved state; what follows is the same bit by bit.
+
+        Raises:
+          ValueError: damaged bytes, or those of another model; the state stays as it was.
+        """
+        self._done(self._c.lts_load(self._soil, state, len(state)))
+        self._started = True
+
+    def _done(self, code):
+        if code < 0:
+            raise ValueError(self._c.lts_error_text(code).decode())

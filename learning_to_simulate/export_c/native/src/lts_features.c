@@ -1,0 +1,140 @@
+/* What the network sees of the state: velocities, offset, accelerations, rate, coming displacement,
+ * height of a driven body, context; all over the statistics of the training runs. */
+#include <math.h>
+
+#include "lts_internal.h"
+
+int lts_needs_pose(const lts_model *model, int kind) {
+  return model->rate_scaled || (kind == LTS_RIGID && model->knows_next);
+}
+
+void lts_context_features(lts_instance *soil) {
+  const lts_model *m = soil->model;
+  for (int i = 0; i < m->n_context; ++i) {
+    const double value = soil->state.context[i];
+    soil->context_feature[i] = (float)((value - m->context_mean[i]) / m->context_std[i]);
+    if (!m->has_log_context) continue;
+    /* The floor is far below any positive context; it keeps a zero from becoming infinite. */
+    const double logarithm = log(value > 1e-6 ? value : 1e-6);
+    soil->context_feature[m->n_context + i] =
+        (float)((logarithm - m->log_context_mean[i]) / m->log_context_std[i]);
+  }
+}
+
+/* Displacement k of a node (0 is the oldest), m, with the height of a driven body. */
+static double displacement(const lts_instance *soil, int node, int k, int axis) {
+  const lts_model *m = soil->model;
+  double v = soil->state.velocity[(node * m->velocity_inputs + k) * 3 + axis];
+  if (m->motion == LTS_DRIVEN && node < m->n_rigid && axis == m->up_axis) {
+    v += soil->state.head->height_change[LTS_CHANGES - m->velocity_inputs + k];
+  }
+  return v;
+}
+
+void lts_node_offset(const lts_instance *soil, int node, float out[3]) {
+  const lts_model *m = soil->model;
+  for (int axis = 0; axis < 3; ++axis) out[axis] = soil->state.offset[3 * node + axis];
+  if (m->motion == LTS_DRIVEN && node < m->n_rigid) out[m->up_axis] += soil->state.head->height;
+}
+
+static double velocity_feature(const lts_instance *soil, int node, int k, int axis) {
+  const lts_model *m = soil->model;
+  const double v = displacement(soil, node, k, axis) / soil->rate;
+  return (v - m->velocity_mean[3 * node + axis]) / m->velocity_std[3 * node + axis];
+}
+
+static float *offset_features(const lts_instance *soil, int node, float *out) {
+  const lts_model *m = soil->model;
+  float offset[3];
+  lts_node_offset(soil, node, offset);
+  for (int axis = 0; axis < 3; ++axis) {
+    *out++ = (float)(offset[axis] / m->position_std[3 * node + axis]);
+  }
+  return out;
+}
+
+static float *acceleration_features(const lts_instance *soil, int node, float *out) {
+  const lts_model *m = soil->model;
+  for (int k = 1; k < m->velocity_inputs; ++k) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const int i = 3 * node + axis;
+      const double change =
+          (displacement(soil, node, k, axis) - displacement(soil, node, k - 1, axis)) / soil->rate;
+      *out++ = (float)((change - m->acceleration_mean[i]) / m->acceleration_std[i]);
+    }
+  }
+  return out;
+}
+
+static float *rate_features(const lts_instance *soil, float *out) {
+  *out++ = logf(soil->rate);
+  *out++ = soil->rate;
+  return out;
+}
+
+static float *coming_features(const lts_instance *soil, int node, float *out) {
+  const lts_model *m = soil->model;
+  for (int axis = 0; axis < 3; ++axis) {
+    const int i = 3 * node + axis;
+    *out++ = (float)((soil->coming[i] / soil->rate - m->velocity_mean[i]) / m->velocity_std[i]);
+  }
+  return out;
+}
+
+static float *height_features(const lts_instance *soil, float *out) {
+  const lts_model *m = soil->model;
+  const lts_head *head = soil->state.head;
+  *out++ = (float)(head->height / m->height_std);
+  for (int k = 0; k < LTS_CHANGES; ++k) {
+    *out++ = (float)(head->height_change[k] / m->height_velocity_std);
+  }
+  return out;
+}
+
+static float *context_features(const lts_instance *soil, float *out) {
+  const lts_model *m = soil->model;
+  const int n = m->n_context * (m->has_log_context ? 2 : 1);
+  for (int i = 0; i < n; ++i) *out++ = soil->context_feature[i];
+  return out;
+}
+
+static float *zeros(int n, float *out) {
+  while (n-- > 0) *out++ = 0.0f;
+  return out;
+}
+
+void lts_node_features(const lts_instance *soil, int node, float *out) {
+  const lts_model *m = soil->model;
+  const int is_rigid = node < m->n_rigid;
+  for (int k = 0; k < m->velocity_inputs; ++k) {
+    for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
+  }
+  if (m->conditioned) {
+    out = offset_features(soil, node, out);
+    out = acceleration_features(soil, node, out);
+  }
+  if (m->rate_scaled) out = rate_features(soil, out);
+  if (m->knows_next) out = is_rigid ? coming_features(soil, node, out) : zeros(3, out);
+  if (m->has_height) out = is_rigid ? height_features(soil, out) : zeros(LTS_HISTORY, out);
+  context_features(soil, out);
+}
+
+void lts_whole_features(const lts_instance *soil, float *out) {
+  const lts_model *m = soil->model;
+  const int n_node = lts_n_node(m);
+  for (int k = 0; k < m->velocity_inputs; ++k) {
+    for (int node = 0; node < n_node; ++node) {
+      for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
+    }
+  }
+  if (m->conditioned) {
+    for (int node = 0; node < n_node; ++node) out = offset_features(soil, node, out);
+    for (int node = 0; node < n_node; ++node) out = acceleration_features(soil, node, out);
+  }
+  if (m->rate_scaled) out = rate_features(soil, out);
+  for (int node = 0; m->knows_next && node < m->n_rigid; ++node) {
+    out = coming_features(soil, node, out);
+  }
+  if (m->has_height) out = height_features(soil, out);
+  context_features(soil, out);
+}

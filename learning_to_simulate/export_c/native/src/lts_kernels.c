@@ -1,0 +1,124 @@
+/* The kernels of each kind of machine, and which of them this one has. */
+#include "lts_kernels.h"
+
+#include <string.h>
+
+#if defined(__GNUC__)
+#define INLINE inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 16")
+#else
+#define INLINE inline
+#define UNROLL
+#endif
+
+static const float lts_zeros[LTS_PANEL] = {0.0f};
+
+/* Any C99 compiler. A comparison that keeps NaN, so that a broken state stays visible. */
+#define W 1
+#define V float
+#define TILE 1
+#define NAME(name) scalar_##name
+#define TARGET
+#define LOAD(p) (*(p))
+#define STORE(p, v) (*(p) = (v))
+#define SET(v) (v)
+#define ADD(a, b) ((a) + (b))
+#define MUL(a, b) ((a) * (b))
+#define MADD(a, b, c) ((a) * (b) + (c))
+#define RELU(a) ((a) < 0.0f ? 0.0f : (a))
+#include "lts_kernels.inc"
+
+/* Vectors of four: SSE2 of every x86-64, NEON of every AArch64. */
+#if defined(__GNUC__)
+typedef float v4 __attribute__((vector_size(16)));
+typedef int32_t i4 __attribute__((vector_size(16)));
+static INLINE v4 v4_load(const float *p) {
+  v4 v;
+  memcpy(&v, p, sizeof v);
+  return v;
+}
+static INLINE void v4_store(float *p, v4 v) { memcpy(p, &v, sizeof v); }
+static INLINE v4 v4_set(float x) { return (v4){x, x, x, x}; }
+static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
+#define W 4
+#define V v4
+#define TILE 3
+#define NAME(name) vector4_##name
+#define TARGET
+#define LOAD(p) v4_load(p)
+#define STORE(p, v) v4_store(p, v)
+#define SET(v) v4_set(v)
+#define ADD(a, b) ((a) + (b))
+#define MUL(a, b) ((a) * (b))
+#define MADD(a, b, c) ((a) * (b) + (c))
+#define RELU(a) v4_relu(a)
+#include "lts_kernels.inc"
+#endif
+
+#if defined(__x86_64__) || defined(_M_X64)
+#include <immintrin.h>
+#if defined(__GNUC__)
+#define TARGET __attribute__((target("avx2,fma")))
+#else
+#define TARGET
+#endif
+#define W 8
+#define V __m256
+#define TILE 6
+#define NAME(name) avx2_##name
+#define LOAD(p) _mm256_loadu_ps(p)
+#define STORE(p, v) _mm256_storeu_ps(p, v)
+#define SET(v) _mm256_set1_ps(v)
+#define ADD(a, b) _mm256_add_ps(a, b)
+#define MUL(a, b) _mm256_mul_ps(a, b)
+#define MADD(a, b, c) _mm256_fmadd_ps(a, b, c)
+#define RELU(a) _mm256_max_ps(_mm256_setzero_ps(), a) /* the second operand if that is NaN */
+#include "lts_kernels.inc"
+
+#if defined(_MSC_VER) && !defined(__clang__)
+#include <intrin.h>
+static void cpuid(int leaf, unsigned int r[4]) { __cpuidex((int *)r, leaf, 0); }
+static unsigned long long enabled_registers(void) { return _xgetbv(0); }
+#else
+#include <cpuid.h>
+static void cpuid(int leaf, unsigned int r[4]) {
+  if (!__get_cpuid_count((unsigned int)leaf, 0, &r[0], &r[1], &r[2], &r[3])) memset(r, 0, 16);
+}
+static unsigned long long enabled_registers(void) {
+  unsigned int low, high;
+  __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+  return ((unsigned long long)high << 32) | low;
+}
+#endif
+
+/* The processor has AVX2 and FMA, and the system saves their registers. */
+static int has_avx2(void) {
+  unsigned int r[4];
+  cpuid(1, r);
+  const unsigned int fma = 1u << 12, osxsave = 1u << 27, avx = 1u << 28;
+  if ((r[2] & (fma | osxsave | avx)) != (fma | osxsave | avx)) return 0;
+  if ((enabled_registers() & 6) != 6) return 0;
+  cpuid(7, r);
+  return (r[1] >> 5) & 1;
+}
+#endif
+
+const lts_kernels *lts_find_kernels(int kind, int *found) {
+#if defined(__x86_64__) || defined(_M_X64)
+  if ((kind == LTS_AVX2 || kind == LTS_BEST) && has_avx2()) {
+    *found = LTS_AVX2;
+    return &avx2_kernels;
+  }
+#endif
+#if defined(__GNUC__)
+  if (kind == LTS_VECTOR4 || kind == LTS_BEST) {
+    *found = LTS_VECTOR4;
+    return &vector4_kernels;
+  }
+#endif
+  if (kind == LTS_SCALAR || kind == LTS_BEST) {
+    *found = LTS_SCALAR;
+    return &scalar_kernels;
+  }
+  return NULL;
+}

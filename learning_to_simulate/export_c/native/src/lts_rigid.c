@@ -1,0 +1,107 @@
+/* Rigid motions: rotations by quaternions w, x, y, z, and the placement of a predicted body. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_internal.h"
+
+void lts_rotate(const double q[4], const double v[3], double out[3]) {
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  const double rows[3][3] = {
+      {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
+      {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
+      {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)},
+  };
+  double rotated[3];
+  for (int i = 0; i < 3; ++i) {
+    rotated[i] = rows[i][0] * v[0] + rows[i][1] * v[1] + rows[i][2] * v[2];
+  }
+  memcpy(out, rotated, sizeof rotated);
+}
+
+/* 0 where `q` stands for no rotation: not finite, or hardly longer than zero. */
+int lts_unit_quaternion(const double q[4], double out[4]) {
+  const double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  if (!(length > 1e-6 && length < 1e6)) return 0;
+  for (int i = 0; i < 4; ++i) out[i] = q[i] / length;
+  return 1;
+}
+
+void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out) {
+  const double *w = twist->angular, *q = pose->rotation;
+  const double rate = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), half = 0.5 * rate * seconds;
+  const double s = rate > 0.0 ? sin(half) / rate : 0.0, c = cos(half);
+  const double t[4] = {c, s * w[0], s * w[1], s * w[2]};
+  const double turned[4] = {
+      t[0] * q[0] - t[1] * q[1] - t[2] * q[2] - t[3] * q[3],
+      t[0] * q[1] + t[1] * q[0] + t[2] * q[3] - t[3] * q[2],
+      t[0] * q[2] - t[1] * q[3] + t[2] * q[0] + t[3] * q[1],
+      t[0] * q[3] + t[1] * q[2] - t[2] * q[1] + t[3] * q[0],
+  };
+  for (int i = 0; i < 3; ++i) out->position[i] = pose->position[i] + twist->linear[i] * seconds;
+  memcpy(out->rotation, turned, sizeof turned);
+}
+
+/* Eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations: they need no
+ * start and no shift, and converge for equal eigenvalues too. */
+static void largest_eigenvector(double a[4][4], double out[4]) {
+  double v[4][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
+  for (int sweep = 0; sweep < 30; ++sweep) {
+    double off = 0.0, size = 0.0;
+    for (int p = 0; p < 4; ++p) {
+      for (int q = 0; q < 4; ++q) *(p == q ? &size : &off) += a[p][q] * a[p][q];
+    }
+    if (!(off > 1e-32 * size)) break;
+    for (int p = 0; p < 3; ++p) {
+      for (int q = p + 1; q < 4; ++q) {
+        if (a[p][q] == 0.0) continue;
+        const double theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+        const double t = (theta < 0 ? -1.0 : 1.0) / (fabs(theta) + sqrt(theta * theta + 1.0));
+        const double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
+        for (int k = 0; k < 4; ++k) {
+          const double x = a[k][p], y = a[k][q];
+          a[k][p] = c * x - s * y;
+          a[k][q] = s * x + c * y;
+        }
+        for (int k = 0; k < 4; ++k) {
+          const double x = a[p][k], y = a[q][k];
+          a[p][k] = c * x - s * y;
+          a[q][k] = s * x + c * y;
+        }
+        for (int k = 0; k < 4; ++k) {
+          const double x = v[k][p], y = v[k][q];
+          v[k][p] = c * x - s * y;
+          v[k][q] = s * x + c * y;
+        }
+      }
+    }
+  }
+  int best = 0;
+  for (int i = 1; i < 4; ++i) best = a[i][i] > a[best][best] ? i : best;
+  for (int i = 0; i < 4; ++i) out[i] = v[i][best];
+}
+
+/* Nearest rigid placement of a body to predicted points (Usmani & Skonieczny 2023, Algorithm 3), in
+ * Horn's quaternion form (J. Opt. Soc. Am. A 4, 1987). `shape` has its centroid at zero. */
+void lts_place_rigid(int n, const double *shape, const double *predicted, double *placed) {
+  double centroid[3] = {0.0, 0.0, 0.0}, s[3][3] = {{0.0}}, q[4];
+  for (int i = 0; i < 3 * n; ++i) centroid[i % 3] += predicted[i] / n;
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      for (int k = 0; k < 3; ++k) {
+        s[j][k] += shape[3 * i + j] * (predicted[3 * i + k] - centroid[k]);
+      }
+    }
+  }
+  double form[4][4] = {
+      {s[0][0] + s[1][1] + s[2][2], s[1][2] - s[2][1], s[2][0] - s[0][2], s[0][1] - s[1][0]},
+      {s[1][2] - s[2][1], s[0][0] - s[1][1] - s[2][2], s[0][1] + s[1][0], s[2][0] + s[0][2]},
+      {s[2][0] - s[0][2], s[0][1] + s[1][0], s[1][1] - s[0][0] - s[2][2], s[1][2] + s[2][1]},
+      {s[0][1] - s[1][0], s[2][0] + s[0][2], s[1][2] + s[2][1], s[2][2] - s[0][0] - s[1][1]},
+  };
+  largest_eigenvector(form, q);
+  for (int i = 0; i < n; ++i) {
+    double rotated[3];
+    lts_rotate(q, shape + 3 * i, rotated);
+    for (int j = 0; j < 3; ++j) placed[3 * i + j] = centroid[j] + rotated[j];
+  }
+}

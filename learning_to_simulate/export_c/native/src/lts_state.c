@@ -1,0 +1,286 @@
+/* Memory, start, save and load. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_internal.h"
+
+#define ALIGNMENT 64
+
+static size_t aligned(size_t n, size_t to) { return (n + to - 1) / to * to; }
+
+static int is_usable(const lts_model *model) { return model && model->abi == LTS_ABI; }
+
+int lts_describe(const lts_model *model, lts_description *out) {
+  if (!model || !out) return LTS_ERROR_NULL;
+  if (!is_usable(model)) return LTS_ERROR_MODEL;
+  const lts_description d = {model->abi,       model->n_rigid,   model->n_modes, model->n_soil,
+                             model->n_context, model->n_start,   model->motion,  model->has_force,
+                             model->up_axis,   model->dt,        model->name,    model->digest,
+                             model->context_names};
+  *out = d;
+  return LTS_OK;
+}
+
+const char *lts_error_text(int error) {
+  switch (error) {
+    case LTS_ERROR_NULL: return "a pointer that is needed is null";
+    case LTS_ERROR_MODEL: return "the model is of another ABI version than this library";
+    case LTS_ERROR_MEMORY: return "too little memory, or memory that holds no instance";
+    case LTS_ERROR_CALL: return "not started, or a call that this model does not take";
+    case LTS_ERROR_VALUE: return "a number is not finite or outside its range";
+    case LTS_ERROR_STATE: return "the saved state is damaged or belongs to another model";
+    default: return error < 0 ? "unknown error" : "no error";
+  }
+}
+
+/* Walks the arrays of a state; `base` may be null, to count. */
+static size_t lay_out_state(const lts_model *m, char *base, lts_state *state) {
+  const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
+  size_t at = aligned(sizeof(lts_head), 8);
+#define TAKE(field, type, count)                           \
+  if (base) state->field = (type *)(void *)(base + at);    \
+  at += aligned((count) * sizeof(type), 8);
+  if (base) state->head = (lts_head *)(void *)base;
+  TAKE(context, double, (size_t)m->n_context)
+  TAKE(given, double, 3 * n_rigid)
+  TAKE(shape, double, m->correction ? 3 * n_rigid : 0)
+  TAKE(offset, float, 3 * n_node)
+  TAKE(velocity, float, 3 * n_node * (size_t)m->velocity_inputs)
+#undef TAKE
+  return at;
+}
+
+size_t lts_state_bytes(const lts_model *model) { return lay_out_state(model, NULL, NULL); }
+
+size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
+  const size_t n_node = (size_t)lts_n_node(m), tile = LTS_TILE_ROWS;
+  const size_t latent = (size_t)LTS_PADDED(m->latent);
+  size_t columns = 0, width = latent, out = LTS_PANEL * n_node;
+  for (int i = 0; i < m->n_step; ++i) {
+    for (int kind = 0; kind < 2; ++kind) {
+      const size_t total = (size_t)m->steps[i].columns[kind].total;
+      columns = total > columns ? total : columns;
+    }
+  }
+  for (int i = 0; i < m->n_whole_hidden; ++i) {
+    const size_t n = (size_t)m->whole_hidden[i].columns;
+    width = n > width ? n : width;
+  }
+  if (!m->is_graph) out = (size_t)m->whole_out.a.columns;
+  const size_t n_feature = m->is_graph ? n_node * (size_t)m->n_feature : (size_t)m->n_input;
+  size_t at = aligned(sizeof(lts_instance), ALIGNMENT);
+  if (base) lay_out_state(m, base + at, &soil->state);
+  at += aligned(lts_state_bytes(m), ALIGNMENT);
+  if (base) soil->history = (double *)(void *)(base + at);
+  at += aligned(LTS_HISTORY * 3 * n_node * sizeof(double), ALIGNMENT);
+#define TAKE(field, count)                              \
+  if (base) soil->field = (float *)(void *)(base + at); \
+  at += aligned((count) * sizeof(float), ALIGNMENT);
+  TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
+  TAKE(weight, (size_t)m->n_edge)
+  TAKE(gate, n_node)
+  TAKE(columns, n_node * columns)
+  TAKE(received, m->is_graph ? n_node * (latent + LTS_PANEL) : 0)
+  TAKE(feature, n_feature)
+  TAKE(a, m->is_graph ? tile * width : width)
+  TAKE(b, m->is_graph ? tile * width : width)
+  TAKE(factor, tile)
+  TAKE(out, out)
+  TAKE(context_feature, 2 * (size_t)m->n_context)
+  TAKE(coming, 3 * (size_t)m->n_rigid)
+#undef TAKE
+  return at;
+}
+
+size_t lts_size(const lts_model *model) {
+  return is_usable(model) ? lts_lay_out(model, NULL, NULL) + ALIGNMENT - 1 : 0;
+}
+
+int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_instance **out) {
+  if (!model || !memory || !out) return LTS_ERROR_NULL;
+  if (!is_usable(model)) return LTS_ERROR_MODEL;
+  if (size < lts_size(model)) return LTS_ERROR_MEMORY;
+  int found = 0;
+  const lts_kernels *run = lts_find_kernels(kernel, &found);
+  if (!run) return LTS_ERROR_VALUE;
+  char *base = (char *)memory;
+  base += (ALIGNMENT - (uintptr_t)base % ALIGNMENT) % ALIGNMENT;
+  memset(base, 0, lts_lay_out(model, NULL, NULL));
+  lts_instance *soil = (lts_instance *)(void *)base;
+  lts_lay_out(model, base, soil);
+  soil->model = model;
+  soil->run = run;
+  soil->kernel = found;
+  soil->magic = LTS_MAGIC;
+  *out = soil;
+  return LTS_OK;
+}
+
+int lts_check(const lts_instance *soil) {
+  if (!soil) return LTS_ERROR_NULL;
+  if ((uintptr_t)soil % ALIGNMENT || soil->magic != LTS_MAGIC) return LTS_ERROR_MEMORY;
+  return LTS_OK;
+}
+
+int lts_check_started(const lts_instance *soil) {
+  const int error = lts_check(soil);
+  if (error) return error;
+  return soil->state.head->started ? LTS_OK : LTS_ERROR_CALL;
+}
+
+int lts_kernel(const lts_instance *soil) {
+  const int error = lts_check(soil);
+  return error ? error : soil->kernel;
+}
+
+static int all_finite(const double *values, size_t n) {
+  for (size_t i = 0; i < n; ++i) {
+    if (!isfinite(values[i])) return 0;
+  }
+  return 1;
+}
+
+int lts_reset(lts_instance *soil, const double *history, const double *context) {
+  const int error = lts_check(soil);
+  if (error) return error;
+  const lts_model *m = soil->model;
+  const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
+  if (!history || (m->n_context && !context)) return LTS_ERROR_NULL;
+  if (!all_finite(history, LTS_HISTORY * 3 * n_node)) return LTS_ERROR_VALUE;
+  if (m->n_context && !all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
+  lts_state *s = &soil->state;
+  lts_head *head = s->head;
+  memset(head, 0, lts_state_bytes(m));
+  soil->prepared = 0;
+  head->started = 1;
+  head->start = -1;
+  head->frame = LTS_HISTORY - 1;
+  for (int i = 0; i < LTS_N_WORSE; ++i) head->worst[i].frame = -1;
+  for (int i = 0; i < m->n_context; ++i) s->context[i] = context[i];
+
+  const int count = m->velocity_inputs, up = m->up_axis, driven = m->motion == LTS_DRIVEN;
+  const double *newest = history + (LTS_HISTORY - 1) * 3 * n_node;
+  double heights[LTS_HISTORY] = {0}, rise = 0.0;
+  for (int f = 0; driven && f < LTS_HISTORY; ++f) {
+    for (size_t i = 0; i < n_rigid; ++i) heights[f] += history[(f * n_node + i) * 3 + up];
+    heights[f] /= (double)n_rigid;
+  }
+  for (size_t i = 0; driven && i < n_rigid; ++i) rise += m->origin[3 * i + up];
+  for (size_t i = 0; i < n_node; ++i) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const int is_height = driven && i < n_rigid && axis == up;
+      double offset = newest[3 * i + axis] - m->origin[3 * i + axis];
+      /* As in the model: the mean over the points of their offsets is the height. */
+      if (is_height) offset -= heights[LTS_HISTORY - 1] - rise / (double)n_rigid;
+      s->offset[3 * i + axis] = (float)offset;
+      for (int k = 0; k < count; ++k) {
+        const int f = LTS_HISTORY - count + k;
+        const double *at = history + (f * n_node + i) * 3 + axis;
+        double velocity = at[0] - at[-(ptrdiff_t)(3 * n_node)];
+        if (is_height) velocity -= heights[f] - heights[f - 1];
+        s->velocity[(i * count + k) * 3 + axis] = (float)velocity;
+      }
+    }
+  }
+  if (driven) {
+    head->height = (float)(heights[LTS_HISTORY - 1] - rise / (double)n_rigid);
+    for (int k = 0; k < LTS_CHANGES; ++k) {
+      head->height_change[k] = (float)(heights[k + 1] - heights[k]);
+    }
+  }
+  if (n_rigid) memcpy(s->given, newest, 3 * n_rigid * sizeof *newest);
+  if (m->correction) {
+    double centroid[3] = {0.0, 0.0, 0.0};
+    for (size_t i = 0; i < 3 * n_rigid; ++i) {
+      s->shape[i] = (double)s->offset[i] + m->origin[i];
+      centroid[i % 3] += s->shape[i] / (double)n_rigid;
+    }
+    for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] -= centroid[i % 3];
+  }
+  lts_context_features(soil);
+  int status = lts_check_context(soil);
+  for (int f = 0; f < LTS_HISTORY; ++f) {
+    const double *nodes = history + f * 3 * n_node;
+    status |= lts_check_start(soil, f, nodes);
+    if (lts_is_given(m)) status |= lts_check_given(soil, f, f ? nodes - 3 * n_node : NULL, nodes);
+  }
+  head->result.frame = head->frame;
+  head->result.status = status;
+  for (size_t i = 0; i < 3 * n_rigid; ++i) head->result.point[i % 3] += newest[i] / (double)n_rigid;
+  return status;
+}
+
+/* Saved bytes: a header, then the state. */
+typedef struct {
+  uint32_t magic; /* also tells the byte order */
+  int32_t abi;
+  uint64_t size, checksum;
+  char digest[64];
+} lts_saved;
+
+/* FNV-1a, 64 bit. */
+static uint64_t checksum_of(const unsigned char *bytes, size_t size) {
+  uint64_t sum = 14695981039346656037ull;
+  for (size_t i = 0; i < size; ++i) sum = (sum ^ bytes[i]) * 1099511628211ull;
+  return sum;
+}
+
+static lts_saved saved_header(const lts_model *model) {
+  lts_saved header;
+  memset(&header, 0, sizeof header);
+  header.magic = LTS_MAGIC;
+  header.abi = LTS_ABI;
+  header.size = lts_state_bytes(model);
+  for (size_t i = 0; i < sizeof header.digest && model->digest[i]; ++i) {
+    header.digest[i] = model->digest[i];
+  }
+  return header;
+}
+
+size_t lts_state_size(const lts_model *model) {
+  return is_usable(model) ? sizeof(lts_saved) + lts_state_bytes(model) : 0;
+}
+
+int lts_save(const lts_instance *soil, void *bytes, size_t size) {
+  const int error = lts_check(soil);
+  if (error) return error;
+  if (!bytes) return LTS_ERROR_NULL;
+  if (size < lts_state_size(soil->model)) return LTS_ERROR_MEMORY;
+  lts_saved header = saved_header(soil->model);
+  const unsigned char *state = (const unsigned char *)soil->state.head;
+  header.checksum = checksum_of(state, (size_t)header.size);
+  memcpy(bytes, &header, sizeof header);
+  memcpy((char *)bytes + sizeof header, state, (size_t)header.size);
+  return LTS_OK;
+}
+
+int lts_load(lts_instance *soil, const void *bytes, size_t size) {
+  const int error = lts_check(soil);
+  if (error) return error;
+  if (!bytes) return LTS_ERROR_NULL;
+  if (size < lts_state_size(soil->model)) return LTS_ERROR_STATE;
+  const unsigned char *state = (const unsigned char *)bytes + sizeof(lts_saved);
+  lts_saved header = saved_header(soil->model);
+  header.checksum = checksum_of(state, (size_t)header.size);
+  if (memcmp(&header, bytes, sizeof header)) return LTS_ERROR_STATE;
+  lts_head head;
+  memcpy(&head, state, sizeof head);
+  /* A checksum can be forged: the index and the clock are what could lead astray. */
+  if (head.start < -1 || head.start >= soil->model->n_start) return LTS_ERROR_STATE;
+  if (!(fabs(head.elapsed) <= 2.0 * soil->model->dt)) return LTS_ERROR_STATE;
+  memcpy(soil->state.head, state, (size_t)header.size);
+  soil->prepared = 0;
+  if (soil->state.head->started) lts_context_features(soil);
+  return LTS_OK;
+}
+
+int lts_clone(lts_instance *to, const lts_instance *from) {
+  const int error = lts_check(to) ? lts_check(to) : lts_check(from);
+  if (error) return error;
+  if (to->model != from->model) return LTS_ERROR_STATE;
+  if (to == from) return LTS_OK;
+  memcpy(to->state.head, from->state.head, lts_state_bytes(to->model));
+  to->prepared = 0;
+  if (to->state.head->started) lts_context_features(to);
+  return LTS_OK;
+}

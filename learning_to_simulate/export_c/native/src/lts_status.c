@@ -1,0 +1,123 @@
+/* How far a frame can be trusted: the same limits as a rollout of the project is judged by. */
+#include <math.h>
+
+#include "lts_internal.h"
+
+/* Keeps the first judgement of a kind, LTS_WORSE_..., and returns its bit. */
+static int note(lts_instance *soil, int kind, lts_judgement found) {
+  lts_judgement *worst = &soil->state.head->worst[kind];
+  if (worst->frame < 0) *worst = found;
+  return found.status;
+}
+
+/* The bit if a value is outside its limits. */
+static int outside(lts_instance *soil, int kind, int bit, int frame, int node, int axis, double value,
+                   double low, double high) {
+  const lts_judgement found = {bit, frame, node, axis, value, low, high};
+  return value >= low && value <= high ? 0 : note(soil, kind, found);
+}
+
+static int not_finite(lts_instance *soil, int frame, int node, int axis, double value) {
+  const lts_judgement found = {LTS_NON_FINITE, frame, node, axis, value, -HUGE_VAL, HUGE_VAL};
+  return note(soil, LTS_WORSE_NON_FINITE, found);
+}
+
+int lts_check_context(lts_instance *soil) {
+  const lts_model *m = soil->model;
+  int bits = 0;
+  for (int i = 0; i < m->n_context; ++i) {
+    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_CONTEXT, 0, -1, i,
+                    soil->state.context[i], m->context_range[i],
+                    m->context_range[m->n_context + i]);
+  }
+  return bits;
+}
+
+int lts_check_start(lts_instance *soil, int frame, const double *nodes) {
+  const lts_model *m = soil->model;
+  const int n = 3 * lts_n_node(m);
+  int bits = 0;
+  for (int i = 0; i < n; ++i) {
+    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_START, frame, i / 3, i % 3, nodes[i],
+                    m->start_range[i], m->start_range[n + i]);
+  }
+  return bits;
+}
+
+/* Mean height of the points of a driven body, which is not given; else 0. */
+static double height_of(const lts_model *m, const double *points) {
+  double height = 0.0;
+  if (m->motion != LTS_DRIVEN) return 0.0;
+  for (int i = 0; i < m->n_rigid; ++i) height += points[3 * i + m->up_axis] / m->n_rigid;
+  return height;
+}
+
+int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points) {
+  const lts_model *m = soil->model;
+  const int n = m->n_rigid, kind = LTS_WORSE_EXTRAPOLATING;
+  const double height = height_of(m, points), rise = before ? height - height_of(m, before) : 0.0;
+  double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+  double square = 0.0;
+  int bits = 0;
+  if (n == 0) return 0;
+  for (int i = 0; i < 3 * n; ++i) {
+    const int axis = i % 3;
+    const double value = points[i] - (axis == m->up_axis ? height : 0.0);
+    low[axis] = value < low[axis] ? value : low[axis];
+    high[axis] = value > high[axis] ? value : high[axis];
+    bits |= outside(soil, kind, LTS_OUTSIDE_POSE, frame, i / 3, axis, value, m->given_range[axis],
+                    m->given_range[3 + axis]);
+  }
+  for (int i = 0; before && i < 3 * n; ++i) {
+    const int axis = i % 3;
+    const double v = points[i] - before[i] - (axis == m->up_axis ? rise : 0.0);
+    square += v * v / n;
+    bits |= outside(soil, kind, LTS_OUTSIDE_SPEED, frame, i / 3, axis, v,
+                    m->given_velocity_range[axis], m->given_velocity_range[3 + axis]);
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    bits |= outside(soil, kind, LTS_OUTSIDE_POSE, frame, -1, axis, high[axis] - low[axis],
+                    m->extent_range[axis], m->extent_range[3 + axis]);
+  }
+  if (before) {
+    bits |= outside(soil, kind, LTS_OUTSIDE_SPEED, frame, -1, -1, sqrt(square), m->speed_range[0],
+                    m->speed_range[1]);
+  }
+  return bits;
+}
+
+int lts_check_predicted(lts_instance *soil, int frame) {
+  const lts_model *m = soil->model;
+  const int n_node = lts_n_node(m);
+  const double *force = soil->state.head->result.force;
+  int bits = 0;
+  for (int node = 0; node < n_node; ++node) {
+    float offset[3];
+    lts_node_offset(soil, node, offset);
+    for (int axis = 0; axis < 3; ++axis) {
+      const int i = 3 * node + axis;
+      const double value = (double)offset[axis] + m->origin[i];
+      if (!isfinite(value)) bits |= not_finite(soil, frame, node, axis, value);
+      if (m->motion == LTS_PRESCRIBED && node < m->n_rigid) continue;
+      bits |= outside(soil, LTS_WORSE_BOUNDS, LTS_LEFT_BOUNDS, frame, node, axis, value,
+                      m->bounds[i], m->bounds[3 * n_node + i]);
+    }
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    if (!isfinite(force[axis])) bits |= not_finite(soil, frame, -1, axis, force[axis]);
+  }
+  return bits;
+}
+
+int lts_judge(const lts_instance *soil, lts_judgement *out) {
+  const int error = lts_check_started(soil);
+  if (error) return error;
+  if (!out) return LTS_ERROR_NULL;
+  const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
+  *out = well;
+  for (int kind = 0; kind < LTS_N_WORSE; ++kind) {
+    const lts_judgement *worst = &soil->state.head->worst[kind];
+    if (worst->frame >= 0) *out = *worst;
+  }
+  return out->status;
+}

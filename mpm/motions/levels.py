@@ -1,0 +1,58 @@
+"""A quantity that goes from level to level by quintic pieces, and its integral in closed form."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Values reached at given times, joined by s(u) = 6 u^5 - 15 u^4 + 10 u^3.
+
+    s is the path of least jerk between two rests (Flash and Hogan 1985, J. Neurosci. 5, 1688): each
+    piece is monotonic, so the curve never leaves the range of its levels, and its first two
+    derivatives vanish at the ends, so it is twice continuously differentiable. Its steepest
+    slope is `PEAK` times the mean one.
+
+    Attributes:
+        times: float64 [K], ascending, s; before the first and after the last the value stays.
+        values: float64 [K].
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+
+    PEAK = 1.875
+
+    def __post_init__(self):
+        times, values = (np.asarray(x, np.float64) for x in (self.times, self.values))
+        if times.ndim != 1 or times.shape != values.shape or not (np.diff(times) > 0.0).all():
+            raise ValueError(f'levels {values} at times {times}: one value at each, ascending')
+        object.__setattr__(self, 'times', times)
+        object.__setattr__(self, 'values', values)
+
+    def _pieces(self, times):
+        """The pieces [T] in which `times` [T] lie, their lengths (s) and the share gone by."""
+        k = np.clip(np.searchsorted(self.times, times, 'right') - 1, 0, len(self.times) - 2)
+        length = self.times[k + 1] - self.times[k]
+        return k, length, np.clip((times - self.times[k]) / length, 0.0, 1.0)
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        """Returns the values [T] at `times` [T] (s)."""
+        k, _, u = self._pieces(np.asarray(times, np.float64))
+        rise = self.values[k + 1] - self.values[k]
+        return self.values[k] + rise * (u * u * u * (10.0 + u * (6.0 * u - 15.0)))
+
+    def integral(self, times: np.ndarray) -> np.ndarray:
+        """Returns the integrals [T] from the first level's time to `times` [T] (s).
+
+        Before the first level the integral is 0: what has not begun does not move.
+        """
+        times = np.asarray(times, np.float64)
+        mean = (self.values[1:] + self.values[:-1]) / 2.0  # s(u) has the mean 1/2
+        before = np.concatenate([[0.0], np.cumsum(mean * np.diff(self.times))])
+        k, length, u = self._pieces(times)
+        rise = self.values[k + 1] - self.values[k]
+        area = length * (self.values[k] * u + rise * (u * u) ** 2 * (2.5 + u * (u - 3.0)))
+        beyond = np.maximum(times - self.times[-1], 0.0) * self.values[-1]
+        return before[k] + area + beyond

@@ -1,0 +1,243 @@
+"""Paths of the blade as an operator drives it, drawn from a seed.
+
+Speed along the bed, depth and lean go from level to level by quintic pieces (`levels`), so a path
+has a continuous acceleration and rests at time 0. A path is a pure function of kind and seed:
+
+smooth: one cut, or two without leaving the soil, speed, depth and lean varying.
+stops: two to three halts of 0.25 to 0.7 s in the soil.
+reverse: a cut, back through or over it, and forward again.
+lift: a cut, out of the soil, back or on in the air, and a second cut.
+disturbed: any of the above on a bed that an earlier pass has cut. That pass is simulated before the
+    first recorded frame (`Drive.lead_in`), so the record begins on a bed that is not flat, as live
+    use does; the blade rests above the soil at its frame 0.
+"""
+
+import math
+
+import numpy as np
+
+from mpm import bodies, scenes
+from mpm.motions import checks, grid
+from mpm.motions.drive import Drive
+from mpm.motions.levels import Levels
+
+KINDS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')
+MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
+MAX_SPEED = 0.15  # m/s along the bed
+MAX_RISE = 0.15  # m/s up or down
+MAX_TURN = 60.0  # deg/s
+MAX_LEAN, BUCKET_LEAN = 45.0, bodies.MAX_LEAN_DEG
+NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
+FRONT_ROOM = 0.12  # m that stay in front of the blade for the heap
+SECOND_CUT_FRAMES = 45
+LEAST_REVERSE = 0.02  # m
+STEPS_CHECKED = 8  # a frame, of a path that has just been drawn
+TRIES = 200
+
+_FRAMES = scenes.FRAMES
+_DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
+_BUCKET_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
+
+
+class _Story:
+    """A path while it is drawn: levels of speed, depth and lean at common times."""
+
+    def __init__(self, rng, depth, lean, leans):
+        self.rng = rng
+        self.leans = leans
+        self.times, self.speeds, self.depths, self.lean = [0.0], [0.0], [depth], [lean]
+
+    @property
+    def time(self) -> float:
+        return self.times[-1]
+
+    def go(self, seconds, speed, depth=None, lean=None) -> None:
+        """Goes to new levels in `seconds`, or as many as their limits of rate need."""
+        depth = self.depths[-1] if depth is None else depth
+        if lean is None:  # a hand never keeps an angle exactly
+            low, high = self.leans
+            lean = float(np.clip(self.lean[-1] + self.rng.uniform(-12.0, 12.0), low, high))
+        slowest = max(
+            Levels.PEAK * abs(depth - self.depths[-1]) / MAX_RISE,
+            Levels.PEAK * abs(lean - self.lean[-1]) / MAX_TURN,
+        )
+        self.times.append(self.time + max(seconds, slowest))
+        self.speeds.append(speed)
+        self.depths.append(depth)
+        self.lean.append(lean)
+
+    def wait(self, seconds) -> None:
+        """Stands still."""
+        self.go(seconds, 0.0, lean=self.lean[-1])
+
+    def travel_in_air(self, distance, peak) -> None:
+        """Moves by `distance` (m, forward) and stands still again, at most as fast as `peak`."""
+        seconds = max(Levels.PEAK * abs(distance) / peak / 2.0, 0.3)
+        # From rest up to a speed and down to rest: the mean of both pieces is half the speed.
+        self.go(seconds, distance / seconds)
+        self.go(seconds, 0.0)
+
+
+def operator_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
+    """Draws a path.
+
+    Args:
+        scene: an excavation; its bin limits where the blade may go.
+        kind: one of `KINDS`.
+        seed: not negative.
+
+    Returns:
+        The drive and its parameters, JSON-compatible.
+
+    Raises:
+        ValueError: an unknown kind, a negative seed, or a bin in which none of `TRIES` fits.
+    """
+    if kind not in KINDS:
+        raise ValueError(f'unknown kind {kind!r} of operator path; there are {KINDS}')
+    if seed < 0:
+        raise ValueError(f'seed must not be negative, got {seed}')
+    rng = np.random.default_rng([seed, KINDS.index(kind), 1])
+    for _ in range(TRIES):
+        drive, parameters = _draw(rng, scene, kind)
+        if _fits(drive, scene.bin, parameters['plot']):
+            return drive, {'kind': kind, 'path_seed': seed, **parameters}
+    raise ValueError(f'none of {TRIES} paths of the kind {kind!r}, seed {seed} fits into the bin')
+
+
+def _draw(rng, scene, kind) -> tuple[Drive, dict]:
+    """One path that keeps all limits but perhaps not the room of the bin."""
+    width = NARROW_WIDTH if rng.random() < _NARROW_SHARE else bodies.BLADE_WIDTH
+    is_bucket = rng.random() < _BUCKET_SHARE
+    leans = (25.0, BUCKET_LEAN) if is_bucket else (0.0, MAX_LEAN)
+    clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
+    start_x = grid.blade_start(scene)[0]
+    if rng.random() < _ELSEWHERE_SHARE:
+        start_x = rng.uniform(0.55, start_x + 0.02)
+    else:
+        clearance = grid.TIP_CLEARANCE
+    story = _Story(rng, -clearance, rng.uniform(*leans), leans)
+    lead_in, plot = 0, kind
+    if kind == 'disturbed':
+        lead_in, start_x = _earlier_pass(rng, story, start_x)
+        plot = rng.choice(KINDS[:-1])
+    begin = story.time
+    {'smooth': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift}[plot](
+        rng, story, begin + _DURATION
+    )
+    speed, depth, lean = (
+        Levels(np.array(story.times), np.array(values))
+        for values in (story.speeds, story.depths, story.lean)
+    )
+    blade = bodies.make_blade(scene.bin.z_middle, width)
+    surface = scene.bin.surface + blade.radius
+
+    def pose(times):
+        x = start_x - speed.integral(times)
+        return np.stack([x, surface - depth(times), np.radians(-lean(times))], axis=1)
+
+    shown = begin + np.linspace(0.0, _DURATION, _FRAMES)
+    parameters = {
+        'plot': str(plot),
+        'blade_width_m': width,
+        'lead_in_frames': lead_in,
+        'depth_max_m': round(float(depth(shown).max()), 6),
+        'speed_max_m_s': round(float(np.abs(speed(shown)).max()), 6),
+        'lean_min_deg': round(float(lean(shown).min()), 4),
+        'lean_max_deg': round(float(lean(shown).max()), 4),
+    }
+    return Drive(blade, pose, lead_in=lead_in), parameters
+
+
+def _fits(drive, box, plot) -> bool:
+    """Whether the bin has room for the path and its heap, and the path shows what it is for."""
+    try:
+        checks.check_drive(drive, box, _FRAMES - 1, STEPS_CHECKED)
+    except ValueError:
+        return False
+    x, y, _ = drive.pose(np.arange(_FRAMES + drive.lead_in) / scenes.FRAME_RATE).T
+    if x.min() < scenes.CORNER + FRONT_ROOM:
+        return False
+    x, is_below = x[drive.lead_in :], (y - drive.body.radius < box.surface)[drive.lead_in :]
+    if plot == 'lift':  # back in the soil for a while
+        out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)
+        return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES
+    if plot == 'reverse':
+        return float((x - np.minimum.accumulate(x)).max()) >= LEAST_REVERSE
+    return True
+
+
+def _cut_depth(rng) -> float:
+    return rng.uniform(MIN_DEPTH, MAX_DEPTH)
+
+
+def _cut_speed(rng) -> float:
+    return rng.uniform(0.03, MAX_SPEED)
+
+
+def _smooth(rng, story, end) -> None:
+    story.go(rng.uniform(0.6, 1.2), _cut_speed(rng), _cut_depth(rng))
+    while story.time < end - 1.0:
+        story.go(rng.uniform(0.6, 1.4), _cut_speed(rng), _cut_depth(rng))
+    if rng.random() < 0.5:
+        story.go(max(end - story.time, 0.2), rng.uniform(0.0, 0.08), -rng.uniform(0.005, 0.03))
+    else:
+        story.go(max(end - story.time, 0.2), _cut_speed(rng))
+
+
+def _stops(rng, story, end) -> None:
+    story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), _cut_depth(rng))
+    for _ in range(rng.integers(2, 4)):
+        depth = _cut_depth(rng) if rng.random() < 0.5 else None
+        story.go(rng.uniform(0.3, 0.8), _cut_speed(rng), depth)
+        story.go(rng.uniform(0.2, 0.5), 0.0)
+        story.wait(rng.uniform(0.25, 0.7))
+    story.go(rng.uniform(0.3, 0.7), _cut_speed(rng))
+    story.go(max(end - story.time, 0.3), _cut_speed(rng), _cut_depth(rng))
+
+
+def _reverse(rng, story, end) -> None:
+    story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(MIN_DEPTH, 0.08))
+    story.go(rng.uniform(0.5, 1.1), _cut_speed(rng))
+    story.go(rng.uniform(0.2, 0.5), 0.0)
+    # Back at the same depth, nearer to the surface, or grazing it.
+    here = story.depths[-1]
+    depth = rng.choice([here, rng.uniform(0.3, 0.8) * here, rng.uniform(-0.01, 0.01)])
+    story.go(rng.uniform(0.3, 0.6), -rng.uniform(0.03, MAX_SPEED), float(depth))
+    story.go(rng.uniform(0.4, 1.0), -rng.uniform(0.03, MAX_SPEED))
+    story.go(rng.uniform(0.2, 0.5), 0.0)
+    story.go(rng.uniform(0.4, 0.8), _cut_speed(rng), _cut_depth(rng))
+    story.go(max(end - story.time, 0.3), _cut_speed(rng))
+
+
+def _lift(rng, story, end) -> None:
+    story.go(rng.uniform(0.5, 0.9), _cut_speed(rng), rng.uniform(0.02, 0.07))
+    story.go(rng.uniform(0.3, 0.9), _cut_speed(rng))
+    # Out, mostly while the blade slows down; then back over the cut, or on.
+    story.go(rng.uniform(0.4, 0.8), rng.uniform(0.0, 0.05), -rng.uniform(0.01, 0.04))
+    back = rng.random() < 0.6
+    story.go(rng.uniform(0.3, 0.6), rng.uniform(-MAX_SPEED, -0.05) if back else _cut_speed(rng))
+    story.go(rng.uniform(0.2, 0.4), 0.0 if back else 0.03)
+    story.go(rng.uniform(0.5, 0.8), _cut_speed(rng), rng.uniform(0.02, 0.08))
+    story.go(max(end - story.time, 0.3), _cut_speed(rng))
+
+
+def _earlier_pass(rng, story, start_x) -> tuple[int, float]:
+    """Tells a quick first pass, the way back through the air, and a pause above the soil.
+
+    Returns:
+        The frames it takes and where it starts; the recorded path starts within 12 cm of that.
+    """
+    clearance = -story.depths[0]
+    speed = rng.uniform(0.10, MAX_SPEED)
+    story.go(rng.uniform(0.5, 0.7), speed, rng.uniform(0.02, 0.07))
+    story.go(rng.uniform(0.7, 1.4), speed)
+    story.go(rng.uniform(0.4, 0.6), 0.05, -clearance - 0.02)
+    story.go(0.3, 0.0)
+    way = Levels(np.array(story.times), np.array(story.speeds)).integral(np.array([story.time]))
+    story.travel_in_air(-float(way[0]) + rng.uniform(-0.02, 0.12), 0.5)
+    story.go(0.3, 0.0, -clearance)
+    story.wait(0.25)
+    # The pause ends on a frame.
+    frames = math.ceil(story.time * scenes.FRAME_RATE - 1e-9)
+    story.times[-1] = frames / scenes.FRAME_RATE
+    return frames, start_x

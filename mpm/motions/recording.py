@@ -1,0 +1,181 @@
+"""A path of the tool from a CSV file, such as a person's own recording.
+
+The file has a header line and the columns, in any order,
+
+    time_s, x_m, y_m, angle_deg [, load_N]
+
+x and y of the body's reference point (the middle of the blade's round lower edge, the wheel's
+axle) in the frame of the scene, whose flat surface lies at y = 0.25 m (excavation) or 0.158 m
+(wheel); the angle is counter-clockwise seen with x to the right and y up, so a blade that leans
+its top back by 20 degrees has -20. y is not used where the height is free; only there is `load_N`
+read (without it the load of the case whose context is used). The first row is the run's time 0;
+before it and after the last row the tool rests. A run has 320 frames (5.33 s), more if the file
+lasts longer.
+
+Between the rows each column follows a monotone cubic Hermite curve (PCHIP: F. N. Fritsch, J.
+Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300): the velocity is continuous and no curve leaves
+the range of the two rows beside it, so a path whose rows keep clear of the floor does so in
+between.
+"""
+
+import csv
+import hashlib
+import math
+import os
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from mpm import bodies, scenes
+from mpm.motions.drive import Drive
+
+COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
+LOAD = 'load_N'
+MAX_ROWS = 1_000_000
+# A row that comes so many usual intervals after the one before it: some are missing.
+GAP = 10.0
+# Values beyond these are taken for other units.
+MAX_PLACE = 2.0  # m
+MAX_TIME = 60.0  # s
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run along the path of a file.
+
+    Attributes:
+        path: of the CSV file.
+        like_case: case of the grid whose soil, gravity, wheel and load are used (wheel).
+        blade_width: m (excavation).
+    """
+
+    path: str
+    like_case: int
+    blade_width: float = bodies.BLADE_WIDTH
+
+    @property
+    def case(self) -> str:
+        """The run's id: 'path_' and the file's name without its ending."""
+        stem = os.path.splitext(os.path.basename(self.path))[0]
+        return 'path_' + re.sub(r'[^A-Za-z0-9.-]+', '-', stem)
+
+
+def read_rows(path: str) -> dict[str, np.ndarray]:
+    """Reads a file of a path.
+
+    Returns:
+        Column name -> float64 [K], K >= 2; the times begin with 0.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a missing column, or a row with a gap, a text, NaN, a time that does not follow
+            or a value in other units; with the file and the line.
+    """
+    with open(path, encoding='utf-8-sig', newline='') as file:
+        try:
+            lines = csv.reader(file)
+            header = [name.strip() for name in next(lines, [])]
+            lacking = [name for name in COLUMNS if name not in header]
+            if lacking:
+                raise ValueError(
+                    f'{path}, line 1: lacks the columns {lacking}; found {header}, expected '
+                    f'{",".join(COLUMNS)} and perhaps {LOAD}'
+                )
+            if len(set(header)) < len(header):
+                raise ValueError(f'{path}, line 1: a column stands there twice: {header}')
+            names = [name for name in header if name in (*COLUMNS, LOAD)]
+            rows, numbers = [], []
+            for cells in lines:
+                if not any(cell.strip() for cell in cells):
+                    continue  # an empty line
+                rows.append(_row(cells, header, names, f'{path}, line {lines.line_num}'))
+                numbers.append(lines.line_num)
+                if len(rows) > MAX_ROWS:
+                    raise ValueError(f'{path}: has more than {MAX_ROWS} rows')
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ValueError(f'{path}: is no CSV text: {error}') from error
+    if len(rows) < 2:
+        raise ValueError(f'{path}: has {len(rows)} rows, at least 2 are needed')
+    columns = dict(zip(names, np.array(rows).T))
+    _check_times(path, columns['time_s'], numbers)
+    columns['time_s'] = columns['time_s'] - columns['time_s'][0]
+    return columns
+
+
+def _row(cells, header, names, where) -> list[float]:
+    """The values of one line, in the order of `names`."""
+    if len(cells) != len(header):
+        raise ValueError(f'{where}: has {len(cells)} cells, the header {len(header)}')
+    values = []
+    for name in names:
+        text = cells[header.index(name)].strip()
+        try:
+            value = float(text)
+        except ValueError:
+            what = 'is missing' if not text else f'is {text!r}, no number'
+            raise ValueError(f'{where}: {name} {what}') from None
+        if not math.isfinite(value):
+            raise ValueError(f'{where}: {name} is {text}')
+        if name in ('x_m', 'y_m') and abs(value) > MAX_PLACE:
+            raise ValueError(
+                f'{where}: {name} is {text}, farther than {MAX_PLACE} m from the origin; are these '
+                'millimetres?'
+            )
+        values.append(value)
+    return values
+
+
+def _check_times(path, times, numbers) -> None:
+    """Refuses times that do not ascend, leave a gap, or last too long."""
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        k = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f'{path}, line {numbers[k + 1]}: time_s is {times[k + 1]:.6g} after {times[k]:.6g}; '
+            'times must ascend'
+        )
+    usual = float(np.median(steps))
+    if steps.max() > GAP * usual:
+        k = int(np.argmax(steps))
+        raise ValueError(
+            f'{path}, lines {numbers[k]} to {numbers[k + 1]}: a gap of {steps[k]:.4g} s between '
+            f'rows that are usually {usual:.4g} s apart; fill it or resample the file'
+        )
+    if times[-1] - times[0] > MAX_TIME:
+        raise ValueError(
+            f'{path}, line {numbers[-1]}: lasts {times[-1] - times[0]:.6g} s, more than '
+            f'{MAX_TIME:g}; are these milliseconds?'
+        )
+
+
+def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, dict, float]:
+    """Returns the drive along the path of a file, its parameters (JSON-compatible), its seconds.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: see `read_rows`.
+    """
+    rows = read_rows(recording.path)
+    times = rows['time_s']
+    curves = [PchipInterpolator(times, rows[name]) for name in COLUMNS[1:]]
+
+    def pose(at):
+        at = np.clip(np.asarray(at, np.float64), 0.0, times[-1])
+        x, y, angle_deg = (curve(at) for curve in curves)
+        return np.stack([x, y, np.radians(angle_deg)], axis=1)
+
+    with open(recording.path, 'rb') as file:
+        digest = hashlib.file_digest(file, 'sha256').hexdigest()
+    parameters = {'kind': 'path', 'path_sha256': digest}
+    if scene.rigid_motion == 'prescribed':
+        blade = bodies.make_blade(scene.bin.z_middle, recording.blade_width)
+        parameters['blade_width_m'] = recording.blade_width
+        return Drive(blade, pose), parameters, float(times[-1])
+    context = scene.parameters(recording.like_case)
+    context.pop('slip_percent')
+    wheel = bodies.make_wheel(context['diameter_m'], scene.bin.z_middle)
+    load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
+    drive = Drive(wheel, pose, lambda at: load(np.clip(at, 0.0, times[-1])))
+    return drive, parameters | context, float(times[-1])

@@ -1,0 +1,172 @@
+"""Makes the data of record: all runs that the datasets and models of this project come from.
+
+    python -m mpm.record --output_path=raw --num_processes=2
+    python -m mpm.record --list
+    python -m mpm.record --output_path=raw --parts=operator --expect=digests.json
+
+Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel, part by part in this order, so that
+what teaches most is there first:
+
+    operator          250 paths of the blade (50 of each kind)
+    wheel_free        160 free drives of the wheel (40 of each kind)
+    excavation_grid   the 250 published cases
+    wheel_grid        the 243 published cases
+
+Any beginning of a part holds kinds and splits in proportion. A command that was interrupted,
+in whatever way, goes on where it stopped when it is given again. `digests.json` in each folder
+tells the content of each run by its id: same seed, same bits (on one kind of processor with the
+same Numba; another may round differently). `--expect` compares with the digests of somebody
+else and names the runs that differ.
+"""
+
+import json
+import os
+import sys
+import time
+from collections import Counter
+
+from absl import app, flags, logging
+
+from mpm import raw_run, scenes, splits
+from mpm.batch import generate
+from mpm.files import write_whole
+from mpm.motions import catalogue
+from mpm.simulation import Settings
+
+# Part -> (scene, its runs in order).
+PARTS = {
+    'operator': (scenes.EXCAVATION, splits.seed_runs),
+    'wheel_free': (scenes.WHEEL, splits.seed_runs),
+    'excavation_grid': (scenes.EXCAVATION, splits.grid_runs),
+    'wheel_grid': (scenes.WHEEL, splits.grid_runs),
+}
+DIGESTS = 'digests.json'
+
+_OUTPUT_PATH = flags.DEFINE_string('output_path', None, 'Folder of the raw runs of both scenes.')
+_PARTS = flags.DEFINE_list('parts', list(PARTS), f'Which parts, in their order: {",".join(PARTS)}.')
+_LIMIT = flags.DEFINE_integer(
+    'limit', None, 'Only so many runs from the beginning of each part.', lower_bound=1
+)
+_NUM_PROCESSES = flags.DEFINE_integer(
+    'num_processes', 1, 'Runs at a time, one core each.', lower_bound=1
+)
+_EXPECT = flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
+_LIST = flags.DEFINE_bool('list', False, 'Only say what would be made.')
+
+
+def runs_of(part: str, limit: int | None = None) -> tuple:
+    """Returns the ids of the runs of a part, in the order in which they are made.
+
+    Raises:
+        ValueError: if there is no such part.
+    """
+    if part not in PARTS:
+        raise ValueError(f'unknown part {part!r}; there are {", ".join(PARTS)}')
+    scene, order = PARTS[part]
+    return order(scene)[:limit]
+
+
+def table(parts, limit: int | None = None) -> str:
+    """Returns what the parts hold, by kind and split, as text."""
+    counted = {part: runs_of(part, limit) for part in parts}
+    lines = [f'{"part":<16}{"kind":<11}{"runs":>5}' + ''.join(f'{s:>7}' for s in splits.SPLITS)]
+    for part, cases in counted.items():
+        scene, _ = PARTS[part]
+        counts: dict[str, Counter] = {}
+        for case in cases:
+            kind = 'grid' if isinstance(case, int) else catalogue.parse(scene, case)[0]
+            counts.setdefault(kind, Counter())[splits.split_of(scene, case)] += 1
+        for kind, by_split in counts.items():
+            cells = ''.join(f'{by_split[split]:>7}' for split in splits.SPLITS)
+            lines.append(f'{part:<16}{kind:<11}{by_split.total():>5}{cells}')
+    return '\n'.join(lines)
+
+
+def digests_of(folder: str) -> dict[str, str]:
+    """Returns the id of each run of a folder and the digest of its content."""
+    manifest = raw_run.read_manifest(folder)
+    runs = manifest['runs'] if manifest else []
+    return {str(run['case']): run['content'] for run in runs}
+
+
+def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
+    """Returns the ids of the runs that both hold and whose content differs."""
+    return sorted(case for case in found.keys() & expected.keys() if found[case] != expected[case])
+
+
+def make(parts, output_path: str, num_processes: int, limit: int | None) -> dict[str, dict]:
+    """Makes the parts that are not there yet; returns scene -> run -> digest.
+
+    A part whose runs fail does not keep the next from being made.
+
+    Raises:
+        ValueError: an unknown part, or runs that failed; see `batch.generate`.
+        OSError: see `batch.generate`.
+    """
+    failures = []
+    for part, cases in {part: runs_of(part, limit) for part in parts}.items():
+        scene, _ = PARTS[part]
+        folder = os.path.join(output_path, scene.name)
+        started = time.time()
+        try:
+            new = generate(scene, cases, folder, Settings(), num_processes)
+        except ValueError as error:
+            failures.append(f'{part}: {error}')
+            continue
+        print(f'{part}: {len(new)} new runs in {folder}; {time.time() - started:.0f} s', flush=True)
+    found = {}
+    for scene in {PARTS[part][0].name: PARTS[part][0] for part in parts}.values():
+        folder = os.path.join(output_path, scene.name)
+        if os.path.isdir(folder):
+            found[scene.name] = digests_of(folder)
+            _write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]})
+    if failures:
+        raise ValueError('\n'.join(failures))
+    return found
+
+
+def _write_json(path, content) -> None:
+    def write(temporary):
+        with open(temporary, 'w', encoding='utf-8') as file:
+            json.dump(content, file, indent=0, sort_keys=True)
+            file.write('\n')
+
+    write_whole(path, write)
+
+
+def _read_digests(path) -> dict[str, dict]:
+    with open(path, encoding='utf-8') as file:
+        try:
+            content = json.load(file)
+        except ValueError as error:
+            raise ValueError(f'{path}: is no JSON: {error}') from error
+    if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
+        raise ValueError(f'{path}: holds no digests (scene -> run -> digest)')
+    return content
+
+
+def main(argv):
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+    try:
+        if _LIST.value:
+            print(table(_PARTS.value, _LIMIT.value))
+            return
+        if _OUTPUT_PATH.value is None:
+            raise ValueError('give --output_path, or --list to see what would be made')
+        expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
+        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, _LIMIT.value)
+    except (ValueError, OSError) as error:
+        logging.error('%s', error)
+        sys.exit(1)
+    for name, digests in found.items():
+        other = compare(digests, expected.get(name, {}))
+        same = len(digests.keys() & expected.get(name, {}).keys()) - len(other)
+        print(f'{name}: {len(digests)} runs' + (f', {same} as expected' if expected else ''))
+        if other:
+            logging.error('%s: %d runs differ: %s', name, len(other), ', '.join(other[:20]))
+            sys.exit(1)
+
+
+if __name__ == '__main__':
+    app.run(main)

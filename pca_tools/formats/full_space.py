@@ -1,0 +1,257 @@
+"""Trajectories in full space: all particles with their types, as other projects keep them.
+
+Types are DeepMind's: 0 rigid, 3 kinematic (boundary, prescribed), 5 water, 6 sand, 7 goop; every
+format maps its own to these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from pca_tools import files, raw_checks
+from pca_tools.dataset import KINEMATIC_PARTICLE_ID, RIGID_PARTICLE_ID
+
+SOIL_TYPE = 6
+BODY_TYPES = (RIGID_PARTICLE_ID, KINEMATIC_PARTICLE_ID)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FullSpaceRun:
+    """One trajectory.
+
+    Attributes:
+        name: case id.
+        split: train, valid or test; empty where the data do not say.
+        positions: float [T, P, D].
+        particle_type: int [P], DeepMind's numbers.
+        force: float [T, D] on the body, or None.
+        context: float [T, C] global context, or None.
+        material: float [P] (geoelements' material property), or None.
+    """
+
+    name: str
+    split: str
+    positions: np.ndarray
+    particle_type: np.ndarray
+    force: np.ndarray | None = None
+    context: np.ndarray | None = None
+    material: np.ndarray | None = None
+
+
+@dataclasses.dataclass
+class FullSpaceData:
+    """Trajectories of one folder, opened one at a time.
+
+    Attributes:
+        source: what it is and where, for messages.
+        runs: gives an iterator over the runs; may be called again.
+        dt: seconds per stored frame, or None where nothing says it.
+        bounds: [[low, high]] * D, or None.
+        up_axis: where the format says it, else None.
+        context_names: names of the context values, if any.
+        rigid_motion: of the body, where the data say more than its type does, else None.
+        radius: connectivity radius of the metadata, or None.
+        notes: sentences for the person who imports.
+    """
+
+    source: str
+    runs: Callable[[], Iterator[FullSpaceRun]]
+    dt: float | None = None
+    bounds: list[list[float]] | None = None
+    up_axis: int | None = None
+    context_names: list[str] = dataclasses.field(default_factory=list)
+    rigid_motion: str | None = None
+    radius: float | None = None
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadOptions:
+    """What a person may say of a folder that it does not say itself; None: nothing."""
+
+    dt: float | None = None
+
+
+def read_foreign_json(path: str) -> dict[str, Any]:
+    """Reads metadata of another project.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no JSON object.
+    """
+    metadata = files.read_json(path)
+    if not isinstance(metadata, dict):
+        raise ValueError(f'{path}: a JSON object was expected')
+    return metadata
+
+
+def number_of(metadata: Mapping[str, Any], key: str, where: str) -> float | None:
+    """Returns a finite number of the metadata as float, None where the key is absent or null."""
+    value = metadata.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f'{where}: {key} is {value!r}, a number was expected')
+    return float(value)
+
+
+def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | None:
+    """Returns `bounds` of the metadata, None where absent."""
+    bounds = metadata.get('bounds')
+    if bounds is None:
+        return None
+    array = np.asarray(bounds, np.float64) if isinstance(bounds, list) else np.empty(0)
+    if array.ndim != 2 or array.shape[1] != 2 or not np.all(array[:, 0] < array[:, 1]):
+        raise ValueError(f'{where}: bounds is {bounds!r}, pairs [low, high] were expected')
+    return array.tolist()
+
+
+def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
+    """Returns a run whose arrays fit each other.
+
+    Raises:
+        ValueError: they do not; the message says where.
+    """
+    positions = run.positions
+    if positions.dtype.kind not in 'fiu' or positions.ndim != 3 or positions.shape[2] not in (2, 3):
+        raise ValueError(
+            f'{where}: positions have shape {positions.shape}, {positions.dtype}; [T, particles, '
+            '2 or 3] was expected'
+        )
+    if run.particle_type.dtype.kind not in 'iu' or run.particle_type.shape != positions.shape[1:2]:
+        raise ValueError(
+            f'{where}: {positions.shape[1]} particles have types of shape '
+            f'{run.particle_type.shape}, {run.particle_type.dtype}'
+        )
+    for name in ('force', 'context'):
+        values = getattr(run, name)
+        if values is not None and (values.ndim != 2 or len(values) != len(positions)):
+            raise ValueError(f'{where}: {name} has {values.shape} for {len(positions)} frames')
+    return run
+
+
+def type_column(values: Any, count: int) -> np.ndarray:
+    """Returns particle types as int64 [count]; one number stands for all particles."""
+    array = np.asarray(values)
+    if array.dtype.kind not in 'iu' and np.all(array == np.rint(array)):
+        array = np.rint(array)
+    if array.ndim == 2 and array.shape[1] == 1:
+        array = array[:, 0]
+    return np.full(count, array, np.int64) if array.ndim == 0 else array.astype(np.int64)
+
+
+def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | None, str]:
+    """Infers the axis against gravity from where the soil lies in the bounds."""
+    extent = raw_checks.Extent()
+    for run in data.runs():
+        soil = _three(run.positions[:1, ~np.isin(run.particle_type, BODY_TYPES)])
+        if soil.size:
+            extent.add(soil, np.empty((1, 0, 3)), 1.0, None)
+    return raw_checks.infer_up_axis(extent, bounds)
+
+
+def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, Any]]:
+    """Yields the runs as `pca_tools.write_raw` takes them: soil and body apart.
+
+    Args:
+        data: the trajectories.
+        body: motion of the body; `none` leaves rigid and kinematic particles out.
+
+    Raises:
+        ValueError: a run has no soil, two moving bodies, or other particles than the first.
+    """
+    first = None
+    for run in data.runs():
+        where = f'{data.source}: {run.name}'
+        soil, points = split_bodies(run, where)
+        if first is None:
+            first = (soil.shape[1], run.name)
+        if soil.shape[1] != first[0]:
+            raise ValueError(
+                f'{where}: has {soil.shape[1]} soil particles, {first[1]} {first[0]}: a common '
+                'subspace needs the same particles in all runs; import runs of one number, or '
+                'train a full-space model on them (learning_to_simulate.train --model=full_space)'
+            )
+        mapping: dict[str, Any] = {'positions': soil, 'case': run.name}
+        if run.split:
+            mapping['split'] = run.split
+        if points.shape[1] and body != 'none':
+            mapping['rigid_positions'] = points
+            if run.force is not None:
+                mapping['force'] = run.force
+        if run.context is not None:
+            if np.any(run.context != run.context[0]):
+                mapping['step_context'] = run.context
+            mapping['context'] = dict(zip(data.context_names, run.context[0].tolist(), strict=True))
+        yield mapping
+
+
+def split_bodies(run: FullSpaceRun, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Returns soil [T, N, D] and the points of the body [T, R, D] of a run.
+
+    A boundary that never moves is no body where there is a rigid one: the bounds hold the soil.
+
+    Raises:
+        ValueError: no soil, or a rigid body beside a moving boundary.
+    """
+    rigid, kinematic = (run.particle_type == kind for kind in BODY_TYPES)
+    soil = run.positions[:, ~(rigid | kinematic)]
+    if not soil.shape[1]:
+        raise ValueError(f'{where}: all of its particles are rigid or boundary: there is no soil')
+    if rigid.any() and kinematic.any():
+        walls = run.positions[:, kinematic]
+        if np.any(walls != walls[0]):
+            raise ValueError(
+                f'{where}: has a rigid body (type 0) and a moving boundary (type 3); one body is '
+                'read: change the types of one of them'
+            )
+        return soil, run.positions[:, rigid]
+    return soil, run.positions[:, rigid | kinematic]
+
+
+def body_motion(data: FullSpaceData) -> str:
+    """Returns what is known of the body's motion: stated, else as the types say."""
+    if data.rigid_motion:
+        return data.rigid_motion
+    types = {int(kind) for run in data.runs() for kind in np.unique(run.particle_type)}
+    if RIGID_PARTICLE_ID in types:
+        return 'predicted'
+    return 'prescribed' if KINEMATIC_PARTICLE_ID in types else 'none'
+
+
+def motion_moments(runs: Iterable[FullSpaceRun]) -> dict[str, list[float]]:
+    """Returns DeepMind's `vel_mean, vel_std, acc_mean, acc_std` of training runs.
+
+    Per frame, not divided by dt, over all particles that are not kinematic; float64 sums, one run
+    in memory at a time.
+    """
+    sums: dict[str, list[Any]] = {'vel': [0, 0.0, 0.0], 'acc': [0, 0.0, 0.0]}
+    for run in runs:
+        moving = run.particle_type != KINEMATIC_PARTICLE_ID
+        positions = run.positions[:, moving].astype(np.float64)
+        for order, name in ((1, 'vel'), (2, 'acc')):
+            change = np.diff(positions, n=order, axis=0).reshape(-1, positions.shape[-1])
+            held = sums[name]
+            held[0] += len(change)
+            held[1] = held[1] + change.sum(axis=0)
+            held[2] = held[2] + np.sum(change**2, axis=0)
+    moments = {}
+    for name, (count, total, squares) in sums.items():
+        if not count:
+            return {}
+        mean = total / count
+        moments[f'{name}_mean'] = mean.tolist()
+        moments[f'{name}_std'] = np.sqrt(np.maximum(squares / count - mean**2, 0.0)).tolist()
+    return moments
+
+
+def _three(positions: np.ndarray) -> np.ndarray:
+    """Adds a third coordinate of 0 to positions in the plane."""
+    if positions.shape[-1] == 3:
+        return positions
+    return np.concatenate([positions, np.zeros((*positions.shape[:-1], 1))], axis=-1)

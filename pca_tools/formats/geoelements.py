@@ -1,0 +1,171 @@
+"""geoelements/gns: `{train,valid,test}.npz` of object arrays and `metadata.json`.
+
+Two layouts are read: one entry per trajectory, or the single key `gns_data`; the second is written.
+A trajectory is (positions [T, N, D], particle type [N] or one number[, material property]). Object
+arrays are pickles: they are read by `pca_tools.legacy_pickles`, which runs nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pca_tools import files, legacy_pickles
+from pca_tools.formats.full_space import (
+    FullSpaceData,
+    FullSpaceRun,
+    ReadOptions,
+    bounds_of,
+    check_run,
+    motion_moments,
+    number_of,
+    read_foreign_json,
+    type_column,
+)
+from pca_tools.metadata import METADATA_NAME, SPLITS
+
+NAME = 'geoelements'
+TITLE = 'geoelements/gns (npz)'
+KEY = 'gns_data'
+# Their newer metadata nest everything under the use it is for.
+_SECTIONS = ('train', 'rollout')
+
+
+def read(folder: str, options: ReadOptions) -> FullSpaceData:
+    """Opens a folder; arguments as of all formats."""
+    path = os.path.join(folder, METADATA_NAME)
+    metadata = read_foreign_json(path)
+    for section in _SECTIONS:
+        if isinstance(metadata.get(section), dict) and 'bounds' in metadata[section]:
+            metadata = metadata[section]
+            break
+
+    def runs() -> Iterator[FullSpaceRun]:
+        for split in SPLITS:
+            file = os.path.join(folder, f'{split}.npz')
+            if os.path.exists(file):
+                for index, item in enumerate(read_trajectories(file)):
+                    yield _run_of(item, f'{split}_{index}', split, f'{file}: trajectory {index}')
+
+    return FullSpaceData(
+        source=f'{folder} ({TITLE})',
+        runs=runs,
+        dt=options.dt or number_of(metadata, 'dt', path),
+        bounds=bounds_of(metadata, path),
+        up_axis=1 if metadata.get('dim') == 2 else None,
+        radius=number_of(metadata, 'default_connectivity_radius', path),
+    )
+
+
+def read_trajectories(path: str) -> list[Any]:
+    """Returns the trajectories of a file, each a tuple or list.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, too large, or holds anything but numpy arrays.
+    """
+    files.refuse_git_lfs_pointer(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if total > files.MAX_BYTES:
+                raise ValueError(f'unpacks to {total} bytes, the limit is {files.MAX_BYTES}')
+            held = {}
+            for member in members:
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError(f'{member.filename} is packed in an unknown way')
+                held[member.filename.removesuffix('.npy')] = _objects(
+                    archive.open(member), f'{member.filename}'
+                )
+    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
+        raise ValueError(f'{path}: is not an npz of trajectories: {error}') from error
+    return held[KEY] if KEY in held else list(held.values())
+
+
+def _objects(file, where: str) -> Any:
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f'{where}: .npy format {version} is not read')
+    header = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }[version]
+    shape, _, dtype = header(file)
+    if not dtype.hasobject:
+        raise ValueError(
+            f'{where}: is an array of {dtype}, {shape}; a trajectory is an object array '
+            '(positions, types), or all of them lie in gns_data'
+        )
+    return legacy_pickles.parse_objects(file.read(files.MAX_BYTES), where)
+
+
+def _run_of(item: Any, name: str, split: str, where: str) -> FullSpaceRun:
+    if not isinstance(item, (list, tuple)) or len(item) not in (2, 3):
+        raise ValueError(f'{where}: is no (positions, types[, material property])')
+    positions = np.asarray(item[0])
+    if positions.ndim != 3:
+        raise ValueError(f'{where}: positions have shape {positions.shape}, [T, N, D] was expected')
+    count = positions.shape[1]
+    material = None
+    if len(item) == 3:
+        material = np.asarray(item[2], np.float64)
+        if material.size not in (1, count):
+            raise ValueError(
+                f'{where}: material property has shape {material.shape}; one number a particle is '
+                'read (their own loader fails on more)'
+            )
+        material = np.broadcast_to(material.ravel(), (count,))
+    types = np.asarray(item[1])
+    if types.dtype.kind not in 'iuf' or types.size not in (1, count):
+        raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
+    types = type_column(types.reshape(()) if types.size == 1 else types, count)
+    return check_run(FullSpaceRun(name, split, positions, types, material=material), where)
+
+
+def write(folder: str, data: FullSpaceData) -> None:
+    """Writes the data in the layout `gns_data`; runs of different lengths are theirs to take.
+
+    Raises:
+        ValueError: a material property in some trajectories and not in others.
+    """
+    lengths, with_material = [], set()
+    for split in SPLITS:
+        trajectories = []
+        for run in data.runs():
+            if run.split != split:
+                continue
+            parts = [np.asarray(run.positions, np.float32), run.particle_type.astype(np.int64)]
+            if run.material is not None:
+                parts.append(np.asarray(run.material, np.float64))
+            with_material.add(run.material is not None)
+            trajectories.append(tuple(parts))
+            lengths.append(len(run.positions))
+        if not trajectories:
+            continue
+        held = np.empty(len(trajectories), dtype=object)
+        held[:] = trajectories
+        with open(os.path.join(folder, f'{split}.npz'), 'wb') as file:
+            np.savez_compressed(file, **{KEY: held})
+    if len(with_material) != 1:
+        raise ValueError('a material property must be there in all trajectories or in none')
+    first = next(data.runs())
+    metadata = {
+        'bounds': data.bounds,
+        # All frames, unlike DeepMind's; null: as long as each trajectory is.
+        'sequence_length': lengths[0] if len(set(lengths)) == 1 else None,
+        'default_connectivity_radius': data.radius or 0.025,
+        'boundary_augment': 1.0,
+        'material_feature_len': int(with_material.pop()),
+        'nnode_in': None,
+        'nedge_in': None,
+        'dim': first.positions.shape[2],
+        'dt': data.dt,
+        **motion_moments(run for run in data.runs() if run.split == 'train'),
+    }
+    metadata = {k: v for k, v in metadata.items() if v is not None or k == 'sequence_length'}
+    files.write_json(os.path.join(folder, METADATA_NAME), metadata)

@@ -1,0 +1,185 @@
+"""LagrangeBench: `{train,valid,test}.h5` with groups 00000, 00001, ... and `metadata.json`.
+
+Also read: geoelements' second HDF5 layout (`positions` in place of `position`). A `force.py` beside
+the data, which LagrangeBench runs, is never run and never written.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+
+from pca_tools import files
+from pca_tools.formats.full_space import (
+    SOIL_TYPE,
+    FullSpaceData,
+    FullSpaceRun,
+    ReadOptions,
+    bounds_of,
+    check_run,
+    motion_moments,
+    number_of,
+    read_foreign_json,
+    type_column,
+)
+from pca_tools.metadata import METADATA_NAME, SPLITS
+
+NAME = 'lagrangebench'
+TITLE = 'LagrangeBench (HDF5)'
+# Theirs -> DeepMind's: fluid, solid wall, moving wall, rigid body; -1 is padding.
+_TYPES = {0: SOIL_TYPE, 1: 3, 2: 3, 3: 0}
+_PADDING = -1
+
+
+def read(folder: str, options: ReadOptions) -> FullSpaceData:
+    """Opens a folder; arguments as of all formats."""
+    path = os.path.join(folder, METADATA_NAME)
+    metadata = read_foreign_json(path)
+    dt, every = number_of(metadata, 'dt', path), number_of(metadata, 'write_every', path)
+
+    def runs() -> Iterator[FullSpaceRun]:
+        for split in SPLITS:
+            file = os.path.join(folder, f'{split}.h5')
+            if os.path.exists(file):
+                yield from _runs_of(file, split)
+
+    notes = []
+    if any(metadata.get('periodic_boundary_conditions') or []):
+        notes.append(
+            'its boundaries are periodic, which these models do not know: particles that cross one '
+            'seem to jump'
+        )
+    if os.path.exists(os.path.join(folder, 'force.py')):
+        notes.append('its force.py (an external force) was not run and is left out')
+    return FullSpaceData(
+        source=f'{folder} ({TITLE})',
+        runs=runs,
+        # dt is the solver's; a frame is stored every so many of its steps.
+        dt=options.dt or (None if dt is None else dt * (every or 1.0)),
+        bounds=bounds_of(metadata, path),
+        radius=number_of(metadata, 'default_connectivity_radius', path),
+        notes=notes,
+    )
+
+
+def _runs_of(path: str, split: str) -> Iterator[FullSpaceRun]:
+    import h5py
+
+    files.refuse_git_lfs_pointer(path)
+    try:
+        with h5py.File(path, 'r') as file:
+            for name in sorted(file):
+                yield _run_of(file[name], f'{split}_{name}', split, f'{path}: {name}')
+    except OSError as error:
+        raise ValueError(f'{path}: is not a readable HDF5 file ({error})') from error
+
+
+def _run_of(group, name: str, split: str, where: str) -> FullSpaceRun:
+    import h5py
+
+    key = next((k for k in ('position', 'positions') if _is_dataset(group, k)), None)
+    if key is None or not _is_dataset(group, 'particle_type'):
+        held = sorted(group) if isinstance(group, h5py.Group) else type(group).__name__
+        raise ValueError(f'{where}: holds {held}; position and particle_type were expected')
+    stored = group[key]
+    if stored.dtype.kind not in 'fiu' or stored.size * stored.dtype.itemsize > files.MAX_BYTES:
+        raise ValueError(f'{where}: position has {stored.shape}, {stored.dtype}')
+    positions = stored[()]
+    types = group['particle_type']
+    if types.size not in (1, positions.shape[1] if positions.ndim > 1 else 0):
+        raise ValueError(f'{where}: {types.shape} types for positions of {positions.shape}')
+    theirs = type_column(types[()], positions.shape[1])
+    kept = theirs != _PADDING
+    # Their converter from DeepMind's records does not map types: 5 and above are already ours.
+    unknown = sorted(set(theirs[kept].tolist()) - _TYPES.keys() - {5, 6, 7})
+    if unknown:
+        raise ValueError(f'{where}: has the unknown particle types {unknown}')
+    mapped = np.array([_TYPES.get(kind, kind) for kind in theirs[kept].tolist()], np.int64)
+    material = None
+    if _is_dataset(group, 'material_property'):
+        material = np.broadcast_to(group['material_property'][()], (len(mapped),))
+    run = FullSpaceRun(name, split, positions[:, kept], mapped, material=material)
+    return check_run(run, where)
+
+
+def _is_dataset(group, key: str) -> bool:
+    import h5py
+
+    # Of this file only: a link to another one would be followed.
+    if not isinstance(group, h5py.Group) or not isinstance(
+        group.get(key, getlink=True), (h5py.HardLink, h5py.SoftLink)
+    ):
+        return False
+    return isinstance(group.get(key), h5py.Dataset) and not group[key].external
+
+
+def write(folder: str, data: FullSpaceData) -> None:
+    """Writes the data; the runs of a split must be equally long.
+
+    Raises:
+        ValueError: runs of different lengths in a split.
+    """
+    import h5py
+
+    counts: dict[str, list[int]] = {split: [] for split in SPLITS}
+    largest = 0
+    for split in SPLITS:
+        runs = (run for run in data.runs() if run.split == split)
+        first = next(runs, None)
+        if first is None:
+            continue
+        with h5py.File(os.path.join(folder, f'{split}.h5'), 'w') as file:
+            for index, run in enumerate(_again(first, runs)):
+                counts[split].append(len(run.positions))
+                largest = max(largest, run.positions.shape[1])
+                group = file.create_group(f'{index:05d}')
+                group.create_dataset(
+                    'position', data=np.asarray(run.positions, np.float32), compression='gzip'
+                )
+                group.create_dataset('particle_type', data=_theirs(run))
+        if len(set(counts[split])) != 1:
+            raise ValueError(
+                f'{split}: runs have {sorted(set(counts[split]))} frames, this format holds runs '
+                'of one length'
+            )
+    first = next(data.runs())
+    train = next(split for split in SPLITS if counts[split])
+    held_out = next((split for split in ('test', 'valid') if counts[split]), train)
+    dim = first.positions.shape[2]
+    metadata = {
+        'case': os.path.basename(folder),
+        'solver': 'material point method',
+        'dim': dim,
+        'dx': data.radius or 0.025,
+        'dt': data.dt,
+        't_end': None if data.dt is None else data.dt * (counts[train][0] - 1),
+        'sequence_length_train': counts[train][0],
+        'num_trajs_train': len(counts[train]),
+        'sequence_length_test': counts[held_out][0],
+        'num_trajs_test': len(counts[held_out]),
+        'num_particles_max': largest,
+        'periodic_boundary_conditions': [False] * dim,
+        'bounds': data.bounds,
+        'default_connectivity_radius': data.radius or 0.025,
+        **motion_moments(run for run in data.runs() if run.split == train),
+        'description': f'exported from {data.source}',
+    }
+    files.write_json(os.path.join(folder, METADATA_NAME), metadata)
+
+
+def _again(first: FullSpaceRun, rest: Iterator[FullSpaceRun]) -> Iterator[FullSpaceRun]:
+    yield first
+    yield from rest
+
+
+def _theirs(run: FullSpaceRun) -> np.ndarray:
+    """Returns LagrangeBench's types: a boundary that never moves is a solid wall."""
+    kinematic = run.particle_type == 3
+    walls = run.positions[:, kinematic]
+    wall_type = 1 if kinematic.any() and not np.any(walls != walls[0]) else 2
+    types = np.zeros(len(run.particle_type), np.int32)
+    types[kinematic] = wall_type
+    types[run.particle_type == 0] = 3
+    return types

@@ -1,0 +1,103 @@
+"""Plain `.npz`: one file per run with `positions` [T, N, D] and whatever else a raw run may have.
+
+`particle_type` [N] tells soil from body where both lie in `positions`; else `rigid_positions` is
+the body.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+
+import numpy as np
+
+from pca_tools import files
+from pca_tools.formats.full_space import (
+    SOIL_TYPE,
+    FullSpaceData,
+    FullSpaceRun,
+    ReadOptions,
+    check_run,
+    type_column,
+)
+from pca_tools.metadata import SPLITS
+
+NAME = 'npz'
+TITLE = 'plain npz, one file per run'
+
+
+def run_files(folder: str) -> list[str]:
+    """Returns the names of the `.npz` files of a folder, in order."""
+    return sorted(name for name in os.listdir(folder) if name.endswith('.npz'))
+
+
+def read(folder: str, options: ReadOptions) -> FullSpaceData:
+    """Opens a folder; `options.dt` is needed where the files have no `dt`."""
+    names = run_files(folder)
+    first = files.read_npz(os.path.join(folder, names[0]))
+
+    def runs() -> Iterator[FullSpaceRun]:
+        for name in names:
+            yield _run_of(os.path.join(folder, name), name.removesuffix('.npz'))
+
+    context = first.get('context', np.empty((0, 0)))
+    return FullSpaceData(
+        source=f'{folder} ({TITLE})',
+        runs=runs,
+        dt=options.dt or _dt_of(first),
+        bounds=first['bounds'].tolist() if 'bounds' in first else None,
+        context_names=[f'context_{index}' for index in range(context.shape[-1])],
+        rigid_motion=str(first['rigid_motion']) if 'rigid_motion' in first else None,
+        up_axis=int(first['up_axis']) if 'up_axis' in first else None,
+    )
+
+
+def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:
+    held = arrays.get('dt', np.empty(0))
+    usable = held.size == 1 and held.dtype.kind in 'fiu' and np.isfinite(held).all()
+    return float(held.reshape(())) if usable else None
+
+
+def _run_of(path: str, name: str) -> FullSpaceRun:
+    arrays = files.read_npz(path)
+    if 'positions' not in arrays or arrays['positions'].ndim != 3:
+        held = {key: value.shape for key, value in arrays.items()}
+        raise ValueError(f'{path}: holds {held}; positions [T, N, D] was expected')
+    soil, body = arrays['positions'], arrays.get('rigid_positions')
+    types = type_column(arrays.get('particle_type', np.int64(SOIL_TYPE)), soil.shape[1])
+    if body is not None and body.size:
+        if body.ndim != 3 or len(body) != len(soil) or body.shape[2] != soil.shape[2]:
+            raise ValueError(f'{path}: rigid_positions have shape {body.shape} beside {soil.shape}')
+        soil = np.concatenate([body, soil], axis=1)
+        types = np.concatenate([np.full(body.shape[1], 3), types])
+    split = str(arrays.get('split', ''))
+    context = arrays.get('context')
+    if context is not None and context.ndim == 1:
+        context = np.tile(context, (len(soil), 1))
+    run = FullSpaceRun(
+        name, split if split in SPLITS else '', soil, types, arrays.get('force'), context
+    )
+    return check_run(run, path)
+
+
+def write(folder: str, data: FullSpaceData) -> None:
+    """Writes one file per run, soil and body in `positions` with their types."""
+    for run in data.runs():
+        arrays = {
+            'positions': np.asarray(run.positions, np.float32),
+            'particle_type': run.particle_type,
+            'split': np.array(run.split),
+            'dt': np.float64(np.nan if data.dt is None else data.dt),
+        }
+        optional = {
+            'force': run.force,
+            'context': run.context,
+            'material': run.material,
+            'bounds': data.bounds,
+            'up_axis': data.up_axis,
+            'rigid_motion': data.rigid_motion,
+        }
+        arrays |= {key: np.asarray(v) for key, v in optional.items() if v is not None}
+        arrays['parameters'] = np.array(json.dumps({'source': data.source}))
+        files.write_npz(os.path.join(folder, f'{run.name}.npz'), **arrays)

@@ -1,0 +1,160 @@
+"""Imports data of other projects as raw runs, which `python -m pca_tools.convert` takes.
+
+Known are DeepMind's learning_to_simulate, geoelements/gns, LagrangeBench, MPM-NGF, series of VTP
+files, plain npz, and the folders of Subspace-Graph-Physics (which become a dataset at once). The
+format is told by the files. Soil and body are told apart by the particle types: 0 rigid, 3 boundary
+or prescribed, all others soil.
+
+Examples:
+    python -m pca_tools.import_data downloads/Sand --output_path=raw/sand --up_axis=1
+    python -m pca_tools.convert --raw_path=raw/sand --output_path=datasets/Sand
+
+    # what is this?
+    python -m pca_tools.import_data FOLDER
+
+    # frames of MPM-NGF do not say their time step; a quarter of full size is scaled up
+    python -m pca_tools.import_data MPM-NGF/output --output_path=raw/ngf --dt=0.0166667 \\
+        --length_scale=4 --force_scale=64
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from absl import app, flags
+from tqdm import tqdm
+
+from pca_tools import files, raw_writer
+from pca_tools.formats import authors, detect, full_space
+from pca_tools.metadata import RIGID_MOTIONS
+from pca_tools.raw_checks import AXES
+
+
+def import_data(
+    folder: str,
+    output_path: str,
+    *,
+    format_name: str | None = None,
+    dt: float | None = None,
+    up_axis: int | None = None,
+    body: str | None = None,
+    name: str | None = None,
+    length_scale: float = 1.0,
+    force_scale: float = 1.0,
+    check_units: bool = True,
+) -> str:
+    """Imports a folder; arguments as the flags of the same names.
+
+    Returns:
+        What was done, in a few lines.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: data that are not known, damaged, or lack what nobody stated.
+    """
+    kind = format_name or detect.detect(folder)
+    if kind in (detect.RAW, detect.DATASET):
+        raise ValueError(detect.explain(kind, folder))
+    name = name or os.path.basename(os.path.abspath(folder))
+    if kind == detect.AUTHORS:
+        metadata, notes = authors.import_dataset(
+            folder, output_path, name, body, 1 if up_axis is None else up_axis
+        )
+        counts = {split: len(ids) for split, ids in metadata['dataset_split'].items()}
+        return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
+    data = detect.FORMATS[kind].read(folder, full_space.ReadOptions(dt=dt))
+    if data.dt is None:
+        raise ValueError(f'{data.source}: does not say its time step: give --dt, seconds a frame')
+    body = body or full_space.body_motion(data)
+    bounds = _three_bounds(data.bounds, length_scale)
+    up = data.up_axis if up_axis is None else up_axis
+    if up is None:
+        up, reason = full_space.find_up_axis(data, bounds) if bounds else (None, 'it has no bounds')
+        if up is None:
+            raise ValueError(
+                f'{data.source}: does not say which axis points up, and it cannot be inferred '
+                f'({reason}): give --up_axis=0, 1 or 2'
+            )
+        data.notes.append(f'{AXES[up]} is taken for the upward axis: {reason}')
+    runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
+    raw_writer.write_raw(
+        output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
+        bounds=bounds, name=name, check_units=check_units,
+    )  # fmt: skip
+    lines = [f'{output_path}: raw runs of {data.source}; body: {body}, {AXES[up]} up']
+    lines += [f'note: {note}' for note in data.notes]
+    lines.append(
+        f'next: python -m pca_tools.convert --raw_path={output_path} --output_path=DATASET'
+    )
+    return '\n'.join(lines)
+
+
+def _scaled(
+    runs: Iterator[dict[str, Any]], length: float, force: float
+) -> Iterator[dict[str, Any]]:
+    for run in runs:
+        for key, factor in (('positions', length), ('rigid_positions', length), ('force', force)):
+            if key in run and factor != 1.0:
+                run[key] = run[key] * np.float64(factor)
+        yield run
+
+
+def _three_bounds(bounds: list[list[float]] | None, scale: float) -> list[list[float]] | None:
+    """Bounds of three axes; a plane gets a third one that holds 0."""
+    if bounds is None:
+        return None
+    scaled = [[scale * low, scale * high] for low, high in bounds]
+    half = 0.5 * max(high - low for low, high in scaled)
+    return scaled + [[-half, half]] * (3 - len(scaled))
+
+
+def define_flags() -> None:
+    """Defines the flags; not at import, so that several commands can be imported together."""
+    flags.DEFINE_string(
+        'output_path', None, 'Folder of the new raw runs; without it the data are only named.'
+    )
+    flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Default: told by the files.')
+    flags.DEFINE_float('dt', None, 'Seconds per frame, where the data do not say or say it wrong.')
+    flags.DEFINE_integer('up_axis', None, 'Axis against gravity: 0, 1 or 2.')
+    flags.DEFINE_enum(
+        'body',
+        None,
+        RIGID_MOTIONS,
+        'What is known of the motion of the body; default by type.',
+    )
+    flags.DEFINE_string('name', None, 'Name of the scene. Default: that of the folder.')
+    flags.DEFINE_float('length_scale', 1.0, 'Factor that makes metres of their lengths.')
+    flags.DEFINE_float('force_scale', 1.0, 'Factor that makes newtons of their forces.')
+    flags.DEFINE_bool(
+        'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
+    )
+
+
+def main(argv: Sequence[str]) -> None:
+    """Runs the command."""
+    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
+    values = flags.FLAGS
+    if len(argv) != 2:
+        sys.exit('usage: python -m pca_tools.import_data FOLDER --output_path=RAW')
+    try:
+        if values.output_path is None:
+            print(detect.explain(values.format or detect.detect(argv[1]), argv[1]))
+            return
+        text = import_data(
+            argv[1], values.output_path, format_name=values.format, dt=values.dt,
+            up_axis=values.up_axis, body=values.body, name=values.name,
+            length_scale=values.length_scale,
+            force_scale=values.force_scale, check_units=values.check_units,
+        )  # fmt: skip
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        sys.exit(f'error: {files.printable(error)}')
+    print(text)
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)

@@ -1,0 +1,69 @@
+"""What an id means."""
+
+import numpy as np
+import pytest
+
+from mpm import scenes
+from mpm.motions import catalogue, grid
+from mpm.motions.operator_paths import operator_drive
+from mpm.motions.recording import Recording
+
+TIMES = np.linspace(0, 5, 30)
+
+
+def test_number_is_a_case_of_the_grid():
+    motion = catalogue.motion_of(scenes.EXCAVATION, 186)
+    expected = grid.make_drive(scenes.EXCAVATION, scenes.EXCAVATION.parameters(186))
+    np.testing.assert_array_equal(motion.drive.pose(TIMES), expected.pose(TIMES))
+    assert motion.parameters == {'kind': 'grid', **scenes.EXCAVATION.parameters(186)}
+    assert (motion.case, motion.frames, motion.simulated_frames) == (186, 320, 320)
+
+
+@pytest.mark.parametrize('case', ['disturbed_0017', 'disturbed_17'])
+def test_kind_and_seed_are_a_path(case):
+    motion = catalogue.motion_of(scenes.EXCAVATION, case)
+    drive, parameters = operator_drive(scenes.EXCAVATION, 'disturbed', 17)
+    np.testing.assert_array_equal(motion.drive.pose(TIMES), drive.pose(TIMES))
+    assert motion.parameters == parameters and motion.case == 'disturbed_0017'
+    assert motion.simulated_frames == 320 + drive.lead_in
+
+
+def test_long_file_makes_a_long_run(tmp_path):
+    path = tmp_path / 'long.csv'
+    rows = [f'{t:.1f},{0.8 - 0.02 * t:.3f},0.3,0' for t in np.arange(0, 10.05, 0.1)]
+    path.write_text('time_s,x_m,y_m,angle_deg\n' + '\n'.join(rows) + '\n')
+    motion = catalogue.motion_of(scenes.EXCAVATION, Recording(str(path), 1))
+    assert (motion.case, motion.frames) == ('path_long', 600)
+
+
+@pytest.mark.parametrize('case', ['dig_0001', 'lift', 'lift_x', 'slip_0001', '', 'lift_-1'])
+def test_unknown_ids_are_refused(case):
+    with pytest.raises(ValueError, match='excavation has no run.*smooth_0012'):
+        catalogue.motion_of(scenes.EXCAVATION, case)
+
+
+def test_seeds_take_turns_through_the_kinds():
+    assert catalogue.select_seeds(scenes.EXCAVATION, '9000-9004, 3') == (
+        'smooth_9000', 'stops_9001', 'reverse_9002', 'lift_9003', 'disturbed_9004', 'lift_0003',
+    )  # fmt: skip
+    assert catalogue.select_seeds(scenes.WHEEL, '4,5', 'stops,reverse') == (
+        'stops_0004',
+        'reverse_0005',
+    )
+
+
+@pytest.mark.parametrize(
+    ('seeds', 'kinds', 'words'),
+    [
+        ('1', 'dig', r"unknown kinds \['dig'\] of excavation; there are smooth, stops"),
+        ('a', None, "got 'a'"),
+        ('3-', None, "got '3-'"),
+        ('5-3', None, 'a range of -1|a range of 0'),
+        ('1,1', None, 'twice'),
+        ('1-2,2', None, 'twice'),
+        ('-4', None, "got '-4'"),
+    ],
+)
+def test_bad_seeds_are_refused(seeds, kinds, words):
+    with pytest.raises(ValueError, match=words):
+        catalogue.select_seeds(scenes.EXCAVATION, seeds, kinds)

@@ -1,0 +1,89 @@
+"""The data of record: its list, its order, its digests."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mpm import batch, record, scenes
+from mpm.experiments import coarse
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Coarse, short runs in place of the record's own."""
+    monkeypatch.setattr(scenes, 'FRAMES', 4)
+    monkeypatch.setattr('mpm.simulation.REST_FRAMES', 2)
+    parts = {part: (coarse(scene), order) for part, (scene, order) in record.PARTS.items()}
+    monkeypatch.setattr(record, 'PARTS', parts)
+
+
+def make(path, parts=('operator', 'wheel_free', 'excavation_grid'), limit=2):
+    return record.make(list(parts), str(path), 1, limit)
+
+
+def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, monkeypatch, capsys):
+    found = make(tmp_path)
+    assert capsys.readouterr().out.count('2 new runs') == 3
+    assert set(found) == {'excavation', 'wheel'}
+    assert set(found['wheel']) == {'slip_0000', 'stops_0001'}
+    grid = [str(case) for case in record.runs_of('excavation_grid', 2)]
+    assert set(found['excavation']) == {'smooth_0000', 'stops_0001', *grid}
+    kept = json.loads((tmp_path / 'wheel' / record.DIGESTS).read_text())
+    assert kept == {'wheel': found['wheel']}
+    assert make(tmp_path) == found and capsys.readouterr().out.count('0 new runs') == 3
+    # Another folder, the same digests.
+    assert (
+        make(tmp_path / 'again', ['operator'])['excavation'].items() <= found['excavation'].items()
+    )
+
+
+def test_part_that_fails_does_not_stop_the_next(tmp_path, small, monkeypatch):
+    whole = batch.run.run_case
+
+    def fails(scene, case, *arguments):
+        if case == 'smooth_0000':
+            raise ValueError('particle 7 left the grid')
+        return whole(scene, case, *arguments)
+
+    monkeypatch.setattr(batch.run, 'run_case', fails)
+    with pytest.raises(ValueError, match='operator: 1 of 2 runs failed'):
+        make(tmp_path, ['operator', 'wheel_free'])
+    assert len(record.digests_of(str(tmp_path / 'wheel'))) == 2
+    assert len(record.digests_of(str(tmp_path / 'excavation'))) == 1
+
+
+def test_other_content_is_found():
+    expected = {'lift_0003': 'aa', '7': 'bb', '8': 'cc'}
+    assert record.compare({'lift_0003': 'aa', '7': 'xx', '9': 'dd'}, expected) == ['7']
+
+
+def command(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'mpm.record', *arguments], capture_output=True, text=True, cwd=ROOT
+    )
+
+
+def test_command_lists_what_it_would_make():
+    done = command('--list')
+    assert done.returncode == 0, done.stderr
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert ['operator', 'lift', '50', '36', '4', '10'] in rows
+    assert ['wheel_grid', 'grid', '243', '189', '27', '27'] in rows
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ([], 'give --output_path, or --list'),
+        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, wheel_free"),
+        (['--expect=nothing.json', '--output_path=x'], "No such file or directory: 'nothing.json'"),
+    ],
+)
+def test_command_refuses_bad_input(arguments, words):
+    done = command(*arguments)
+    assert done.returncode == 1 and words in done.stderr and 'Traceback' not in done.stderr

@@ -1,0 +1,296 @@
+"""Raw data by anyone: the page's own script, what is refused (all at once), rehash, units, axes."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.scene import Scene
+from pca_tools import convert, dataset, files, raw_writer, write_raw
+from pca_tools.inspection import inspect_folder
+from pca_tools.matching import match_particles
+from pca_tools.raw_runs import RawRuns
+from tests.pca_tools import synthetic
+from tests.pca_tools.commands import REPOSITORY, run_command
+
+
+def own_runs(count=5, frames=20, scale=1.0, axes=(0, 1, 2), **extra):
+    """Runs of the synthetic scene as mappings, in other units or with other axes."""
+    for case in range(1, count + 1):
+        arrays = synthetic.make_run('excavation', case, frames)
+        yield {
+            'positions': scale * arrays['positions'][..., axes],
+            'rigid_positions': scale * arrays['rigid_positions'][..., axes],
+            'force': arrays['force'][..., axes],
+            'case': case,
+            **extra,
+        }
+
+
+def test_script_of_the_page_becomes_a_dataset(tmp_path):
+    page = (REPOSITORY / 'docs' / 'raw_data.md').read_text(encoding='utf-8')
+    (script,) = re.findall(r'```python\n(.*?)```', page, flags=re.DOTALL)
+    assert len(script.strip().splitlines()) <= 21
+    environment = os.environ | {'PYTHONPATH': str(REPOSITORY)}
+    subprocess.run([sys.executable, '-c', script], cwd=tmp_path, env=environment, check=True)
+    raw, out = str(tmp_path / 'raw/own'), str(tmp_path / 'own_data')
+    done = run_command('pca_tools.convert', f'--raw_path={raw}', f'--output_path={out}')
+    assert done.returncode == 0, done.stderr
+    metadata = dataset.read_metadata(out)
+    assert (metadata['n_soil'], metadata['particles_rigid']) == (400, 9)
+    assert metadata['scene']['up_axis'] == 1
+    checked = run_command('pca_tools.inspect', out)
+    assert checked.returncode == 0 and ' 0 ERROR' in checked.stdout, checked.stdout
+
+
+def test_written_runs_are_read_back_bit_for_bit(tmp_path):
+    given = list(own_runs(3, context={'load': 4.5}, kind='push', split='train'))
+    write_raw(str(tmp_path / 'raw'), given, 0.02, up_axis=1, name='mine', gravity=[0, -9.8, 0])
+    runs = RawRuns(str(tmp_path / 'raw'))
+    assert runs.cases == [1, 2, 3] and runs.dt == 0.02 and runs.scene['name'] == 'mine'
+    assert runs.scene['rigid_motion'] == 'prescribed' and runs.scene['context_names'] == ['load']
+    for run, wanted in zip(runs, given, strict=True):
+        for name in ('positions', 'rigid_positions', 'force'):
+            np.testing.assert_array_equal(getattr(run, name), wanted[name])
+        assert run.context.tolist() == [4.5]
+        assert (run.parameters['kind'], run.parameters['split']) == ('push', 'train')
+    low, high = np.array(runs.bounds).T
+    for run in given:
+        for name in ('positions', 'rigid_positions'):
+            assert np.all(run[name] > low) and np.all(run[name] < high)
+
+
+def test_all_faults_are_told_at_once_and_nothing_is_written(tmp_path):
+    runs = list(own_runs(5))
+    runs[1]['positions'][3, 7, 1] = np.nan
+    runs[2]['postions'] = runs[2].pop('positions')
+    runs[3]['positions'] = runs[3]['positions'][:, :9]
+    runs[3]['case'] = 1
+    del runs[4]['force']
+    with pytest.raises(ValueError) as error:
+        write_raw(str(tmp_path / 'raw'), runs, 1 / 60, up_axis='y')
+    for text in (
+        '4 faults', 'run 1: positions holds 1 NaN', "run 2: has the unknown keys ['postions']",
+        'run 3: has 9 particles, the runs before it 140', 'run 4: lacks force',
+    ):  # fmt: skip
+        assert text in str(error.value), text
+    for bad in ({'dt': 0.0}, {'up_axis': 'up'}, {'body': 'moving'}, {'bounds': [[0, 1]]}):
+        arguments = {'dt': 1 / 60, 'up_axis': 'y', **bad}
+        with pytest.raises(ValueError, match=r'dt is|up_axis is|rigid_motion|bounds is'):
+            write_raw(str(tmp_path / 'raw'), own_runs(2), **arguments)
+    with pytest.raises(ValueError, match='no runs'):
+        write_raw(str(tmp_path / 'raw'), [], 1 / 60, up_axis='y')
+    assert not os.listdir(tmp_path)
+    write_raw(str(tmp_path / 'raw'), own_runs(1), 1 / 60, up_axis='y')
+    with pytest.raises(ValueError, match='is not empty'):
+        write_raw(str(tmp_path / 'raw'), own_runs(1), 1 / 60, up_axis='y')
+
+
+def test_converter_lists_all_faults_before_it_encodes(tmp_path):
+    def spoil(case, arrays):
+        if case == 2:
+            arrays['positions'][0, 0, 0] = np.inf
+        if case == 4:
+            del arrays['force']
+
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(1, 6), change=spoil)
+    os.remove(f'{raw}/run_005.npz')
+    with pytest.raises(ValueError) as error:
+        convert.convert(raw, str(tmp_path / 'out'))
+    for text in (
+        '3 faults',
+        'run_002.npz: positions',
+        'run_004.npz: lacks',
+        'run_005.npz: no such',
+    ):
+        assert text in str(error.value)
+    manifest = files.read_json(f'{raw}/manifest.json')
+    manifest['dt'], manifest['bounds'], manifest['runs'][0] = -1, 'wide', {'file': 'run_001.npz'}
+    files.write_json(f'{raw}/manifest.json', manifest)
+    with pytest.raises(ValueError, match=r'(?s)3 faults.*dt is -1.*bounds is .wide.*--rehash'):
+        RawRuns(raw)
+
+
+def test_rehash_follows_files_that_were_changed_on_purpose(tmp_path):
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(1, 6))
+    arrays = synthetic.make_run('excavation', 9)
+    np.savez(f'{raw}/run_003.npz', **arrays)
+    with pytest.raises(ValueError, match=r'run_003.npz: differs.*--rehash') as error:
+        convert.convert(raw, str(tmp_path / 'out'))
+    assert 'delete' not in str(error.value)
+    before = {name: os.stat(f'{raw}/{name}').st_mtime_ns for name in os.listdir(raw)}
+    done = run_command('pca_tools.convert', '--rehash', f'--raw_path={raw}')
+    assert done.returncode == 0 and 'new entries for 1 files' in done.stdout, done.stderr
+    changed = {n for n in os.listdir(raw) if os.stat(f'{raw}/{n}').st_mtime_ns != before[n]}
+    assert changed == {'manifest.json'}
+    np.testing.assert_array_equal(RawRuns(raw)[2].positions, arrays['positions'])
+    manifest = files.read_json(f'{raw}/manifest.json')
+    manifest['runs'] = [{'file': entry['file']} for entry in manifest['runs']]
+    files.write_json(f'{raw}/manifest.json', manifest)
+    assert len(raw_writer.rehash(raw)) == 5
+    assert RawRuns(raw).cases == [1, 2, 9, 4, 5]  # the case is what the file says
+    assert len(list(RawRuns(raw))) == 5
+    with open(f'{raw}/run_004.npz', 'wb') as file:
+        file.write(b'not a zip')
+    kept = files.read_json(f'{raw}/manifest.json')
+    with pytest.raises(ValueError, match='run_004.npz: is not a complete .npz'):
+        raw_writer.rehash(raw)
+    assert files.read_json(f'{raw}/manifest.json') == kept
+
+
+@pytest.mark.parametrize(
+    'scale, bounds, text',
+    [
+        (1000.0, synthetic.BOUNDS, '100 % of the soil lies outside .* look like millimetres'),
+        (1000.0, None, r'apart \(median\); these look like millimetres'),
+        (100.0, synthetic.BOUNDS, 'look like centimetres'),
+    ],
+)
+def test_other_units_of_length_are_found(tmp_path, scale, bounds, text):
+    runs = list(own_runs(3, scale=scale))
+    with pytest.raises(ValueError, match=f'(?s){text}.*--nocheck_units'):
+        write_raw(str(tmp_path / 'raw'), runs, 1 / 60, up_axis='y', bounds=bounds)
+    write_raw(str(tmp_path / 'raw'), runs, 1 / 60, up_axis='y', bounds=bounds, check_units=False)
+    with pytest.raises(ValueError, match='--nocheck_units'):
+        convert.convert(str(tmp_path / 'raw'), str(tmp_path / 'out'), modes=2)
+    convert.convert(str(tmp_path / 'raw'), str(tmp_path / 'out'), modes=2, check_units=False)
+
+
+def test_frame_rate_given_as_dt_is_found(tmp_path):
+    with pytest.raises(ValueError, match='something moves at .* dt is wrong'):
+        write_raw(str(tmp_path / 'raw'), own_runs(2), 1e-5, up_axis='y')
+
+
+def without_up_axis(folder, **scene):
+    manifest = files.read_json(f'{folder}/manifest.json')
+    del manifest['scene']['up_axis']
+    manifest['scene'] |= scene
+    files.write_json(f'{folder}/manifest.json', manifest)
+
+
+def test_missing_up_axis_is_inferred_aloud_or_asked_for(tmp_path):
+    raw = str(tmp_path / 'raw')
+    bounds = [[0.1, 0.9], [0.1, 0.9], [0.2, 1.0]]
+    write_raw(raw, own_runs(5, axes=(0, 2, 1)), 1 / 60, up_axis='z', bounds=bounds)
+    without_up_axis(raw)
+    with pytest.warns(UserWarning, match=r'up_axis is missing; 2 \(z\) is taken, because free'):
+        metadata = convert.convert(raw, str(tmp_path / 'out'))
+    assert metadata['scene']['up_axis'] == 2
+    without = files.read_json(f'{raw}/manifest.json')
+    without['scene']['gravity'] = [0.0, 0.0, -1.62]
+    files.write_json(f'{raw}/manifest.json', without)
+    with pytest.warns(UserWarning, match=r'2 \(z\) is taken, because gravity is \[0.0, 0.0, -1.62'):
+        RawRuns(raw).check()
+    without['bounds'] = [[0.1, 0.9], [0.1, 0.9], [0.2, 0.42]]  # no free space above
+    del without['scene']['gravity']
+    files.write_json(f'{raw}/manifest.json', without)
+    with pytest.raises(ValueError, match='up_axis is missing and cannot be inferred'):
+        convert.convert(raw, str(tmp_path / 'other'))
+
+
+def test_a_wrong_up_axis_is_doubted(tmp_path):
+    raw = str(tmp_path / 'raw')
+    write_raw(raw, own_runs(5), 1 / 60, up_axis='z', bounds=synthetic.BOUNDS)
+    with pytest.warns(UserWarning, match=r'up_axis is 2 \(z\) but y looks like'):
+        RawRuns(raw).check()
+    write_raw(f'{raw}2', own_runs(5), 1 / 60, up_axis='y', bounds=synthetic.BOUNDS)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        RawRuns(f'{raw}2').check()
+
+
+def test_other_orders_of_particles_are_matched(tmp_path):
+    def shuffle(case, arrays):
+        order = np.random.default_rng(case).permutation(140)
+        arrays['positions'] = arrays['positions'][:, order] if case > 1 else arrays['positions']
+
+    raw = synthetic.write_raw_folder(str(tmp_path / 'r'), 'excavation', range(1, 7), change=shuffle)
+    with pytest.raises(ValueError, match=r'(?s)5 faults.*case 2: .*--match_particles.*full_space'):
+        convert.convert(raw, str(tmp_path / 'out'))
+    plain = synthetic.write_raw_folder(str(tmp_path / 'plain'), 'excavation', range(1, 7))
+    convert.convert(plain, str(tmp_path / 'expected'))
+    convert.convert(raw, str(tmp_path / 'out'), match_particles=True)
+    for split in ('train', 'test'):
+        pairs = zip(*(dataset.read_split(str(tmp_path / n), split) for n in ('out', 'expected')))
+        for run, wanted in pairs:
+            np.testing.assert_array_equal(run.position, wanted.position)
+
+
+def test_matching_is_one_to_one_and_refuses_other_packings():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 1, (800, 3))
+    order = rng.permutation(800)
+    moved = points + rng.normal(0, 0.01, points.shape)
+    np.testing.assert_array_equal(match_particles(moved[order], moved), np.argsort(order))
+    near = match_particles(moved[order], points)
+    assert sorted(near.tolist()) == list(range(800))
+    assert np.mean(order[near] == np.arange(800)) > 0.95
+    with pytest.raises(ValueError, match='no one-to-one matching'):
+        match_particles(np.zeros((800, 3)) + [[0, 0, 1e-9]] * np.arange(800)[:, None], points)
+    with pytest.raises(ValueError, match='7 particles cannot be matched with 800'):
+        match_particles(points[:7], points)
+
+
+def test_scenes_without_a_body_in_two_dimensions_with_runs_of_different_lengths(tmp_path):
+    def runs():
+        for case, frames in enumerate((20, 24, 17, 30, 20, 22)):
+            positions = synthetic.make_run('excavation', case + 1, frames)['positions']
+            yield {'positions': positions[..., :2]}
+
+    write_raw(str(tmp_path / 'raw'), runs(), 1 / 30, up_axis='y', name='collapse')
+    manifest = json.loads((tmp_path / 'raw' / 'manifest.json').read_text())
+    assert manifest['scene']['rigid_motion'] == 'none' and manifest['scene']['dim'] == 2
+    metadata = convert.convert(str(tmp_path / 'raw'), str(tmp_path / 'out'), modes=3)
+    assert metadata['sequence_length'] == 29 and metadata['particles_rigid'] == 0
+    assert 'rigid_body_force_mean' not in metadata and metadata['acc_std'][2] == 0
+    stored = {}
+    for split, lengths in metadata['frames_of_runs'].items():
+        read = dataset.read_split(str(tmp_path / 'out'), split)
+        assert [run.n_frames for run in read] == lengths
+        assert all(run.n_rigid == 0 and not run.position[..., 2].any() for run in read)
+        stored |= dict(zip(metadata['dataset_split'][split], lengths))
+    assert stored == dict(enumerate((20, 24, 17, 30, 20, 22)))
+
+
+def test_several_bodies_keep_their_own_motion_force_and_pose(tmp_path):
+    """A blade of 20 points and a wheel of 16 in one bin."""
+
+    def runs():
+        for case in range(6):
+            blade, wheel = (synthetic.make_run(name, case) for name in ('excavation', 'wheel'))
+            forces = np.stack([blade['force'], wheel['force']], axis=1)
+            pose = np.tile(np.float32([0, 0, 0, 1, 0, 0, 0]), (24, 2, 1))
+            points = [blade['rigid_positions'], wheel['rigid_positions'] + np.float32([0, 0, 2])]
+            yield {
+                'positions': blade['positions'],
+                'rigid_positions': np.concatenate(points, axis=1),
+                'force': forces.sum(axis=1),
+                'body_force': forces,
+                'body_pose': pose,
+            }
+
+    bodies = [
+        {'name': 'blade', 'rigid_motion': 'prescribed', 'points': 20},
+        {'name': 'wheel', 'rigid_motion': 'driven', 'points': 16},
+    ]
+    raw, out = str(tmp_path / 'raw'), str(tmp_path / 'out')
+    write_raw(raw, runs(), 1 / 60, up_axis='y', body='driven', bodies=bodies)
+    metadata = convert.convert(raw, out, modes=3)
+    assert metadata['scene']['bodies'] == bodies
+    run, wanted = dataset.read_split(out, 'test')[0], list(runs())
+    case = metadata['dataset_split']['test'][0]
+    assert run.particle_type.tolist() == [3] * 20 + [0] * 16 + [6] * 3
+    np.testing.assert_array_equal(run.body_force, wanted[case]['body_force'])
+    assert run.body_pose.shape == (24, 2, 7)
+    inspection = inspect_folder(out)
+    assert not inspection.failed, inspection.findings
+    with pytest.raises(ValueError, match=r"several bodies \['blade', 'wheel'\]"):
+        Scene.from_metadata(metadata)
+    bodies[1]['points'] = 15
+    with pytest.raises(ValueError, match="has 36 rigid points, its bodies {'blade': 20, 'wheel'"):
+        write_raw(f'{raw}2', runs(), 1 / 60, up_axis='y', body='driven', bodies=bodies)
