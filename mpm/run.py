@@ -122,7 +122,6 @@ def run_case(
         'step_context': [],
     }
     force, torque = [], []
-    penetration = getattr(simulation, 'penetration', dict)
     deepest: dict[str, float] = {}
 
     def note() -> None:
@@ -132,7 +131,7 @@ def run_case(
         if context:
             load = float(drive.load(np.array([simulation.time]))[0])
             frames['step_context'].append(list((context | {'load': load}).values()))
-        for name, value in penetration().items():
+        for name, value in simulation.penetration().items():
             deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
