@@ -191,7 +191,10 @@ class TrainedModel:
         return self._at_rest
 
     def stepper(self, outside: str = 'flag'):
-        """A `live.LiveSoil`, compiled; `start` and `step` it with poses.
+        """A `live.LiveSoil`; `start` and `step` it with poses.
+
+        Frames come from the C library where there is a C compiler and the model has a C form, else
+        from TensorFlow: the same to round-off.
 
         Args:
           outside: what is done with a frame that is not `ok`: 'flag', 'hold' or 'raise'.
@@ -199,10 +202,11 @@ class TrainedModel:
         Raises:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
         """
+        from learning_to_simulate.export_c.c_step import best_step
         from learning_to_simulate.live import LiveSoil
 
         starts, space = self._from_rest()
-        return LiveSoil(self.model, starts, space, outside)
+        return LiveSoil(self.model, starts, space, outside=outside, back_end=best_step)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several at once, or a recorded run.

@@ -178,6 +178,8 @@ def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict)
                 'predicted_forces': rollout.force[0],
                 'ground_truth_forces': group.force[0, H:].astype(np.float32),
             }
+        # What a method says beyond modes, e.g. the particles of one that has none.
+        arrays |= getattr(rollout, 'arrays', {})
         written.append(os.path.join(path, f'rollout_{split}_{record}.npz'))
         files.write_npz(written[-1], **arrays)
     written.append(os.path.join(path, 'metrics.json'))

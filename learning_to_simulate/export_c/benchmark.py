@@ -17,9 +17,9 @@ import numpy as np
 from absl import app, flags
 
 from learning_to_simulate import experiment, stepping
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_header, c_library, c_stepper, starts
-from learning_to_simulate.export_c.c_soil import Soil
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.export_c.c_soil import CSoil
 from pca_tools import files
 
 PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
@@ -52,8 +52,8 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
     poses = np.ascontiguousarray(group.position[0, H:, :n])
     timed, library = _timed_library()
     data = c_stepper.CStepper(model, n, subspace, starts=found)
-    fast = {'C step': Soil(library, data.model, 'best')}
-    fast['plain build (-O2, 4-wide)'] = Soil(library, data.model, 'vector4')
+    fast = {'C step': CSoil(library, data.model, 'best')}
+    fast['plain build (-O2, 4-wide)'] = CSoil(library, data.model, 'vector4')
     python = {
         'from Python, with particles': data,
         "TensorFlow's stepper, with particles": stepping.Stepper(model, n, subspace),

@@ -116,6 +116,11 @@ METHODS = {
         'learning_to_simulate.methods.full_space.particle_method',
         on_particles=True,
     ),
+    'swept_field': Method(
+        'neural field over what the tool has swept: no modes, no time stepping',
+        'learning_to_simulate.methods.swept_field.method',
+        'learning_to_simulate.methods.swept_field.settings',
+    ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
     'earthmoving': Method(
         "a blade's force by the equation of earthmoving (Reece 1965, McKyes 1985): a baseline",

@@ -139,6 +139,10 @@ class EpisodeReader:
         """float64 [N, 3], m: all particles of a frame, from its modes."""
         return self.subspace.decode(run.position[frame : frame + 1, run.n_rigid :])[0].astype(float)
 
+    def sample(self, split: str) -> particles.ParticleSample:
+        """The particles that the dataset keeps of a split."""
+        return particles.read_sample(self._folder, split)
+
     def read(self, split: str, start_every: int = 0, limit: int = 0) -> list[Episode]:
         """The episodes of a split.
 
@@ -147,7 +151,7 @@ class EpisodeReader:
           start_every: frames between starts in the middle of runs; 0: none there.
           limit: only of the first so many runs; 0: of all.
         """
-        sample = particles.read_sample(self._folder, split)
+        sample = self.sample(split)
         found = []
         for record, run in enumerate(dataset.read_split(self._folder, split)):
             if limit and record >= limit:

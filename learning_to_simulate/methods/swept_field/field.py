@@ -65,9 +65,7 @@ class SweptField:
             self._soil[members] = tf.function(
                 lambda *x: network.displacement(*x, members), [*frame, rest], False
             )
-            self._load[members] = tf.function(
-                lambda *x: network.force(*x, members), frame, False
-            )
+            self._load[members] = tf.function(lambda *x: network.force(*x, members), frame, False)
         return self._soil[members], self._load[members]
 
     def displacement(self, frames: Frame, rest, members: int | None = None) -> np.ndarray:

@@ -1,17 +1,16 @@
 """From a dataset to a trained swept field."""
 
-import dataclasses
-
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import resting_bed
 from learning_to_simulate.methods.swept_field import episodes as episodes_lib
 from learning_to_simulate.methods.swept_field import field as field_lib
 from learning_to_simulate.methods.swept_field import tool_path, training
 from learning_to_simulate.scene import RigidMotion
-from pca_tools import dataset, particles
+from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
 
@@ -32,25 +31,12 @@ def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
     axes = episodes_lib.find_axes(dataset.read_split(data_path, 'train'), scene.up_axis)
     space = Subspace.load(f'{data_path}/subspace.npz')
     rest = space.initial
-    kept = kept_spacing(rest)
+    kept = resting_bed.kept_spacing(rest)
     first = next(iter(metadata.get('cases', {}).get('train', [])), {})
     return field_lib.SweptField(
         config, scene, axes, field_lib.DEFAULT_GRID, tool_path.Blade(), rest, kept,
-        solver_spacing(first) or kept,
+        resting_bed.solver_spacing(first) or kept,
     )  # fmt: skip
-
-
-def solver_spacing(case: dict) -> float | None:
-    """Spacing (m) of the solver's particles in a case of the metadata; None if it does not say."""
-    packing = case.get('packing') or {}
-    if 'cell_size_m' not in case or 'particles_per_cell' not in packing:
-        return None
-    return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-
-
-def kept_spacing(points) -> float:
-    """Spacing (m) of particles [N, 3] that fill a box."""
-    return float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
 
 
 def reader_of(field, data_path: str, metadata: dict) -> episodes_lib.EpisodeReader:
@@ -75,9 +61,7 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
     reader = reader_of(field, data_path, metadata)
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.grid, field.scene.dt)
-    facts = training.Trainer(
-        field.network, config, training.TrainingData(episodes, frames)
-    ).run()
+    facts = training.Trainer(field.network, config, training.TrainingData(episodes, frames)).run()
     scalars = np.concatenate([f.scalars for f in frames])
     field.ranges = {
         name: [float(scalars[:, i].min()), float(scalars[:, i].max())]
@@ -87,6 +71,9 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
         'episodes': len(episodes),
         'runs': len({e.record for e in episodes}),
         'outside_mm': 1e3 * outside(field, episodes, frames),
+        'force_mean': field.axes.world_loads(
+            np.concatenate([e.load for e in episodes if not e.start]).mean(axis=0)
+        )[0].tolist(),
     }
     return field, facts
 
@@ -106,8 +93,6 @@ def sample_errors(field, reader, split: str, members=None) -> list[dict]:
     """Errors of each run of a split on its particle sample, from frame H on: soil (mm, root mean
     square per component) and force (relative L2) of the mean and of single members, and of soil
     that stays still."""
-    from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-
     episodes = reader.read(split)
     found = []
     for episode, frame in zip(
@@ -134,8 +119,3 @@ def sample_errors(field, reader, split: str, members=None) -> list[dict]:
 
 def _rms(error):
     return float(1e3 * np.sqrt((error**2).mean()))
-
-
-def with_runs(config, runs: int):
-    """The same training with the first so many runs, as long per run as its steps allow."""
-    return dataclasses.replace(config, train_runs=runs)

@@ -3,6 +3,8 @@
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.methods.swept_field import tool_path
+
 # Displacements and forces are of the order of these: m, N, N m.
 DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
 OUTPUTS = 3
@@ -76,20 +78,13 @@ class FieldNetwork(tf.Module):
         moved = tf.reshape(moved, shape) * gate[None, ..., None]
         # Odd across the middle plane: the network sees the distance from it only.
         across = tf.clip_by_value(rest[..., 2:] / 0.05, -1.0, 1.0)
-        return DISPLACEMENT * moved * tf.concat(
-            [tf.ones_like(rest[..., :2]), across], axis=-1
-        )[None]
+        return (
+            DISPLACEMENT * moved * tf.concat([tf.ones_like(rest[..., :2]), across], axis=-1)[None]
+        )
 
     def force(self, bins, scalars, members: int | None = None):
         """Force along the way and up (N) and torque in their plane (N m), [M, B, 3]."""
-        width = 2.0 * scalars[:, inputs_index('half_width')] / WIDTH
+        width = 2.0 * scalars[:, tool_path.SCALARS.index('half_width')] / WIDTH
         share = self.inputs.contact(bins, scalars) * width
         size = tf.constant([FORCE, FORCE, TORQUE])
         return self.load(self.inputs.force(bins, scalars), members) * share[None, :, None] * size
-
-
-def inputs_index(name: str) -> int:
-    """Where a scalar stands in `tool_path.Frame.scalars`."""
-    from learning_to_simulate.methods.swept_field import tool_path
-
-    return tool_path.SCALARS.index(name)

@@ -34,9 +34,7 @@ def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
     distance = np.hypot(away[:, 0], away[:, 1])
     # On the segment itself there is no nearest side: out to the front.
     front = np.array([axis[1], -axis[0]]) / blade.length
-    normal = np.where(
-        distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], front
-    )
+    normal = np.where(distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], front)
     in_plane, beside = blade.radius - distance, width / 2 - np.abs(points[:, 2])
     depth = np.maximum(np.minimum(in_plane, beside), 0.0)
     is_plane = in_plane <= beside
