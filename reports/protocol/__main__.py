@@ -28,7 +28,7 @@ from absl import flags
 
 from pca_tools import dataset, files
 from reports import command, record
-from reports.protocol import baselines, rollouts, run_errors, tables
+from reports.protocol import rollouts, run_errors, tables
 from reports.protocol.truth import TruthReader
 
 SPLITS = ('valid', 'test')
@@ -172,6 +172,8 @@ def _model_method(name, paths, data_path, reader, values, scene):
 
 def protocol(data_path: str, values) -> dict:
     """The document of one dataset; see `judge`."""
+    from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
+
     reader = TruthReader(data_path)
     scene = reader.metadata.get('scene', {}).get('name', os.path.basename(data_path))
     print(f'{data_path}: fitting baselines', flush=True)
