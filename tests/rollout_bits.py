@@ -2,7 +2,8 @@
 
 Rolls every shipped model out over the test split of its dataset, trains a small model for a few
 steps of both stages, and keeps the sha256 of the results. Bits are those of one machine: other
-processors, and other numbers of threads, round differently: one thread is taken. Before and after a change:
+processors, and other numbers of threads, round differently: one thread is taken. Before and after
+a change:
 
   python -m tests.rollout_bits --write=/tmp/bits.json
   python -m tests.rollout_bits --compare=/tmp/bits.json
