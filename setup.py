@@ -24,6 +24,7 @@ EXTRAS = {
     'viz': ['imageio-ffmpeg>=0.6', 'matplotlib>=3.9', 'pillow>=11'],
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
     'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
+    'fmu': ['fmpy>=0.3.32'],
     'vtk': ['vtk>=9.4'],
     'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
@@ -59,6 +60,7 @@ setuptools.setup(
             for pattern in (name, f'{name}.*')
         ]
     ),
+    package_data={'learning_to_simulate.export_c': ['native/*.c', 'native/*/*']},
     install_requires=[
         'absl-py>=2.1',
         'dm-sonnet>=2.0.2',

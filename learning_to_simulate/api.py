@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ class Split(Sequence):
 
     def __init__(self, folder: str, name: str):
         self.folder, self.name = folder, name
-        self._records = None
+        self._records: list[dataset.Trajectory] | None = None
 
     @property
     def records(self) -> list[dataset.Trajectory]:
@@ -77,7 +78,7 @@ class Split(Sequence):
     def __len__(self) -> int:
         return len(self.records)
 
-    def __getitem__(self, index: int) -> Run:
+    def __getitem__(self, index: int) -> Run:  # type: ignore[override]  # no slices
         if not -len(self) <= index < len(self):
             raise IndexError(f'{self.name} of {self.folder} has {len(self)} runs, not {index}')
         return Run(self, index % len(self))
@@ -151,7 +152,8 @@ class TrainedModel:
         self.path = path
         self._method = registry.of_folder(path)
         self.model = self._method.load_code().load(path)
-        self._at_rest = self._roller = None
+        self._at_rest: tuple | None = None
+        self._roller: Any = None
 
     @property
     def scene(self):
@@ -189,7 +191,10 @@ class TrainedModel:
         return self._at_rest
 
     def stepper(self, outside: str = 'flag'):
-        """A `live.LiveSoil`, compiled; `start` and `step` it with poses.
+        """A `live.LiveSoil`; `start` and `step` it with poses.
+
+        Frames come from the C library where there is a C compiler and the model has a C form, else
+        from TensorFlow: the same to round-off.
 
         Args:
           outside: what is done with a frame that is not `ok`: 'flag', 'hold' or 'raise'.
@@ -197,9 +202,11 @@ class TrainedModel:
         Raises:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
         """
+        from learning_to_simulate.export_c.c_step import best_step
         from learning_to_simulate.live import LiveSoil
 
-        return LiveSoil(self.model, *self._from_rest(), outside=outside)
+        starts, space = self._from_rest()
+        return LiveSoil(self.model, starts, space, outside=outside, back_end=best_step)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several at once, or a recorded run.

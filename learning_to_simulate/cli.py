@@ -22,6 +22,11 @@ COMMANDS = {
     'rollout': ('learning_to_simulate.roll_out_path', [], "rolls out a path of one's own"),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
     'export': ('learning_to_simulate.export', [], 'writes a SavedModel, LiteRT or ONNX model'),
+    'export-c': (
+        'learning_to_simulate.export_c.exporting',
+        [],
+        'writes a C project or an FMU (--format=c, fmu)',
+    ),
     'add-start': ('learning_to_simulate.add_start', [], 'makes an old model folder self-contained'),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'record': ('mpm.record', [], 'makes the data of record, all runs in order'),

@@ -10,21 +10,23 @@ from absl import app, flags, logging
 HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
 
 
-def start(run: Callable) -> None:
+def start(run: Callable, n_argument: int = 0) -> None:
     """Runs a command as the main program; its flags are defined already.
 
     A question for help ends with exit code 0. `ValueError` and `OSError` end in one line that
     begins with `error:`, with exit code 1; so does an argument that is no flag.
 
     Args:
-      run: called with the values of the flags.
+      run: called with the values of the flags, and, where it takes arguments, a list of these; what
+        it returns is the exit code.
+      n_argument: how many arguments that are no flags it takes at most.
     """
 
     def main(argv):
-        if len(argv) > 1:
-            sys.exit(f'error: unexpected arguments {argv[1:]}; flags begin with --')
+        if len(argv) > n_argument + 1:
+            sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
         try:
-            run(flags.FLAGS)
+            return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
         except (ValueError, OSError) as error:
             logging.debug('stack', exc_info=True)
             sys.exit(f'error: {error}')

@@ -14,6 +14,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live_status import FrameJudge
 from learning_to_simulate.resting_start import Starts
 from learning_to_simulate.rollout_status import Judgement
+from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.stepping import FLAG, Frame, Stepper
 from pca_tools import rigid_fit
 
@@ -179,9 +180,9 @@ class LiveSoil:
             return frame._replace(pose=self._fitted(frame.rigid_pose))
         pose = self._beginning.read(pose)
         frame = self._stepper.step(self._beginning.nodes(pose))
-        if self._scene.rigid_motion.is_known and len(frame.rigid_pose):
-            # Of a driven body the height is the model's.
-            pose[:3] += (frame.rigid_pose - self._beginning.nodes(pose)).mean(axis=0)
+        if self._scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
+            up = self._scene.up_axis
+            pose[up] += (frame.rigid_pose - self._beginning.nodes(pose))[:, up].mean()
         return frame._replace(pose=pose)
 
     def _fitted(self, nodes):

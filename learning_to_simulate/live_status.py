@@ -75,13 +75,14 @@ class FrameJudge:
         found.append(self.given(0, body, before))
         return next((judgement for judgement in found if judgement), OK)
 
-    def given(self, frame: int, body, before) -> Judgement | None:
+    def given(self, frame: int, body, before, in_words: bool = True) -> Judgement | None:
         """What is unlike the training runs in the given motion of a frame, or None.
 
         Args:
           frame: its number, for the judgement.
           body: float64 [R, D], m, the particles of the body in the frame.
           before: [R, D] in the frame before; None where there is none.
+          in_words: whether a reason is wanted, which costs four times the check.
         """
         if not self._given:
             return None
@@ -100,6 +101,8 @@ class FrameJudge:
             good &= max(slowest[0], 0.0) ** 2 <= square <= fastest[0] ** 2
         if good:
             return None
+        if not in_words:
+            return Judgement(RolloutStatus.EXTRAPOLATING, frame)
         return self._worded(frame, body, before, extent)
 
     def _worded(self, frame, body, before, extent):

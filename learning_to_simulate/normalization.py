@@ -19,6 +19,8 @@ from learning_to_simulate.scene import RigidMotion, Scene
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
 STD_FLOOR = 1e-3
+# A spread below this share of a force's size is the rounding of float32 records.
+FORCE_ROUNDING = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,10 +269,15 @@ def _by_node_class(positions, velocities, force, origin, r):
         'displacement_mean': displacement_mean,
         'displacement_std': _floored(displacement_std),
         'force_mean': None if force is None else force.mean(axis=0),
-        'force_std': None
-        if force is None
-        else np.full(force.shape[1], max(force.std(axis=0).max(), np.finfo(float).tiny)),
+        'force_std': None if force is None else np.full(force.shape[1], _force_spread(force)),
     }
+
+
+def _force_spread(force):
+    """The loudest axis' standard deviation, N, which all axes share; of a force that never changes
+    (a body in the air), which has no spread to count in, 1 N."""
+    spread = force.std(axis=0).max()
+    return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
 def _targets(values, heights, scene, config):

@@ -246,7 +246,7 @@ class PathRoller:
             rigid_nodes=predicted[:, :n],
             judgement=judgement,
             frame_status=tuple(statuses),
-            body=whole_body(chosen, path, nodes),
+            body=whole_body(chosen, path, nodes, self._scene),
             scene=self._scene,
             soil=self._soil,
         )
@@ -292,17 +292,20 @@ def velocity_between(first, second, seconds: float) -> np.ndarray:
     return np.concatenate([second[:3] - first[:3], angular]) / seconds
 
 
-def whole_body(chosen, path, nodes) -> np.ndarray:
+def whole_body(chosen, path, nodes, scene) -> np.ndarray:
     """All particles [T, R', 3], m, of a body in the frames of its poses [T, 7].
 
     Args:
       chosen: `Beginning`, with the body.
       path: where the motion is given at least in part, else None.
       nodes: float64 [T, R, 3], m, the particles that the model placed.
+      scene: of the model.
     """
     if path is None:
         fits = reading_utils.moved_with(chosen.body, chosen.kept)
         return np.stack([fits(points) for points in nodes])
     placed = np.stack([poses.placed(chosen.body, pose) for pose in path])
-    # Of a driven body the height is the model's.
-    return placed + (nodes - placed[:, chosen.kept]).mean(axis=1, keepdims=True)
+    if scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
+        up = scene.up_axis
+        placed[..., up] += (nodes - placed[:, chosen.kept])[..., up].mean(axis=1, keepdims=True)
+    return placed

@@ -220,7 +220,10 @@ class Stepper:
             displacement = judgement = None
             if body is not None:
                 displacement = body - self._pose
-                judgement = self.judge.given(frame, body, self._pose)
+                # The reason of a rollout is that of its first bad frame.
+                flagged = self._last.judgement.status != RolloutStatus.OK
+                in_words = not flagged or self._outside != FLAG
+                judgement = self.judge.given(frame, body, self._pose, in_words)
             if judgement and self._outside != FLAG:
                 return self._refused(judgement)
             position, force = self._back_end.propose(body, displacement)

@@ -76,8 +76,8 @@ class _GroupTensors:
             self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
             if relative_force:
                 size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
-                size = np.maximum(size, FORCE_FLOOR * size.max())
-                weight = (statistics.force_std[0] / size) ** 2
+                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
+                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
             else:
                 weight = np.ones(self.n_run)
             self.force_weight = tf.constant(weight, tf.float32)

@@ -123,7 +123,6 @@ def run_case(
         'step_context': [],
     }
     force, torque = [], []
-    penetration = getattr(simulation, 'penetration', dict)
     deepest: dict[str, float] = {}
 
     def note() -> None:
@@ -133,7 +132,7 @@ def run_case(
         if context:
             load = float(drive.load(np.array([simulation.time]))[0])
             frames['step_context'].append(list((context | {'load': load}).values()))
-        for name, value in penetration().items():
+        for name, value in simulation.penetration().items():
             deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
@@ -160,6 +159,7 @@ def run_case(
         **parameters,
         'youngs_modulus_Pa': settings.youngs_modulus,
         'rheology': settings.rheology,
+        'sleep': settings.sleep,
         'time_step_s': simulation.dt,
         'cell_size_m': simulation.grid.dx,
         'soil': soil._asdict(),

@@ -35,6 +35,9 @@ class RawRun:
         pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
             None.
         step_context: float32 [T, C], context of every frame where it changes in time, or None.
+        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None; `force` is then
+            their sum.
+        body_pose: float32 [T, B, 7] of each of several bodies, or None.
     """
 
     case: int | str
@@ -46,6 +49,8 @@ class RawRun:
     torque: np.ndarray | None = None
     pose: np.ndarray | None = None
     step_context: np.ndarray | None = None
+    body_force: np.ndarray | None = None
+    body_pose: np.ndarray | None = None
 
 
 class RawRuns(Sequence):

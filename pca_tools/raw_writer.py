@@ -30,6 +30,7 @@ def write_raw(
     rigid_edges: Sequence[Sequence[int]] = (),
     name: str = 'own_data',
     gravity: Sequence[float] | None = None,
+    bodies: Sequence[Mapping[str, Any]] | None = None,
     check_units: bool = True,
 ) -> None:
     """Writes runs as a folder that `python -m pca_tools.convert --raw_path=FOLDER` takes.
@@ -55,6 +56,9 @@ def write_raw(
             not prescribed.
         name: of the scene.
         gravity: vector, m/s^2; only recorded.
+        bodies: of several bodies, in the order of their points: `name`, `rigid_motion` and `points`
+            (how many of R) of each. `rigid_edges` join points of one body; runs may then have
+            `body_force` [T, B, 3] and `body_pose` [T, B, 7], and `force` is the sum.
         check_units: refuse positions and dt that are implausible in metres and seconds.
 
     Raises:
@@ -74,6 +78,8 @@ def write_raw(
         'force': 'force' in first,
         'up_axis': AXES.index(up_axis) if up_axis in AXES else up_axis,
     }
+    if bodies is not None:
+        scene['bodies'] = [dict(body) for body in bodies]
     if gravity is not None:
         scene['gravity'] = [float(value) for value in gravity]
     if np.ndim(first.get('positions')) == 3 and np.shape(first['positions'])[2] == 2:

@@ -14,6 +14,8 @@ REPORTS = {
     'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
     'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
+    'solver_sweeps': ('solver_sweeps', "what the solver's own parameters change"),
+    'solver_pictures': ('solver_pictures', 'leak and force spectrum of two raw runs, drawn'),
     'error_vs_runtime': ('work_precision.report', 'error against run time: table, pictures'),
     'coarse_solver': ('work_precision.coarse_solver', 'the solver itself on coarser grids'),
     'rollout_time': ('speed.rollout_time', 'milliseconds per step of whole rollouts'),

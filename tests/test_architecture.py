@@ -73,6 +73,15 @@ IMPORTS_WITHOUT = [
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
     ),
     (
+        (
+            'learning_to_simulate.methods.path_ridge',
+            'learning_to_simulate.methods.earthmoving',
+            'learning_to_simulate.methods.wheel_terramechanics',
+            'learning_to_simulate.methods.swept_features',
+        ),
+        ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
+    ),
+    (
         ('learning_to_simulate.render_rollout',),
         ('tensorflow', 'matplotlib', 'imageio_ffmpeg', 'PIL'),
     ),

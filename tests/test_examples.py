@@ -1,6 +1,7 @@
 """What the documents show runs as it is written."""
 
 import importlib.util
+import json
 import pathlib
 import re
 
@@ -49,3 +50,34 @@ def test_lines_of_the_python_page(tmp_path, monkeypatch):
     assert values['frame'].status == values['rollout'].status == 'ok'
     assert {p.name for p in tmp_path.iterdir()} == {'dig.gif', 'dig.npz', 'my_model'}
     assert lts.load('my_model').config.latent_size == 32
+
+
+def test_five_lines_of_the_front_page():
+    text = (ROOT / 'README.md').read_text(encoding='utf-8')
+    values = {}
+    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    assert values['frame'].status == 'ok' and values['frame'].force[0] > 0
+    assert values['rollout'].status == 'ok'
+
+
+@pytest.mark.slow
+def test_data_of_ones_own(tmp_path, capsys):
+    settings = {'num_steps': 4, 'unroll_steps': 0, 'latent_size': 8}
+    errors = _example('your_own_data').main(str(tmp_path / 'own'), **settings)
+    assert errors.summary['mean']['model']['soil_mse'] > 0
+    assert 'soil RMS mm' in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_cells_of_the_tutorial_run_in_order(capsys):
+    pytest.importorskip('matplotlib').use('agg')
+    path = ROOT / 'examples' / 'tutorial.ipynb'
+    cells = json.loads(path.read_text(encoding='utf-8'))['cells']
+    values = {}
+    for number, cell in enumerate(cells):
+        if cell['cell_type'] == 'code':
+            exec(compile(''.join(cell['source']), f'cell {number}', 'exec'), values)
+            assert not cell['outputs'], 'is committed without outputs'
+    assert set(values['states']) == {'ok'} and values['outside'].status != 'ok'
+    assert values['rollout'].force.shape == (149, 3)
+    assert 'soil RMS mm' in capsys.readouterr().out

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import os
 import re
 from typing import Any
@@ -17,20 +16,14 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.scene import Scene
-from pca_tools import files
-from pca_tools.metadata import metadata_problems
+from learning_to_simulate.rendering import rollout_arrays
+from learning_to_simulate.rendering.rollout_arrays import DIM, PREDICTION, TRUTH
 from pca_tools.subspace import Subspace
 
-TEXTS = ('metadata', 'scene', 'status', 'status_reason')  # of a rollout file
 SUBSPACE_NAME = 'subspace.npz'
 SOIL_PARTICLE_TYPE = 6
-DIM = 3
-TRUTH, PREDICTION = 'truth', 'prediction'
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1)}
-_REQUIRED = ('initial_positions', 'predicted_rollout', 'particle_types')
-_TRUE_POSITIONS, _TRUE_FORCES = 'ground_truth_rollout', ('initial_forces', 'ground_truth_forces')
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
@@ -208,12 +201,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
-    arrays = files.read_npz(rollout_path)
-    for name, array in arrays.items():
-        if name not in TEXTS and array.dtype.kind not in 'fiu':
-            raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
-    metadata = _metadata(rollout_path, arrays)
-    nodes, force = _joined(rollout_path, arrays)
+    arrays, metadata, nodes, force = rollout_arrays.read(rollout_path)
     prediction = nodes[PREDICTION]
     n_modes = metadata['mode_number']
     if not 0 < n_modes <= prediction.shape[1]:
@@ -223,7 +211,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         )
     start = len(arrays['initial_positions'])
     notes = []
-    length = _finite_length(prediction, None if force is None else force[PREDICTION])
+    length = rollout_arrays.finite_length(prediction, None if force is None else force[PREDICTION])
     if length <= start:
         raise ValueError(f'{rollout_path}: no predicted frame is finite, there is nothing to draw')
     if length < len(prediction):
@@ -288,95 +276,6 @@ def of_rollout(rollout) -> RolloutFrames:
         subspace=None if rollout.soil is None else rollout.soil.subspace,
         notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
     )
-
-
-def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    wanted = (*_REQUIRED, 'scene' if 'scene' in arrays else 'metadata')
-    missing = [key for key in wanted if key not in arrays]
-    if missing:
-        raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
-    try:
-        stated = json.loads(str(arrays[wanted[-1]]))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f'{path}: its {wanted[-1]} is not JSON: {error}') from error
-    if wanted[-1] == 'scene':
-        return _metadata_of_scene(path, stated)
-    problems = metadata_problems(stated)
-    if problems:
-        raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
-    return stated
-
-
-def _metadata_of_scene(path: str, stated: Any) -> dict[str, Any]:
-    """What a drawing needs of the metadata, from the scene of a path that nobody recorded."""
-    try:
-        scene = Scene.from_json(stated)
-        good = scene.dt > 0 and scene.n_modes > 0
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f'{path}: its scene is none ({error})') from error
-    if not good:
-        raise ValueError(f'{path}: its scene has dt {scene.dt!r} and {scene.n_modes!r} modes')
-    return {
-        'dt': scene.dt,
-        'mode_number': scene.n_modes,
-        'n_soil': scene.n_soil,
-        'scene': {'name': scene.name},
-    }
-
-
-def _joined(path: str, arrays: dict[str, np.ndarray]):
-    """Returns {truth, prediction} -> [T, V, 3], and {truth, prediction} -> forces [T, 3] or None;
-    without the truth where there is none."""
-    positions = {PREDICTION: 'predicted_rollout', TRUTH: _TRUE_POSITIONS}
-    given = np.asarray(arrays['initial_positions'], np.float64)
-    later = {w: np.asarray(arrays[k], np.float64) for w, k in positions.items() if k in arrays}
-    count, n_frames = len(arrays['particle_types']), len(arrays['predicted_rollout'])
-    if given.shape[1:] != (count, DIM) or any(
-        values.shape != (n_frames, count, DIM) for values in later.values()
-    ):
-        shapes = {positions[which]: values.shape for which, values in later.items()}
-        raise ValueError(
-            f'{path}: shapes do not fit: {count} particle types, initial_positions {given.shape}, '
-            + ', '.join(f'{name} {shape}' for name, shape in shapes.items())
-        )
-    if not all(np.isfinite(x).all() for x in (given, *(later[w] for w in later if w == TRUTH))):
-        raise ValueError(f'{path}: the ground truth has NaN or infinite values')
-    nodes = {which: np.concatenate([given, values]) for which, values in later.items()}
-    return nodes, _forces(path, arrays, len(given), n_frames, TRUTH in later)
-
-
-def _forces(path, arrays, n_given, n_frames, has_truth):
-    """{truth, prediction} -> forces [T, 3], or None; of a path, zero in the given frames."""
-    wanted = {'predicted_forces': n_frames}
-    wanted |= dict(zip(_TRUE_FORCES, (n_given, n_frames))) if has_truth else {}
-    if not any(key in arrays for key in wanted):
-        return None
-    missing = [key for key in wanted if key not in arrays]
-    if missing:
-        raise ValueError(f'{path}: has forces but lacks {missing}')
-    for key, length in wanted.items():
-        if arrays[key].shape != (length, DIM):
-            raise ValueError(
-                f'{path}: {key} has shape {arrays[key].shape}, {(length, DIM)} was expected'
-            )
-    before = arrays['initial_forces'] if has_truth else np.zeros((n_given, DIM))
-    keys = {TRUTH: 'ground_truth_forces', PREDICTION: 'predicted_forces'}
-    force = {
-        which: np.concatenate([before, arrays[key]]).astype(np.float64)
-        for which, key in keys.items()
-        if which == PREDICTION or has_truth
-    }
-    if has_truth and not np.isfinite(force[TRUTH]).all():
-        raise ValueError(f'{path}: the true force has NaN or infinite values')
-    return force
-
-
-def _finite_length(prediction: np.ndarray, force: np.ndarray | None) -> int:
-    """Number of frames before the first that is not finite."""
-    finite = np.isfinite(prediction).all(axis=(1, 2))
-    if force is not None:
-        finite &= np.isfinite(force).all(axis=1)
-    return len(finite) if finite.all() else int(np.argmin(finite))
 
 
 def _subspace(data_path: str | None, metadata: dict[str, Any], n_modes: int) -> Subspace | None:

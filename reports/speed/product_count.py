@@ -63,7 +63,7 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
     before = 0.0
     if ahead:
         given = given_motion(simulator, layout, state, known, n_frame)
-        before = mflop(lambda *x: step.first_pass(*x, n_frame), given, context) / n_frame
+        before = mflop(lambda g, c: step.first_pass(g, c, n_frame), given, context) / n_frame
     one, now = step.ahead(state, known, context, n_frame)(0)
     frame = mflop(lambda now, carry: step.advance(carry, (one, now)), now, step.begin(state))
     return frame, before

@@ -158,7 +158,9 @@ class TrainingTwin:
         quiet, force_weight = self._weights_of_loss(run)
         error = (predicted - target)[:, self.n :] ** 2 * quiet
         force_error = ((predicted_force - (force[:, H] - s.force_mean) / s.force_std) ** 2).sum(-1)
-        return error.sum((1, 2)).mean() / self.r + (force_error * force_weight).mean()
+        # A weighted mean over the modes' components, times D.
+        motion = error.sum((1, 2)).mean() / quiet.mean(axis=1).sum()
+        return motion + (force_error * force_weight).mean()
 
     def unrolled_loss(self, weights, step):
         """The loss of a step of the unrolled stage."""
@@ -180,7 +182,8 @@ class TrainingTwin:
             velocity = np.concatenate([velocity[:, 1:], moves[:, None]], axis=1)
             error = (now - position[:, H + frame])[:, self.n :] / s.velocity_std[1:]
             # The error of frame f is the sum of f steps' errors.
-            motion += (error**2 * quiet).sum((1, 2)) / (frame + 1) / self.r / count
+            weight = 1 / (frame + 1) / quiet.mean(axis=1).sum() / count
+            motion += (error**2 * quiet).sum((1, 2)) * weight
             true = (force[:, H + frame] - s.force_mean) / s.force_std
             force_error += ((out_force - true) ** 2).sum(-1) / count
         return (motion + force_error * force_weight).mean()

@@ -8,6 +8,11 @@ import pytest
 from mpm import bodies
 
 
+def distance_to(body, x, y, z, angle=0.0):
+    """Distance and normal of a point, relative to the reference point in x and y."""
+    return bodies.signed_distance(body, math.sin(angle), math.cos(angle), x, y, z)
+
+
 def cross_section(body, count=4000):
     """Points on the outline of the upright stadium, by geometry alone: sides and half circles."""
     axis, across = np.array([0.0, 1.0]), np.array([-1.0, 0.0])
@@ -24,24 +29,24 @@ def test_distance_and_normal_against_a_cloud(body):
     wide = body._replace(half_width=10.0)  # so wide that no flank is near
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(-0.2, 0.35, (200, 2)):
-        distance, nx, ny, nz = bodies.signed_distance(wide, x, y, 0.0)
+        distance, nx, ny, nz = distance_to(wide, x, y, 0.0)
         gap = np.linalg.norm(outline - [x, y], axis=1).min()
         # The cloud's points lie 0.1 mm apart.
         assert abs(distance) == pytest.approx(gap, abs=1e-4)
         assert math.hypot(nx, ny, nz) == pytest.approx(1.0)
         if distance > 1e-3:
             # Outside, stepping against the normal comes nearer.
-            nearer = bodies.signed_distance(wide, x - 1e-4 * nx, y - 1e-4 * ny, 0.0)[0]
+            nearer = distance_to(wide, x - 1e-4 * nx, y - 1e-4 * ny, 0.0)[0]
             assert nearer < distance
 
 
 def test_inside_is_negative_and_the_flanks_count():
     wheel = bodies.make_wheel(0.3, 0.2)
     half = wheel.half_width
-    assert bodies.signed_distance(wheel, 0.0, 0.0, 0.0)[0] == pytest.approx(-half)
-    distance, nx, ny, nz = bodies.signed_distance(wheel, 0.0, 0.0, half + 0.01)
+    assert distance_to(wheel, 0.0, 0.0, 0.0)[0] == pytest.approx(-half)
+    distance, nx, ny, nz = distance_to(wheel, 0.0, 0.0, half + 0.01)
     assert (distance, nx, ny, nz) == (pytest.approx(0.01), 0.0, 0.0, 1.0)
-    distance, _, _, nz = bodies.signed_distance(wheel, 0.0, 0.0, -half + 0.001)
+    distance, _, _, nz = distance_to(wheel, 0.0, 0.0, -half + 0.001)
     assert distance == pytest.approx(-0.001) and nz == -1.0
 
 
@@ -58,7 +63,7 @@ def test_blade_is_as_high_and_as_thick_as_published(width, spacing):
     assert blade.points.shape == (20, 3)
     for point in blade.points:
         # The lowest row stands beside the round edge.
-        assert abs(bodies.signed_distance(blade, *point)[0]) < 0.007
+        assert abs(distance_to(blade, *point)[0]) < 0.007
     assert (blade.points[:, 0] == -0.014).all() and np.abs(blade.points[:, 2]).max() < width / 2
     assert blade.points[:, 2].sum() == pytest.approx(0.0, abs=1e-12)
     rows = blade.points.reshape(4, 5, 3)
@@ -92,3 +97,13 @@ def test_bad_bodies_are_refused():
         bodies.make_blade(0.4, 0.0)
     with pytest.raises(ValueError, match='diameter'):
         bodies.make_wheel(0.0, 0.4)
+
+
+def test_leaning_body_is_the_upright_one_turned():
+    blade, angle = bodies.make_blade(0.4), 0.7
+    cosine, sine = math.cos(angle), math.sin(angle)
+    for x, y, z in np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3)) + [0, 0, 0.4]:
+        distance, nx, ny, nz = distance_to(blade, x, y, z)
+        turned = distance_to(blade, cosine * x - sine * y, sine * x + cosine * y, z, angle)
+        expected = (distance, cosine * nx - sine * ny, sine * nx + cosine * ny, nz)
+        np.testing.assert_allclose(turned, expected, atol=1e-12)

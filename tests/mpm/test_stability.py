@@ -95,21 +95,17 @@ def disturbance(scene, soil, particles, factor):
 
 @pytest.mark.parametrize('modulus', [1.5e5, 1.5e6, 1.5e7])
 def test_soil_at_rest_stays_calm_at_the_limit(coarse_excavation, modulus):
-    """0.15 s of fall are 1.5 m/s."""
+    """Measured 3 mm/s at 0.15 MPa, 1 to 2 mm/s when stiffer; 0.15 s of fall are 1.5 m/s."""
     soil = make_soil(modulus, 0.76)
     particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
-    speed = disturbance(coarse_excavation, soil, particles, 1.0)
-    print('CALM', modulus, speed)
-    assert speed < 0.02
+    assert disturbance(coarse_excavation, soil, particles, 1.0) < 0.02
 
 
 def test_soil_diverges_above_the_limit(coarse_excavation, excavation_packing, soil):
+    """1 mm/s up to CFL 1.0, 35 mm/s at 1.2, 99 mm/s at 1.6, out of the grid at 2.0."""
     particles = excavation_packing[0]
-    found = {
-        f: disturbance(coarse_excavation, soil, particles, f) for f in (1.0, 1.25, 1.5, 2.0, 2.5)
-    }
-    print('FACTORS', found)
-    assert disturbance(coarse_excavation, soil, particles, 2.0) > 20 * found[1.0]
+    calm = disturbance(coarse_excavation, soil, particles, 1.0)
+    assert disturbance(coarse_excavation, soil, particles, 2.0) > 20 * calm
     assert disturbance(coarse_excavation, soil, particles, 2.5) == math.inf
 
 

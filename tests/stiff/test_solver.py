@@ -47,8 +47,7 @@ def test_soil_takes_no_more_energy_than_the_blade_gives(modulus):
     experiment, speed = experiments.blade_in_weightless_soil(modulus)
     work = experiment.impulse[0] * speed
     assert work > 1.0
-    # Measured 0.40 (soft) to 0.41 of the work: the rest goes into friction and plastic flow.
-    print('WORK', modulus, experiment.energy(gravity=0.0) / work)
+    # Measured 0.49 (soft) to 0.43 of the work: the rest goes into friction and plastic flow.
     assert 0.2 * work < experiment.energy(gravity=0.0) <= work
 
 

@@ -61,8 +61,8 @@ class _Slave:
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(
             lambda env, name, status, category, message: self.logged.append((category, message))
         )
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.allocateMemory)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.freeMemory)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
         self.c.instantiate(callbacks=callbacks, loggingOn=True)
         self.c.setupExperiment(startTime=0.0)
         self.c.enterInitializationMode()

@@ -16,7 +16,7 @@ from learning_to_simulate.export_c import (
     project,
     starts,
 )
-from learning_to_simulate.export_c.c_soil import Soil
+from learning_to_simulate.export_c.c_soil import CSoil
 from tests.learning_to_simulate import models
 
 pytestmark = pytest.mark.skipif(
@@ -47,7 +47,7 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     folder = _written(tmp_path / 'project', 'lts_small', values)
     library = os.path.join(folder, 'small.so')
     c_library.compile_sources(library, folder)
-    soils = Soil.open(library, 'lts_small'), c_stepper.CStepper(model, group.n_rigid)
+    soils = CSoil.open(library, 'lts_small'), c_stepper.CStepper(model, group.n_rigid)
     for soil in soils:
         soil.reset(group.position[0, :6], group.context[0])
     for pose in group.position[0, 6:, : group.n_rigid]:
@@ -57,7 +57,7 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     assert soils[0].digest == values['digest']
     for path, symbol in (('none.so', 'lts_small'), (library, 'lts_other')):
         with pytest.raises(ValueError, match='no library of the model'):
-            Soil.open(path, symbol)
+            CSoil.open(path, symbol)
 
 
 @pytest.mark.skipif(not shutil.which('cmake'), reason='no CMake')
@@ -98,7 +98,7 @@ def test_two_models_live_in_one_program(tmp_path):
     shutil.copy(os.path.join(parts[1], 'src', 'lts_two.c'), os.path.join(parts[0], 'src'))
     shutil.copy(os.path.join(parts[1], 'include', 'lts_two.h'), os.path.join(parts[0], 'include'))
     c_library.compile_sources(os.path.join(parts[0], 'both.so'), parts[0])
-    soils = [Soil.open(os.path.join(parts[0], 'both.so'), n) for n in ('lts_one', 'lts_two')]
+    soils = [CSoil.open(os.path.join(parts[0], 'both.so'), n) for n in ('lts_one', 'lts_two')]
     for soil in soils:
         soil.start()
     with pytest.raises(ValueError, match='saved state'):

@@ -9,8 +9,9 @@ import pytest
 
 from learning_to_simulate import metrics
 from pca_tools import dataset, files, particles, subspace
+from reports import documents
 from reports.protocol import __main__ as command
-from reports.protocol import baselines, documents, rollouts, run_errors, tables
+from reports.protocol import baselines, rollouts, run_errors, tables
 from reports.protocol.truth import DECODED, PARTICLES, TruthReader
 from tests.learning_to_simulate import synthetic
 
@@ -215,7 +216,7 @@ def judged(folder, tmp_path):
             ],
         }
     )
-    head = {'schema_version': 1, 'scene': 'synthetic', 'file': 'synthetic.json'}
+    head = {'schema_version': 1, 'scene': 'synthetic'}
     return tables.complete(head | command.judge(reader, methods))
 
 
@@ -233,29 +234,15 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
     assert summary['soil_mm']['persistence']['mean']['mean'] == pytest.approx(np.mean(moving))
     assert tables.complete(json.loads(text)) == json.loads(text)
 
-    files.write_json(str(tmp_path / 'synthetic.json'), judged)
-    page = tmp_path / 'page.md'
-    page.write_text(
-        'Before.\n<!-- protocol: synthetic.json test soil_mm -->\n<!-- end -->\nBetween.\n'
-        '<!-- protocol: synthetic.json test report -->\nold\n<!-- end -->\n'
-    )
-    assert len(documents.differences(str(page))) == 2
-    assert documents.update(str(page)) == 2
-    assert documents.differences(str(page)) == []
-    shown = page.read_text()
-    assert 'model (2 seeds)' in shown and '*path ridge*' in shown and 'Between.' in shown
-    value = f'{summary["soil_mm"]["path ridge"]["mean"]["mean"]:.3g}'
-    assert value in shown
-    page.write_text(shown.replace(value, '0.001'))
-    assert documents.differences(str(page))
-    assert command.main(types.SimpleNamespace(update=[str(page)], check=True), []) == 1
-
-
-@pytest.mark.parametrize('mark', ['synthetic.json', 'synthetic.json test nothing', 'none.json a b'])
-def test_a_mark_that_asks_for_nothing_known_is_refused(judged, tmp_path, mark):
-    files.write_json(str(tmp_path / 'synthetic.json'), judged)
-    with pytest.raises((ValueError, FileNotFoundError)):
-        documents.rendered(str(tmp_path), mark)
+    path = str(tmp_path / 'synthetic.json')
+    files.write_json(path, judged)
+    marks = ('quantity {} test soil_mm', 'horizons {} test', 'runs {} test force_l2', 'facts {}')
+    page = '\n\n'.join(f'<!-- table: reports.protocol.tables:{m.format(path)} -->' for m in marks)
+    shown = documents.render(page + '\n')
+    assert 'model (2 seeds)' in shown and '*path ridge*' in shown and '| 1 grid' not in shown
+    assert f'{ridge["mean"]["mean"]:.3g}' in shown and '2 grid' in shown
+    with pytest.raises(ValueError, match='KeyError'):
+        documents.render(f'<!-- table: reports.protocol.tables:quantity {path} test none -->\n')
 
 
 def test_input_that_cannot_be_judged_is_refused(tmp_path):
@@ -265,6 +252,3 @@ def test_input_that_cannot_be_judged_is_refused(tmp_path):
     values = types.SimpleNamespace(model=['nameless'], train=[], work_path='x', num_seeds=1)
     with pytest.raises(ValueError, match='NAME=FOLDER'):
         command._models_of('wheel', values)
-    empty = types.SimpleNamespace(update=[], check=False, work_path=None, output_path='x')
-    with pytest.raises(ValueError, match='work_path'):
-        command.main(empty, [])

@@ -1,0 +1,1 @@
+"""Checks of the solver with numbers: closed forms, published laws, its own convergence."""

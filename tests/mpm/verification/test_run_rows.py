@@ -1,0 +1,42 @@
+"""The figures that are read from a run, on made-up runs."""
+
+import numpy as np
+import pytest
+
+from mpm import run, scenes
+from mpm.motions import grid
+from mpm.verification import run_rows
+
+
+@pytest.mark.parametrize('share', [0.0, 0.02, 0.2])
+def test_saw_tooth_finds_a_tone_under_a_trend(share):
+    """8 cm/s over cells of 13.3 mm: 6 Hz, on a draft that grows, beside one of 2 Hz."""
+    t = np.arange(240) / 60
+    force = 50.0 + 30.0 * t + 5.0 * np.sin(2 * np.pi * 2.0 * t)
+    force += share * 110.0 * np.sin(2 * np.pi * 6.0 * t + 0.7)
+    found = run_rows.saw_tooth(force, 0.08, 0.8 / 60)
+    assert found == pytest.approx(share * 110.0 / force.mean(), abs=1e-3)
+
+
+def test_saw_tooth_needs_a_few_cells():
+    with pytest.raises(ValueError, match='4 needed'):
+        run_rows.saw_tooth(np.ones(60), 0.01, 0.0133)
+
+
+def made_up(case):
+    """A run of a case whose force is the number of its frame."""
+    force = np.zeros((scenes.FRAMES, 3), dtype=np.float32)
+    force[:, 0] = np.arange(scenes.FRAMES)
+    parameters = scenes.EXCAVATION.parameters(case)
+    return run.RawRun(np.zeros((1, 1, 3)), np.zeros((1, 1, 3)), force, parameters)
+
+
+@pytest.mark.parametrize('case', run_rows.SAW_TOOTH_CASES)
+def test_cutting_is_where_speed_and_depth_are_constant(case):
+    made = made_up(case)
+    frames = run_rows.cutting_force(made).astype(int)
+    assert len(frames) > 60 and (np.diff(frames) == 1).all()
+    pose = grid.make_drive(scenes.EXCAVATION, made.parameters).pose(frames / 60)
+    assert np.ptp(pose[:, 1]) < 1e-9
+    way = -np.diff(pose[:, 0]) * 60
+    np.testing.assert_allclose(way, made.parameters['speed_m_s'], rtol=1e-6)
