@@ -149,13 +149,13 @@ class EpisodeReader:
         Args:
           split: of the dataset.
           start_every: frames between starts in the middle of runs; 0: none there.
-          limit: only of the first so many runs; 0: of all.
+          limit: only of so many runs, spread over the split; 0: of all.
         """
         sample = self.sample(split)
         found = []
-        for record, run in enumerate(dataset.read_split(self._folder, split)):
-            if limit and record >= limit:
-                break
+        runs = dataset.read_split(self._folder, split)
+        for record in spread_over(len(runs), limit):
+            run = runs[record]
             positions = sample[record]
             starts = [0]
             if start_every:
@@ -188,6 +188,14 @@ class EpisodeReader:
                 run.force[begin:], None if run.torque is None else run.torque[begin:]
             ).astype(np.float32),
         )
+
+
+def spread_over(count: int, limit: int) -> list[int]:
+    """Records of `limit` runs spread over `count`, all of them for 0: files are often sorted by
+    kind."""
+    if not limit or limit >= count:
+        return list(range(count))
+    return [(2 * i + 1) * count // (2 * limit) for i in range(limit)]
 
 
 def frames_of(episodes, grid, dt: float) -> list[tool_path.Frame]:

@@ -17,6 +17,8 @@ AHEAD = np.array([-0.06, -0.03, 0.0, 0.03, 0.06, 0.1, 0.16])
 SINCE_AROUND = np.array([-0.1, -0.04, 0.0, 0.04, 0.1])
 AT_EDGE = np.array([-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11,
                     0.16])  # fmt: skip
+# The tool's last passage fades over so much travel, m.
+RECENT = 0.15
 BUMPS, BUMP_WIDTH = np.array([-0.08, 0.0, 0.08]), 0.05
 # Soil that lies this far below what may have moved rests, m; above it its share grows.
 BELOW, BELOW_RAMP = 0.05, 0.03
@@ -117,7 +119,7 @@ class Inputs:
                 tf.stack(columns, axis=-1),
                 around[..., _C.CUT] / 0.03,
                 (around[..., _C.SURFACE] - surface[..., None]) / 0.03,
-                since[..., _C.SINCE] / 0.2,
+                tf.exp(-since[..., _C.SINCE] / RECENT),
             ],
             axis=-1,
         )
@@ -149,7 +151,7 @@ class Inputs:
                 there[..., _C.CUT] / 0.03,
                 (there[..., _C.SURFACE] - height) / 0.05,
                 tf.tanh((low - height) / 0.02),
-                there[..., _C.SINCE] / 0.2,
+                tf.exp(-there[..., _C.SINCE] / RECENT),
                 depth, depth**2,
                 speed / size, tf.math.log(size / 0.03), size / 0.1,
                 tf.tanh(end[:, None] / 0.1),

@@ -85,6 +85,7 @@ class LiveField:
     @state.setter
     def state(self, state: ToolState) -> None:
         self._state = state
+        self._pose = np.append(state.swept.position[0], state.lean[0])
         self._frame = tool_path.frame(
             self._field.grid, self._bed, np.array([self._blade_width]), state
         )
@@ -127,7 +128,6 @@ class LiveField:
         self._points = points
         self._rest = axes.points(points)
         self._origin = np.array([plane[0], level, 0.0])
-        self._pose = plane
         self.state = state
         return self._judged()
 
@@ -153,14 +153,13 @@ class LiveField:
                 f'the pose jumps: {np.hypot(change[0], change[1]):.3g} m/s and {change[2]:.3g} '
                 f'rad/s, at most {FASTEST} and {FASTEST_TURN} are taken; call start() anew'
             )
-        floor = self._rest[:, 1].min()
+        floor = self._rest[:, 1].min() - field.spacing / 2
         if plane[1] - field.blade.radius < floor:
             raise ValueError(
                 f'the edge would be at {plane[1] - field.blade.radius:.4g} m, under the floor of '
                 f'the bed at {floor:.4g} m'
             )
         state = tool_path.advance(field.grid, before, plane[None], dt)
-        self._pose = plane
         self.state = state
         loads = field.loads(self._frame, self._members)
         force, torque = field.axes.world_loads(loads.mean(axis=0)[0].astype(np.float64))

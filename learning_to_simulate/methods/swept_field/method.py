@@ -10,7 +10,7 @@ from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.subspace_method import data_digests
-from learning_to_simulate.methods.swept_field import fitting, model_files
+from learning_to_simulate.methods.swept_field import episodes, fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
 from pca_tools import dataset, files, folder_lock
 
@@ -67,7 +67,8 @@ def train(
             summary['training'] = facts
             files.write_json(os.path.join(model_path, METRICS), summary)
             cases = metadata.get('cases', {}).get('train', [])
-            runs = [case.get('case') for case in cases[: config.train_runs or None]]
+            chosen = episodes.spread_over(len(cases), config.train_runs)
+            runs = [cases[i].get('case') for i in chosen]
             model_files.save(
                 model_path, field, data | {'force_mean': facts['force_mean'], 'runs': runs}
             )

@@ -18,7 +18,7 @@ class SweptFieldConfig:
       batch_size: frames of a batch.
       particles_per_frame: drawn of each frame's sample.
       learning_rate: the first one; it ends at 0 along a cosine.
-      train_runs: the first so many runs of train are used, 0: all (for learning curves).
+      train_runs: so many runs spread over train are used, 0: all (for learning curves).
       start_every: frames between the starts of further episodes in the middle of runs; 0: none.
       seed: of first weights and draws.
 

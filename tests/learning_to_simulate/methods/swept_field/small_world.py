@@ -39,7 +39,7 @@ def path(n_frame=61, depth=0.04, dt=DT, reverse=True) -> np.ndarray:
     s = t / end
     u = -0.75 + 0.25 * np.sin(np.pi * 0.75 * s) - (0.05 * np.sin(np.pi * s) ** 2 if reverse else 0)
     y = SURFACE + BLADE.radius + 0.01 - (depth + 0.01) * np.sin(np.pi * s) ** 2
-    y = y + 0.3 * np.clip(s - 0.9, 0, None)
+    y = y + 3.0 * np.clip(s - 0.9, 0, None) ** 2
     lean = 0.4 + 0.2 * np.sin(3 * s)
     return np.stack([u, y, lean], axis=-1)[:, None]
 

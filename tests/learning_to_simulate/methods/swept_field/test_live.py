@@ -132,7 +132,7 @@ def test_status_says_what_is_unlike_training(field):
 def test_bad_poses_are_refused_and_the_state_stays(field, change, message):
     plane = world.path()
     if message == 'floor':
-        plane = world.path(depth=0.14)
+        plane = world.path(depth=0.13)
     poses = world.world_pose(plane[:, 0])
     live = LiveField(field)
     live.start(poses[0])

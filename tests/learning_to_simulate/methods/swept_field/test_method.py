@@ -57,7 +57,7 @@ def data_path(tmp_path_factory):
         up_axis=1,
         body='prescribed',
     )
-    convert.convert(str(folder / 'raw'), str(folder / 'data'), modes=6)
+    convert.convert(str(folder / 'raw'), str(folder / 'data'), modes=2)
     return str(folder / 'data')
 
 

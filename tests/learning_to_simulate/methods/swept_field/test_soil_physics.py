@@ -17,10 +17,10 @@ def outline(n=4000):
     t = np.linspace(0, 1, n // 4)[:, None]
     angle = np.linspace(0, 2 * np.pi, n // 4)
     ring = BLADE.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    low = POSE[:2]
+    low, outward = POSE[:2], ring @ axis < 0
     return np.concatenate(
         [low + t * axis + BLADE.radius * side, low + t * axis - BLADE.radius * side,
-         low + ring, low + axis + ring]
+         low + ring[outward], low + axis + ring[~outward]]
     )  # fmt: skip
 
 
