@@ -7,22 +7,31 @@ hard requirement would break one of the installs. `constraints.txt` pins the set
 """
 
 import pathlib
+import re
 
 import setuptools
 
 README = pathlib.Path(__file__).with_name('README.md')
+
+VERSION = re.search(
+    r"__version__ = '(.*)'",
+    pathlib.Path(__file__).with_name('learning_to_simulate').joinpath('_version.py').read_text(),
+)[1]
 
 EXTRAS = {
     'cpu': ['tensorflow-cpu>=2.21,<2.22'],
     'gpu': ['tensorflow[and-cuda]>=2.21,<2.22'],
     'viz': ['imageio-ffmpeg>=0.6', 'matplotlib>=3.9', 'pillow>=11'],
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
-    'dev': ['pre-commit', 'pytest', 'pytest-xdist', 'ruff'],
+    'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
+    'fmu': ['fmpy>=0.3.32'],
+    'vtk': ['vtk>=9.4'],
+    'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
 
 setuptools.setup(
     name='learning-to-simulate-soil',
-    version='0.1.0',
+    version=VERSION,
     description='Graph-network simulation of granular soil driven by a rigid body',
     long_description=README.read_text(encoding='utf-8') if README.exists() else '',
     long_description_content_type='text/markdown',
@@ -45,15 +54,19 @@ setuptools.setup(
                 'pca_tools',
                 'reports',
                 'run_scripts',
+                'storage',
+                'cluster',
             )
             for pattern in (name, f'{name}.*')
         ]
     ),
+    package_data={'learning_to_simulate.export_c': ['native/*.c', 'native/*/*']},
     install_requires=[
         'absl-py>=2.1',
         'dm-sonnet>=2.0.2',
         'dm-tree>=0.1.9',
         'graph_nets>=1.1.0',
+        'h5py>=3.11',
         'numba>=0.61',
         'numpy>=2.0',
         'scikit-learn>=1.5',
@@ -62,4 +75,5 @@ setuptools.setup(
         'tqdm>=4.66',
     ],
     extras_require=EXTRAS,
+    entry_points={'console_scripts': ['lts = learning_to_simulate.cli:main']},
 )

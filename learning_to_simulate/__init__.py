@@ -1,8 +1,31 @@
-"""Graph-network simulator of soil modes driven by a rigid body.
+"""Simulator of soil moved by a rigid body: learned, in a subspace, in real time.
 
 A TensorFlow 2 system in the shape of DeepMind's `learning_to_simulate` (Sanchez-Gonzalez et al.,
-ICML 2020). Letters used in every docstring: N soil particles, r modes, R rigid particles,
-V = R + r nodes, E edges, T frames, H = 6 input frames, D = 3 axes, B graphs in a batch,
-C context values, L latent width, M message-passing steps, S runs. Lengths in metres, forces in
-newtons; velocities and accelerations are per frame.
+ICML 2020). The public names are loaded when they are first used, so that importing the package
+costs no import of TensorFlow.
+
+Letters used in every docstring: N soil particles, r modes, R rigid particles, V = R + r nodes,
+E edges, T frames, H = 6 input frames, D = 3 axes, B graphs in a batch, C context values, L latent
+width, M message-passing steps, S runs. Lengths in metres, forces in newtons; velocities and
+accelerations are per frame.
 """
+
+import importlib
+
+from learning_to_simulate._version import __version__
+
+_HOMES = {
+    'Dataset': 'api', 'TrainedModel': 'api', 'load': 'api', 'preset': 'api', 'train': 'api',
+    'RolloutStatus': 'rollout_status',
+}  # fmt: skip
+__all__ = ['__version__', *_HOMES]
+
+
+def __getattr__(name):
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(importlib.import_module(f'{__name__}.{_HOMES[name]}'), name)
+
+
+def __dir__():
+    return sorted(__all__)

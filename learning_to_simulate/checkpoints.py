@@ -1,10 +1,12 @@
 """Model folders: what a trained model is, on disk.
 
-  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest and package versions
-  weights.npz    weights for evaluation (moving averages where the config has them), no code, no
-  pickle ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
+  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest, package versions
+  weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
+                 no code, no pickle
+  start.npz, subspace.npz   what the model needs to run without its dataset (`resting_start`)
+  ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
-A folder that ships with the project holds the first two only.
+A folder that ships with the project holds no checkpoints.
 """
 
 import dataclasses
@@ -18,12 +20,12 @@ from learning_to_simulate import model_config
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
 from learning_to_simulate.methods import registry
+from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
 
@@ -63,7 +65,7 @@ class Model:
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
             self._layouts[n_rigid] = Layout(
-                adjacency, n_rigid, s.scene, s.statistics, s.config.conditioned
+                adjacency, n_rigid, s.scene, s.statistics, s.config.loss_by_motion
             )
         return self._layouts[n_rigid]
 
@@ -113,7 +115,7 @@ class Model:
         s.predict(state, KnownMotion(body, body), tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
+def save_config(path: str, model: Model, n_rigid: int, data: dict, files_beside=None) -> None:
     """Writes config.json.
 
     Args:
@@ -121,6 +123,8 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
       model: the model.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
+      files_beside: name -> sha256 of what else the model needs (`resting_start`); None where it
+        has nothing of that kind.
     """
     s = model.simulator
     files.write_json(
@@ -139,6 +143,7 @@ def save_config(path: str, model: Model, n_rigid: int, data: dict) -> None:
             else model.loaded_mask.astype(int).tolist(),
             'statistics': s.statistics.to_json(),
             'data': data,
+            'files': files_beside or {},
             'packages': {
                 name: importlib.metadata.version(name)
                 for name in ('numpy', 'dm-sonnet', 'graph_nets')

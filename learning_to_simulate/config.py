@@ -9,6 +9,20 @@ import dataclasses
 from learning_to_simulate.methods import registry
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
+LARGEST = 2**62
+# No body of the project has more than 20 particles; a damaged number must not ask for the memory
+# of a graph of millions.
+MAX_RIGID, MAX_MODES = 1000, 10_000
+# Field -> its least and largest value; the largest ones are beyond any network of the project.
+RANGES = {
+    'mode_edges': (0, MAX_MODES**2), 'gate_weight': (0, LARGEST), 'gate_steps': (1, LARGEST),
+    'gate_keep': (0, MAX_MODES**2), 'latent_size': (1, 4096), 'hidden_layers': (1, 32),
+    'message_passing_steps': (1, 100), 'batch_size': (1, 100_000), 'num_steps': (0, LARGEST),
+    'unroll_length': (2, 10_000), 'unroll_steps': (0, LARGEST), 'unroll_batch_size': (1, 100_000),
+    'noise_std': (0, LARGEST), 'rigid_particles': (0, MAX_RIGID), 'rigid_stride': (1, MAX_RIGID),
+    'modes': (0, MAX_MODES), 'velocity_inputs': (1, INPUT_SEQUENCE_LENGTH - 1),
+    'mode_order': (1, 2), 'rigid_order': (1, 2), 'weight_average': (0, 1),
+}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,9 +44,8 @@ class TrainConfig:
       gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
         open than not.
       rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
-        keeps all. Only
-        where the motion is prescribed: a blade cuts with its lower edge, and the rest follows from
-          it.
+        keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
+        rest follows from it.
       rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
         body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
         height of the kept ones must be that of all.
@@ -105,6 +118,7 @@ class TrainConfig:
     seed: int = 0
 
     def __post_init__(self):
+        self._check_fields()
         method = registry.get(self.model)
         if (self.adjacency == 'none') == method.has_graph:
             raise ValueError(
@@ -130,38 +144,6 @@ class TrainConfig:
             raise ValueError(
                 f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
             )
-        for name, low in (
-            ('mode_edges', 0),
-            ('gate_weight', 0.0),
-            ('gate_steps', 1),
-            ('gate_keep', 0),
-            ('latent_size', 1),
-            ('hidden_layers', 1),
-            ('message_passing_steps', 1),
-            ('batch_size', 1),
-            ('num_steps', 0),
-            ('unroll_length', 2),
-            ('unroll_steps', 0),
-            ('unroll_batch_size', 1),
-            ('noise_std', 0.0),
-            ('rigid_particles', 0),
-            ('rigid_stride', 1),
-            ('modes', 0),
-            ('velocity_inputs', 1),
-        ):
-            if not getattr(self, name) >= low:
-                raise ValueError(f'{name} is {getattr(self, name)!r}, must be at least {low}')
-        for name in ('mode_order', 'rigid_order'):
-            if getattr(self, name) not in (1, 2):
-                raise ValueError(
-                    f'{name} is {getattr(self, name)!r}, must be 1 (displacement) or 2 '
-                    f'(acceleration)'
-                )
-        if self.velocity_inputs >= INPUT_SEQUENCE_LENGTH:
-            raise ValueError(
-                f'velocity_inputs is {self.velocity_inputs}, a history has '
-                f'{INPUT_SEQUENCE_LENGTH - 1} velocities'
-            )
         if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
             raise ValueError(
                 f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
@@ -177,8 +159,68 @@ class TrainConfig:
                 'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
                 'with the rate'
             )
-        if not 0 <= self.weight_average < 1:
-            raise ValueError(f'weight_average is {self.weight_average}, must lie in [0, 1)')
+
+    def _check_fields(self):
+        """Every field by itself: its type and its range."""
+        for field in dataclasses.fields(self):
+            value, kind = getattr(self, field.name), field.type
+            # JSON and command lines may write a whole number for a float.
+            kinds = (int, float) if kind is float else kind
+            is_truth = isinstance(value, bool)
+            if not isinstance(value, kinds) or is_truth != (kind is bool):
+                raise ValueError(f'{field.name} is {value!r}, must be of type {kind.__name__}')
+            if kind in (bool, str):
+                continue
+            low, high = RANGES.get(field.name, (-LARGEST, LARGEST))
+            if not low <= value <= high:  # false for NaN as well
+                raise ValueError(
+                    f'{field.name} is {value!r}, must be at least {low:g} and at most {high:g}'
+                )
+        if self.weight_average == 1:
+            raise ValueError('weight_average is 1, must lie in [0, 1): it would keep the start')
+
+    # What `conditioned` stands for, by meaning: code asks for these.
+
+    @property
+    def statistics_by_class(self) -> bool:
+        """Whether inputs and targets are scaled by each node class's own statistics, and edges by
+        those of each pair; else by the dataset's, and edges by the connectivity radius."""
+        return self.conditioned
+
+    @property
+    def position_inputs(self) -> bool:
+        """Whether positions, accelerations and the height of a driven body are inputs."""
+        return self.conditioned
+
+    @property
+    def coming_motion_input(self) -> bool:
+        """Whether the given motion of the coming frame is an input."""
+        return self.conditioned
+
+    @property
+    def embedding_by_class(self) -> bool:
+        """Whether every mode has an embedding of its own; else every particle type."""
+        return self.conditioned
+
+    @property
+    def mean_aggregation(self) -> bool:
+        """Whether a node takes the mean of its messages; else their sum, as published."""
+        return self.conditioned
+
+    @property
+    def loss_by_motion(self) -> bool:
+        """Whether an error counts by its share of the loudest component's motion."""
+        return self.conditioned
+
+    @property
+    def relative_force_loss(self) -> bool:
+        """Whether the force error of a run is counted in units of the run's own force."""
+        return self.conditioned
+
+    @property
+    def clip_norm(self) -> float | None:
+        """Largest norm of the gradient of all weights; None for any."""
+        return 1.0 if self.conditioned else None
 
     @property
     def has_lasting_graph(self) -> bool:

@@ -12,9 +12,9 @@ import numpy as np
 from learning_to_simulate import metrics
 from learning_to_simulate.checkpoints import Model
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
-from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import files
 
 
@@ -178,6 +178,8 @@ def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict)
                 'predicted_forces': rollout.force[0],
                 'ground_truth_forces': group.force[0, H:].astype(np.float32),
             }
+        # What a method says beyond modes, e.g. the particles of one that has none.
+        arrays |= getattr(rollout, 'arrays', {})
         written.append(os.path.join(path, f'rollout_{split}_{record}.npz'))
         files.write_npz(written[-1], **arrays)
     written.append(os.path.join(path, 'metrics.json'))

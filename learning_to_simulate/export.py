@@ -17,15 +17,13 @@ Examples:
 """
 
 import os
-import sys
 import time
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
-from learning_to_simulate import checkpoints, experiment, export_formats
+from learning_to_simulate import command
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_formats import StepFunctions
 from pca_tools import files, subspace
 
 DESCRIPTION_FILE = 'export.json'
@@ -35,6 +33,7 @@ TOLERANCE = 1e-4
 # Metres; float32 positions of a metre resolve 1e-7.
 RECONSTRUCT_TOLERANCE = 2e-6
 COMPARED_STEPS = 8
+FORMATS = ('savedmodel', 'tflite', 'onnx')
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -44,7 +43,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       model_path: trained model.
       data_path: its dataset; gives runs to compare on and the subspace.
       output_path: folder to write; must be absent or empty.
-      kind: a key of `export_formats.WRITERS`.
+      kind: one of `FORMATS`.
       n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest.
 
     Returns:
@@ -54,17 +53,21 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       ValueError: a scene that the format cannot hold, a model that does not fit the data, an
         absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
     """
+    from learning_to_simulate import checkpoints, export_formats
+    from learning_to_simulate.methods import registry
+
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    model, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
-    by_size = {group.n_rigid: group for group in groups}
+    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, 'test')
+    model = opened.model
+    by_size = {group.n_rigid: group for group in opened.groups}
     n_rigid = max(by_size) if n_rigid is None else n_rigid
     if n_rigid not in by_size:
         raise ValueError(
             f'{data_path}: no test run has {n_rigid} rigid nodes, there are {sorted(by_size)}'
         )
     space = _read_subspace(data_path, model)
-    functions = StepFunctions(model.simulator, model.layout(n_rigid), space)
+    functions = export_formats.StepFunctions(model.simulator, model.layout(n_rigid), space)
     group = by_size[n_rigid].select(0)
     description = {}
 
@@ -182,22 +185,19 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', list(export_formats.WRITERS), 'What to write.')
+    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
 
 
-def main(_) -> None:
-    """Runs the command."""
-    values = flags.FLAGS
-    try:
-        description = export(
-            values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
-        )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+def run(values) -> None:
+    """Runs the command with its flags."""
+    command.import_tensorflow()
+    description = export(
+        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
+    )
     print(summary(description, values.output_path))
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(run)

@@ -7,14 +7,13 @@ import numpy as np
 import tensorflow as tf
 from tensorflow.python.framework import convert_to_constants
 
-from learning_to_simulate import rollout
+from learning_to_simulate import rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import (
-    KnownMotion,
     SimulatorState,
     initial_state,
-    known_motion,
 )
+from learning_to_simulate.rigid_body import KnownMotion, known_motion
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import files
 
@@ -61,7 +60,7 @@ class StepFunctions:
         position = last + tf.cast(after.velocity[0, :, -1], tf.float64)
         if scene.rigid_motion == RigidMotion.PREDICTED:
             shape = last[:n] - tf.reduce_mean(last[:n], axis=0, keepdims=True)
-            body = rollout.rigid_correction(shape[None], position[None, :n])[0]
+            body = rigid_body.rigid_correction(shape[None], position[None, :n])[0]
             position = tf.concat([body, position[n:]], axis=0)
         outputs = {'next_position': position, 'modes': position[n:]}
         if n:
@@ -150,7 +149,7 @@ class StepFunctions:
         if self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
             n, last = self.layout.n_rigid, group.position[:, frame - 1]
             shape = last[:, :n] - last[:, :n].mean(axis=1, keepdims=True)
-            placed = rollout.rigid_correction(shape, last[:, :n] + velocity[None, :n])
+            placed = rigid_body.rigid_correction(shape, last[:, :n] + velocity[None, :n])
             velocity[:n] = placed[0].numpy() - last[0, :n]
         return velocity, None if force is None else force[0].numpy()
 

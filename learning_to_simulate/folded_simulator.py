@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import features
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.folded_network import (
     MODES,
@@ -20,12 +22,11 @@ from learning_to_simulate.folded_network import (
     edge_blocks,
 )
 from learning_to_simulate.learned_simulator import (
-    EMBEDDING_SIZE,
-    KnownMotion,
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
+from learning_to_simulate.rigid_body import KnownMotion
 from learning_to_simulate.scene import RigidMotion
 
 
@@ -94,7 +95,7 @@ class FoldedSimulator:
                 weights = tf.nest.map_structure(lambda v: None if v is None else v.numpy(), weights)
         self._network = FoldedNetwork(
             weights,
-            edge_blocks(layout, config.conditioned, dense),
+            edge_blocks(layout, config.mean_aggregation, dense),
             {MODES, RIGID} if self._decodes_body else {MODES},
         )
         self._of_edge = Linear(*weights.edge_encoder.layers[0])
@@ -113,26 +114,13 @@ class FoldedSimulator:
         """How many last velocities of modes and body the model reads: K of both."""
         config, scene = simulator.config, simulator.scene
         count = config.velocity_inputs
-        if scene.rigid_motion == RigidMotion.DRIVEN and config.conditioned:
+        if scene.rigid_motion == RigidMotion.DRIVEN and config.position_inputs:
             return count, INPUT_SEQUENCE_LENGTH - 1
         return count, count
 
     def _split_first_layer(self, w, b):
         """Rows of the node encoder's first layer by the feature that they act on."""
-        s, config, dim = self.simulator, self.simulator.config, self.simulator.dim
-        count = config.velocity_inputs
-        sizes = {'velocity': count * dim}
-        if config.conditioned:
-            sizes |= {'offset': dim, 'acceleration': (count - 1) * dim}
-        if s.rate_scaled:
-            sizes['rate'] = 2
-        if s.knows_next_frame:
-            sizes['coming'] = dim
-        if self.motion == RigidMotion.DRIVEN and config.conditioned:
-            sizes['height'] = INPUT_SEQUENCE_LENGTH
-        sizes['embedding'] = EMBEDDING_SIZE
-        if s.scene.context_names:
-            sizes['context'] = w.shape[0] - sum(sizes.values())
+        sizes = {f.name: f.width(self.simulator) for f in features.of(self.simulator)}
         return dict(zip(sizes, tf.split(w, list(sizes.values())), strict=True)), b
 
     def _constant_part(self, bias):
@@ -279,8 +267,7 @@ class FoldedSimulator:
         return row[:, None]
 
     def _lift(self, height):
-        up = np.eye(self.simulator.dim, dtype=np.float32)[self.simulator.scene.up_axis]
-        return height[:, None] * up
+        return height[:, None] * up_vector(self.simulator.dim, self.simulator.scene.up_axis)
 
     def _first_of_edges(self, block: EdgeBlock):
         scale = 1.0 / self.layout.edge_std[block.edges]

@@ -11,12 +11,12 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import graph_network, normalization, tool_depth
+from learning_to_simulate import features, graph_network, normalization, tool_depth
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.scene import RigidMotion, Scene
 
-EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 NUM_PARTICLE_TYPES = 9
 RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
 
@@ -33,21 +33,6 @@ class SimulatorState(NamedTuple):
     velocity: tf.Tensor
 
 
-class KnownMotion(NamedTuple):
-    """What is given of the coming frame of the rigid body.
-
-    Where the motion is driven, the up component holds the shape only: its mean over the R particles
-    is 0, and the predicted height is added to it.
-
-    Attributes:
-      offset: float32 [B, R, D], m.
-      velocity: float32 [B, R, D], m/frame.
-    """
-
-    offset: tf.Tensor
-    velocity: tf.Tensor
-
-
 class Layout:
     """Constants of the graph for one number of rigid particles: edges and statistics per node and
     edge.
@@ -57,7 +42,7 @@ class Layout:
       n_rigid: R.
       scene: the scene.
       statistics: by node class.
-      conditioned: whether losses are weighted by each component's motion.
+      loss_by_motion: whether losses are weighted by each component's motion.
     """
 
     def __init__(
@@ -66,7 +51,7 @@ class Layout:
         n_rigid: int,
         scene: Scene,
         statistics: normalization.Statistics,
-        conditioned: bool,
+        loss_by_motion: bool,
     ):
         self.n_rigid = n_rigid
         self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
@@ -98,7 +83,7 @@ class Layout:
             moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
         self.moving = moving
         self.loss_weight = moving.copy()
-        if conditioned:
+        if loss_by_motion:
             # Quiet components cost less: an error counts by its share of the loudest component's
             # motion. Lateral scores are mostly noise, and equal weights would spend the network on
             # them.
@@ -135,10 +120,12 @@ class LearnedSimulator(snt.Module):
             config.hidden_layers,
             config.message_passing_steps,
             output_size=self.dim * (2 if scene.has_force else 1),
-            mean_aggregation=config.conditioned,
+            mean_aggregation=config.mean_aggregation,
         )
-        n_embedding = scene.n_modes + 1 if config.conditioned else NUM_PARTICLE_TYPES
-        initial = tf.random.stateless_normal([n_embedding, EMBEDDING_SIZE], [config.seed, 0])
+        n_embedding = scene.n_modes + 1 if config.embedding_by_class else NUM_PARTICLE_TYPES
+        initial = tf.random.stateless_normal(
+            [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
+        )
         self._embedding = tf.Variable(initial, name='embedding')
 
     def check_size(self, n_rigid: int):
@@ -152,7 +139,7 @@ class LearnedSimulator(snt.Module):
     @property
     def knows_next_frame(self) -> bool:
         """Whether the coming frame of the body is an input; not in the published presets."""
-        return self.config.conditioned and self.scene.rigid_motion.is_known
+        return self.config.coming_motion_input and self.scene.rigid_motion.is_known
 
     @property
     def rate_scaled(self) -> bool:
@@ -175,11 +162,8 @@ class LearnedSimulator(snt.Module):
         Returns:
           nodes [B, V, F], edges [B, E, D + 1].
         """
-        parts = self._state_parts(state, known, layout)
-        parts.append(('nodes', self.node_embedding(layout)[None]))
-        if self.scene.context_names:
-            parts.append(('scene', self.context_features(context)[:, None]))
-        nodes = [self._at_nodes(kind, values, state, layout) for kind, values in parts]
+        view = features.View(self, state, known, context, layout)
+        nodes = [features.at_every_node(feature, view) for feature in features.of(self)]
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
             state.offset, layout.receivers, axis=1
         )
@@ -188,49 +172,10 @@ class LearnedSimulator(snt.Module):
         length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
         return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
 
-    def _state_parts(self, state, known, layout):
-        """What the networks see of the state, in parts of (kind, [B, n, F]).
-
-        Kinds: 'nodes' (n = V), 'rigid' (n = R, or 1 where all of the body share it), 'scene' (1).
-        The velocities [B, V, velocity_inputs x D], oldest first, are the first part.
-        """
-        n_graph = state.offset.shape[0]
-
-        def flat(history):
-            return tf.reshape(history, [n_graph, layout.n_node, -1])
-
-        count = self.config.velocity_inputs
-        rate = self.rate(known)
-        history = state.velocity[:, :, -count:] / rate[..., None]
-        velocity = (history - layout.velocity_mean[:, None]) / layout.velocity_std[:, None]
-        parts = [('nodes', flat(velocity))]
-        if self.config.conditioned:
-            parts.append(('nodes', state.offset / layout.position_std))
-            if count > 1:
-                acceleration = history[:, :, 1:] - history[:, :, :-1]
-                acceleration -= layout.acceleration_mean[:, None]
-                parts.append(('nodes', flat(acceleration / layout.acceleration_std[:, None])))
-        if self.rate_scaled:
-            # What does depend on the rate (inertia, a body at rest) is left to the network.
-            parts.append(('scene', tf.concat([tf.math.log(rate), rate], -1)))
-        if self.knows_next_frame:
-            to_come = known.velocity / rate - layout.velocity_mean[: layout.n_rigid]
-            parts.append(('rigid', to_come / layout.velocity_std[: layout.n_rigid]))
-        if self.scene.rigid_motion == RigidMotion.DRIVEN and self.config.conditioned:
-            parts.append(('rigid', self._height_features(state, layout)))
-        return parts
-
-    def _at_nodes(self, kind, values, state, layout):
-        """A part of the features at every node [B, V, F]; what the rigid particles alone have is
-        zero at the modes."""
-        n = layout.n_rigid if kind == 'rigid' else layout.n_node
-        values = tf.broadcast_to(values, [state.offset.shape[0], n, values.shape[-1]])
-        return tf.pad(values, [[0, 0], [0, layout.n_node - n], [0, 0]])
-
     def node_embedding(self, layout: Layout):
         """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
         classes = layout.node_class
-        if not self.config.conditioned:
+        if not self.config.embedding_by_class:
             classes = np.where(classes == 0, *self.particle_types)
         return tf.gather(self._embedding, classes)
 
@@ -243,18 +188,6 @@ class LearnedSimulator(snt.Module):
         mean, std = s.log_context_mean.astype(np.float32), s.log_context_std.astype(np.float32)
         # The floor is far below any positive context; it keeps a zero from becoming infinite.
         return tf.concat([linear, (tf.math.log(tf.maximum(context, 1e-6)) - mean) / std], axis=-1)
-
-    def _height_features(self, state, layout):
-        """Height of the body and its H - 1 last changes, [B, 1, H]."""
-        up = self.scene.up_axis
-        s = self.statistics
-        height = tf.reduce_mean(state.offset[:, : layout.n_rigid, up], axis=1, keepdims=True)
-        change = tf.reduce_mean(state.velocity[:, : layout.n_rigid, :, up], axis=1)
-        values = tf.concat(
-            [height / np.float32(s.height_std[0]), change / np.float32(s.height_velocity_std[0])],
-            axis=-1,
-        )
-        return values[:, None]
 
     def predict(self, state: SimulatorState, known, context, layout: Layout):
         """Normalised predictions.
@@ -317,6 +250,7 @@ class LearnedSimulator(snt.Module):
         target, force = self.predict(
             state, known if self.knows_next_frame else None, context, layout
         )
+        # v' = rate (std y + mean), plus v where an acceleration is predicted; x' = x + v'.
         velocity = (target * layout.target_std + layout.target_mean) * self.rate(
             known
         ) + self._base_velocity(state, layout)
@@ -349,7 +283,7 @@ class LearnedSimulator(snt.Module):
     def _place_body(self, state, velocity, offset, known, layout):
         """Overwrites the given part of the rigid motion."""
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
-            up = np.eye(self.dim, dtype=np.float32)[self.scene.up_axis]
+            up = up_vector(self.dim, self.scene.up_axis)
             height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
             change = velocity[:, :1]
             body_offset = known.offset + (height + change) * up
@@ -360,27 +294,6 @@ class LearnedSimulator(snt.Module):
             tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
             tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),
         )
-
-
-def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
-    """The given part of true rigid motion.
-
-    Args:
-      offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
-        displacement of the frame; numpy or TensorFlow.
-      scene: decides what is given.
-
-    Returns:
-      `KnownMotion`, or None where nothing is given.
-    """
-    if not scene.rigid_motion.is_known:
-        return None
-    if scene.rigid_motion == RigidMotion.PRESCRIBED:
-        return KnownMotion(offset, velocity)
-    up = np.eye(offset.shape[-1], dtype=np.float32)[scene.up_axis]
-    return KnownMotion(
-        *(x - up * tf.reduce_mean(x, axis=-2, keepdims=True) for x in (offset, velocity))
-    )
 
 
 def initial_state(offset, velocity) -> SimulatorState:

@@ -1,9 +1,7 @@
-"""Every error that the reports print, with the trivial predictors and the projection floor beside
-it.
+"""Every error that the reports print, with the trivial predictors and the projection floor.
 
 The modes are orthonormal, so squared errors of particles are those of scores plus what the subspace
-cut
-off: MSE_full = sum of squared score errors / (D N) + truncated part.
+cut off, the truncation error: MSE_full = sum of squared score errors / (D N) + truncation error.
 """
 
 import numpy as np

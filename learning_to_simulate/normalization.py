@@ -12,12 +12,15 @@ import dataclasses
 
 import numpy as np
 
+from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
 STD_FLOOR = 1e-3
+# A spread below this share of a force's size is the rounding of float32 records.
+FORCE_ROUNDING = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,10 +127,13 @@ def compute_statistics(
     Raises:
       ValueError: if a run is shorter than three frames.
     """
+    # An acceleration needs three frames: x_2 - 2 x_1 + x_0.
     if min(p.shape[1] for p in positions) < 3:
         raise ValueError('statistics need at least three frames per run')
     r = scene.n_modes
     samples = _by_class(positions, r)
+    # The origin is one point per class and not per particle, so that a body of any R has one; the
+    # state holds what is left of a position without it, in float32.
     origin = np.stack([s.mean(axis=0) for s in samples])
     velocities = [np.diff(p, axis=1) for p in positions]
     force = (
@@ -138,9 +144,10 @@ def compute_statistics(
         if scene.context_names
         else None
     )
+    # A driven body has one free coordinate: its statistics are those of a scalar series [S, T].
     heights = None
     if scene.rigid_motion == RigidMotion.DRIVEN:
-        heights = [p[:, :, :-r, scene.up_axis].mean(axis=2) for p in positions]
+        heights = [height_of(p[:, :, :-r], scene.up_axis) for p in positions]
     rate_scaled = config.rate_scaled and scene.rigid_motion.is_known
     values = {
         'origin': origin,
@@ -153,14 +160,15 @@ def compute_statistics(
         if context is None
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
-    logarithm = config.conditioned and context is not None and (context > 0).all()
+    # Loads and gravities span decades: a network sees both x and log x of a positive context.
+    logarithm = config.statistics_by_class and context is not None and (context > 0).all()
     for name, function in (('mean', np.mean), ('std', np.std)):
         values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
-        if config.conditioned
+        if config.statistics_by_class
         else _dataset_wide(metadata, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
@@ -214,7 +222,7 @@ def given_body(positions, scene: Scene):
         return None
     body = positions[:, :, : -scene.n_modes]
     if scene.rigid_motion == RigidMotion.DRIVEN:
-        body = body - body.mean(axis=2, keepdims=True) * np.eye(body.shape[-1])[scene.up_axis]
+        body = without_height(body, scene.up_axis)
     return body
 
 
@@ -261,10 +269,15 @@ def _by_node_class(positions, velocities, force, origin, r):
         'displacement_mean': displacement_mean,
         'displacement_std': _floored(displacement_std),
         'force_mean': None if force is None else force.mean(axis=0),
-        'force_std': None
-        if force is None
-        else np.full(force.shape[1], max(force.std(axis=0).max(), np.finfo(float).tiny)),
+        'force_std': None if force is None else np.full(force.shape[1], _force_spread(force)),
     }
+
+
+def _force_spread(force):
+    """The loudest axis' standard deviation, N, which all axes share; of a force that never changes
+    (a body in the air), which has no spread to count in, 1 N."""
+    spread = force.std(axis=0).max()
+    return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
 def _targets(values, heights, scene, config):
@@ -276,7 +289,7 @@ def _targets(values, heights, scene, config):
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
-    if heights is not None and config.conditioned:
+    if heights is not None and config.statistics_by_class:
         # The body's height moves far less than the particles of a turning wheel do.
         change = np.concatenate(
             [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]
@@ -326,6 +339,8 @@ def _displacements(positions, origin, n_modes):
     for p in positions:
         n_rigid = p.shape[2] - n_modes
         node_class = node_classes(n_rigid, n_modes)
+        # Moments of offsets, not of positions: E[d^2] - E[d]^2 loses no digits to the origins,
+        # which are added back to the mean at the end.
         offset = p - origin[node_class]
         for i in range(p.shape[2]):  # receiver by receiver keeps the memory at one position array
             difference = offset - offset[:, :, i : i + 1]

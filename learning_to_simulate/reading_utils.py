@@ -1,10 +1,8 @@
 """Records in memory: runs of one dataset split, grouped by their number of rigid particles.
 
 Subspace records are small (about 100 kB a run), so a split is read once, and training windows are
-gathered
-from it inside the compiled step: no input pipeline, no py_function, and which windows a step sees
-  is a
-function of (seed, step) alone.
+gathered from it inside the compiled step: no input pipeline, no py_function, and which windows a
+step sees is a function of (seed, step) alone.
 """
 
 import dataclasses
@@ -53,6 +51,11 @@ class RunGroup:
     def velocity(self) -> np.ndarray:
         """float64 [S, T, V, D], displacement since the frame before; 0 in frame 0."""
         return np.diff(self.position, axis=1, prepend=self.position[:, :1])
+
+    @property
+    def n_left_modes(self) -> int:
+        """r', the modes of the records that are no nodes."""
+        return 0 if self.left_modes is None else self.left_modes.shape[2]
 
     def select(self, run: int) -> 'RunGroup':
         """The group of one of its runs."""
@@ -108,7 +111,7 @@ class RunGroup:
             rigid, moved = body[-len(nodes) :].copy(), nodes[:, : self.n_rigid]
             if self.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
                 for points, target in zip(rigid, moved, strict=True):
-                    points[:] = _placed(points, kept, target)
+                    points[:] = moved_with(points, kept)(target)
             rigid[:, kept] = moved
             whole.append(np.concatenate([rigid, nodes[:, self.n_rigid :]], axis=1))
         return whole
@@ -116,16 +119,28 @@ class RunGroup:
     def all_particle_types(self) -> np.ndarray:
         """int64 [V'] of one run of the group, with what is not a node."""
         n_extra = 0 if self.body is None else self.body[0].shape[1] - self.n_rigid
-        n_modes = 0 if self.left_modes is None else self.left_modes.shape[2]
         first, last = self.particle_type[[0, -1]]
-        return np.concatenate([np.full(n_extra, first), self.particle_type, np.full(n_modes, last)])
+        left = np.full(self.n_left_modes, last)
+        return np.concatenate([np.full(n_extra, first), self.particle_type, left])
 
 
-def _placed(points, kept, target):
-    """`points` [R', D] moved as their `kept` ones moved to `target` [R, D]; NaN if those are."""
-    if not np.isfinite(target).all():
-        return np.full_like(points, np.nan)
-    return rigid_fit.fit_rigid_motion(points[kept], target).apply(points)
+def moved_with(points, kept):
+    """A function that moves a body rigidly as its nodes were moved.
+
+    Args:
+      points: float64 [R', D], all particles of the body.
+      kept: int [R], which of them are nodes.
+
+    Returns:
+      called with the nodes [R, D] it gives all particles [R', D]; NaN if one of the nodes is.
+    """
+
+    def move(target):
+        if not np.isfinite(target).all():
+            return np.full_like(points, np.nan)
+        return rigid_fit.fit_rigid_motion(points[kept], target).apply(points)
+
+    return move
 
 
 def read_groups(

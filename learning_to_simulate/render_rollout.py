@@ -21,16 +21,16 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import tqdm
-from absl import app, flags
+from absl import flags
 
+from learning_to_simulate import checks, command
 from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
-from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
 
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
@@ -77,9 +77,37 @@ def render(
     if unknown or not formats:
         raise ValueError(f'--format has {unknown or "no name"}; there are {", ".join(FORMATS)}')
     frames = rollout_frames.load(rollout_path, data_path, label)
-    drawn = np.arange(0, frames.n_frames, step_stride)
-    target = os.path.join(output_path, frames.name)
     os.makedirs(output_path, exist_ok=True)
+    target = os.path.join(output_path, frames.name)
+    return frames, render_frames(frames, target, formats, step_stride, color_by, plane, progress)
+
+
+def render_frames(
+    frames: RolloutFrames,
+    target: str,
+    formats: Iterable[str],
+    step_stride: int = 3,
+    color_by: str = 'speed',
+    plane: str = 'xy',
+    progress: Callable = lambda frames, label: frames,
+) -> list[str]:
+    """Draws a rollout that is in memory; arguments as of `render`.
+
+    Args:
+        frames: the rollout.
+        target: path of the files without their endings; its folder must exist.
+        others: as of `render`.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ValueError: errors are asked for where there is no truth, or a package for pictures is
+            missing.
+    """
+    if color_by == 'error' and not frames.has_truth:
+        raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
+    drawn = np.arange(0, frames.n_frames, step_stride)
     written = []
     pictures = [name for name in formats if name != 'vtp']
     if pictures:
@@ -87,8 +115,8 @@ def render(
     if 'vtp' in formats:
         folder = f'{target}_vtk'
         vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
-        written += [os.path.join(folder, f'{which}.pvd') for which in (TRUTH, PREDICTION)]
-    return frames, written
+        written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
+    return written
 
 
 def _write_pictures(
@@ -155,25 +183,21 @@ def define_flags() -> None:
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
-def main(argv: Sequence[str]) -> None:
-    """Runs the command; bad input ends with its message and exit code 1."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    values, started = flags.FLAGS, time.perf_counter()
-    try:
-        frames, written = render(
-            values.rollout_path,
-            values.data_path,
-            values.output_path,
-            formats=values.format,
-            step_stride=values.step_stride,
-            color_by=values.color_by,
-            plane=values.plane,
-            label=values.label,
-            progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
-        )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+def run(values) -> None:
+    """Runs the command with its flags."""
+    checks.writable_folder(values.output_path)
+    started = time.perf_counter()
+    frames, written = render(
+        values.rollout_path,
+        values.data_path,
+        values.output_path,
+        formats=values.format,
+        step_stride=values.step_stride,
+        color_by=values.color_by,
+        plane=values.plane,
+        label=values.label,
+        progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
+    )
     print(frames.title)
     print(rollout_captions.summary_line(frames))
     for note in frames.notes:
@@ -185,4 +209,4 @@ def main(argv: Sequence[str]) -> None:
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(run)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import normalization
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
 # A predicted node may leave the hull of its training positions by half of it on either side.
@@ -110,7 +110,7 @@ def _outside_bounds(position, n_rigid, statistics, scene):
     first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
     node_class = normalization.node_classes(n_rigid, scene.n_modes)[first:]
     low, high = (x[node_class] for x in widened(*statistics.position_range, BOUNDS_FACTOR))
-    return _first_outside(
+    return first_outside(
         RolloutStatus.LEFT_BOUNDS, position[:, first:], low, high, INPUT_SEQUENCE_LENGTH, first
     )
 
@@ -118,18 +118,12 @@ def _outside_bounds(position, n_rigid, statistics, scene):
 def _outside_training(group, run, given, statistics, scene):
     """The earliest of what lies outside the training range: context, start, given motion."""
     extra = 1 + 2 * RANGE_MARGIN
-    found = []
-    if statistics.context_range is not None:
-        for name, value, low, high in zip(
-            scene.context_names, group.context[run], *statistics.context_range
-        ):
-            if not low - RANGE_MARGIN * abs(low) <= value <= high + RANGE_MARGIN * abs(high):
-                reason = f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training'
-                found.append(Judgement(RolloutStatus.EXTRAPOLATING, 0, -1, reason))
+    context = None if group.context is None else group.context[run]
+    found = [outside_context(context, statistics, scene)]
     node_class = normalization.node_classes(group.n_rigid, scene.n_modes)
     low, high = (x[node_class] for x in widened(*statistics.position_range, extra))
     start = group.position[run, :INPUT_SEQUENCE_LENGTH]
-    found.append(_first_outside(RolloutStatus.EXTRAPOLATING, start, low, high))
+    found.append(first_outside(RolloutStatus.EXTRAPOLATING, start, low, high))
     if given is not None:
         body = given[run]
         extent, speed = (x[0, :, None] for x in normalization.body_measures(body[None]))
@@ -143,13 +137,24 @@ def _outside_training(group, run, given, statistics, scene):
             low, high = widened(*limits, extra)
             first = len(body) - len(values)  # a displacement belongs to the later frame
             found.append(
-                _first_outside(RolloutStatus.EXTRAPOLATING, values, low, high, first, node, name)
+                first_outside(RolloutStatus.EXTRAPOLATING, values, low, high, first, node, name)
             )
     found = [judgement for judgement in found if judgement]
     return min(found, key=lambda judgement: judgement.frame, default=None)
 
 
-def _first_outside(status, values, low, high, first_frame=0, first_node=0, name='coordinate'):
+def outside_context(context, statistics, scene) -> Judgement | None:
+    """The first value of a context [C] that the training runs did not cover, or None."""
+    if statistics.context_range is None or context is None:
+        return None
+    for name, value, low, high in zip(scene.context_names, context, *statistics.context_range):
+        if not low - RANGE_MARGIN * abs(low) <= value <= high + RANGE_MARGIN * abs(high):
+            reason = f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training'
+            return Judgement(RolloutStatus.EXTRAPOLATING, 0, -1, reason)
+    return None
+
+
+def first_outside(status, values, low, high, first_frame=0, first_node=0, name='coordinate'):
     """The first of `values` [T, V, D] outside [low, high] ([V, D] or [D]), or None.
 
     Values and limits are in m, displacements per frame.

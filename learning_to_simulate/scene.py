@@ -85,6 +85,12 @@ class Scene:
             raise ValueError(
                 f'rigid_motion is {motion!r}, must be one of {[str(m) for m in RigidMotion]}'
             )
+        if len(stated.get('bodies', ())) > 1:
+            names = [body.get('name') for body in stated['bodies']]
+            raise ValueError(
+                f'the scene has several bodies {names}; this simulator moves one: write runs with '
+                'one of them, or with the others as prescribed points of it'
+            )
         n_context = len(metadata.get('context_mean', ()))
         names = stated.get('context_names') or [f'context_{i}' for i in range(n_context)]
         return cls(

@@ -1,45 +1,91 @@
 """Live stepping: one frame per call, for embedding in an interactive program.
 
+`Stepper` takes the body as particles; `live.LiveSoil`, which `lts.load(...).stepper()` makes, takes
+poses and starts by itself. What computes a frame is a back end with the four methods of
+`CompiledStep`.
+
 Example:
     stepper = Stepper.load('models/excavation/pcg', 'datasets/excavation', n_rigid=10)
     stepper.reset(history)                          # [6, R + r, 3], the last six frames
     while running:
         frame = stepper.step(next_blade_points)     # [R, 3], where the blade will be
-        draw(stepper.particles(), frame.rigid_pose, frame.force)
+        draw(frame.particles(), frame.rigid_pose, frame.force, frame.status)
 
 A stepper compiles once, when it is made. After that no call traces, and none allocates memory that
-it does not give back. Input that cannot be used is refused before anything changes.
+it does not give back. Input that cannot be used is refused before anything changes; input unlike
+the training runs is used and flagged, in that frame and all that follow.
 """
 
 import os
+import threading
 from typing import NamedTuple
 
 import numpy as np
-import tensorflow as tf
 
-from learning_to_simulate import checkpoints, experiment
-from learning_to_simulate.folded_simulator import FoldedSimulator, Given
-from learning_to_simulate.learned_simulator import KnownMotion, SimulatorState
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout import body_shape, corrected_body
-from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.two_pass import FramePass
+from learning_to_simulate import checkpoints
+from learning_to_simulate.compiled_step import CompiledStep
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live_status import FrameJudge, worse
+from learning_to_simulate.poses import numbers
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.soil import Soil
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 
+FLAG, HOLD, RAISE = 'flag', 'hold', 'raise'
+
 
 class Frame(NamedTuple):
-    """One predicted frame.
+    """One predicted frame; its arrays cannot be written to.
 
     Attributes:
       modes: float64 [r, D] scores, m.
       force: float32 [D] on the body, N, or None where the scene has no force.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
+      judgement: how far the rollout can be trusted up to this frame: the worst since the start,
+        with the frame in which it began and the reason.
+      now: the status of this frame alone.
+      soil: turns modes into particles; None without a subspace.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None from `Stepper`.
+      torque: [D] on the body about its reference point, N m, where the model predicts one.
     """
 
     modes: np.ndarray
     force: np.ndarray | None
     rigid_pose: np.ndarray
+    judgement: Judgement
+    now: RolloutStatus
+    soil: Soil | None = None
+    pose: np.ndarray | None = None
+    torque: np.ndarray | None = None
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start, as a rollout file would have it."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D] positions of the soil, m.
+
+        Raises:
+          ValueError: without a subspace.
+        """
+        return _soil_of(self.soil).particles(self.modes)
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface, m; see `Soil.height_map`."""
+        return _soil_of(self.soil).height_map(self.modes, nx, nz)
+
+
+def _soil_of(soil):
+    if soil is None:
+        raise ValueError('particles need a subspace: the model has none')
+    return soil
 
 
 class Stepper:
@@ -50,6 +96,11 @@ class Stepper:
       n_rigid: R, rigid particles that are nodes.
       subspace: turns modes into particles; None if particles are never asked for.
       rigid_correction: whether a predicted body is kept rigid.
+      outside: what is done with a frame that is not `ok`: 'flag' goes on and says so; 'hold' stays
+        in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
+      force_limit: N, the largest force of the training runs, or None; a force above twice of it
+        has left the bounds.
+      back_end: computes the frames; default: a `CompiledStep`.
 
     Raises:
       ValueError: a subspace of another number of modes or particles than the model's, or a body
@@ -62,26 +113,25 @@ class Stepper:
         n_rigid: int,
         subspace: Subspace | None = None,
         rigid_correction: bool = True,
+        outside: str = FLAG,
+        force_limit: float | None = None,
+        back_end=None,
     ):
-        self._simulator, self._layout = model.simulator, model.layout(n_rigid)
-        self._scene = scene = model.simulator.scene
-        self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED
-        self._subspace = subspace
-        if subspace is not None:
-            subspace = model.fitting_subspace(subspace)
-            self._components = np.ascontiguousarray(subspace.components, np.float32)
-            self._mean = np.asarray(subspace.mean, np.float32)
-        self._state = self._context = self._shape = self._pose = self._modes = None
-        dim, shape = self._simulator.dim, (1, self._layout.n_node)
-        spec = tf.TensorSpec
-        body = spec((1, n_rigid, dim))
-        self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
-        self._call = self._frame.get_concrete_function(
-            SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
-            KnownMotion(body, body) if scene.rigid_motion.is_known else None,
-            spec((1, len(scene.context_names))) if scene.context_names else None,
-            spec((1, n_rigid, dim), tf.float64) if self._correct else None,
+        if outside not in (FLAG, HOLD, RAISE):
+            raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
+        simulator = model.simulator
+        self._scene, self._dim, self._outside = simulator.scene, simulator.dim, outside
+        self._layout = model.layout(n_rigid)
+        self.soil = (
+            None
+            if subspace is None
+            else Soil(model.fitting_subspace(subspace), self._scene.up_axis)
         )
+        self.judge = FrameJudge(n_rigid, simulator.statistics, self._scene, force_limit)
+        self._back_end = back_end or CompiledStep(model, n_rigid, rigid_correction)
+        self._lock = threading.Lock()
+        self._pose = self._last = None
+        self._frame = 0
         self._warm_up(n_rigid)
 
     @classmethod
@@ -98,8 +148,7 @@ class Stepper:
           FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
         """
         model = checkpoints.load_model(model_path)
-        metadata = read_metadata(data_path)
-        experiment.check_dataset(model_path, model, data_path, metadata)
+        checkpoints.check_dataset(model_path, model, data_path, read_metadata(data_path))
         path = os.path.join(data_path, 'subspace.npz')
         subspace = Subspace.load(path) if os.path.exists(path) else None
         n_rigid = checkpoints.read_config(model_path)['n_rigid'] if n_rigid is None else n_rigid
@@ -108,36 +157,47 @@ class Stepper:
     @property
     def traces(self) -> int:
         """How often the frame was traced; 1 for the life of a stepper."""
-        return self._frame.experimental_get_tracing_count()
+        return self._back_end.traces
 
-    def reset(self, history, context=None) -> None:
-        """Starts from the last H frames.
+    def reset(self, history, context=None) -> Judgement:
+        """Starts from the last H frames; returns how the start is to be judged.
 
         Args:
           history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
           context: [C], where the scene has one.
 
         Raises:
-          ValueError: wrong shape or values that are not finite; the state stays as it was.
+          ValueError: wrong shape or kind of values, or values that are not finite in float32; the
+            state stays as it was.
+          RuntimeError: another thread uses the stepper.
         """
-        layout, dim = self._layout, self._simulator.dim
-        history = _checked('history', history, (H, layout.n_node, dim))
+        layout = self._layout
+        history = numbers('history', history, (H, layout.n_node, self._dim))
+        bodies = history[:, : layout.n_rigid]
+        context = self._checked_context(context)
+        judgement = self.judge.start(history, context, bodies[-1] - bodies[-2])
+        for k in range(1, H):
+            judgement = worse(judgement, self.judge.given(k, bodies[k], bodies[k - 1]) or judgement)
+        self.begin(history, context, judgement)
+        return judgement
+
+    def begin(self, history, context, judgement: Judgement) -> None:
+        """Starts from checked float64 arrays, as `reset`, with the judgement of the start."""
+        n = self._layout.n_rigid
+        history.setflags(write=False)
+        with _Held(self._lock):
+            self._back_end.reset(history, context)
+            self._pose, self._frame = history[-1, :n], H - 1
+            force = np.zeros(self._dim, np.float32) if self._scene.has_force else None
+            self._last = Frame(
+                history[-1, n:], force, history[-1, :n], judgement, judgement.status, self.soil
+            )
+
+    def _checked_context(self, context):
         names = self._scene.context_names
         if (context is None) == bool(names):
             raise ValueError(f'the scene takes context {list(names)}, got {context}')
-        if names:
-            context = _checked('context', context, (len(names),))
-            context = tf.constant(context[None], tf.float32)
-        velocity = np.diff(history, axis=0).swapaxes(0, 1)
-        self._context, self._pose = context, history[-1, : layout.n_rigid]
-        self._state = SimulatorState(
-            tf.constant((history[-1] - layout.origin)[None], tf.float32),
-            tf.constant(velocity[None], tf.float32),
-        )
-        self._modes = history[-1, layout.n_rigid :]
-        if self._correct:
-            n = layout.n_rigid
-            self._shape = body_shape(self._state.offset[:, :n], layout.origin[:n])
+        return numbers('context', context, (len(names),)) if names else None
 
     def step(self, rigid_pose=None) -> Frame:
         """Predicts the next frame.
@@ -147,19 +207,49 @@ class Stepper:
             (of a driven body the mean height is ignored); None where it is predicted.
 
         Raises:
-          ValueError: before `reset`, a pose where none is taken or the other way round, wrong shape
-            or values that are not finite; the state stays as it was.
+          ValueError: before `reset`; a pose where none is taken or the other way round; wrong shape
+            or kind of values; values that are not finite in float32; with `outside='raise'` a frame
+            that is not `ok`. The state stays as it was.
+          RuntimeError: another thread uses the stepper.
         """
-        if self._state is None:
-            raise ValueError('call reset() with the first frames before step()')
-        known, pose = self._known(rigid_pose)
-        state, force = self._call(self._state, known, self._context, self._shape)
-        offset = state.offset.numpy()[0] + self._layout.origin
-        force = None if force is None else force.numpy()[0]
-        self._state, self._pose = state, pose
-        n = self._layout.n_rigid
-        self._modes = offset[n:]
-        return Frame(self._modes, force, offset[:n])
+        with _Held(self._lock):
+            if self._last is None:
+                raise ValueError('call reset() with the first frames before step()')
+            body = self._checked_body(rigid_pose)
+            n, frame = self._layout.n_rigid, self._frame + 1
+            displacement = judgement = None
+            if body is not None:
+                displacement = body - self._pose
+                # The reason of a rollout is that of its first bad frame.
+                flagged = self._last.judgement.status != RolloutStatus.OK
+                in_words = not flagged or self._outside != FLAG
+                judgement = self.judge.given(frame, body, self._pose, in_words)
+            if judgement and self._outside != FLAG:
+                return self._refused(judgement)
+            position, force = self._back_end.propose(body, displacement)
+            predicted = self.judge.predicted(frame, position, force)
+            now = worse(predicted, judgement) if judgement else predicted
+            if self._outside != FLAG and now.status != RolloutStatus.OK:
+                return self._refused(now)
+            for values in (position, force):
+                if values is not None:
+                    values.setflags(write=False)
+            so_far = worse(self._last.judgement, now)
+            result = Frame(position[n:], force, position[:n], so_far, now.status, self.soil)
+            if now.status == RolloutStatus.NON_FINITE:
+                self._last = self._last._replace(judgement=so_far)
+                return result
+            self._back_end.accept()
+            self._pose, self._frame, self._last = body, frame, result
+            return result
+
+    def _refused(self, judgement):
+        """The frame of before with the judgement of what was asked for."""
+        if self._outside == RAISE:
+            raise ValueError(f'{judgement.status}: {judgement.reason}; the state stays as it was')
+        so_far = worse(self._last.judgement, judgement)
+        self._last = self._last._replace(judgement=so_far)
+        return self._last._replace(now=judgement.status)
 
     def particles(self) -> np.ndarray:
         """float32 [N, D] positions of the soil in the newest frame, m.
@@ -167,92 +257,39 @@ class Stepper:
         Raises:
           ValueError: before `reset`, or without a subspace.
         """
-        if self._subspace is None or self._modes is None:
-            missing = 'a subspace' if self._subspace is None else 'reset()'
-            raise ValueError(f'particles() needs {missing} first')
-        return self._components @ self._modes.astype(np.float32) + self._mean
+        if self._last is None:
+            raise ValueError('particles() needs reset() first')
+        return self._last.particles()
 
-    def _known(self, rigid_pose):
-        """Known motion of the coming frame, and the given pose."""
+    def _checked_body(self, rigid_pose):
+        """The given body as float64, or None where it is predicted."""
         if self._scene.rigid_motion.is_known != (rigid_pose is not None):
             takes = 'takes' if rigid_pose is None else 'does not take'
             raise ValueError(f'the body is {self._scene.rigid_motion}: step() {takes} a pose')
         if rigid_pose is None:
-            return None, None
-        n = self._layout.n_rigid
-        pose = _checked('rigid_pose', rigid_pose, (n, self._simulator.dim))
-        motion = [pose - self._layout.origin[:n], pose - self._pose]
-        if self._scene.rigid_motion == RigidMotion.DRIVEN:
-            for values in motion:
-                values[:, self._scene.up_axis] -= values[:, self._scene.up_axis].mean()
-        return KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion)), pose
-
-    def _compute(self, state, known, context, shape):
-        if self._simulator.config.has_lasting_graph:
-            after, force = self._folded_step(state, known, context)
-        else:
-            after, force = self._simulator.step(state, known, context, self._layout)
-        if self._correct:
-            n = self._layout.n_rigid
-            placed, velocity = corrected_body(
-                shape, state.offset[:, :n], after.offset[:, :n], self._layout.origin[:n]
-            )
-            newest = tf.concat([velocity, after.velocity[:, n:, -1]], 1)
-            after = SimulatorState(
-                tf.concat([placed, after.offset[:, n:]], 1),
-                tf.concat([after.velocity[:, :, :-1], newest[:, :, None]], 2),
-            )
-        return after, force
-
-    def _folded_step(self, state, known, context):
-        """`LearnedSimulator.step`, with the weights as constants."""
-        simulator, n = self._simulator, self._layout.n_rigid
-        folded = FoldedSimulator(simulator, self._layout, frozen=True)
-        moving = folded.moving(state)
-        up = np.eye(simulator.dim, dtype=np.float32)[self._scene.up_axis]
-        given = Given(None, None, None, context)
-        if known is not None:
-            count = simulator.config.velocity_inputs
-            offset, velocity = state.offset[:, :n], state.velocity[:, :n, -count:]
-            if self._scene.rigid_motion == RigidMotion.DRIVEN:
-                offset, velocity = (
-                    x - up * tf.reduce_mean(x, 1, keepdims=True) for x in (offset, velocity)
-                )
-            given = Given(offset, velocity, known.velocity, context)
-        outputs = folded.predict(FramePass({}, None), given, moving)
-        after = folded.advance(outputs, moving)
-        body, velocity = (tf.zeros([1, 0, simulator.dim]),) * 2
-        if self._scene.rigid_motion == RigidMotion.PREDICTED:
-            body, velocity = after.body, after.body_velocity[:, :, -1]
-        elif known is not None:
-            body, velocity = known
-            if self._scene.rigid_motion == RigidMotion.DRIVEN:
-                body += after.body[:, None] * up
-                velocity += after.body_velocity[:, None, -1:] * up
-        newest = tf.concat([velocity, after.modes_velocity[:, :, -1]], 1)
-        return SimulatorState(
-            tf.concat([body, after.modes], 1),
-            tf.concat([state.velocity[:, :, 1:], newest[:, :, None]], 2),
-        ), outputs.get('force')
+            return None
+        return numbers('rigid_pose', rigid_pose, (self._layout.n_rigid, self._dim))
 
     def _warm_up(self, n_rigid):
         """Runs one frame at rest, so that the first real call is as fast as the others."""
         origin = self._layout.origin
         context = np.ones(len(self._scene.context_names)) if self._scene.context_names else None
-        self.reset(np.tile(origin, (H, 1, 1)), context)
-        self.step(origin[:n_rigid] if self._scene.rigid_motion.is_known else None)
-        self._state = self._modes = None
+        self._back_end.reset(np.tile(origin, (H, 1, 1)), context)
+        known = self._scene.rigid_motion.is_known
+        self._back_end.propose(
+            *(origin[:n_rigid], np.zeros((n_rigid, self._dim))) if known else (None, None)
+        )
 
 
-def _checked(name, values, shape):
-    """float64 values of the given shape, or a ValueError that says what is wrong."""
-    try:
-        values = np.array(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} is not an array of numbers of shape {shape} ({error})') from error
-    if values.shape != shape:
-        raise ValueError(f'{name} has shape {values.shape}, must be {shape}')
-    if not np.isfinite(values).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ValueError(f'{name} holds {values[where]} at {where}, must be finite')
-    return values
+class _Held:
+    """A lock that is held for a call, or a message: two threads would mix their paths."""
+
+    def __init__(self, lock):
+        self._lock = lock
+
+    def __enter__(self):
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError('another thread is using this stepper; give each thread its own')
+
+    def __exit__(self, *_):
+        self._lock.release()

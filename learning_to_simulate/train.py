@@ -25,14 +25,12 @@ model and a flag that contradicts them is refused.
 """
 
 import inspect
-import os
 import re
-import sys
 
 import tqdm
-from absl import app, flags, logging
+from absl import flags
 
-from learning_to_simulate import checks, presets
+from learning_to_simulate import checks, command, presets
 from learning_to_simulate.methods import registry
 
 _MODE = flags.DEFINE_enum(
@@ -83,9 +81,7 @@ _TAKE_OVER_LOCK = flags.DEFINE_bool(
     False,
     'Train in a folder that a dead process of another machine left locked.',
 )
-_NUM_THREADS = flags.DEFINE_integer(
-    'num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1
-)
+flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
 
 
 def _meanings(settings: type) -> dict[str, str]:
@@ -174,29 +170,17 @@ def _evaluate_rollouts(overrides):
     print(f'wrote {len(written)} files to {_OUTPUT_PATH.value}')
 
 
-def main(argv) -> None:
-    """Runs the chosen mode; bad input ends with its message and exit code 1."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+def run(values) -> None:
+    """Runs the chosen mode."""
     overrides = _overrides()
-    # The first import of TensorFlow takes seconds: --help and wrong flags are answered before it.
-    os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
-    import tensorflow as tf
-
-    if _NUM_THREADS.value:
-        tf.config.threading.set_intra_op_parallelism_threads(_NUM_THREADS.value)
-        tf.config.threading.set_inter_op_parallelism_threads(1)
-    try:
-        if _MODE.value == 'train':
-            _train(overrides)
-        elif _MODE.value == 'eval':
-            _evaluate_one_step(overrides)
-        else:
-            _evaluate_rollouts(overrides)
-    except (ValueError, OSError) as error:
-        logging.debug('stack', exc_info=True)
-        sys.exit(f'error: {error}')
+    command.import_tensorflow(values.num_threads)
+    if values.mode == 'train':
+        _train(overrides)
+    elif values.mode == 'eval':
+        _evaluate_one_step(overrides)
+    else:
+        _evaluate_rollouts(overrides)
 
 
 if __name__ == '__main__':
-    app.run(main)
+    command.start(run)

@@ -1,9 +1,8 @@
 """`Trainer`: compiled training steps over runs held in memory.
 
 Two stages: single steps with noise on the history, then N-step rollouts with gradients through
-  them. A step
-is a function of (weights, optimiser, seed, step): killed and resumed training gives the same
-weights.
+them. A step is a function of (weights, optimiser, seed, step): a training that was killed and
+resumed gives the same weights.
 """
 
 import contextlib
@@ -13,13 +12,14 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import losses, noise_utils
+from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
     initial_state,
-    known_motion,
 )
+from learning_to_simulate.rigid_body import known_motion
 from learning_to_simulate.scene import RigidMotion
 
 # Independent random streams of one (seed, step).
@@ -76,8 +76,8 @@ class _GroupTensors:
             self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
             if relative_force:
                 size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
-                size = np.maximum(size, FORCE_FLOOR * size.max())
-                weight = (statistics.force_std[0] / size) ** 2
+                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
+                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
             else:
                 weight = np.ones(self.n_run)
             self.force_weight = tf.constant(weight, tf.float32)
@@ -176,7 +176,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_force=self.config.conditioned,
+                relative_force=self.config.relative_force_loss,
             )
             for g in groups
         ]
@@ -184,7 +184,7 @@ class Trainer:
         self._share = np.cumsum(runs / runs.sum())
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=1.0 if self.config.conditioned else None
+            self.learning_rate, global_clipnorm=self.config.clip_norm
         )
         self.optimizer.build(self.simulator.trainable_variables)
         self._model = model
@@ -317,7 +317,7 @@ class Trainer:
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
-            up = np.eye(self.simulator.dim, dtype=np.float32)[scene.up_axis]
+            up = up_vector(self.simulator.dim, scene.up_axis)
             s = self.simulator.statistics
             factor = (
                 s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]

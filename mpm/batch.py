@@ -91,6 +91,7 @@ def _generate(scene, cases, output_path, settings, num_processes, show_progress)
         {
             'youngs_modulus_Pa': settings.youngs_modulus,
             'rheology': settings.rheology,
+            'sleep': settings.sleep,
             'seed': settings.seed,
             'solver_version': versions.SOLVER_VERSION,
         },

@@ -1,45 +1,20 @@
 """Files that appear whole or not at all, in folders with one writer."""
 
-import contextlib
-import fcntl
-import os
-import uuid
 import zipfile
-from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from storage.folder_lock import locked as one_writer
+from storage.whole_files import TEMPORARY, remove_temporary
+from storage.whole_files import write_file as write_whole
+
+__all__ = [
+    'MAX_BYTES', 'TEMPORARY', 'one_writer', 'read_arrays', 'remove_temporary', 'write_arrays',
+    'write_whole',
+]  # fmt: skip
+
 # A run of 5000 particles has 20 MB.
 MAX_BYTES = 2**30
-TEMPORARY = '.tmp'
-
-
-def write_whole(path: str, write: Callable[[str], None]) -> None:
-    """Calls `write` with a temporary name beside `path`, then renames it to `path`.
-
-    Raises:
-        OSError: with the path, if the disk is full or does not let it be written; what was there
-            before is kept.
-    """
-    folder, name = os.path.split(path)
-    temporary = os.path.join(folder, f'.{name}.{uuid.uuid4().hex}{TEMPORARY}')
-    try:
-        write(temporary)
-        with open(temporary, 'rb') as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OSError(error.errno, f'cannot write {path}: {error.strerror or error}') from error
-    finally:
-        with contextlib.suppress(OSError):
-            os.remove(temporary)
-
-
-def remove_temporary(folder: str) -> None:
-    """Removes what writers that were killed left in a folder; only its one writer may call it."""
-    for name in os.listdir(folder):
-        if name.startswith('.') and name.endswith(TEMPORARY):
-            os.remove(os.path.join(folder, name))
 
 
 def write_arrays(path: str, **arrays: np.ndarray) -> None:
@@ -74,25 +49,3 @@ def read_arrays(path: str) -> dict[str, np.ndarray]:
         raise
     except Exception as error:  # a damaged archive fails in many ways, none of which is ours
         raise ValueError(f'{path} is damaged or not an .npz of arrays: {error!r}') from error
-
-
-@contextlib.contextmanager
-def one_writer(folder: str) -> Iterator[None]:
-    """Keeps other processes out of a folder; the system lets go of it when this process ends.
-
-    Raises:
-        ValueError: if another process writes into the folder.
-    """
-    with open(os.path.join(folder, '.lock'), 'a+', encoding='utf-8') as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            raise ValueError(
-                f'{folder}: process {file.read().strip()} writes into this folder; wait for it or '
-                'name another folder'
-            ) from None
-        file.truncate(0)
-        file.write(f'{os.getpid()}\n')
-        file.flush()
-        yield

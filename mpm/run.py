@@ -104,7 +104,8 @@ def run_case(
         The run: T = 321 frames at 60 Hz (more for a longer recording), the first before driving.
 
     Raises:
-        ValueError: see `catalogue.motion_of`, `checks.check_drive` and `Simulation`.
+        ValueError: a wheel that sinks to the floor; see also `catalogue.motion_of`,
+            `checks.check_drive` and `Simulation`.
     """
     started = time.process_time()
     motion = motion_of(scene, case)
@@ -138,6 +139,7 @@ def run_case(
         note()
     for frame in range(1 - drive.lead_in, motion.frames + 1):
         result = simulation.frame()
+        _refuse_sunk(simulation, scene.bin)
         if frame >= 0:
             force.append(result[0])
             torque.append(result[1])
@@ -157,6 +159,7 @@ def run_case(
         **parameters,
         'youngs_modulus_Pa': settings.youngs_modulus,
         'rheology': settings.rheology,
+        'sleep': settings.sleep,
         'time_step_s': simulation.dt,
         'cell_size_m': simulation.grid.dx,
         'soil': soil._asdict(),
@@ -170,6 +173,18 @@ def run_case(
         parameters=record,
         **{name: np.asarray(a, dtype=np.float32) for name, a in arrays.items() if len(a)},
     )
+
+
+def _refuse_sunk(simulation: Simulation, box: scenes.Bin) -> None:
+    """Raises if a body that rides freely has sunk to the floor of the bin."""
+    drive = simulation.drive
+    lowest = simulation.pose[1] - drive.body.radius
+    if drive.load is not None and not lowest > scenes.CORNER:
+        raise ValueError(
+            f'the wheel sank to the floor at {simulation.time:.3f} s (lowest point at y = '
+            f'{lowest:.4f} m, the floor at {scenes.CORNER} m): {box.size[1]:.4g} m of soil do '
+            'not carry it'
+        )
 
 
 def quaternion_pose(x: float, y: float, theta: float, z: float) -> np.ndarray:

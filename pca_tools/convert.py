@@ -26,6 +26,7 @@ Examples:
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -35,6 +36,7 @@ import numpy as np
 from absl import app, flags
 from tqdm import tqdm
 
+from cluster import workers
 from pca_tools import dataset, files, particles, raw_writer, subspace
 from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
 from pca_tools.metadata import (
@@ -66,6 +68,7 @@ def convert(
     overwrite: bool = False,
     check_units: bool = True,
     match_particles: bool = False,
+    cluster: str | None = None,
 ) -> dict[str, Any]:
     """Converts a folder of raw runs; arguments as the flags of the same names.
 
@@ -88,11 +91,12 @@ def convert(
         _refuse_other_data(like, base, runs)
     if space is None:
         parts = _deal(runs, split, seed, hold_out, spread)
-        wide = subspace.fit(
-            SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
-            names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
-            spare_modes=max(max(FLOOR_MODES) - modes, 0),
-        )  # fmt: skip
+        with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
+            wide = subspace.fit(
+                SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
+                names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
+                spare_modes=max(max(FLOOR_MODES) - modes, 0), crew=crew,
+            )  # fmt: skip
         space = wide.truncated(modes)
     else:
         parts, wide = {'test': list(range(len(runs)))}, space
@@ -286,6 +290,11 @@ def define_flags() -> None:
     flags.DEFINE_bool(
         'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
     )
+    flags.DEFINE_string(
+        'cluster',
+        None,
+        'Sum up the covariance on workers: local, local:4, slurm, slurm:64, tcp://host:port.',
+    )
     flags.DEFINE_bool(
         'match_particles',
         False,
@@ -326,9 +335,10 @@ def main(_: Sequence[str]) -> None:
             overwrite=values.overwrite,
             check_units=values.check_units,
             match_particles=values.match_particles,
+            cluster=values.cluster,
         )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(metadata, values.output_path))
 
 

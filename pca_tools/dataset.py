@@ -28,7 +28,12 @@ MODE_PARTICLE_ID = 6
 NUM_PARTICLE_TYPES = 9
 # Feature lists beside `position` -> values per frame; None: as many as the metadata says. Readers
 # of the published formats ignore those that they do not know (torque, rigid_pose).
-FRAME_SERIES = {'step_context': None, 'force': DIM, 'torque': DIM, 'rigid_pose': 7}
+FRAME_SERIES = {
+    'step_context': None, 'force': DIM, 'torque': DIM, 'rigid_pose': 7,
+    'body_force': None, 'body_pose': None,
+}  # fmt: skip
+# Values of each body in one frame.
+_OF_BODIES = {'body_force': DIM, 'body_pose': 7}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,6 +49,8 @@ class Trajectory:
         torque: float32 [T, 3] on the rigid body about the position of `rigid_pose`, newton metres,
             or None.
         rigid_pose: float32 [T, 7], position (metres) and unit quaternion (w, x, y, z), or None.
+        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None.
+        body_pose: float32 [T, B, 7] of each of several bodies, as `rigid_pose`, or None.
     """
 
     key: int
@@ -53,6 +60,8 @@ class Trajectory:
     step_context: np.ndarray | None = None
     torque: np.ndarray | None = None
     rigid_pose: np.ndarray | None = None
+    body_force: np.ndarray | None = None
+    body_pose: np.ndarray | None = None
 
     @property
     def n_rigid(self) -> int:
@@ -154,6 +163,11 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
         for name, width in FRAME_SERIES.items()
         if name in record.frames
     }
+    for name, width in _OF_BODIES.items():
+        if name in series:
+            if series[name].shape[1] % width:
+                raise ValueError(f'{where}: {name} has {series[name].shape[1]} values a frame')
+            series[name] = series[name].reshape(len(series[name]), -1, width)
     return Trajectory(record.key, particle_type, position.reshape(len(position), -1, DIM), **series)
 
 
@@ -215,11 +229,12 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
             if len(values) != trajectory.n_frames:
                 problems.append(f'{name} has {len(values)} frames, position {trajectory.n_frames}')
             problems += _non_finite_problems(values, name)
-    for name in ('torque', 'rigid_pose'):
+    for name in ('torque', 'rigid_pose', 'body_force', 'body_pose'):
         values = getattr(trajectory, name)
         if values is None:
             continue
-        if values.shape != (trajectory.n_frames, FRAME_SERIES[name]):
+        width = FRAME_SERIES[name] or _OF_BODIES[name]
+        if len(values) != trajectory.n_frames or values.shape[-1] != width:
             problems.append(f'{name} has shape {values.shape} for {trajectory.n_frames} frames')
         problems += _non_finite_problems(values, name)
     return problems + _non_finite_problems(trajectory.position, 'position')

@@ -14,6 +14,8 @@ SVD_COPIES = 4
 # A rank-k update and an eigenvalue solver in place hold the N x N matrix and one spare copy of it.
 COVARIANCE_COPIES = 2
 _MAGNITUDE_TIE = 1e-9
+# Of a covariance on workers: the matrix that comes back is as large as ten runs.
+RUNS_PER_TASK = 16
 
 
 def mean_configuration(runs, names, centering, progress) -> tuple[np.ndarray, int, float]:
@@ -66,12 +68,12 @@ def decompose_matrix(runs, mean, length, progress):
     return values[:length], vectors[:length].T, energy
 
 
-def decompose_covariance(runs, mean, n_soil, length, progress):
+def decompose_covariance(runs, mean, n_soil, length, progress, crew=None):
     """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
-    covariance = np.zeros((n_soil, n_soil), order='F')
-    for run in progress(runs, 'covariance'):
-        matrix = rows(run, mean)
-        covariance = linalg.blas.dsyrk(1.0, matrix.T, beta=1.0, c=covariance, overwrite_c=True)
+    if crew is None:
+        covariance = sum_covariance((progress(runs, 'covariance'), mean, n_soil))
+    else:
+        covariance = _sum_in_parts(crew, runs, mean, n_soil, progress)
     energy = float(np.trace(covariance))
     values, vectors = linalg.eigh(
         covariance,
@@ -81,6 +83,36 @@ def decompose_covariance(runs, mean, n_soil, length, progress):
         subset_by_index=[n_soil - length, n_soil - 1],
     )
     return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1], energy
+
+
+def sum_covariance(part: tuple) -> np.ndarray:
+    """Returns the covariance [N, N] (upper triangle) of some runs, (runs, mean, N)."""
+    runs, mean, n_soil = part
+    covariance = np.zeros((n_soil, n_soil), order='F')
+    for run in runs:
+        matrix = rows(run, mean)
+        covariance = linalg.blas.dsyrk(1.0, matrix.T, beta=1.0, c=covariance, overwrite_c=True)
+    return covariance
+
+
+def _sum_in_parts(crew, runs, mean, n_soil, progress) -> np.ndarray:
+    """Sums covariances on workers, each a part of the runs.
+
+    The parts do not depend on the number of workers and are added in their order, so neither does
+    the sum.
+    """
+    starts = range(0, len(runs), RUNS_PER_TASK)
+    parts = [(runs.part(start, start + RUNS_PER_TASK), mean, n_soil) for start in starts]
+    total, early = np.zeros((n_soil, n_soil), order='F'), {}
+    added = 0
+    for outcome in progress(crew.run(sum_covariance, parts), 'covariance, parts'):
+        if outcome.error is not None:
+            raise ValueError(f'covariance of part {outcome.index}: {outcome.error}')
+        early[outcome.index] = outcome.value
+        while added in early:
+            total += early.pop(added)
+            added += 1
+    return total
 
 
 def fix_signs(vectors: np.ndarray) -> np.ndarray:

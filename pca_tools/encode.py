@@ -150,22 +150,31 @@ def _floors(
 def _make_trajectory(
     key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
 ) -> dataset.Trajectory:
-    prescribed = scene['rigid_motion'] == 'prescribed'
-    rigid_type = dataset.KINEMATIC_PARTICLE_ID if prescribed else dataset.RIGID_PARTICLE_ID
-    n_rigid, n_modes = run.rigid_positions.shape[1], scores.shape[1]
-    context = None
-    if len(run.context):
+    one = {'rigid_motion': scene['rigid_motion'], 'points': run.rigid_positions.shape[1]}
+    types = [
+        np.full(
+            body['points'],
+            dataset.KINEMATIC_PARTICLE_ID
+            if body['rigid_motion'] == 'prescribed'
+            else dataset.RIGID_PARTICLE_ID,
+        )
+        for body in scene.get('bodies', [one])
+    ]
+    context = run.step_context
+    if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
     return dataset.Trajectory(
         key=key,
-        particle_type=np.repeat(
-            np.int64([rigid_type, dataset.MODE_PARTICLE_ID]), [n_rigid, n_modes]
-        ),
+        particle_type=np.concatenate(
+            [*types, np.full(scores.shape[1], dataset.MODE_PARTICLE_ID)]
+        ).astype(np.int64),
         position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
         force=run.force,
         step_context=context,
         torque=run.torque,
         rigid_pose=run.pose,
+        body_force=run.body_force,
+        body_pose=run.body_pose,
     )
 
 

@@ -219,7 +219,7 @@ def main(argv: Sequence[str]) -> None:
             )
         )  # fmt: skip
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
 
 
 if __name__ == '__main__':

@@ -1,8 +1,8 @@
 """Files that are written whole or not at all, and read only when they are what they claim to be.
 
-Every writer goes through `write_atomically`: temporary name in the same folder, fsync,
-`os.replace`. A folder is finished when its `manifest.json`, written last, lists each file with its
-bytes and sha256.
+Every writer goes through `write_atomically` and `write_folder_atomically` (`storage.whole_files`).
+A folder is finished when its `manifest.json`, written last, lists each file with its bytes and
+sha256.
 """
 
 from __future__ import annotations
@@ -11,94 +11,25 @@ import hashlib
 import json
 import math
 import os
-import shutil
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from storage import whole_files
+
+write_atomically = whole_files.write_file
+write_folder_atomically = whole_files.write_folder
+
 MANIFEST_NAME = 'manifest.json'
 # A raw run of 321 frames x 5000 particles is 19 MB; a file we read is never near this.
 MAX_BYTES = 2**30
+# The metadata of 10,000 runs; 60 MB of `[]` would take minutes and gigabytes to parse.
+MAX_JSON_BYTES = 2**25
+# Of a message, which may quote what a file holds.
+_MAX_MESSAGE = 4000
 _LFS_PREFIX = b'version https://git-lfs'
-
-
-def write_atomically(path: str, write: Callable[[str], None]) -> None:
-    """Writes a file under a temporary name and moves it into place only when it is complete.
-
-    Args:
-        path: final name; its folder must exist.
-        write: called with the temporary name, which lies in the same folder; it must write and
-            close it.
-
-    Raises:
-        OSError: the folder is missing or full; nothing is left under either name, an older file
-            stays.
-    """
-    folder, name = os.path.split(os.path.abspath(path))
-    temporary = os.path.join(folder, f'.{name}.{os.getpid()}.tmp')
-    try:
-        write(temporary)
-        with open(temporary, 'rb+') as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException as error:
-        if os.path.exists(temporary):
-            os.remove(temporary)
-        if isinstance(error, OSError) and error.errno and error.filename is None:
-            error.filename = path  # a full disk does not say which file did not fit
-        raise
-    _sync_folder(folder)
-
-
-def write_folder_atomically(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
-    """Fills a folder under a temporary name and moves it into place only when it is complete.
-
-    Args:
-        path: final name.
-        fill: called with the temporary folder, which lies beside `path`.
-        replace: whether a folder of that name is replaced, so ask before; else it must be empty or
-            absent, also by the time that the new one is complete.
-
-    Raises:
-        OSError: a file could not be written, or another writer was faster; nothing is left under a
-            new name, an older folder stays.
-    """
-    path = os.path.abspath(path)
-    parent, name = os.path.split(path)
-    os.makedirs(parent, exist_ok=True)
-    temporary, old = (
-        os.path.join(parent, f'.{name}.{os.getpid()}.{end}') for end in ('tmp', 'old')
-    )
-    try:
-        os.mkdir(temporary)
-        fill(temporary)
-        if replace and os.path.exists(path):
-            os.rename(path, old)
-        os.rename(temporary, path)  # refuses to replace a folder that is not empty
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if os.path.exists(old) and not os.path.exists(path):
-            os.rename(old, path)
-        raise
-    if os.path.exists(old):
-        shutil.rmtree(old)
-    _sync_folder(parent)
-
-
-def _sync_folder(folder: str) -> None:
-    """Makes the rename itself durable, where the file system can."""
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)
 
 
 def write_json(path: str, obj: Any) -> None:
@@ -130,9 +61,14 @@ def read_json(path: str) -> Any:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is a git-lfs pointer, empty, or not JSON (with line and column).
+        ValueError: it is a git-lfs pointer, empty, too large, or not JSON (with line and column).
     """
     refuse_git_lfs_pointer(path)
+    if os.path.getsize(path) > MAX_JSON_BYTES:
+        raise ValueError(
+            f'{path}: has {os.path.getsize(path)} bytes, the limit of JSON files is '
+            f'{MAX_JSON_BYTES}'
+        )
     try:
         with open(path, encoding='utf-8') as file:
             return json.load(file)
@@ -277,6 +213,19 @@ def refuse_git_lfs_pointer(path: str) -> None:
             f'{path}: is a git-lfs pointer, not the file itself (the object has {size} bytes); '
             'run `git lfs pull` where it came from, or make the file again'
         )
+
+
+def printable(text: object) -> str:
+    """Returns a message as it may be printed: what files and names hold cannot control a terminal.
+
+    Control characters become escapes, line breaks and tabs stay; what is longer than a few
+    thousand characters is cut.
+    """
+    shown = ''.join(
+        character if character.isprintable() or character in '\n\t' else repr(character)[1:-1]
+        for character in str(text)[: _MAX_MESSAGE + 1]
+    )
+    return shown if len(str(text)) <= _MAX_MESSAGE else f'{shown[:_MAX_MESSAGE]} ... (cut)'
 
 
 def sha256_of_file(path: str) -> str:

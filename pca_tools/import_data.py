@@ -28,7 +28,7 @@ import numpy as np
 from absl import app, flags
 from tqdm import tqdm
 
-from pca_tools import raw_writer
+from pca_tools import files, raw_writer
 from pca_tools.formats import authors, detect, full_space
 from pca_tools.metadata import RIGID_MOTIONS
 from pca_tools.raw_checks import AXES
@@ -43,7 +43,6 @@ def import_data(
     up_axis: int | None = None,
     body: str | None = None,
     name: str | None = None,
-    drop_context: bool = False,
     length_scale: float = 1.0,
     force_scale: float = 1.0,
     check_units: bool = True,
@@ -81,9 +80,7 @@ def import_data(
                 f'({reason}): give --up_axis=0, 1 or 2'
             )
         data.notes.append(f'{AXES[up]} is taken for the upward axis: {reason}')
-    if drop_context:
-        data.context_names = []
-    runs = _scaled(full_space.raw_mappings(data, body), drop_context, length_scale, force_scale)
+    runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
     raw_writer.write_raw(
         output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
         bounds=bounds, name=name, check_units=check_units,
@@ -97,11 +94,9 @@ def import_data(
 
 
 def _scaled(
-    runs: Iterator[dict[str, Any]], drop_context: bool, length: float, force: float
+    runs: Iterator[dict[str, Any]], length: float, force: float
 ) -> Iterator[dict[str, Any]]:
     for run in runs:
-        if drop_context:
-            run.pop('context', None)
         for key, factor in (('positions', length), ('rigid_positions', length), ('force', force)):
             if key in run and factor != 1.0:
                 run[key] = run[key] * np.float64(factor)
@@ -132,7 +127,6 @@ def define_flags() -> None:
         'What is known of the motion of the body; default by type.',
     )
     flags.DEFINE_string('name', None, 'Name of the scene. Default: that of the folder.')
-    flags.DEFINE_bool('drop_context', False, 'Import without the global context.')
     flags.DEFINE_float('length_scale', 1.0, 'Factor that makes metres of their lengths.')
     flags.DEFINE_float('force_scale', 1.0, 'Factor that makes newtons of their forces.')
     flags.DEFINE_bool(
@@ -153,11 +147,11 @@ def main(argv: Sequence[str]) -> None:
         text = import_data(
             argv[1], values.output_path, format_name=values.format, dt=values.dt,
             up_axis=values.up_axis, body=values.body, name=values.name,
-            drop_context=values.drop_context, length_scale=values.length_scale,
+            length_scale=values.length_scale,
             force_scale=values.force_scale, check_units=values.check_units,
         )  # fmt: skip
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(text)
 
 

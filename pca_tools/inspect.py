@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from absl import app, flags
 
+from pca_tools import files
 from pca_tools.dataset import Trajectory
 from pca_tools.inspection import inspect_folder, run_kinds
 from pca_tools.inspection.findings import Inspection, Level
@@ -198,7 +199,8 @@ def main(argv: Sequence[str]) -> None:
     if len(argv) != 2:
         sys.exit('usage: python -m pca_tools.inspect [--modes=12] DATASET')
     inspection = inspect_folder(argv[1])
-    print(report(inspection, flags.FLAGS.modes))
+    for line in report(inspection, flags.FLAGS.modes).splitlines():
+        print(files.printable(line))
     sys.exit(int(inspection.failed))
 
 

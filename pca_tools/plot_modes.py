@@ -264,7 +264,7 @@ def main(argv: Sequence[str]) -> None:
         }
         files.write_json(os.path.join(values.output_path, 'modes.json'), numbers)
     except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(table(space, reductions))
     print(f'\n{values.output_path}: energy_and_error.png, modes.png, modes.json')
 

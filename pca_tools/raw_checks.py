@@ -17,13 +17,18 @@ from pca_tools.matching import median_spacing
 from pca_tools.metadata import DIM, RIGID_MOTIONS
 
 AXES = ('x', 'y', 'z')
-# Arrays with a first axis of frames -> number of axes, length of the last one.
+# Arrays with a first axis of frames -> number of axes, length of the last one (None: one value for
+# each of the scene's context_names).
 SERIES = {
     'positions': (3, DIM),
     'rigid_positions': (3, DIM),
     'force': (2, DIM),
     'torque': (2, DIM),
     'pose': (2, 7),
+    'step_context': (2, None),
+    # Of several bodies: [T, bodies, 3] and [T, bodies, 7].
+    'body_force': (3, DIM),
+    'body_pose': (3, 7),
 }
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
@@ -93,9 +98,29 @@ def _scene_faults(scene: Any) -> list[str]:
         for edge in edges
     ):
         faults.append('rigid_edges must be a list of pairs of rigid points')
+    if 'bodies' in scene and not _are_bodies(scene['bodies']):
+        faults.append(
+            f'bodies is {_short(scene["bodies"])}, a list of two or more objects with name, '
+            f'rigid_motion (one of {RIGID_MOTIONS[1:]}) and points was expected'
+        )
     if 'up_axis' in scene and (not _is_index(scene['up_axis']) or scene['up_axis'] >= DIM):
         faults.append(f'up_axis is {scene["up_axis"]!r}, one of 0 (x), 1 (y), 2 (z) was expected')
     return faults
+
+
+def _are_bodies(bodies: Any) -> bool:
+    return (
+        isinstance(bodies, list)
+        and len(bodies) > 1
+        and all(
+            isinstance(body, dict)
+            and isinstance(body.get('name'), str)
+            and body.get('rigid_motion') in RIGID_MOTIONS[1:]
+            and _is_index(body.get('points'))
+            and body['points'] > 0
+            for body in bodies
+        )
+    )
 
 
 def _entry_faults(runs: list[Any]) -> list[str]:
@@ -137,6 +162,7 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
         if name not in arrays or (name == 'rigid_positions' and scene['rigid_motion'] == 'none'):
             continue
         values = arrays[name]
+        width = width or len(scene['context_names'])
         if (
             values.dtype.kind not in 'fiu'
             or values.ndim != ndim
@@ -158,6 +184,16 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
     highest = max((max(edge) for edge in scene['rigid_edges']), default=-1)
     if body.ndim == 3 and scene['rigid_motion'] != 'none' and highest >= body.shape[1]:
         faults.append(f'rigid_edges name point {highest}, the body has {body.shape[1]}')
+    bodies = scene.get('bodies', [])
+    if bodies and body.ndim == 3 and sum(b['points'] for b in bodies) != body.shape[1]:
+        faults.append(
+            f'has {body.shape[1]} rigid points, its bodies '
+            f'{ {b["name"]: b["points"] for b in bodies} }'
+        )
+    for name in ('body_force', 'body_pose'):
+        values = arrays.get(name, np.empty(0))
+        if values.ndim == 3 and values.shape[1] != len(bodies):
+            faults.append(f'{name} is of {values.shape[1]} bodies, the scene has {len(bodies)}')
     if 'parameters' in arrays:
         try:
             read_context(arrays, scene)

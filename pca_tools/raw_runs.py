@@ -34,6 +34,10 @@ class RawRun:
         torque: float32 [T, 3] on the body about the position of `pose`, newton metres, or None.
         pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
             None.
+        step_context: float32 [T, C], context of every frame where it changes in time, or None.
+        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None; `force` is then
+            their sum.
+        body_pose: float32 [T, B, 7] of each of several bodies, or None.
     """
 
     case: int | str
@@ -44,6 +48,9 @@ class RawRun:
     parameters: dict[str, Any]
     torque: np.ndarray | None = None
     pose: np.ndarray | None = None
+    step_context: np.ndarray | None = None
+    body_force: np.ndarray | None = None
+    body_pose: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
@@ -223,6 +230,10 @@ class SoilPositions(Sequence):
         self._runs = runs
         self._indices = list(indices)
         self._stride = frame_stride
+
+    def part(self, start: int, stop: int) -> SoilPositions:
+        """Returns the runs from number `start` up to `stop`."""
+        return SoilPositions(self._runs, self._indices[start:stop], self._stride)
 
     def __len__(self) -> int:
         return len(self._indices)

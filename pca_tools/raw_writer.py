@@ -30,6 +30,7 @@ def write_raw(
     rigid_edges: Sequence[Sequence[int]] = (),
     name: str = 'own_data',
     gravity: Sequence[float] | None = None,
+    bodies: Sequence[Mapping[str, Any]] | None = None,
     check_units: bool = True,
 ) -> None:
     """Writes runs as a folder that `python -m pca_tools.convert --raw_path=FOLDER` takes.
@@ -40,10 +41,10 @@ def write_raw(
             [T, N, D] is needed; the rest is optional, but the same in all runs:
             `rigid_positions` [T, R, D] points fixed to the body, `force` [T, D] and `torque`
             [T, 3] on it, its `pose` [T, 7] (position, quaternion w x y z), `context` (name ->
-            number, one value per run), `case` (id; default its index), `split` (train, valid or
-            test), `kind`, and `parameters` (anything JSON can hold). Metres, newtons; D = 2 or 3,
-            a third coordinate of 0 is added to 2. T and R may differ from run to run, N may not:
-            particle i is the same particle in all runs.
+            number), `step_context` [T, C] where that changes in time, `case` (id; default its
+            index), `split` (train, valid or test), `kind`, and `parameters` (anything JSON can
+            hold). Metres, newtons; D = 2 or 3, a third coordinate of 0 is added to 2. T and R may
+            differ from run to run, N may not: particle i is the same particle in all runs.
         dt: seconds from frame to frame.
         up_axis: axis against gravity, 0, 1, 2 or 'x', 'y', 'z'.
         body: what is known of the body's motion beforehand: 'prescribed' (all), 'driven' (rotation
@@ -55,6 +56,9 @@ def write_raw(
             not prescribed.
         name: of the scene.
         gravity: vector, m/s^2; only recorded.
+        bodies: of several bodies, in the order of their points: `name`, `rigid_motion` and `points`
+            (how many of R) of each. `rigid_edges` join points of one body; runs may then have
+            `body_force` [T, B, 3] and `body_pose` [T, B, 7], and `force` is the sum.
         check_units: refuse positions and dt that are implausible in metres and seconds.
 
     Raises:
@@ -74,6 +78,8 @@ def write_raw(
         'force': 'force' in first,
         'up_axis': AXES.index(up_axis) if up_axis in AXES else up_axis,
     }
+    if bodies is not None:
+        scene['bodies'] = [dict(body) for body in bodies]
     if gravity is not None:
         scene['gravity'] = [float(value) for value in gravity]
     if np.ndim(first.get('positions')) == 3 and np.shape(first['positions'])[2] == 2:

@@ -233,6 +233,7 @@ def fit(
     names: Sequence[str] | None = None,
     progress=lambda sequence, label: sequence,
     spare_modes: int = 0,
+    crew=None,
 ) -> Subspace:
     """Fits a subspace to training runs.
 
@@ -249,6 +250,8 @@ def fit(
         names: names of the runs, for messages and the record; default 0, 1, ...
         progress: wraps a pass over the runs, called with the sequence and a label (for a progress
             bar).
+        crew: `cluster.workers.Workers` that sum up the covariance, in parts; runs must then have
+            `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.
 
@@ -280,7 +283,7 @@ def fit(
         values, vectors, energy = decompose_matrix(runs, mean, length, progress)
         noise = max(n_rows, n_soil) * np.finfo(np.float64).eps
     elif decompose.COVARIANCE_COPIES * 8 * n_soil**2 <= budget:
-        values, vectors, energy = decompose_covariance(runs, mean, n_soil, length, progress)
+        values, vectors, energy = decompose_covariance(runs, mean, n_soil, length, progress, crew)
         noise = np.sqrt(n_soil * np.finfo(np.float64).eps)
     else:
         needed = decompose.COVARIANCE_COPIES * 8 * n_soil**2 / 2**20

@@ -11,6 +11,7 @@ import sys
 # Name -> module, and what it answers.
 REPORTS = {
     'results_table': ('results_table', 'errors of the shipped models beside the trivial ones'),
+    'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
     'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
     'solver_sweeps': ('solver_sweeps', "what the solver's own parameters change"),
@@ -26,6 +27,7 @@ REPORTS = {
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stiffness': ('edges.nri_stiffness', 'springs up to the limit of the integrator'),
     'stability_report': ('stability.report', 'stiff and extreme cases, as experiments'),
+    'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
 }
 

@@ -55,6 +55,8 @@ def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> li
                 logging.warning('case %d has no run in %s', case, raw_path)
                 continue
             run = raw_run.read_run(path)
+            if record.force is None:
+                raise ValueError(f'{original_path}: records of {split} hold no force')
             for axis, name in enumerate('xy'):
                 rows.append(
                     {'case': case, 'axis': name}

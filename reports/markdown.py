@@ -49,8 +49,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence], aligned: bool = False
     lines = [[text.replace('|', '\\|') for text in line] for line in lines]
     widths = [max(map(len, column)) if aligned else 0 for column in zip(*lines, strict=True)]
     rule = '|' + '|'.join('-' * max(width + 2, 3) for width in widths) + '|'
-    lines = [
+    first, *others = (
         '| ' + ' | '.join(text.ljust(width) for text, width in zip(line, widths)) + ' |'
         for line in lines
-    ]
-    return '\n'.join([lines[0], rule, *lines[1:]])
+    )
+    return '\n'.join([first, rule, *others])

@@ -53,7 +53,7 @@ PUBLISHED_ERRORS = {
 def times(models_path: str, reports_path: str) -> str:
     """Table 3.1: seconds of computing per simulated second."""
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
-    rows = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
+    rows: list[tuple] = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
         report = os.path.join(reports_path, scene, survey.DOCUMENT)
         measured = _times_of_report(report) if os.path.exists(report) else {}
@@ -182,11 +182,11 @@ def document(values) -> str:
 
 def _note():
     return (
-        'Published: Usmani & Skonieczny 2023, their datasets, i7-10700 and RTX 3080, 20 million '
-        'training steps. Ours: our solver and datasets, presets `fcg_original` (FCG), `pcg_thesis` '
-        '(PCG) and the default `pcg`, trained as the presets say, on the CPU. Soil errors of ours '
-        'are within the subspace; for the published ones the space is not stated. Beside them the '
-        'predictors that know nothing.'
+        'Published: Usmani & Skonieczny 2023, their datasets, i7-10700 and RTX 3080; 20 million '
+        'training steps is the default flag of their code, not stated. Ours: our solver and '
+        'datasets, presets `fcg_original` (FCG), `pcg_thesis` (PCG) and the default `pcg`, trained '
+        'as the presets say, on the CPU. Soil errors of ours are within the subspace; for the '
+        'published ones the space is not stated. Beside them the predictors that know nothing.'
     )
 
 

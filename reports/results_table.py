@@ -62,6 +62,36 @@ def tables(folders: Sequence[str], aligned: bool = False) -> str:
     return '\n\n'.join(parts)
 
 
+def scene_table(parent: str) -> str:
+    """The table of all models below a folder, without its name."""
+    folders = sorted(glob.glob(os.path.join(parent, '*')))
+    return markdown.table(HEADER, [c for i, f in enumerate(folders) for c in rows(f, i == 0)])
+
+
+def per_run(folder: str) -> str:
+    """Every test run of a model: soil error in full space, RMS mm, beside what knows nothing."""
+    summary = files.read_json(os.path.join(folder, 'metrics.json'))
+    runs = summary['runs']
+    scene, split = os.path.basename(os.path.dirname(folder)), 'test'
+    metadata = files.read_json(os.path.join(ROOT, 'datasets', scene, 'metadata.json'))
+    cases, floors = metadata['dataset_split'][split], metadata['projection_mse'][split]
+    lines = []
+    for i, row in enumerate(runs['model']):
+        lines.append(
+            (cases[i], row['soil_rms_mm_full'],
+             *(runs[key][i]['soil_rms_mm_full'] for key in markdown.TRIVIAL),
+             1e3 * floors[i] ** 0.5, row['force_relative_l2'],
+             runs['stay_still'][i]['force_relative_l2'])
+        )  # fmt: skip
+    wins = [sum(line[1] < line[k] for line in lines) for k in (2, 3)]
+    n_force = sum(line[5] < line[6] for line in lines)
+    lines.append(('wins of the model', '', *(f'{w} of {len(lines)}' for w in wins), '',
+                  f'{n_force} of {len(lines)}'))  # fmt: skip
+    header = ('test case', os.path.basename(folder), *markdown.TRIVIAL.values(), markdown.FLOOR,
+              'force rel. L2', 'held force')  # fmt: skip
+    return markdown.table(header, lines)
+
+
 def main(_, arguments) -> None:
     """Runs the command."""
     folders = [os.path.normpath(folder) for folder in arguments]

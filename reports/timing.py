@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import tqdm
@@ -62,6 +62,11 @@ class Job:
     steps: int = 1
     rounds: int | None = None
     warm_up: int = 2
+
+
+def first_output(function: Callable, inputs: Sequence) -> None:
+    """Calls a compiled function and waits for its first output: a rollout's positions."""
+    function(*inputs)[0].numpy()
 
 
 def in_turns(jobs: Mapping[str, Job], rounds: int, label: str = 'in turns') -> dict[str, Timing]:

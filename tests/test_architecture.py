@@ -12,13 +12,24 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PACKAGES = ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'reports', 'run_scripts')
+PACKAGES = (
+    'learning_to_simulate',
+    'mpm',
+    'nri',
+    'pca_tools',
+    'reports',
+    'run_scripts',
+    'storage',
+    'cluster',
+)
 MAX_LINES = 400
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
-    'mpm': (),
-    'pca_tools': (),
+    'storage': (),
+    'cluster': (),
+    'mpm': ('storage',),
+    'pca_tools': ('storage', 'cluster'),
     'learning_to_simulate': ('pca_tools',),
     'nri': (
         'pca_tools',
@@ -42,10 +53,16 @@ ONLY_IN = {
     'dill': (),
     'joblib': (),
     'cloudpickle': (),
+    'distributed': ('cluster/workers.py',),
+    'dask': ('cluster/workers.py',),
+    'dask_jobqueue': ('cluster/workers.py',),
+    'h5py': ('pca_tools/formats/lagrangebench.py',),
+    'vtk': ('pca_tools/formats/vtp_files.py',),
 }
 # Modules -> packages that they must import without. (Keras loads scikit-learn and matplotlib where
 # they are installed, so a look at what is loaded afterwards would blame the wrong one.)
 IMPORTS_WITHOUT = [
+    (('storage.whole_files', 'storage.folder_lock'), ('numpy', 'pca_tools', 'mpm')),
     (
         ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
         ('tensorflow', 'matplotlib'),
@@ -54,6 +71,15 @@ IMPORTS_WITHOUT = [
     (
         ('learning_to_simulate.learned_simulator', 'learning_to_simulate.rollout'),
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
+    ),
+    (
+        (
+            'learning_to_simulate.methods.path_ridge',
+            'learning_to_simulate.methods.earthmoving',
+            'learning_to_simulate.methods.wheel_terramechanics',
+            'learning_to_simulate.methods.swept_features',
+        ),
+        ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
     ),
     (
         ('learning_to_simulate.render_rollout',),

@@ -1,15 +1,15 @@
-"""`Soil`: a model of the C library, called by ctypes."""
+"""`CSoil`: a model of the C library, called by ctypes."""
 
 import ctypes
+from typing import NamedTuple
 
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_header, c_library
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.stepping import Frame
-from learning_to_simulate.stepping import _checked as _checked_array
 
 KERNELS = ('scalar', 'vector4', 'avx2')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
@@ -21,12 +21,28 @@ _CHECKS = {
 }
 
 
+class Frame(NamedTuple):
+    """One predicted frame.
+
+    Attributes:
+      modes: float64 [r, 3] scores, m.
+      force: float32 [3] on the body, N, or None where the scene has no force.
+      rigid_pose: float64 [R, 3] particles of the body that are nodes, m.
+      status: bits of lts.h for this frame; 0 where all is well.
+    """
+
+    modes: np.ndarray
+    force: np.ndarray | None
+    rigid_pose: np.ndarray
+    status: int
+
+
 def _checked(name, values, shape):
-    """As in `stepping`, and in the order of C."""
-    return np.ascontiguousarray(_checked_array(name, values, shape))
+    """As `poses.numbers`, in the order of C."""
+    return np.ascontiguousarray(numbers(name, values, shape))
 
 
-class Soil:
+class CSoil:
     """One run of a model of the C library.
 
     Args:
@@ -69,7 +85,7 @@ class Soil:
         self._started = False
 
     @classmethod
-    def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'Soil':
+    def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'CSoil':
         """A model of a shared library that an exported project built.
 
         Args:
@@ -86,6 +102,21 @@ class Soil:
         except (OSError, ValueError, AttributeError) as error:
             raise ValueError(f'{path}: no library of the model {symbol} ({error})') from error
         return cls(library, model, kernel)
+
+    @property
+    def model(self) -> int:
+        """Address of the `lts_model`, for another run of it."""
+        return self._model
+
+    @property
+    def address(self) -> int:
+        """Of the `lts_instance`, for calls of lts.h that have no method here."""
+        return self._soil
+
+    @property
+    def n_soil(self) -> int:
+        """N; 0 without a subspace."""
+        return self._n_soil
 
     @property
     def digest(self) -> str:
@@ -176,7 +207,7 @@ class Soil:
         self._c.lts_modes(self._soil, modes.ctypes.data)
         self._c.lts_points(self._soil, points.ctypes.data)
         force = np.array(self._result.force, np.float32) if self._has_force else None
-        return Frame(modes, force, points)
+        return Frame(modes, force, points, self._result.status)
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] positions of the soil in the newest frame, m.
@@ -221,11 +252,6 @@ class Soil:
             raise ValueError(f'{name}() needs {missing} first')
 
     @property
-    def frame_status(self) -> int:
-        """Status bits of the newest frame: 0, or a sum of the LTS_... bits of lts.h."""
-        return self._result.status
-
-    @property
     def judgement(self) -> Judgement:
         """The worst that has held since the start, as `rollout_status.judge` of the same frames."""
         self._require_start('judgement')
@@ -263,6 +289,15 @@ class Soil:
         state = ctypes.create_string_buffer(self._c.lts_state_size(self._model))
         self._done(self._c.lts_save(self._soil, state, len(state)))
         return state.raw
+
+    def copy_state(self, other: 'CSoil') -> None:
+        """Takes over the state of another run of the same model.
+
+        Raises:
+          ValueError: a run of another model.
+        """
+        self._done(self._c.lts_clone(self._soil, other._soil))
+        self._started = other._started
 
     def load_state(self, state: bytes) -> None:
         """Goes back to a saved state; what follows is the same bit by bit.

@@ -15,11 +15,11 @@ import ctypes
 
 from learning_to_simulate.export_c import c_library, c_values, model_data
 from learning_to_simulate.export_c import starts as recorded_starts
-from learning_to_simulate.export_c.c_soil import Soil
+from learning_to_simulate.export_c.c_soil import CSoil
 from pca_tools.subspace import Subspace
 
 
-class CStepper(Soil):
+class CStepper(CSoil):
     """Steps a trained model frame by frame, without TensorFlow.
 
     Args:

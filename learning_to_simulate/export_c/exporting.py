@@ -16,9 +16,9 @@ import numpy as np
 from absl import app, flags
 
 from learning_to_simulate import checkpoints, experiment, stepping
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts
-from learning_to_simulate.export_c.c_soil import Soil
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.export_c.c_soil import CSoil
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -91,7 +91,7 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
             c_library.compile_sources(library, folder)
         except c_library.NoCompiler as error:
             return {'skipped': str(error)}
-        soil = Soil.open(library, name)
+        soil = CSoil.open(library, name)
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
     context = None if group.context is None else group.context[0]
     nodes, forces, particles = ([], []), ([], []), []

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from learning_to_simulate import rollout_status
+from learning_to_simulate import features, rollout_status
 from learning_to_simulate.export_c import c_header, c_values, network_data
 from learning_to_simulate.learned_simulator import RATE_FLOOR
 from learning_to_simulate.scene import RigidMotion
@@ -15,6 +15,10 @@ _MOTIONS = {
     RigidMotion.PREDICTED: 'LTS_PREDICTED',
 }
 EXPORTED_MODELS = ('gns', 'mlp')
+# Inputs of a node that lts_features.c knows, in its order.
+_FEATURES = (
+    'velocity', 'offset', 'acceleration', 'rate', 'coming', 'height', 'embedding', 'context',
+)  # fmt: skip
 
 
 def refuse(simulator) -> None:
@@ -30,8 +34,9 @@ def refuse(simulator) -> None:
         )
     if simulator.dim != 3:
         raise ValueError(f'the model has {simulator.dim} axes, the C form has 3')
-    if simulator.rate_scaled and not config.conditioned:
-        raise ValueError('a rate_scaled model that is not conditioned has no C form')
+    names = [feature.name for feature in features.of(simulator)]
+    if names != [name for name in _FEATURES if name in names]:
+        raise ValueError(f'the model has inputs {names}, the C form knows {list(_FEATURES)}')
 
 
 def values(
@@ -70,7 +75,7 @@ def values(
         'up_axis': scene.up_axis,
         'has_force': int(scene.has_force),
         'is_graph': int(config.model == 'gns'),
-        'conditioned': int(config.conditioned),
+        'position_inputs': int(config.position_inputs),
         'knows_next': int(simulator.knows_next_frame),
         'rate_scaled': int(simulator.rate_scaled),
         'correction': int(rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED),
@@ -78,7 +83,7 @@ def values(
         'mode_order': config.mode_order,
         'rigid_order': config.rigid_order,
         'has_log_context': int(s.log_context_mean is not None),
-        'has_height': int(scene.rigid_motion == RigidMotion.DRIVEN and config.conditioned),
+        'has_height': int(scene.rigid_motion == RigidMotion.DRIVEN and config.position_inputs),
         'has_surface': int(bool(config.surface_height)),
         'dt': scene.dt,
         'surface': config.surface_height,

@@ -4,9 +4,8 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
+from learning_to_simulate import features
 from learning_to_simulate.export_c import fold
-from learning_to_simulate.learned_simulator import EMBEDDING_SIZE
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
 LAYER_NORM_EPSILON = 1e-5  # Sonnet's
@@ -77,7 +76,7 @@ class _Graph:
             'edge_scale': 1.0 / layout.edge_std[edges],
             'edge_shift': layout.edge_shift[edges],
             'node_bias': np.pad(bias, ((0, 0), (0, -bias.shape[1] % 16))),
-            'mean_aggregation': int(config.conditioned),
+            'mean_aggregation': int(config.mean_aggregation),
             'n_decoder_hidden': len(self._decoder) - 2,
             'node_first': fold.dense(first),
             'edge_first': fold.dense(*self._edge_encoder.first),
@@ -91,16 +90,11 @@ class _Graph:
 
     def _first_layer(self):
         """First layer of the node encoder without the embedding [F, L], and its bias [V, L]."""
-        simulator, config = self._simulator, self._simulator.config
+        simulator = self._simulator
         w, b = self._node_encoder.first
-        count, dim = config.velocity_inputs, simulator.dim
-        before = count * dim
-        if config.conditioned:
-            before += dim + (count - 1) * dim
-        before += 2 * simulator.rate_scaled + dim * simulator.knows_next_frame
-        if simulator.scene.rigid_motion == RigidMotion.DRIVEN and config.conditioned:
-            before += H
-        embedding = slice(before, before + EMBEDDING_SIZE)
+        widths = {f.name: f.width(simulator) for f in features.of(simulator)}
+        before = sum(list(widths.values())[: list(widths).index('embedding')])
+        embedding = slice(before, before + widths['embedding'])
         of_nodes = np.asarray(simulator.node_embedding(self._layout), np.float64)
         return np.delete(w, embedding, axis=0), of_nodes @ w[embedding] + b
 
@@ -164,6 +158,7 @@ def _whole_state(simulator):
     """`StateMLP`: ReLU layers, LayerNorm of the last one, and a linear output."""
     network = simulator.network
     linear = [m for m in network.submodules if isinstance(m, snt.Linear)]
+    linear.sort(key=lambda m: m.name == 'output')  # submodules come by depth, not in their order
     (norm,) = (m for m in network.submodules if isinstance(m, snt.LayerNorm))
     *hidden, (w, b) = _numpy([(m.w, m.b) for m in linear])
     scale, offset = _numpy((norm.scale, norm.offset))

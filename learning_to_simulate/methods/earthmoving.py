@@ -15,8 +15,8 @@ import dataclasses
 
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import open_loop, swept_features, tool_motion
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
 # Failure planes that are compared, rad.
@@ -143,6 +143,21 @@ def _heap_within(reach, area, soil):
     return area - 0.5 * slope * np.maximum(length - reach, 0.0) ** 2
 
 
+def soil_parameters(case: dict) -> tuple[float, float]:
+    """Bulk density (kg/m3) and static friction mu_s of a case of the metadata.
+
+    Raises:
+      ValueError: the case does not state them.
+    """
+    try:
+        return float(case['soil']['bulk_density']), float(case['soil']['mu_s'])
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f'case {case.get("case")!r} states no soil.bulk_density and soil.mu_s, which the '
+            f'equation of earthmoving needs'
+        ) from error
+
+
 def soil_of_case(case: dict, gravity: float, blade: BladeGeometry, width: float) -> BladeSoil:
     """The soil's own parameters, of a case as the dataset's metadata describe it.
 
@@ -150,20 +165,13 @@ def soil_of_case(case: dict, gravity: float, blade: BladeGeometry, width: float)
     a wide blade makes; heaps rest at tan(phi) = mu.
 
     Raises:
-      ValueError: a case without `soil.bulk_density` and `soil.mu_s`.
+      ValueError: as `soil_parameters`.
     """
-    try:
-        density, mu = case['soil']['bulk_density'], case['soil']['mu_s']
-    except (KeyError, TypeError) as error:
-        raise ValueError(
-            f'case {case.get("case")!r} states no soil.bulk_density and soil.mu_s, which the '
-            f'equation of earthmoving needs'
-        ) from error
-    friction = case.get('body_friction', blade.friction)
+    density, mu = soil_parameters(case)
     return BladeSoil(
         unit_weight=density * gravity,
         friction_angle=float(np.arcsin(min(mu, 0.999))),
-        wall_angle=float(np.arctan(friction)),
+        wall_angle=float(np.arctan(case.get('body_friction', blade.friction))),
         repose_angle=float(np.arctan(mu)),
         width=width,
         height=blade.height,
@@ -195,6 +203,21 @@ class EarthmovingForce:
         self.scene, self.frame, self.surface = scene, frame, float(surface)
         self.blade, self.gravity = blade, gravity
         self.gains = np.ones((2, 2)) if gains is None else np.asarray(gains, np.float64)
+
+    def parameters_to_json(self) -> dict:
+        """All but scene and frame, for `from_json`."""
+        blade = dataclasses.asdict(self.blade)
+        values = {'surface': self.surface, 'gravity': self.gravity, 'blade': blade}
+        return values | {'gains': self.gains.tolist()}
+
+    @classmethod
+    def from_json(cls, values: dict, scene, frame) -> 'EarthmovingForce':
+        """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
+        gains = np.array(values['gains'], np.float64)
+        if gains.shape != (2, 2) or not np.isfinite(gains).all():
+            raise ValueError(f'gains are {values["gains"]!r}')
+        blade = BladeGeometry(**values['blade'])
+        return cls(scene, frame, float(values['surface']), blade, float(values['gravity']), gains)
 
     def fitted(self, groups, cases) -> 'EarthmovingForce':
         """The same with the gains that fit the runs of the groups best, least squares with every

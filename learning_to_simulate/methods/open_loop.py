@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
 SOIL, FORCE, HEIGHT, TORQUE = 'soil', 'force', 'height', 'torque'

@@ -9,9 +9,9 @@ import dataclasses
 
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import swept_features, tool_motion
 from learning_to_simulate.methods.tool_motion import TravelFrame
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion, Scene
 
 SETS = ('path', 'swept')

@@ -14,8 +14,8 @@ import json
 
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import open_loop, path_inputs
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion, Scene
 from pca_tools import files
 
@@ -23,8 +23,6 @@ FILE_NAME = 'path_ridge.npz'
 # Widths and ridges that the valid runs choose from; widths per number of inputs.
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-# Frames of training: kernel matrices above this take minutes and memory, and change nothing.
-MAX_SAMPLES = 3000
 # The force itself as a target, beside its change since the last given frame.
 _FREE_FORCE = 'free force'
 
@@ -107,7 +105,15 @@ class PathRidge:
 
     @classmethod
     def fit(
-        cls, train, valid, scene, surface=None, gammas=GAMMAS, alphas=ALPHAS, progress=iter
+        cls,
+        train,
+        valid,
+        scene,
+        surface=None,
+        max_samples=3000,
+        gammas=GAMMAS,
+        alphas=ALPHAS,
+        progress=iter,
     ) -> 'PathRidge':
         """Fits all outputs, and chooses inputs, width and ridge by the error on the valid runs.
 
@@ -115,6 +121,8 @@ class PathRidge:
           train, valid: lists of `RunGroup`.
           scene: of the dataset.
           surface: height of the resting bed, m; None takes where the tools begin.
+          max_samples: frames of training that are taken, evenly spread; the time of a fit grows
+            with their cube.
           gammas, alphas: to choose from; `gammas` are divided by the number of inputs.
           progress: wraps the list of choices, e.g. `tqdm.tqdm`.
 
@@ -128,7 +136,7 @@ class PathRidge:
         if not train or not valid:
             raise ValueError('path_ridge needs train runs to fit and valid runs to choose by')
         reader = path_inputs.PathInputs.of(train, scene, surface)
-        stride = max(1, -(-sum(g.position[:, H:, 0, 0].size for g in train) // MAX_SAMPLES))
+        stride = max(1, -(-sum(g.position[:, H:, 0, 0].size for g in train) // max_samples))
         targets = [_targets(g, scene) for g in train]
         y = {name: _samples([t[name] for t in targets], stride) for name in targets[0]}
         # Only a force has a mean to begin from; what has changed since the start begins from 0.
@@ -150,10 +158,7 @@ class PathRidge:
                 regression = whole.columns(slice(*ends[i : i + 2]), offset)
                 output = open_loop.FORCE if target == _FREE_FORCE else target
                 error = _error(
-                    output,
-                    [regression.predict(x) for x in seen[inputs][1]],
-                    [t[target] for t in truth],
-                    valid,
+                    [regression.predict(x) for x in seen[inputs][1]], [t[target] for t in truth]
                 )
                 choices.append(
                     {'output': output, 'target': target, 'inputs': inputs, 'gamma': gamma,
@@ -163,8 +168,9 @@ class PathRidge:
                     best[output] = (error, regression)
         return cls(scene, reader, {n: r for n, (_, r) in best.items()}, choices)
 
-    def predict(self, group) -> open_loop.Prediction:
-        """Frames H .. T - 1 of the S runs of a group."""
+    def predict(self, group, cases=None) -> open_loop.Prediction:
+        """Frames H .. T - 1 of the S runs of a group; their cases add nothing."""
+        del cases
         predicted = {}
         for name, regression in self.regressions.items():
             x = self.reader.read(group, regression.inputs)
@@ -265,10 +271,10 @@ def _samples(groups, stride):
     return np.concatenate([run[H - 1 + i % stride :: stride] for i, run in enumerate(runs)])
 
 
-def _error(output, predicted, truth, groups):
-    """What the valid runs choose by: mean over runs of the RMS error, a force's over its RMS."""
-    rms = [np.sqrt(((p - t) ** 2).mean(axis=(1, 2))) for p, t in zip(predicted, truth, strict=True)]
-    if output == open_loop.FORCE:
-        size = [np.sqrt((g.force[:, H:] ** 2).mean(axis=(1, 2))) for g in groups]
-        rms = [e / np.maximum(s, 1e-9) for e, s in zip(rms, size, strict=True)]
-    return float(np.concatenate(rms).mean())
+def _error(predicted, truth):
+    """What the valid runs choose by: mean over runs of the RMS error.
+
+    Not relative to the force: that of runs which hardly touch the soil would decide.
+    """
+    errors = [((p - t) ** 2).mean(axis=(1, 2)) for p, t in zip(predicted, truth, strict=True)]
+    return float(np.sqrt(np.concatenate(errors)).mean())

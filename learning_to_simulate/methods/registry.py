@@ -86,6 +86,10 @@ class OpenedModel:
 
 _SUBSPACE = 'learning_to_simulate.methods.subspace_method'
 _MIXER = 'learning_to_simulate.methods.mixer_model'
+_OPEN_LOOP = {
+    'code': 'learning_to_simulate.methods.open_loop_method',
+    'settings': 'learning_to_simulate.methods.open_loop_settings',
+}
 METHODS = {
     'gns': Method(
         'graph network on modes and body (Usmani & Skonieczny 2023)',
@@ -111,6 +115,19 @@ METHODS = {
         'radius graph on thinned particles (Sanchez-Gonzalez et al. 2020)',
         'learning_to_simulate.methods.full_space.particle_method',
         on_particles=True,
+    ),
+    'swept_field': Method(
+        'neural field over what the tool has swept: no modes, no time stepping',
+        'learning_to_simulate.methods.swept_field.method',
+        'learning_to_simulate.methods.swept_field.settings',
+    ),
+    'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
+    'earthmoving': Method(
+        "a blade's force by the equation of earthmoving (Reece 1965, McKyes 1985): a baseline",
+        **_OPEN_LOOP,
+    ),
+    'bekker_wong_janosi': Method(
+        "a wheel's sinkage and force as in the Soil Contact Model: a baseline", **_OPEN_LOOP
     ),
 }
 

@@ -1,6 +1,10 @@
 """Height of a bed from its particles."""
 
+import os
+
 import numpy as np
+
+from pca_tools import subspace
 
 
 def surface_profile(points, places, frame, kept_spacing: float, spacing: float, half_width=np.inf):
@@ -44,3 +48,28 @@ def flat_surface(points, frame, kept_spacing: float, spacing: float) -> float:
     u = frame.plane(np.asarray(points, np.float64))[:, 0]
     places = np.arange(u.min() + kept_spacing, u.max(), 2.0 * kept_spacing)
     return float(np.median(surface_profile(points, places, frame, kept_spacing, spacing)))
+
+
+def solver_spacing(case: dict) -> float | None:
+    """Spacing (m) of the solver's particles in a case of the metadata; None if it does not say."""
+    packing = case.get('packing') or {}
+    if 'cell_size_m' not in case or 'particles_per_cell' not in packing:
+        return None
+    return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
+
+
+def kept_spacing(points) -> float:
+    """Spacing (m) of particles [N, 3] that fill a box."""
+    return float((np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3))
+
+
+def of_dataset(folder: str, metadata: dict, frame) -> float | None:
+    """Height (m) of the flat bed that the runs of a dataset start from, read from the particles of
+    its subspace; None where it has none."""
+    path = os.path.join(folder, 'subspace.npz')
+    if not os.path.exists(path):
+        return None
+    points = subspace.Subspace.load(path).initial
+    kept = kept_spacing(points)
+    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
+    return flat_surface(points, frame, kept, solver_spacing(first) or kept)

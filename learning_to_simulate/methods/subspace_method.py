@@ -13,6 +13,7 @@ from learning_to_simulate import (
     evaluation,
     normalization,
     reading_utils,
+    resting_start,
 )
 from learning_to_simulate.checkpoints import load_model as load
 from learning_to_simulate.methods import registry
@@ -126,6 +127,7 @@ def train(
         f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
         f'{weights} weights; edges: {model.edge_source}',
     )
+    training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
     if trainer.gates:
         training.close_gates = lambda path: _close_gates(training, data_path, path)
     return loop.run(training, model_path, save_every, take_over_lock)
@@ -143,7 +145,8 @@ def _close_gates(training, data_path, model_path):
     edges = trainer.gates.edge_list(config, data_path)
     trainer.fix_edges(edges.mask)
     edge_lists.write(os.path.join(model_path, edge_lists.FILE_NAME), edges)
-    checkpoints.save_config(model_path, model, training.n_rigid, training.data)
+    beside = checkpoints.read_config(model_path).get('files')
+    checkpoints.save_config(model_path, model, training.n_rigid, training.data, beside)
     text = f'step {config.gate_steps}: {edges.n_edge} of {edges.mask.size} mode edges stay'
     return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
 

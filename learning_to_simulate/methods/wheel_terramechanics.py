@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 from scipy import optimize
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import open_loop, tool_motion
 from learning_to_simulate.methods.wheel_soil import TerrainParameters, WheelMotion, Wheels, drive
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
 # Names that a scene's context must have, by which a wheel's load and soil are known.
@@ -38,6 +38,15 @@ class WheelTerramechanics:
                 f'is {scene.rigid_motion}, its context {scene.context_names}'
             )
         self.scene, self.frame, self.parameters = scene, frame, parameters
+
+    def parameters_to_json(self) -> dict:
+        """All but scene and frame, for `from_json`."""
+        return dataclasses.asdict(self.parameters)
+
+    @classmethod
+    def from_json(cls, values: dict, scene, frame) -> 'WheelTerramechanics':
+        """Rebuilds a method; raises TypeError or ValueError on foreign values."""
+        return cls(scene, frame, TerrainParameters(**{k: float(v) for k, v in values.items()}))
 
     def drive(self, group, cases=None, stride: int = 1, n_bin: int = 160) -> WheelMotion:
         """`WheelMotion` [S, ceil(T / stride)] of the runs of a group."""

@@ -7,6 +7,7 @@ input says whose it is. Such a network fits one number of rigid particles.
 
 import tensorflow as tf
 
+from learning_to_simulate import features
 from learning_to_simulate.learned_simulator import LearnedSimulator
 from learning_to_simulate.scene import RigidMotion
 
@@ -55,12 +56,12 @@ class WholeStateSimulator(LearnedSimulator):
 
     def _decoded(self, state, known, context, layout):
         n_graph = state.offset.shape[0]
-        (_, velocities), *parts = self._state_parts(state, known, layout)
-        if self.scene.context_names:
-            parts.append(('scene', self.context_features(context)[:, None]))
+        view = features.View(self, state, known, context, layout)
+        # The place of a value says whose it is: no node needs a name.
+        velocities, *values = (f.values(view) for f in features.of(self) if f.name != 'embedding')
         values = [
             tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
-            for _, v in parts
+            for v in values
         ]
         count = self.config.velocity_inputs
         history = tf.reshape(velocities, [n_graph, layout.n_node, count, self.dim])

@@ -16,7 +16,7 @@ from matplotlib.patches import Polygon
 from matplotlib.quiver import Quiver
 from scipy import spatial
 
-from learning_to_simulate.rendering.rollout_frames import PLANES, PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import PLANES, PREDICTION, RolloutFrames
 
 # Steps too small to see, but soil that hardly moves keeps its exact colour: a GIF of it is smaller.
 _COLOR_STEPS = 40
@@ -88,22 +88,27 @@ def setup(frames: RolloutFrames, plane: str, drawn: np.ndarray) -> ViewSetup:
         drawn: int [F], the frames.
 
     Returns:
-        The setup; it follows from the truth alone, so that a poor prediction does not change it.
+        The setup; it follows from the truth where there is one, so that a poor prediction does not
+        change it.
     """
     axes = PLANES[plane]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     vmax = {'speed': 1.0, 'error': 1.0}
     particles, spacing = np.zeros(0, int), 0.01
-    points = [frames.rigid[TRUTH][drawn][..., axes].reshape(-1, 2)]
+    points = [frames.rigid[frames.reference][drawn][..., axes].reshape(-1, 2)]
     if frames.subspace is not None:
         particles = _chosen_particles(frames, axes)
         sample = drawn[np.linspace(0, len(drawn) - 1, _COLOR_SAMPLES).astype(int)]
         speed, error = [], []
         for frame in sample:
-            points.append(frames.soil(TRUTH, frame)[particles][:, axes])
-            speed.append(np.linalg.norm(frames.soil_velocity(TRUTH, frame)[particles], axis=-1))
-            error.append(np.linalg.norm(frames.soil_error(frame)[particles], axis=-1))
+            points.append(frames.soil(frames.reference, frame)[particles][:, axes])
+            velocity = frames.soil_velocity(frames.reference, frame)[particles]
+            speed.append(np.linalg.norm(velocity, axis=-1))
+            if frames.has_truth:
+                error.append(np.linalg.norm(frames.soil_error(frame)[particles], axis=-1))
         for name, values in (('speed', speed), ('error', error)):
+            if not values:
+                continue
             vmax[name] = _round_up(1e3 * float(np.quantile(np.array(values), _COLOR_QUANTILE)))
         extent = np.ptp(points[1], axis=0)
         spacing = float(np.sqrt(extent[0] * extent[1] / len(particles)))
@@ -115,7 +120,10 @@ def setup(frames: RolloutFrames, plane: str, drawn: np.ndarray) -> ViewSetup:
     limits[1, 1] = max(limits[1, 1], limits[1, 0] + _LEAST_ASPECT * np.ptp(limits[0]))
     strongest = 1.0
     if frames.force is not None:
-        strongest = float(np.linalg.norm(frames.force[TRUTH][drawn][:, axes], axis=-1).max()) or 1.0
+        strongest = (
+            float(np.linalg.norm(frames.force[frames.reference][drawn][:, axes], axis=-1).max())
+            or 1.0
+        )
     length = _ARROW_SHARE * float(np.min(limits[:, 1] - limits[:, 0]))
     return ViewSetup(
         plane=axes,
@@ -130,10 +138,10 @@ def setup(frames: RolloutFrames, plane: str, drawn: np.ndarray) -> ViewSetup:
 
 def _chosen_particles(frames: RolloutFrames, axes: tuple[int, int]) -> np.ndarray:
     """Side view: those nearest to the middle plane of the body; other views: all."""
-    start = frames.soil(TRUTH, 0)
+    start = frames.soil(frames.reference, 0)
     if axes != PLANES['xy'] or len(start) <= _SIDE_VIEW_PARTICLES:
         return np.arange(len(start))
-    body = frames.rigid[TRUTH][0]
+    body = frames.rigid[frames.reference][0]
     middle = (body if len(body) else start)[:, 2].mean()
     return np.argsort(np.abs(start[:, 2] - middle), kind='stable')[:_SIDE_VIEW_PARTICLES]
 
@@ -249,7 +257,7 @@ class ParticleView:
 
     def _body_shape(self) -> tuple[bool, np.ndarray]:
         """Whether the points lie on a circle in this plane; else the indices of their hull."""
-        points = self._frames.rigid[TRUTH][0][:, self._view.plane]
+        points = self._frames.rigid[self._frames.reference][0][:, self._view.plane]
         if not len(points):
             return False, np.zeros(0, int)
         centred = points - points.mean(axis=0)
@@ -263,7 +271,7 @@ class ParticleView:
 
     def _add_arrow(self, axes: Axes, show_key: bool) -> Quiver | None:
         view = self._view
-        if self._frames.force is None or not self._frames.rigid[TRUTH].shape[1]:
+        if self._frames.force is None or not self._frames.rigid[self._frames.reference].shape[1]:
             return None
         style = {
             'angles': 'xy', 'scale_units': 'xy', 'scale': view.newtons_per_metre, 'width': 0.01,

@@ -14,6 +14,8 @@ def status_line(frames: RolloutFrames, frame: int) -> str:
     parts = [f't = {frames.time[frame]:5.2f} s']
     if frame < frames.first_predicted:
         return _GAP.join([*parts, 'input frames, nothing predicted yet'])
+    if not frames.has_truth:
+        return _GAP.join(parts)
     parts.append(f'{_error_name(frames)} {frames.soil_rms_mm[PREDICTION][frame]:.2f} mm')
     if frames.body_is_predicted:
         parts.append(f'body error {frames.rigid_rms_mm[frame]:.2f} mm')
@@ -29,6 +31,8 @@ def status_line(frames: RolloutFrames, frame: int) -> str:
 
 def summary_line(frames: RolloutFrames) -> str:
     """Errors of the whole rollout, one line."""
+    if not frames.has_truth:
+        return f'{frames.n_frames - frames.first_predicted} predicted frames'
     errors = frames.errors
     parts = [f'{_error_name(frames)} over all frames {errors["soil_rms_mm"]:.2f} mm']
     if frames.body_is_predicted:

@@ -1,4 +1,7 @@
-"""Curves of a rollout over time: force, soil error beside its trivial neighbours, mode scores."""
+"""Curves of a rollout over time: force, soil error beside its trivial neighbours, mode scores.
+
+Without a truth: force and mode scores.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ def draw(axes: Sequence[Axes], frames: RolloutFrames, plane: tuple[int, int]) ->
         one.set_xlabel('time (s)', labelpad=1)
     if frames.force is not None:
         _draw_force(axes[0], frames, plane)
-    if frames.subspace is None:
+    if frames.subspace is None or not frames.has_truth:
         _draw_scores(axes[-1], frames)
     else:
         _draw_errors(axes[-1], frames)
@@ -48,19 +51,20 @@ def draw(axes: Sequence[Axes], frames: RolloutFrames, plane: tuple[int, int]) ->
 def _draw_force(axes: Axes, frames: RolloutFrames, plane: tuple[int, int]) -> None:
     start = frames.first_predicted
     for axis, color in zip(plane, _COMPONENT_COLORS):
-        truth, predicted = (frames.force[which][:, axis] for which in (TRUTH, PREDICTION))
         name = 'xyz'[axis]
+        if frames.has_truth:
+            axes.plot(
+                frames.time, frames.force[TRUTH][:, axis], color=color, alpha=0.35, linewidth=2.6,
+                label=f'{name}, truth',
+            )  # fmt: skip
         axes.plot(
-            frames.time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, truth'
-        )
-        axes.plot(
-            frames.time[start:], predicted[start:], color=color, linewidth=1.3,
+            frames.time[start:], frames.force[PREDICTION][start:, axis], color=color, linewidth=1.3,
             label=f'{name}, predicted',
         )  # fmt: skip
     axes.axhline(0.0, color=FAINT, linewidth=0.7)
     axes.set_ylabel('force on the body (N)')
-    truth = frames.force[TRUTH][:, plane]
-    low, high = min(0.0, float(truth.min())), max(0.0, float(truth.max()))
+    shown = frames.force[frames.reference][:, plane]
+    low, high = min(0.0, float(shown.min())), max(0.0, float(shown.max()))
     room = 0.12 * (high - low) or 1.0
     axes.set_ylim(low - room, high + room)
     _legend_above(axes, columns=4)
@@ -98,17 +102,16 @@ def _draw_errors(axes: Axes, frames: RolloutFrames) -> None:
 def _draw_scores(axes: Axes, frames: RolloutFrames) -> None:
     """Change of the modes' x scores: pale the truth, thin the prediction."""
     start = frames.first_predicted
-    n_modes = frames.scores[TRUTH].shape[1]
+    n_modes = frames.scores[PREDICTION].shape[1]
     colors = colormaps['viridis'](np.linspace(0.0, 0.9, n_modes))
-    first = frames.scores[TRUTH][0, :, 0]
+    change = {which: x[..., 0] - x[0, :, 0] for which, x in frames.scores.items()}
     for mode, color in enumerate(colors):
-        truth, predicted = (
-            frames.scores[which][:, mode, 0] - first[mode] for which in (TRUTH, PREDICTION)
-        )
-        axes.plot(frames.time, truth, color=color, alpha=0.35, linewidth=2.6)
+        if frames.has_truth:
+            axes.plot(frames.time, change[TRUTH][:, mode], color=color, alpha=0.35, linewidth=2.6)
         axes.plot(
-            frames.time[start:], predicted[start:], color=color, linewidth=1.3, label=f'{mode + 1}'
-        )
+            frames.time[start:], change[PREDICTION][start:, mode], color=color, linewidth=1.3,
+            label=f'{mode + 1}',
+        )  # fmt: skip
     axes.set_ylabel('x score since start (m)')
     _legend_above(axes, columns=n_modes)
 

@@ -53,7 +53,7 @@ _STRIP_MOMENTS = (1 / 3, 2 / 3, 1.0)
 
 
 class AnimatedFigure:
-    """Truth and prediction side by side over time.
+    """Truth, where there is one, and prediction side by side over time.
 
     What stands still is drawn once and restored as an image; only what moves is drawn in every
     frame.
@@ -71,11 +71,11 @@ class AnimatedFigure:
     def __init__(self, frames: RolloutFrames, view: ViewSetup, color_by: str, dpi: int):
         self._frames = frames
         with rc_context(STYLE):
-            page = _Page(n_columns=2, n_rows=1, aspect=view.aspect, dpi=dpi)
+            page = _Page(n_columns=len(frames.shown), n_rows=1, aspect=view.aspect, dpi=dpi)
             page.write_header(frames)
             page.write_footer(frames, view)
             self.views = []
-            for column, which in enumerate((TRUTH, PREDICTION)):
+            for column, which in enumerate(frames.shown):
                 name = _name(frames, which)
                 axes = page.view_axes(0, column, view, title=name[0].upper() + name[1:])
                 self.views.append(
@@ -127,8 +127,8 @@ def strip_figure(frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], d
     """
     later = [frame for frame in drawn if frame >= frames.first_predicted] or list(drawn)
     moments = [later[round(share * (len(later) - 1))] for share in _STRIP_MOMENTS]
-    rows = [(which, 'speed', _name(frames, which)) for which in (TRUTH, PREDICTION)]
-    if frames.subspace is not None:
+    rows = [(which, 'speed', _name(frames, which)) for which in frames.shown]
+    if frames.subspace is not None and frames.has_truth:
         rows.append((PREDICTION, 'error', 'error of prediction'))
     with rc_context(STYLE):
         page = _Page(n_columns=len(moments), n_rows=len(rows), aspect=view.aspect, dpi=dpi)
@@ -142,8 +142,9 @@ def strip_figure(frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], d
                 first = row == column == 0
                 ParticleView(axes, frames, which, view, color_by, show_key=first).update(frame)
         if frames.subspace is not None:
-            page.add_color_bar(0, 1, 'speed', view)
-            page.add_color_bar(2, 2, 'error', view)
+            page.add_color_bar(0, len(frames.shown) - 1, 'speed', view)
+            if frames.has_truth:
+                page.add_color_bar(2, 2, 'error', view)
         curves = page.curve_axes(rollout_curves.count(frames))
         rollout_curves.draw(curves, frames, view.plane)
         for axes in curves:
@@ -232,7 +233,7 @@ class _Page:
             if len(view.particles) < frames.n_soil:
                 shown = f'{len(view.particles)} of {shown}, nearest to the middle plane'
             modes = frames.subspace.n_modes
-            parts.insert(0, f'{shown}; truth and prediction are decoded from {modes} modes.')
+            parts.insert(0, f'{shown}; {" and ".join(frames.shown)} decoded from {modes} modes.')
         self._text(0.2, 0.14, ' '.join(parts), fontsize=7, color=FAINT)
 
     def _row_bottom(self, row: int) -> float:

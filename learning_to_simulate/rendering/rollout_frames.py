@@ -1,4 +1,4 @@
-"""One rollout, truth and prediction, ready to be drawn: particles, body, force, errors per frame.
+"""One rollout, with its truth where there is one, ready to be drawn.
 
 Reads the `rollout_{split}_{i}.npz` of `learning_to_simulate.train --mode=eval_rollout` (DeepMind's
 key names) and, where the dataset has one, the subspace that turns mode scores back into particles.
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import os
 import re
 from typing import Any
@@ -17,25 +16,14 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate import metrics
-from pca_tools import files
-from pca_tools.metadata import metadata_problems
+from learning_to_simulate.rendering import rollout_arrays
+from learning_to_simulate.rendering.rollout_arrays import DIM, PREDICTION, TRUTH
 from pca_tools.subspace import Subspace
 
-TEXTS = ('metadata', 'status', 'status_reason')  # of a rollout file
 SUBSPACE_NAME = 'subspace.npz'
 SOIL_PARTICLE_TYPE = 6
-DIM = 3
-TRUTH, PREDICTION = 'truth', 'prediction'
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1)}
-_REQUIRED = (
-    'initial_positions',
-    'predicted_rollout',
-    'ground_truth_rollout',
-    'particle_types',
-    'metadata',
-)
-_FORCES = ('initial_forces', 'predicted_forces', 'ground_truth_forces')
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
@@ -57,7 +45,8 @@ class RolloutFrames:
         name: file name without its ending.
         title: scene, case and its parameters, one line.
         label: name of the model that predicted, or ''.
-        scores: {truth, prediction} -> float64 [T, r, 3], m.
+        scores: {truth, prediction} -> float64 [T, r, 3], m; of a path that nobody recorded, the
+            prediction alone, as in the next two.
         rigid: {truth, prediction} -> float64 [T, R, 3], m.
         force: {truth, prediction} -> float64 [T, 3], N, or None.
         rigid_type: particle type of the rigid points.
@@ -86,7 +75,22 @@ class RolloutFrames:
     @property
     def n_frames(self) -> int:
         """T."""
-        return len(self.rigid[TRUTH])
+        return len(self.rigid[PREDICTION])
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """What there is to see: truth and prediction, or the prediction alone."""
+        return tuple(which for which in (TRUTH, PREDICTION) if which in self.rigid)
+
+    @property
+    def reference(self) -> str:
+        """What limits, scales and bodies are taken from: the truth where there is one."""
+        return self.shown[0]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether there are errors to show."""
+        return TRUTH in self.rigid
 
     @functools.cached_property
     def time(self) -> np.ndarray:
@@ -144,8 +148,8 @@ class RolloutFrames:
     @functools.cached_property
     def rigid_rms_mm(self) -> np.ndarray:
         """[T] RMS error of the rigid points per coordinate, mm; zero where they are given."""
-        n_rigid = self.rigid[TRUTH].shape[1]
-        if not n_rigid:
+        n_rigid = self.rigid[PREDICTION].shape[1]
+        if not n_rigid or not self.has_truth:
             return np.zeros(self.n_frames)
         prediction, truth = (self.rigid[which][:, None] for which in (PREDICTION, TRUTH))
         return metrics.rms_mm(metrics.rigid_mse(prediction, truth, n_rigid))
@@ -197,21 +201,17 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
-    arrays = files.read_npz(rollout_path)
-    for name, array in arrays.items():
-        if name not in TEXTS and array.dtype.kind not in 'fiu':
-            raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
-    metadata = _metadata(rollout_path, arrays)
-    truth, prediction, force = _joined(rollout_path, arrays)
+    arrays, metadata, nodes, force = rollout_arrays.read(rollout_path)
+    prediction = nodes[PREDICTION]
     n_modes = metadata['mode_number']
-    if not 0 < n_modes <= truth.shape[1]:
+    if not 0 < n_modes <= prediction.shape[1]:
         raise ValueError(
-            f'{rollout_path}: has {truth.shape[1]} nodes but its metadata says mode_number '
+            f'{rollout_path}: has {prediction.shape[1]} nodes but its metadata says mode_number '
             f'{n_modes!r}'
         )
     start = len(arrays['initial_positions'])
     notes = []
-    length = _finite_length(prediction, None if force is None else force[PREDICTION])
+    length = rollout_arrays.finite_length(prediction, None if force is None else force[PREDICTION])
     if length <= start:
         raise ValueError(f'{rollout_path}: no predicted frame is finite, there is nothing to draw')
     if length < len(prediction):
@@ -219,7 +219,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     subspace = _subspace(data_path, metadata, n_modes)
     if subspace is None:
         notes.append('Without subspace.npz there are no particles: mode scores are drawn instead.')
-    n_rigid = truth.shape[1] - n_modes
+    n_rigid = prediction.shape[1] - n_modes
     if subspace is None and not n_rigid:
         raise ValueError(
             f'{rollout_path}: has modes only, and {data_path} no {SUBSPACE_NAME} to rebuild the '
@@ -227,13 +227,13 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         )
     split, record = _place(rollout_path)
     floors = metadata.get('projection_mse', {}).get(split, [])
-    both = {TRUTH: truth[:length], PREDICTION: prediction[:length]}
+    nodes = {which: values[:length] for which, values in nodes.items()}
     return RolloutFrames(
         name=os.path.splitext(os.path.basename(rollout_path))[0],
         title=_title(metadata, split, record),
         label=label,
-        scores={which: nodes[:, n_rigid:] for which, nodes in both.items()},
-        rigid={which: nodes[:, :n_rigid] for which, nodes in both.items()},
+        scores={which: values[:, n_rigid:] for which, values in nodes.items()},
+        rigid={which: values[:, :n_rigid] for which, values in nodes.items()},
         force=None if force is None else {which: f[:length] for which, f in force.items()},
         rigid_type=int(arrays['particle_types'][0]),
         first_predicted=start,
@@ -245,60 +245,37 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     )
 
 
-def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    missing = [key for key in _REQUIRED if key not in arrays]
-    if missing:
-        raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
-    try:
-        metadata = json.loads(str(arrays['metadata']))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f'{path}: its metadata is not JSON: {error}') from error
-    problems = metadata_problems(metadata)
-    if problems:
-        raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
-    return metadata
-
-
-def _joined(path: str, arrays: dict[str, np.ndarray]):
-    """Returns truth and prediction [T, V, 3], and {truth, prediction} -> forces [T, 3] or None."""
-    given, predicted, truth = (np.asarray(arrays[key], np.float64) for key in _REQUIRED[:3])
-    nodes = (len(arrays['particle_types']), DIM)
-    if not all(a.ndim == 3 and a.shape[1:] == nodes for a in (given, predicted, truth)) or len(
-        predicted
-    ) != len(truth):
-        raise ValueError(
-            f'{path}: shapes do not fit: {len(arrays["particle_types"])} particle types, '
-            f'initial_positions {given.shape}, predicted_rollout {predicted.shape}, '
-            f'ground_truth_rollout {truth.shape}'
-        )
-    if not np.isfinite(given).all() or not np.isfinite(truth).all():
-        raise ValueError(f'{path}: the ground truth has NaN or infinite values')
+def of_rollout(rollout) -> RolloutFrames:
+    """A `path_rollout.SoilRollout` ready to be drawn; of a path there is no truth."""
+    start, n_modes = len(rollout.history), rollout.scene.n_modes
+    given = rollout.history[:, rollout.history.shape[1] - n_modes :]
+    scores = {PREDICTION: np.concatenate([given, rollout.modes])}
+    rigid = {PREDICTION: rollout.body}
     force = None
-    if any(key in arrays for key in _FORCES):
-        missing = [key for key in _FORCES if key not in arrays]
-        if missing:
-            raise ValueError(f'{path}: has forces but lacks {missing}')
-        for key, frames in zip(_FORCES, (given, predicted, truth)):
-            if arrays[key].shape != (len(frames), DIM):
-                raise ValueError(
-                    f'{path}: {key} has shape {arrays[key].shape}, {(len(frames), DIM)} was '
-                    'expected'
-                )
-        force = {
-            which: np.concatenate([arrays['initial_forces'], arrays[key]]).astype(np.float64)
-            for which, key in ((TRUTH, 'ground_truth_forces'), (PREDICTION, 'predicted_forces'))
-        }
-        if not np.isfinite(force[TRUTH]).all():
-            raise ValueError(f'{path}: the true force has NaN or infinite values')
-    return np.concatenate([given, truth]), np.concatenate([given, predicted]), force
-
-
-def _finite_length(prediction: np.ndarray, force: np.ndarray | None) -> int:
-    """Number of frames before the first that is not finite."""
-    finite = np.isfinite(prediction).all(axis=(1, 2))
-    if force is not None:
-        finite &= np.isfinite(force).all(axis=1)
-    return len(finite) if finite.all() else int(np.argmin(finite))
+    if rollout.force is not None:
+        before = np.zeros((start, DIM))
+        if rollout.truth and rollout.truth[2] is not None:
+            before = rollout.truth[2][:start]
+        force = {PREDICTION: np.concatenate([before, rollout.force])}
+    if rollout.truth:
+        scores[TRUTH], rigid[TRUTH], true_force = rollout.truth
+        if force is not None:
+            force[TRUTH] = true_force
+    return RolloutFrames(
+        name=rollout.name,
+        title=rollout.scene.name.capitalize(),
+        label='',
+        scores=scores,
+        rigid=rigid,
+        force=force,
+        rigid_type=0,
+        first_predicted=start,
+        dt=rollout.scene.dt,
+        n_soil=rollout.scene.n_soil,
+        projection_mse=None,
+        subspace=None if rollout.soil is None else rollout.soil.subspace,
+        notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
+    )
 
 
 def _subspace(data_path: str | None, metadata: dict[str, Any], n_modes: int) -> Subspace | None:

@@ -21,7 +21,7 @@ from pca_tools.formats.vtp_files import write_collection, write_points
 
 
 def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> None:
-    """Writes truth and prediction of a rollout, as `<folder>/truth.pvd` and `prediction.pvd`.
+    """Writes a rollout as `<folder>/prediction.pvd`, its truth, if there is one, as `truth.pvd`.
 
     Each point (body first, then soil where there is a subspace) carries `displacement` since the
     first frame (m), `velocity` (m/s), `particle_type` and, of the prediction, `error` (m); each
@@ -37,7 +37,7 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
     """
 
     def fill(temporary: str) -> None:
-        listed = {TRUTH: [], PREDICTION: []}
+        listed = {which: [] for which in frames.shown}
         for which in listed:
             os.mkdir(os.path.join(temporary, which))
         for frame in drawn:
@@ -53,20 +53,21 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
 
 def _cloud(frames: RolloutFrames, which: str, frame: int):
     """Points, point data and field data of one frame."""
-    rigid, rigid_truth = frames.rigid[which], frames.rigid[TRUTH]
+    rigid = frames.rigid[which]
+    with_error = which == PREDICTION and frames.has_truth
     points = [rigid[frame]]
     vectors = {
         'displacement': [rigid[frame] - rigid[0]],
         'velocity': [frames.rigid_velocity(which, frame)],
     }
-    if which == PREDICTION:
-        vectors['error'] = [rigid[frame] - rigid_truth[frame]]
+    if with_error:
+        vectors['error'] = [rigid[frame] - frames.rigid[TRUTH][frame]]
     types = [frames.rigid_type] * len(rigid[frame])
     if frames.subspace is not None:
         points.append(frames.soil(which, frame))
         vectors['displacement'].append(frames.soil_displacement(which, frame))
         vectors['velocity'].append(frames.soil_velocity(which, frame))
-        if which == PREDICTION:
+        if with_error:
             vectors['error'].append(frames.soil_error(frame))
         types += [SOIL_PARTICLE_TYPE] * len(points[1])
     point_data = {name: np.concatenate(parts).astype(np.float32) for name, parts in vectors.items()}

@@ -13,7 +13,7 @@ import numpy as np
 import tensorflow as tf
 import tqdm
 
-from learning_to_simulate import checkpoints
+from learning_to_simulate import checkpoints, resting_start
 from learning_to_simulate.training_run import training_state
 from learning_to_simulate.training_run.stop_signals import StopSignals
 from pca_tools import folder_lock
@@ -33,6 +33,8 @@ class Training:
       n_rigid: any R the model runs on.
       data: where the training data came from, for config.json.
       title: what is trained, one line for the terminal.
+      write_files: called with the model folder it writes what else the model needs, and returns
+        name -> sha256; None where there is nothing.
       close_gates: called with the model folder when the edges have been learned; says what they
         are. None where none are learned.
     """
@@ -44,6 +46,7 @@ class Training:
     n_rigid: int
     data: dict
     title: str
+    write_files: Callable[[str], dict[str, str]] | None = None
     close_gates: Callable[[str], str] | None = None
 
 
@@ -68,7 +71,7 @@ def run(
       SystemExit: with 130 after Ctrl-C, 143 after SIGTERM.
     """
     with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
-        open_model_path(model_path, training.model, training.n_rigid, training.data)
+        open_model_path(model_path, training)
         state = training_state.TrainingState(model_path, training.trainer)
         state.remove_leftovers()
         start = state.restore()
@@ -80,26 +83,28 @@ def run(
         return _train_steps(training, model_path, state, start, save_every, stop)
 
 
-def open_model_path(path, model, n_rigid, data):
+def open_model_path(path: str, training: Training) -> None:
     """Claims a model folder: writes config.json into a new one, compares with the config of an old
     one.
 
     Raises:
       ValueError: a folder of something else; nothing was written.
     """
+    model = training.model
     if not os.path.exists(os.path.join(path, checkpoints.CONFIG_FILE)):
-        if strangers := set(os.listdir(path)) - {folder_lock.LOCK_NAME}:
+        if strangers := {n for n in os.listdir(path) if not _is_ours(n)}:
             raise ValueError(
                 f'{path}: not empty and not a model folder (holds {sorted(strangers)[:3]}); '
                 f'nothing was written'
             )
-        checkpoints.save_config(path, model, n_rigid, data)
+        written = training.write_files(path) if training.write_files else None
+        checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
     stored = checkpoints.read_config(path)
     fresh = {
         'config': dataclasses.asdict(model.simulator.config),
         'scene': model.simulator.scene.to_json(),
-        'data': data,
+        'data': training.data,
     }
     for part, values in fresh.items():
         old = stored[part]
@@ -133,6 +138,13 @@ def open_model_path(path, model, n_rigid, data):
         )
 
 
+def _is_ours(name):
+    """Whether a file may lie in a model folder that has no config.json yet: the lock, and what a
+    training leaves that was killed while it wrote the folder's first files."""
+    first = (resting_start.START_FILE, resting_start.SUBSPACE_FILE)
+    return name == folder_lock.LOCK_NAME or name in first or name.endswith('.tmp')
+
+
 def _plain(value):
     return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
@@ -148,6 +160,7 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
         tqdm.tqdm(total=total, initial=start, unit='step', disable=None, smoothing=0.05) as bar,
         tf.summary.create_file_writer(model_path).as_default(),
     ):
+        bar.write('compiling the first step, up to a minute ...')
         clock = time.perf_counter()
         for i in range(start, total):
             if close_gates and i == trainer.config.gate_steps:

@@ -2,12 +2,14 @@
 
 Turn and travel go from level to level together by quintic pieces (`levels`), each pair of levels
 at a slip of its own, and rest at time 0. A drive is a pure function of kind and seed; soil,
-gravity, wheel and mean load are drawn from the levels of the grid of cases.
+gravity, wheel and mean load are drawn from the levels of the grid of cases. Left to the grid is
+the small wheel on the Moon: at rest already it sinks through most of the soil.
 
 slip: always forward, speed and slip changing.
 stops: one to two halts; at some of them the wheel goes on turning on the spot.
 reverse: forward, back, and forward again.
-load: as slip, and the load changes between 0.5 and 1.5 times that of the grid.
+load: as slip, and the load changes between 0.5 and 1.5 times that of the grid (the small wheel's to
+    1.0 times below the gravity of the Earth).
 """
 
 import numpy as np
@@ -22,6 +24,8 @@ KINDS = ('slip', 'stops', 'reverse', 'load')
 MAX_RIM_SPEED = 0.04  # m/s; the grid of cases has 0.0195
 SLIPS = (-0.1, 0.9)
 LOAD_FACTORS = (0.5, 1.5)
+_SMALL = 0.1  # m, diameter
+_MOON = 2.0  # m/s2
 
 _FRAMES = scenes.FRAMES
 _DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
@@ -69,11 +73,9 @@ def free_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
     if seed < 0:
         raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 2])
-    context = {
-        name: values[int(rng.integers(len(values)))]
-        for name, values in scene.levels.items()
-        if name != 'slip_percent'
-    }
+    context = _draw_context(rng, scene)
+    while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
+        context = _draw_context(rng, scene)
     for _ in range(TRIES):
         drive, parameters = _draw(rng, scene, kind, context)
         try:
@@ -82,6 +84,14 @@ def free_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
             continue
         return drive, {'kind': kind, 'path_seed': seed, **context, **parameters}
     raise ValueError(f'none of {TRIES} drives of the kind {kind!r}, seed {seed} fits into the bin')
+
+
+def _draw_context(rng, scene) -> dict:
+    return {
+        name: values[int(rng.integers(len(values)))]
+        for name, values in scene.levels.items()
+        if name != 'slip_percent'
+    }
 
 
 def _draw(rng, scene, kind, context) -> tuple[Drive, dict]:
@@ -99,7 +109,10 @@ def _draw(rng, scene, kind, context) -> tuple[Drive, dict]:
         inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
         times = _DURATION * np.concatenate([[0.0], inner, [1.0]])
         times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
-        factors = np.concatenate([[1.0], rng.uniform(*LOAD_FACTORS, len(times) - 1)])
+        low, high = LOAD_FACTORS
+        if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
+            high = 1.0
+        factors = np.concatenate([[1.0], rng.uniform(low, high, len(times) - 1)])
     load = Levels(times, mean_load * factors)
     wheel = bodies.make_wheel(context['diameter_m'], scene.bin.z_middle)
 

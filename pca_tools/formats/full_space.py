@@ -163,8 +163,7 @@ def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, An
         body: motion of the body; `none` leaves rigid and kinematic particles out.
 
     Raises:
-        ValueError: a run has no soil, two moving bodies, other particles than the first, or a
-            context that changes in time.
+        ValueError: a run has no soil, two moving bodies, or other particles than the first.
     """
     first = None
     for run in data.runs():
@@ -187,10 +186,7 @@ def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, An
                 mapping['force'] = run.force
         if run.context is not None:
             if np.any(run.context != run.context[0]):
-                raise ValueError(
-                    f'{where}: its global context changes in time; raw runs have one value a run: '
-                    'give --drop_context to import without it'
-                )
+                mapping['step_context'] = run.context
             mapping['context'] = dict(zip(data.context_names, run.context[0].tolist(), strict=True))
         yield mapping
 

@@ -115,6 +115,8 @@ def _check_nodes(inspection: Inspection) -> None:
     if motion is None:
         inspection.warn('no scene in the metadata: what is prescribed follows from the node types')
         return
+    if 'bodies' in inspection.metadata['scene']:
+        return  # each has its own motion, and its types with it
     expected = (
         dataset.KINEMATIC_PARTICLE_ID if motion == 'prescribed' else dataset.RIGID_PARTICLE_ID
     )
@@ -255,7 +257,8 @@ def _check_motion(inspection: Inspection) -> None:
             f'the rigid body reaches {fastest / dt:.3g} m/s with dt = {dt} s: dt or the unit of '
             'length is wrong'
         )
-    worst = max(rigid_misfit(run) for run in with_body)
+    points = [body['points'] for body in inspection.metadata.get('scene', {}).get('bodies', [])]
+    worst = max(rigid_misfit(run, points) for run in with_body)
     low, high = np.array(inspection.metadata['bounds']).T
     outside = sum(
         bool(
@@ -305,10 +308,22 @@ def _check_particles(inspection: Inspection) -> None:
         )
 
 
-def rigid_misfit(run: Trajectory, frames: int = 9) -> float:
-    """Returns the largest RMS misfit in metres of a rigid motion from frame 0 to some others."""
-    body = run.position[:, : run.n_rigid]
-    if run.n_rigid < rigid_fit.MIN_POINTS:
-        return 0.0
-    later = np.unique(np.linspace(0, len(body) - 1, frames).astype(int))
-    return max(rigid_fit.fit_rigid_motion(body[0], body[frame]).residual for frame in later)
+def rigid_misfit(run: Trajectory, points: list[int] = (), frames: int = 9) -> float:
+    """Returns the largest RMS misfit in metres of a rigid motion from frame 0 to some others.
+
+    Args:
+        run: the run.
+        points: how many points each of several bodies has; none for one body.
+        frames: how many later frames are looked at.
+    """
+    later = np.unique(np.linspace(0, run.n_frames - 1, frames).astype(int))
+    bodies = np.split(run.position[:, : run.n_rigid], np.cumsum(points, dtype=int)[:-1], axis=1)
+    return max(
+        (
+            rigid_fit.fit_rigid_motion(body[0], body[frame]).residual
+            for body in bodies
+            if body.shape[1] >= rigid_fit.MIN_POINTS
+            for frame in later
+        ),
+        default=0.0,
+    )

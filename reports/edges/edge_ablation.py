@@ -28,6 +28,7 @@ same command goes on where it was stopped.
 
 import os
 import time
+from functools import partial
 
 import numpy as np
 import tensorflow as tf
@@ -42,8 +43,8 @@ from learning_to_simulate import (
     presets,
     reading_utils,
 )
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import rollout_inputs
-from learning_to_simulate.specialised_rollout import rollout_function
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files
 from reports import command, record, timing
@@ -162,7 +163,7 @@ class Bench:
         if mask is not None:
             self._use(mask)
         for step in progress(range(trainer.total_steps)):
-            if learns and step == self.config.gate_steps:
+            if learns and self._gates and step == self.config.gate_steps:
                 learned = self._gates.edge_list(self.config, self._data_path)
                 mask, scores = learned.mask, learned.probabilities
                 self._use(mask)
@@ -222,9 +223,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
         layout = model.layout(one.n_rigid)
         function = rollout_function(model.simulator, layout)
         inputs = rollout_inputs(one, layout, model.simulator.scene)
-        jobs[name] = timing.Job(
-            lambda function=function, inputs=inputs: function(*inputs)[0].numpy(), inputs[-1]
-        )
+        jobs[name] = timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
         edges[name] = layout.n_edge
     times = timing.in_turns(jobs, rounds)
     return {name: found.summary('ms_') | {'edges': edges[name]} for name, found in times.items()}

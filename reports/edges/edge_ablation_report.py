@@ -1,5 +1,6 @@
 """Table and picture of `reports edge_ablation`, from its JSON alone."""
 
+import os
 import re
 
 import numpy as np
@@ -63,6 +64,36 @@ def cells_table(result: dict) -> str:
             cells.append(markdown.span(values) + failed)
         timing = result['timing'].get(rows[0]['variant'])
         lines.append([*cells, timing and timing['ms_median']])
+    return markdown.table(header, lines)
+
+
+def of_file(path: str) -> str:
+    """The rows of a stored comparison."""
+    return cells_table(files.read_json(path))
+
+
+def agreement(*paths: str) -> str:
+    """How far the seeds of NRI agree: a row for each result of `reports nri_stability`."""
+    header = ('', 'epochs', 'hidden', 'test loss of the seeds', 'edges in the seeds',
+              'Jaccard (by chance)', 'same answer (by chance)', 'correlation of P(edge)',
+              'in all seeds', 'in any seed')  # fmt: skip
+    lines = []
+    for path in paths:
+        result = files.read_json(path)
+        found, settings = result['compared'], result['settings']
+
+        def beside_chance(key, found=found):
+            return (
+                f'{markdown.cell(found[key]["mean"])} ({markdown.cell(found[f"{key}_by_chance"])})'
+            )
+
+        lines.append(
+            (re.sub(r'_nri\.json$', '', os.path.basename(path)), settings['epochs'],
+             settings['hidden'], markdown.span([row['test_loss'] for row in result['seeds']]),
+             markdown.span([row['edges'] for row in result['seeds']]), beside_chance('jaccard'),
+             beside_chance('agreement'), found['correlation']['mean'], found['in_all_seeds'],
+             found['in_any_seed'])
+        )  # fmt: skip
     return markdown.table(header, lines)
 
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from nri import experiment, particle_systems, simulate
 from nri.model import NriConfig
 from pca_tools import files
-from reports import command, record
+from reports import command, markdown, record
 
 # Unsupervised edge accuracy, Kipf et al. 2018, table 1.
 PUBLISHED = {
@@ -86,6 +86,21 @@ def run(system, n_objects, work_path, counts, config):
         'published_accuracy': PUBLISHED.get((system, n_objects)),
         'curve': [{k: row[k] for k in ('epoch', 'seconds', 'loss', 'accuracy')} for row in history],
     }
+
+
+def table(*paths: str) -> str:
+    """Edge accuracy of stored results beside Kipf's."""
+    header = ('system', 'objects', 'training runs', 'epochs', 's per epoch', 'minutes',
+              'edges right', 'Kipf et al.')  # fmt: skip
+    rows = []
+    for path in paths:
+        r = files.read_json(path)
+        rows.append(
+            (r['system'], r['n_objects'], r['runs']['train'], r['settings']['epochs'],
+             r['seconds_per_epoch'], round(r['seconds'] / 60), f'{r["test_accuracy"]:.2%}',
+             f'{r["published_accuracy"]:.1%}')
+        )  # fmt: skip
+    return markdown.table(header, rows)
 
 
 def draw(result, path):

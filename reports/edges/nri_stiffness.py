@@ -121,6 +121,11 @@ def table(rows):
     )  # fmt: skip
 
 
+def of_file(path: str) -> str:
+    """The rows of a stored result."""
+    return table(files.read_json(path)['rows'])
+
+
 def draw(rows, path):
     """Accuracy and energy drift against stiffness, with the limit."""
     held = [row for row in rows if 'refused' not in row]

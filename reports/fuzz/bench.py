@@ -65,9 +65,8 @@ class Bench:
         rng = random.Random(f'{self.target.name}:{seed}:{number}')
         name = rng.choice(self.target.changed)
         forged = rng.random() < 0.5
-        change = mutations.forge if forged else None
         data = self.valid[name]
-        data = change(name, data, rng) if forged else mutations.damage(data, rng)
+        data = mutations.forge(name, data, rng) if forged else mutations.damage(data, rng)
         return name, data, forged
 
     def run(self, seed: int, number: int) -> tuple[str, str]:

@@ -19,7 +19,7 @@ import numpy as np
 from pca_tools.tfrecord_io import masked_crc32c
 
 _INTEGERS = (0, 1, -1, 127, 255, 256, 2**15, 2**31 - 1, 2**31, 2**32, 2**36, 2**62, 2**63, 2**64)
-_VALUES = (
+_VALUES: tuple = (
     None, True, False, 0, 1, -1, 3, 0.5, 1e-320, 1e308, -1e308, math.nan, math.inf, 2**31, 2**53,
     2**70, -(2**70), 1e400, '', 'x', '0', '../../etc/passwd', '\ud800', [], {}, [[]], [0], [None],
     {'a': 1}, 'x' * 3000,

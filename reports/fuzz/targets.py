@@ -2,12 +2,9 @@
 
 import base64
 import dataclasses
-import enum
 import hashlib
 import json
 import os
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +17,8 @@ from learning_to_simulate.training_run import training_state
 from mpm import raw_run
 from nri import data as nri_data
 from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace
+from reports.fuzz.import_targets import IMPORT_TARGETS
+from reports.fuzz.target import Promise, Target
 
 R, MODES, FRAMES, N_SOIL = 2, 2, 9, 6
 # numpy.array([3.0, 2.0, 1.0]) in the form of the authors' files, pickle protocol 3.
@@ -29,44 +28,6 @@ _PICKLE = (
     '/0r/////SwB0cQxiiUMYAAAAAAAACEAAAAAAAAAAQAAAAAAAAPA/cQ10cQ5iLg=='
 )
 WEIGHT_SHAPES = {'000.layer/w': (3, 4), '001.layer/b': (4,)}
-
-
-class Promise(enum.Enum):
-    """What a reader owes its caller when the file was changed.
-
-    SEALED: digests cover the files; a value that is returned equals the original one.
-    CHECKSUM: so for damaged bytes, which a checksum finds; where the content was forged together
-      with its checksum, a value that is returned is a possible one.
-    OPEN: there is no checksum; a value that is returned is a possible one.
-    """
-
-    SEALED = 'sealed'
-    CHECKSUM = 'checksum'
-    OPEN = 'open'
-
-
-@dataclasses.dataclass(frozen=True)
-class Target:
-    """A reader under test.
-
-    Attributes:
-      name: for the table.
-      promise: see `Promise`.
-      write: makes the valid files in a folder.
-      changed: names of the files that are damaged, in turn.
-      read: reads the folder.
-      possible: whether a value could be that of some valid file, judged apart from the reader.
-      parts: splits a value into parts; of a CHECKSUM file without a list of its parts, damage may
-        lose or repeat whole ones.
-    """
-
-    name: str
-    promise: Promise
-    write: Callable[[str], None]
-    changed: tuple[str, ...]
-    read: Callable[[str], Any]
-    possible: Callable[[Any], bool] = lambda value: True
-    parts: Callable[[Any], list] = lambda value: [value]
 
 
 def _rng():
@@ -384,4 +345,5 @@ TARGETS = (
                  for end in ('index', 'data-00000-of-00001', 'json')),
            _newest_whole_checkpoint, _possible_checkpoint),
     Target('folder lock', Promise.OPEN, _write_lock, (folder_lock.LOCK_NAME,), _take_lock),
+    *IMPORT_TARGETS,
 )  # fmt: skip

@@ -15,8 +15,8 @@ Examples:
     python -m reports.protocol --data_path=datasets/wheel --model=mine=/tmp/a --model=mine=/tmp/b \\
         --work_path=/tmp/protocol --output_path=/tmp/judged
 
-    # tables of documents again, from their JSON; --check only says where they differ
-    python -m reports.protocol --update=docs/protocol.md
+    # the tables of the page again, from the JSON
+    python -m reports documents docs/protocol.md
 """
 
 import glob
@@ -28,7 +28,7 @@ from absl import flags
 
 from pca_tools import dataset, files
 from reports import command, record
-from reports.protocol import baselines, documents, rollouts, run_errors, tables
+from reports.protocol import rollouts, run_errors, tables
 from reports.protocol.truth import TruthReader
 
 SPLITS = ('valid', 'test')
@@ -172,6 +172,8 @@ def _model_method(name, paths, data_path, reader, values, scene):
 
 def protocol(data_path: str, values) -> dict:
     """The document of one dataset; see `judge`."""
+    from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
+
     reader = TruthReader(data_path)
     scene = reader.metadata.get('scene', {}).get('name', os.path.basename(data_path))
     print(f'{data_path}: fitting baselines', flush=True)
@@ -199,7 +201,6 @@ def protocol(data_path: str, values) -> dict:
     document = {
         'schema_version': SCHEMA_VERSION,
         'scene': scene,
-        'file': os.path.basename(values.output_path.rstrip('/')) + f'/{scene}.json',
         'record': record.provenance(),
         **judge(reader, methods, progress),
     }
@@ -217,18 +218,14 @@ def define_flags() -> None:
     )  # fmt: skip
     flags.DEFINE_list('train', [], 'Presets that are trained here, with several seeds.')
     flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
-    flags.DEFINE_string('work_path', None, 'Folder for trainings and rollouts; calls resume.')
-    flags.DEFINE_string('output_path', None, 'Folder for <scene>.json.')
-    flags.DEFINE_multi_string('update', [], 'Document whose tables are made again.')
-    flags.DEFINE_bool('check', False, 'With --update: write nothing, fail where tables differ.')
+    flags.DEFINE_string(
+        'work_path', None, 'Folder for trainings and rollouts; calls resume.', required=True
+    )
+    flags.DEFINE_string('output_path', None, 'Folder for <scene>.json.', required=True)
 
 
-def main(values, _) -> int:
-    """Runs the command; returns the exit code."""
-    if values.update:
-        return _documents(values.update, values.check)
-    if not values.work_path or not values.output_path:
-        raise ValueError('--work_path and --output_path are needed (or --update)')
+def main(values, _) -> None:
+    """Runs the command."""
     os.makedirs(values.output_path, exist_ok=True)
     for data_path in values.data_path:
         document = protocol(data_path, values)
@@ -238,19 +235,6 @@ def main(values, _) -> int:
             print(f'\n{document["scene"]}, test, {quantity}')
             print(tables.quantity_table(document, 'test', quantity))
         print(f'wrote {path}', flush=True)
-    return 0
-
-
-def _documents(paths, check):
-    wrong = 0
-    for path in paths:
-        if not check:
-            print(f'{path}: {documents.update(path)} tables written')
-            continue
-        for mark in documents.differences(path):
-            print(f'{path}: {mark}: the table is not what the JSON says')
-            wrong += 1
-    return 1 if wrong else 0
 
 
 if __name__ == '__main__':

@@ -15,8 +15,20 @@ _TRAIN = [sys.executable, '-m', 'learning_to_simulate.train']
 
 
 def train(data_path: str, model_path: str, flags: list[str]) -> None:
-    """Trains a model, or goes on where its training ended; see `_run`."""
-    _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
+    """Trains a model, goes on where its training ended, or finds it done; see `_run`."""
+    if not _is_trained(model_path):
+        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
+
+
+def _is_trained(model_path):
+    """Whether the last checkpoint of a network is that of its last step; a process that only says
+    so would take as long to start as a rollout."""
+    path = os.path.join(model_path, 'config.json')
+    if not os.path.exists(path):
+        return False
+    config = files.read_json(path).get('config', {})
+    total = config.get('num_steps', 0) + config.get('unroll_steps', 0)
+    return total > 0 and os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
 
 
 def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:

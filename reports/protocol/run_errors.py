@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 
 HORIZONS = (0.25, 0.5, 1.0, 2.0)  # s
 

@@ -1,8 +1,9 @@
 """Tables of a protocol document, as Markdown, from its JSON alone."""
 
+from pca_tools import files
 from reports import markdown
 from reports.protocol import over_runs
-from reports.protocol.over_runs import ALL, QUANTITIES, QUIET_MM
+from reports.protocol.over_runs import ALL, QUIET_MM
 
 
 def _span(figure, digits=3):
@@ -18,7 +19,7 @@ def _about(document, method):
 def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -> str:
     """Median, mean, worst of all methods in one quantity, and over each baseline the geometric mean
     of the ratios and the wins."""
-    rows = document['summary'][split][kind].get(quantity, {})
+    rows = document['summary'][split][kind][quantity]
     baselines = [m['name'] for m in document['methods'] if m['baseline'] and m['name'] in rows]
     header = ['method', 'median', 'mean', 'worst']
     header += [f'over {name}' for name in baselines]
@@ -83,35 +84,38 @@ def run_table(document: dict, split: str, quantity: str) -> str:
     return markdown.table(header, rows)
 
 
-def scene_report(document: dict, split: str = 'test') -> str:
-    """All tables of one scene and split, with their headings."""
-    data = document['data']
-    counts = document['runs'][split]
-    quiet = sum(run['motion_mm'] < QUIET_MM for run in counts)
-    parts = [
-        f'## {document["scene"]}, {split}',
-        f'Data version {data["version"]}, {len(counts)} runs ({_kinds(counts)}), {quiet} of them '
-        f'quiet (below {QUIET_MM:g} mm). Truth: {data["truth"]}. Particle spacing '
-        f'{data["spacing_mm"]:.1f} mm. JSON: `{document["file"]}`.',
-    ]
-    kinds = list(document['summary'][split])
-    for quantity, title in QUANTITIES.items():
-        for kind in kinds:
-            if document['summary'][split][kind].get(quantity):
-                suffix = '' if kind == ALL else f', {kind}'
-                parts += [f'### {title}{suffix}', quantity_table(document, split, quantity, kind)]
-        if quantity == 'soil_mm' and document['horizons'][split]:
-            parts += ['### Soil after a time, mm', horizon_table(document, split)]
-    for quantity in ('soil_mm', 'force_l2'):
-        if document['summary'][split][ALL].get(quantity):
-            title = QUANTITIES[quantity]
-            parts += [f'### Every run: {title}', run_table(document, split, quantity)]
-    return '\n\n'.join(parts)
+def facts_table(document: dict) -> str:
+    """What the judged data are, split by split."""
+    rows = []
+    for split, runs in document['runs'].items():
+        kinds = [run['kind'] for run in runs]
+        counted = ', '.join(f'{kinds.count(kind)} {kind}' for kind in sorted(set(kinds)))
+        quiet = [str(run['case']) for run in runs if run['motion_mm'] < QUIET_MM]
+        rows.append([split, counted, ', '.join(quiet), document['data']['truth']])
+    return markdown.table(['split', 'runs', 'quiet cases', 'truth'], rows)
 
 
-def _kinds(runs):
-    kinds = [run['kind'] for run in runs]
-    return ', '.join(f'{kinds.count(kind)} {kind}' for kind in sorted(set(kinds)))
+# The same of stored documents, for the tables of pages (`reports.documents`).
+
+
+def facts(path: str) -> str:
+    """`facts_table` of a stored document."""
+    return facts_table(files.read_json(path))
+
+
+def quantity(path: str, split: str, name: str, kind: str = ALL) -> str:
+    """`quantity_table` of a stored document."""
+    return quantity_table(files.read_json(path), split, name, kind)
+
+
+def horizons(path: str, split: str) -> str:
+    """`horizon_table` of a stored document."""
+    return horizon_table(files.read_json(path), split)
+
+
+def runs(path: str, split: str, name: str) -> str:
+    """`run_table` of a stored document."""
+    return run_table(files.read_json(path), split, name)
 
 
 def complete(document: dict) -> dict:

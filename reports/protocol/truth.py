@@ -6,7 +6,8 @@ import os
 
 import numpy as np
 
-from learning_to_simulate.presets import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods import resting_bed
 from pca_tools import dataset, particles, subspace
 
 PARTICLES, DECODED = 'particles', 'decoded'
@@ -150,22 +151,9 @@ class TruthReader:
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             dt=float(metadata['dt']),
-            spacing=self.spacing(split, record),
+            spacing=resting_bed.solver_spacing(case)
+            or resting_bed.kept_spacing(self.subspace.initial),
         )
-
-    @property
-    def kept_spacing(self) -> float:
-        """Spacing (m) of the particles that the modes stand for."""
-        initial = self.subspace.initial
-        return float((np.prod(np.ptp(initial, axis=0)) / len(initial)) ** (1 / 3))
-
-    def spacing(self, split: str, record: int) -> float:
-        """Spacing (m) of the solver's particles; of the kept ones where the case does not say."""
-        case = _of_run(self.metadata.get('cases'), split, record) or {}
-        packing = case.get('packing') or {}
-        if 'cell_size_m' in case and 'particles_per_cell' in packing:
-            return float(case['cell_size_m'] / packing['particles_per_cell'] ** (1 / 3))
-        return self.kept_spacing
 
 
 def _of_run(values, split, record):

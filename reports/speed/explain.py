@@ -16,17 +16,20 @@ Examples:
 """
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import tensorflow as tf
 from absl import flags
 
 from learning_to_simulate import connectivity_utils, experiment, reading_utils
+from learning_to_simulate.features import EMBEDDING_SIZE
 from learning_to_simulate.folded_simulator import FoldedSimulator
-from learning_to_simulate.learned_simulator import EMBEDDING_SIZE, Layout
+from learning_to_simulate.folded_step import FoldedStep
+from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.specialised_rollout import SpecialisedRollout
+from learning_to_simulate.step_form import PlainStep
 from pca_tools import files
 from reports import command, markdown, record, timing
 from reports.speed import product_count
@@ -72,7 +75,7 @@ class Explanation:
             raise ValueError(
                 f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
             )
-        self._calls = {}
+        self._calls: dict[str, tuple] = {}
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
@@ -91,9 +94,10 @@ class Explanation:
         """Trained numbers of the model."""
         return _weights(self._simulator)
 
-    def _add(self, name, model, group, layout, kind=SpecialisedRollout, **options):
+    def _add(self, name, model, group, layout, kind=FoldedStep, **options):
         """Makes a variant to be timed; returns its inputs."""
-        function = kind(model.simulator, layout, **options)
+        make_step = partial(kind, **options)
+        function = RolloutFunction(model.simulator, layout, make_step=make_step)
         inputs = rollout_inputs(group, layout, model.simulator.scene)
         self._calls[name] = (function, inputs)
         return inputs
@@ -115,7 +119,7 @@ class Explanation:
         if layout.n_edge == layout.n_node**2:
             return
         full = connectivity_utils.fully_connected(layout.n_node)
-        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.conditioned)
+        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.loss_by_motion)
         yield self._on_top('edges that the graph does not have', 'full', model, group, full)
 
     def _rigid_particles(self, model, data_path, metadata, group):
@@ -154,7 +158,7 @@ class Explanation:
         s, layout = model.simulator, self.layout
         self._add('nothing ahead', model, group, layout, ahead=False)
         self._add('gathers', model, group, layout, dense=False)
-        self._add('plain', model, group, layout, RolloutFunction)
+        self._add('plain', model, group, layout, PlainStep)
         in_loop, _ = product_count.specialised_frame(s, layout, inputs, ahead=False)
         name = f'what is known ahead ({self.mflop_ahead:.3g} MFLOP a step before the loop)'
         yield Item(name, 0, in_loop - self.mflop, 0, ('nothing ahead', 'all'))
@@ -206,7 +210,7 @@ class Explanation:
           rounds: timed rollouts of each variant.
         """
         jobs = {
-            name: timing.Job(lambda f=function, x=inputs: f(*x)[0].numpy(), inputs[-1])
+            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()
         }
         times = timing.in_turns(jobs, rounds, 'rollouts in turns')

@@ -7,9 +7,7 @@ element by element, which is small beside the products.
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.folded_simulator import FoldedSimulator, Given, MovingState
-from learning_to_simulate.specialised_rollout import given_motion
-from learning_to_simulate.two_pass import AheadPass, FramePass
+from learning_to_simulate.folded_step import FoldedStep, given_motion
 
 _TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
 
@@ -53,33 +51,19 @@ def plain_frame(simulator, layout, state, known, context) -> float:
 
 
 def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[float, float]:
-    """MFLOP of a frame of `SpecialisedRollout`: within the loop, and before it.
+    """MFLOP of a frame of `FoldedStep`: within the loop, and before it.
 
     Args:
       simulator, layout: of the model.
       inputs: of `rollout.rollout_inputs`.
-      ahead: of `SpecialisedRollout`.
+      ahead: of `FoldedStep`.
     """
     state, known, context, n_frame = inputs
-    folded = FoldedSimulator(simulator, layout)
-    given = given_motion(simulator, layout, state, known, n_frame)
-    before, results = 0.0, {}
+    step = FoldedStep(simulator, layout, rigid_correction=False, ahead=ahead)
+    before = 0.0
     if ahead:
-        rows = [None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given]
-        contexts = None if context is None else tf.tile(context, [n_frame, 1])
-
-        def run(rows):
-            first = AheadPass(n_frame)
-            folded.predict(first, rows, MovingState(None, None, None, None))
-            return first.results
-
-        rows = Given(*rows, contexts)
-        results, before = run(rows), mflop(run, rows) / n_frame
-
-    def frame(now, moving):
-        one = FramePass(results, 0)
-        outputs = {n: one.read(x) for n, x in folded.predict(one, now, moving).items()}
-        return folded.advance(outputs, moving)
-
-    now = Given(*(None if x is None else x[0] for x in given), context)
-    return mflop(frame, now, folded.moving(state)), before
+        given = given_motion(simulator, layout, state, known, n_frame)
+        before = mflop(lambda g, c: step.first_pass(g, c, n_frame), given, context) / n_frame
+    one, now = step.ahead(state, known, context, n_frame)(0)
+    frame = mflop(lambda now, carry: step.advance(carry, (one, now)), now, step.begin(state))
+    return frame, before

@@ -20,8 +20,8 @@ from absl import flags
 
 from learning_to_simulate import experiment, presets, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
-from learning_to_simulate.specialised_rollout import rollout_function
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
 from reports.speed.original_style import (
@@ -38,7 +38,7 @@ ORIGINALS = {
     'original way: pairs appended, as published': appended_pairs,
     'original way, pairs made by numpy': numpy_pairs,
 }
-METHODS = {
+METHODS: dict[str, dict] = {
     'fully connected, L = 128, plain': {'preset': 'fcg_original', 'plain': True},
     'fully connected, L = 128': {'preset': 'fcg_original'},
     'partial graph, all rigid, L = 128, plain': {

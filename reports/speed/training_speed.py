@@ -18,6 +18,7 @@ Examples:
 """
 
 import time
+from functools import partial
 
 import numpy as np
 import sonnet as snt
@@ -103,7 +104,8 @@ def original_step(data_path: str, batch_size: int, pairs=appended_pairs, latent_
         optimizer.apply(tape.gradient(loss, variables), variables)
         return loss
 
-    loss_of(*next(batches), tf.constant([0, 0]))  # makes the variables
+    first_position, first_force = next(batches)
+    loss_of(first_position, first_force, tf.constant([0, 0]))  # makes the variables
     count = iter(range(2**31))
     return lambda: float(train_step(*next(batches), tf.constant([1, next(count)])))
 
@@ -137,7 +139,7 @@ def measure(data_path: str, batch_size: int, rounds: int, steps: int, **override
             step()
 
     jobs = {
-        name: timing.Job(lambda step=step: turn(step), steps * batch_size, warm_up=1)
+        name: timing.Job(partial(turn, step), steps * batch_size, warm_up=1)
         for name, step in methods.items()
     }
     times = timing.in_turns(jobs, rounds)

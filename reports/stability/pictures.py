@@ -1,6 +1,7 @@
 """Pictures of the stability report, drawn from its curves."""
 
 import os
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, ticker
@@ -30,7 +31,8 @@ def draw_all(curves: dict, folder: str) -> list[str]:
     ):
         if not curves.get(key):
             continue
-        with rc_context(STYLE | {'legend.fontsize': 8}):
+        style: Any = STYLE | {'legend.fontsize': 8}
+        with rc_context(style):
             figure = Figure(layout='constrained')
             draw(figure, curves)
             for axes in figure.axes:

@@ -58,7 +58,9 @@ def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -
     if unknown := set(parts) - PARTS.keys():
         raise ValueError(f'unknown parts {sorted(unknown)}; there are {", ".join(PARTS)}')
     os.makedirs(output_path, exist_ok=True)
-    rows, curves, seconds = [], {}, {}
+    rows: list[cases.Case] = []
+    curves: dict = {}
+    seconds: dict[str, float] = {}
     for part in parts:
         started = time.process_time()
 

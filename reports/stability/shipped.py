@@ -5,11 +5,11 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import experiment, metrics
+from learning_to_simulate import checkpoints, experiment, metrics, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
-from learning_to_simulate.specialised_rollout import rollout_function
 from reports.record import ROOT
 
 SCENES = ('excavation', 'wheel')
@@ -30,9 +30,9 @@ class Shipped:
 
     scene: str
     preset: str
-    model: object
+    model: checkpoints.Model
     metadata: dict
-    group: object
+    group: reading_utils.RunGroup
 
     @property
     def name(self) -> str:

@@ -16,7 +16,7 @@ LATENT_SIZE = 'latent size'
 OTHER_METHODS = 'other methods'
 DECISIONS = 'decisions'
 # Family -> rows (label, what they are) with the training of their preset.
-WHOLE = {
+WHOLE: dict[str, list[tuple[str, dict]]] = {
     SHIPPED: [
         ('fcg_original', {'preset': 'fcg_original'}),
         ('pcg_thesis', {'preset': 'pcg_thesis'}),
@@ -36,7 +36,7 @@ WHOLE = {
     ],
 }
 # Only where it is asked for: what the decisions behind the default are worth, one at a time.
-ON_DEMAND = {
+ON_DEMAND: dict[str, list[tuple[str, dict]]] = {
     DECISIONS: [
         ('pcg', {'preset': 'pcg'}),
         ('single-step training only', {'preset': 'pcg', 'unroll_steps': 0}),
@@ -58,11 +58,11 @@ ON_DEMAND = {
 }  # fmt: skip
 # Presets that one training has to do for: they are references, and slow to train.
 ONE_SEED = ('fcg_original', 'pcg_thesis', 'full_space')
-BASE = ('base of the sweeps', {})
+BASE: tuple[str, dict] = ('base of the sweeps', {})
 # Which of a body's particles are nodes: the lowest of one that is prescribed, else evenly many.
 LOWEST_ONLY, EVENLY_THINNED = 'rigid particles', 'every k-th rigid particle'
 # Family -> rows (label, what differs from the base). A row may lie in several families.
-SWEEPS = {
+SWEEPS: dict[str, list[tuple[str, dict]]] = {
     LOWEST_ONLY: [
         ('all rigid particles', {'rigid_particles': 0}),
         ('12 rigid particles', {'rigid_particles': 12}),

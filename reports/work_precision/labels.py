@@ -54,7 +54,8 @@ def place(axes, places: dict[str, tuple[float, float]], fontsize: float = 8) -> 
                 best = (cost, text, box)
             else:
                 text.remove()
-        taken.append((best[2], 3.0))
+        if best:
+            taken.append((best[2], 3.0))
 
 
 def _candidates():

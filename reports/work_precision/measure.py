@@ -15,6 +15,7 @@ import os
 import resource
 import time
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import tqdm
@@ -55,8 +56,7 @@ def isolated(function, *arguments, limit_s: float | None = None, threads: int | 
     pool = concurrent.futures.ProcessPoolExecutor(
         1,
         multiprocessing.get_context('spawn'),
-        initializer=use_threads if threads else None,
-        initargs=(threads,) if threads else (),
+        initializer=partial(use_threads, threads) if threads else None,
     )
     try:
         return pool.submit(function, *arguments).result(limit_s)
@@ -203,6 +203,10 @@ def _judge(summaries):
     return status, '; '.join(notes)
 
 
+def _rollout_seconds(evaluator, group):
+    return evaluator.roll_out(group).seconds
+
+
 def time_rollouts(data_path: str, model_paths: dict, rounds: int) -> dict[str, Timing]:
     """Times whole rollouts of one test run of all models in turns.
 
@@ -220,7 +224,7 @@ def time_rollouts(data_path: str, model_paths: dict, rounds: int) -> dict[str, T
         group = _largest(groups)
         slow = evaluator.roll_out(group).seconds > SLOW_S
         jobs[key] = timing.Job(
-            lambda evaluator=evaluator, group=group: evaluator.roll_out(group).seconds,
+            partial(_rollout_seconds, evaluator, group),
             group.position.shape[1] - INPUT_SEQUENCE_LENGTH,
             min(rounds, SLOW_ROUNDS) if slow else None,
             0 if slow else WARM_UP,

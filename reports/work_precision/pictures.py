@@ -42,11 +42,11 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     dt = document['dt']
     first = {p.label: p for p in over_seeds(document['points'])}
     places = {
-        label: (p.seconds_per_second(dt), error(p, split))
+        label: (time, size)
         for label, p in first.items()
         if families.REFERENCE not in p.families and p.status == OK
+        if (time := p.seconds_per_second(dt)) is not None and (size := error(p, split)) is not None
     }
-    places = {label: place for label, place in places.items() if None not in place}
     if not places:
         raise ValueError(f'no model has both a time and a {quantity} error on {split}')
     figure = Figure(
@@ -68,7 +68,7 @@ def draw(document: dict, quantity: str, path: str, split: str = 'test') -> None:
     references = {
         label: error(p, split) for label, p in first.items() if families.REFERENCE in p.families
     }
-    slowest = [p.seconds_per_second(dt) for p in first.values() if p.rollout]
+    slowest = [p.seconds_per_second(dt) or 0.0 for p in first.values()]
     _set_limits(axes, places.values(), references.values(), max(1.0, *slowest))
     failures = [p for p in document['points'] if p.status != OK]
     _draw_failures(axes, failures, dt)

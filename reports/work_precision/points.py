@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pca_tools import files
 from reports.timing import Timing
 
+DOCUMENT = 'points.json'
+SCHEMA_VERSION = 1
 OK = 'ok'
 # A soil error this many times that of the better trivial predictor is a failure, not a result.
 DIVERGED_RATIO = 10.0
@@ -106,6 +109,29 @@ class WorkPrecisionPoint:
             raise ValueError(f'not a point of the report: {error!r}') from error
 
 
+def read_document(path: str) -> dict:
+    """Reads a stored report; its 'points' become `WorkPrecisionPoint`s.
+
+    Raises:
+      FileNotFoundError, ValueError: no report there, or one of another kind or version.
+    """
+    values = files.read_json(path)
+    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(f'{path}: not a report of schema version {SCHEMA_VERSION}')
+    try:
+        read = [WorkPrecisionPoint.from_json(point) for point in values['points']]
+        values['scene'], values['dt'], values['machine']
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{path}: {error!r}') from error
+    return values | {'points': read}
+
+
+def write_document(path: str, document: dict) -> None:
+    """Writes a report, whole or not at all."""
+    points = [point.to_json() for point in document['points']]
+    files.write_json(path, document | {'points': points})
+
+
 def over_seeds(points: Sequence[WorkPrecisionPoint]) -> list[WorkPrecisionPoint]:
     """One point per label, as a user meets it who trains once: errors of all seeds together.
 
@@ -143,11 +169,11 @@ def pareto_front(costs: Sequence[tuple[float, float]]) -> np.ndarray:
     """
     front = np.zeros(len(costs), bool)
     best = (math.inf, math.inf)
-    for i in sorted(range(len(costs)), key=lambda i: tuple(costs[i])):
+    for i in sorted(range(len(costs)), key=lambda i: costs[i]):
         # Later in this order means no faster, so only a smaller error, or an equal point, stays.
-        if costs[i][1] < best[1] or tuple(costs[i]) == best:
+        if costs[i][1] < best[1] or costs[i] == best:
             front[i] = True
-            best = tuple(costs[i])
+            best = costs[i]
     return front
 
 
@@ -170,17 +196,18 @@ def choose(
     if not budget_ms > 0:
         raise ValueError(f'the budget is {budget_ms} ms per step, must be above 0')
     candidates = [
-        p for p in over_seeds(points)
+        (time, error, p)
+        for p in over_seeds(points)
         if p.status == OK and p.overrides
-        and p.step_ms() is not None and p.position_error(split) is not None
+        and (time := p.step_ms()) is not None and (error := p.position_error(split)) is not None
     ]  # fmt: skip
     if not candidates:
         raise ValueError(f'no model has both a time and an error on {split}; measure some first')
-    affordable = [p for p in candidates if p.step_ms() <= budget_ms]
+    affordable = [row for row in candidates if row[0] <= budget_ms]
     if not affordable:
-        fastest = min(candidates, key=WorkPrecisionPoint.step_ms)
+        time, _, fastest = min(candidates, key=lambda row: row[0])
         raise ValueError(
             f'no model keeps {budget_ms:g} ms per step: the fastest, {fastest.label}, needs '
-            f'{fastest.step_ms():.3g} ms (99th percentile)'
+            f'{time:.3g} ms (99th percentile)'
         )
-    return min(affordable, key=lambda p: p.position_error(split))
+    return min(affordable, key=lambda row: row[1])[2]

@@ -3,6 +3,7 @@
 import os
 
 from pca_tools import files
+from reports import markdown
 from reports.timing import Timing
 from reports.work_precision.points import OK, WorkPrecisionPoint
 
@@ -24,6 +25,22 @@ def read(path: str) -> list[WorkPrecisionPoint]:
         return [_point(path, name, runs) for name, runs in values['runs'].items()]
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise ValueError(f'{path}: not the rows of reports coarse_solver: {error!r}') from error
+
+
+def per_case(*paths: str) -> str:
+    """Every case of the solver on coarser grids: soil error in full space, force, time."""
+    header = ('scene', 'cells', 'case', 'soil RMS mm', 'force rel. L2', 'CPU s per simulated s')
+    lines = []
+    for path in paths:
+        values = files.read_json(path)
+        for name, runs in values['runs'].items():
+            cells = 'fine' if name == FINE else f'x {name.removeprefix(f"{FINE}_x")}'
+            lines += [
+                (values['scene'], cells, run['record'], run.get('soil_rms_mm'),
+                 run.get('force_relative_l2'), run['seconds_per_simulated_second'])
+                for run in runs
+            ]  # fmt: skip
+    return markdown.table(header, lines)
 
 
 def _point(path, name, runs):

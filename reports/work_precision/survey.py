@@ -9,13 +9,17 @@ import threading
 import tqdm
 
 from learning_to_simulate import checkpoints, edge_lists, experiment, reading_utils
-from pca_tools import dataset, files
+from pca_tools import dataset
 from reports import markdown, record
 from reports.work_precision import families, measure, solver_rows
-from reports.work_precision.points import WorkPrecisionPoint
+from reports.work_precision.points import (
+    DOCUMENT,
+    SCHEMA_VERSION,
+    WorkPrecisionPoint,
+    read_document,
+    write_document,
+)
 
-DOCUMENT = 'points.json'
-SCHEMA_VERSION = 1
 REFERENCES = {'projection': markdown.FLOOR} | markdown.TRIVIAL
 
 
@@ -53,29 +57,6 @@ class Settings:
     time_again: bool = False
     isolate: bool = True
     solver_json: str | None = None
-
-
-def read_document(path: str) -> dict:
-    """Reads a stored report; its 'points' become `WorkPrecisionPoint`s.
-
-    Raises:
-      FileNotFoundError, ValueError: no report there, or one of another kind or version.
-    """
-    values = files.read_json(path)
-    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
-        raise ValueError(f'{path}: not a report of schema version {SCHEMA_VERSION}')
-    try:
-        read = [WorkPrecisionPoint.from_json(point) for point in values['points']]
-        values['scene'], values['dt'], values['machine']
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f'{path}: {error!r}') from error
-    return values | {'points': read}
-
-
-def write_document(path: str, document: dict) -> None:
-    """Writes a report, whole or not at all."""
-    points = [point.to_json() for point in document['points']]
-    files.write_json(path, document | {'points': points})
 
 
 class Survey:

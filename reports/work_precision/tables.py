@@ -4,15 +4,23 @@ import csv
 import io
 from collections.abc import Sequence
 
+from pca_tools import files
 from reports import markdown, record
 from reports.timing import CLOCKS
+from reports.work_precision import families
 from reports.work_precision.points import (
     OK,
     WorkPrecisionPoint,
     over_seeds,
     pareto_front,
+    read_document,
 )
 
+SUMMARY = (
+    'persistence', 'constant velocity', 'truncation error', 'fcg_original', 'pcg_thesis', 'pcg',
+    'pcg, L = 32', 'MLP', 'Motion-Mixer, SE', 'GNS on particles', 'solver, cells x 2',
+    'solver, cells x 1.5',
+)  # fmt: skip
 COLUMNS = (
     'model', 'edges', 'weights', 'soil RMS mm, valid', 'test', 'of best trivial', 'force rel. L2, '
     'valid', 'test', 'ms per step', 'p99', 'worst', 'live p99', 's per simulated s',
@@ -32,10 +40,10 @@ def front_labels(
       split: the split of the error.
     """
     rows = [
-        (p.label, p.seconds_per_second(dt), error(p, split))
+        (p.label, time, size)
         for p in over_seeds(points) if p.status == OK and p.overrides
+        if (time := p.seconds_per_second(dt)) is not None and (size := error(p, split)) is not None
     ]  # fmt: skip
-    rows = [row for row in rows if None not in row]
     front = pareto_front([row[1:] for row in rows])
     return {row[0] for row, kept in zip(rows, front, strict=True) if kept}
 
@@ -94,6 +102,98 @@ def rows_table(document: dict) -> str:
         seeds = [p for p in points if p.label == point.label]
         lines.append([point.label + marks, *_cells(point, seeds, points, dt)])
     return markdown.table(COLUMNS, lines)
+
+
+def summary(*paths: str) -> str:
+    """Soil and force errors on test and the time of a step, scene beside scene.
+
+    Args:
+      *paths: `points.json` of each scene.
+    """
+    documents = [read_document(path) for path in paths]
+    header: list[str] = ['mean (range over trainings)']
+    found: dict[str, dict] = {}
+    for document in documents:
+        header += [f'{document["scene"]}: soil RMS mm', 'force rel. L2', 'ms per step']
+        for point in over_seeds(document['points']):
+            if point.label in SUMMARY:
+                seeds = [p for p in document['points'] if p.label == point.label]
+                found.setdefault(point.label, {})[document['scene']] = (
+                    markdown.span([p.position_error('test') for p in seeds]),
+                    markdown.span([force_error(p, 'test') for p in seeds]),
+                    point.rollout and point.overrides and point.rollout.percentile(50),
+                )
+    empty = (None,) * 3
+    return markdown.table(
+        header,
+        [
+            [label, *(c or None for d in documents for c in cells.get(d['scene'], empty))]
+            for label in SUMMARY
+            if (cells := found.get(label))
+        ],
+    )
+
+
+def shipped(*paths: str) -> str:
+    """The shipped presets: sizes, and errors on test of all trainings of the same recipe.
+
+    Args:
+      *paths: `points.json` of each scene.
+    """
+    header = ('model', 'weights', 'edges', 'soil RMS mm', 'truncation error mm', 'force rel. L2',
+              'ms per step')  # fmt: skip
+    lines = []
+    for path in paths:
+        document = read_document(path)
+        floor = next(p for p in document['points'] if p.label == markdown.FLOOR)
+        for point in over_seeds(document['points']):
+            if families.SHIPPED not in point.families:
+                continue
+            seeds = [p for p in document['points'] if p.label == point.label]
+            lines.append(
+                (f'`models/{document["scene"]}/{point.label}`', point.n_weight, point.n_edge,
+                 markdown.span([p.position_error('test') for p in seeds]),
+                 floor.position_error('test'),
+                 markdown.span([force_error(p, 'test') for p in seeds]),
+                 point.rollout and point.rollout.percentile(50))
+            )  # fmt: skip
+    return markdown.table(header, lines)
+
+
+def sweeps(*paths: str) -> str:
+    """The rows of the sweeps: soil error on valid and test and the time of a step, per scene."""
+    documents = [read_document(path) for path in paths]
+    header: list[str] = ['left out, or added']
+    found: dict[str, dict] = {}
+    for document in documents:
+        header += [f'{document["scene"]}: valid, mm', 'test, mm', 'ms per step']
+        for p in document['points']:
+            if not set(p.families).isdisjoint(families.SWEEPS):
+                found.setdefault(p.label, {})[document['scene']] = (
+                    p.position_error('valid'), p.position_error('test'),
+                    p.rollout and p.rollout.percentile(50),
+                )  # fmt: skip
+    empty = (None,) * 3
+    return markdown.table(
+        header,
+        [
+            [label, *(c for d in documents for c in cells.get(d['scene'], empty))]
+            for label, cells in found.items()
+        ],
+    )
+
+
+def decisions(path: str) -> str:
+    """Rows with one decision changed each, one training a row.
+
+    Args:
+      path: JSON list of name, valid and test; since then these rows are a family of the survey.
+    """
+    header = ('alternative', 'soil MSE of best trivial, valid', 'test', 'force rel. L2, valid',
+              'test')  # fmt: skip
+    keys = [(s, k) for k in ('of_best_trivial', 'force_relative_l2') for s in ('valid', 'test')]
+    rows = files.read_json(path)
+    return markdown.table(header, [(row['name'], *(row[s][k] for s, k in keys)) for row in rows])
 
 
 def _cells(point, seeds, points, dt):

@@ -176,12 +176,8 @@ def test_second_converter_does_not_replace_the_first(tmp_path):
     def fast(folder):
         files.write_json(f'{folder}/a.json', 'fast')
 
-    # The same process has one temporary name; two processes have two.
-    real, numbers = files.os.getpid, iter((1, 2))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(files.os, 'getpid', lambda: next(numbers, real()))
-        with pytest.raises(OSError):
-            files.write_folder_atomically(path, slow, replace=False)
+    with pytest.raises(OSError):
+        files.write_folder_atomically(path, slow, replace=False)
     assert json.loads((tmp_path / 'set' / 'a.json').read_text()) == 'fast'
     assert [p.name for p in tmp_path.iterdir()] == ['set']
 
@@ -199,7 +195,7 @@ with files.one_writer(sys.argv[1]):
         cwd=ROOT, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert holder.stdout.readline() == 'held\n'
-    refusal = pytest.raises(ValueError, match=f'process {holder.pid} writes')
+    refusal = pytest.raises(ValueError, match=f'process {holder.pid} on .* writes')
     with refusal, mpm_files.one_writer(str(tmp_path)):
         raise AssertionError('two writers')
     holder.kill()

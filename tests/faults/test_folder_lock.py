@@ -118,3 +118,44 @@ print(sorted(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in chi
     )  # fmt: skip
     assert done.stdout.splitlines()[-1] == '[0, 3, 3, 3, 3, 3, 3, 3]'
     assert os.listdir(folder) == []
+
+
+def test_lock_of_a_living_process_in_another_container_is_respected(tmp_path, holder):
+    """Containers of one machine share a host name, but not the numbers of processes."""
+    path = tmp_path / folder_lock.LOCK_NAME
+    owner = json.loads(path.read_text())
+    path.write_text(json.dumps(owner | {'pid': 2**22, 'started': 1, 'namespace': 1}))
+    with pytest.raises(ValueError, match='writes into this folder'):
+        take(tmp_path)
+
+
+def test_machines_with_one_host_name_are_told_apart(tmp_path):
+    owner = {'host': socket.gethostname(), 'pid': 2**22, 'started': 1, 'boot': 'another'}
+    path = tmp_path / folder_lock.LOCK_NAME
+    path.write_text(json.dumps(owner | {'namespace': 1}))
+    with pytest.raises(ValueError, match='--take_over_lock'):
+        take(tmp_path)
+    assert take(tmp_path, take_over=True)['pid'] == os.getpid()
+
+
+def test_kill_while_the_lock_is_made_blocks_nobody(tmp_path):
+    (tmp_path / folder_lock.LOCK_NAME).touch()
+    (tmp_path / f'{folder_lock.LOCK_NAME}.4711.tmp').touch()
+    assert take(tmp_path)['pid'] == os.getpid()
+
+
+def test_lock_that_is_a_link_is_refused_and_its_target_kept(tmp_path):
+    victim = tmp_path / 'victim'
+    victim.write_text('precious')
+    folder = tmp_path / 'model'
+    folder.mkdir()
+    (folder / folder_lock.LOCK_NAME).symlink_to(victim)
+    with pytest.raises(ValueError, match='is a symbolic link'):
+        take(folder)
+    assert victim.read_text() == 'precious'
+
+
+def test_lock_is_held_again_in_the_same_process_only_once(tmp_path):
+    with folder_lock.locked(str(tmp_path)), pytest.raises(ValueError, match='writes into'):
+        take(tmp_path)
+    assert os.listdir(tmp_path) == []

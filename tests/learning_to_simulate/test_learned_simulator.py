@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import graph_network, learned_simulator
+from learning_to_simulate import graph_network, learned_simulator, rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from tests.learning_to_simulate import models
@@ -40,7 +40,7 @@ def first_step(model, group, run=0):
     layout = model.layout(group.n_rigid)
     state, known, context, _ = rollout_inputs(one, layout, model.simulator.scene)
     if known is not None:
-        known = learned_simulator.KnownMotion(known.offset[0], known.velocity[0])
+        known = rigid_body.KnownMotion(known.offset[0], known.velocity[0])
     state, force = model.simulator.step(state, known, context, layout)
     return state.offset[0].numpy() + layout.origin, force[0].numpy()
 
@@ -77,7 +77,7 @@ def test_true_displacements_reproduce_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(simulator, 'predict', cheat)
     for k in range(n_frame):
         frame['now'] = H + k
-        coming = learned_simulator.KnownMotion(known.offset[k], known.velocity[k])
+        coming = rigid_body.KnownMotion(known.offset[k], known.velocity[k])
         state, _ = simulator.step(state, coming, context, layout)
     error = np.abs(state.offset.numpy() + layout.origin - group.position[:, -1])
     assert error.max() < 1e-6 * np.ptp(group.position[:, :, group.n_rigid :], axis=1).max()
@@ -129,7 +129,7 @@ def test_rate_scaling_makes_motion_proportional_to_the_body(tmp_path):
     moves = []
     for factor in (1.0, 2.0):
         scaled = learned_simulator.SimulatorState(state.offset, factor * state.velocity)
-        coming = learned_simulator.KnownMotion(known.offset[0], factor * known.velocity[0])
+        coming = rigid_body.KnownMotion(known.offset[0], factor * known.velocity[0])
         after, _ = model.simulator.step(scaled, coming, context, layout)
         moves.append((after.velocity[:, layout.n_rigid :, -1]).numpy())
     np.testing.assert_allclose(moves[1], 2 * moves[0], rtol=1e-4, atol=1e-9)

@@ -11,14 +11,15 @@ from learning_to_simulate import (
     connectivity_utils,
     evaluation,
     experiment,
+    folded_step,
     presets,
     reading_utils,
     rollout,
-    specialised_rollout,
     stepping,
 )
 from learning_to_simulate.folded_simulator import FoldedSimulator
-from learning_to_simulate.learned_simulator import KnownMotion, Layout
+from learning_to_simulate.learned_simulator import Layout
+from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -161,7 +162,7 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
         mask = np.zeros((layout.n_node, layout.n_node), bool)
         mask[layout.receivers[kept], layout.senders[kept]] = True
         adjacency = connectivity_utils.Adjacency.from_mask(mask)
-        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting.conditioned)
+        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting.loss_by_motion)
         expected, force = simulator.step(state, known, None, fewer)
         simulator.config = dataclasses.replace(lasting, surface_height=surface)
         got, same = simulator.step(state, known, None, layout)
@@ -174,7 +175,7 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
 def test_a_graph_that_follows_the_tool_is_stepped_and_rolled_out_in_its_plain_form(tmp_path):
     model, (group, *_), _ = models.make(tmp_path, overrides={'surface_height': 0.3})
     layout = model.layout(group.n_rigid)
-    function = specialised_rollout.rollout_function(model.simulator, layout)
+    function = folded_step.rollout_function(model.simulator, layout)
     assert type(function) is rollout.RolloutFunction
     with pytest.raises(ValueError, match='edges last'):
         FoldedSimulator(model.simulator, layout)

@@ -1,9 +1,19 @@
 """Noise, statistics and losses against plain numpy."""
 
+import dataclasses
+
 import numpy as np
+import pytest
 import tensorflow as tf
 
-from learning_to_simulate import losses, noise_utils, normalization, presets, reading_utils
+from learning_to_simulate import (
+    losses,
+    noise_utils,
+    normalization,
+    presets,
+    reading_utils,
+    training,
+)
 from pca_tools import dataset
 from tests.learning_to_simulate import models, synthetic
 
@@ -128,3 +138,19 @@ def test_presets_are_the_published_settings():
             1e-4,
             2,
         )
+
+
+@pytest.mark.parametrize('force', [0.0, 37.5])
+def test_force_that_never_changes_divides_by_no_round_off(tmp_path, monkeypatch, force):
+    """A body in the air: its runs train, and their weights are finite."""
+    made = synthetic.make_trajectory
+
+    def still(*arguments):
+        run = made(*arguments)
+        return dataclasses.replace(run, force=np.full_like(run.force, force))
+
+    monkeypatch.setattr(synthetic, 'make_trajectory', still)
+    model, groups, _ = models.make(tmp_path)
+    np.testing.assert_array_equal(model.simulator.statistics.force_std, 1.0)
+    tensors = training.Trainer(model, groups)._tensors[0]
+    assert np.isfinite(tensors.force_weight).all() and not tensors.force.numpy().any()

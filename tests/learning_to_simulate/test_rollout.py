@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import learned_simulator, rollout
+from learning_to_simulate import rigid_body, rollout
 from pca_tools import rigid_fit
 from tests.learning_to_simulate import models
 
@@ -23,7 +23,7 @@ def test_correction_equals_the_svd_fit_and_scipy(body):
     for _ in range(50):
         turn = Rotation.random(random_state=int(rng.integers(1 << 30)))
         target = turn.apply(shape) + rng.normal(size=3) + 0.05 * rng.normal(size=shape.shape)
-        placed = rollout.rigid_correction(shape[None], target[None])[0].numpy()
+        placed = rigid_body.rigid_correction(shape[None], target[None])[0].numpy()
         fit = rigid_fit.fit_rigid_motion(shape, target)
         np.testing.assert_allclose(placed, shape @ fit.rotation.T + fit.translation, atol=1e-12)
         nearest, _ = Rotation.align_vectors(target - target.mean(axis=0), shape)
@@ -36,7 +36,7 @@ def test_compiled_loop_equals_steps_one_by_one(tmp_path):
     result = rollout.roll_out(rollout.RolloutFunction(simulator, layout), group)
     state, known, context, n_frame = rollout.rollout_inputs(group, layout, simulator.scene)
     for k in range(n_frame):
-        coming = learned_simulator.KnownMotion(known.offset[k], known.velocity[k])
+        coming = rigid_body.KnownMotion(known.offset[k], known.velocity[k])
         state, force = simulator.step(state, coming, context, layout)
         scale = np.ptp(group.position[:, :, group.n_rigid :])
         # A random network amplifies float32 round-off over 34 steps: measured 3e-6 of the range of

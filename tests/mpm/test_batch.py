@@ -119,6 +119,7 @@ def test_finished_runs_are_not_made_again(coarse_excavation, tmp_path, short):
     assert len(digests(tmp_path)) == 2
 
 
+@pytest.mark.slow
 def test_pool_gives_the_same_runs(coarse_excavation, tmp_path):
     """A pool of processes makes the same arrays as one process (full length: `spawn` reimports)."""
     scene = coarse_excavation
@@ -130,6 +131,7 @@ def test_pool_gives_the_same_runs(coarse_excavation, tmp_path):
     assert set(digests(tmp_path / 'pool')) == set(cases)
 
 
+@pytest.mark.slow
 def test_generation_killed_anywhere_resumes(tmp_path):
     """SIGKILL at random times, also while files are written; then the same content, bit for bit."""
     cases = '22,186,lift_0003,stops_0001'

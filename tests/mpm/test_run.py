@@ -61,20 +61,25 @@ def test_wheel_records_its_free_height_and_the_changing_load(
     assert context['load'] == pytest.approx(float(expected[0]))
 
 
+def test_wheel_that_the_soil_does_not_carry_is_an_error(coarse_wheel, wheel_packing, monkeypatch):
+    monkeypatch.setattr('mpm.simulation.REST_FRAMES', 2)
+    monkeypatch.setattr(scenes, 'wheel_load', lambda context: 5000.0)
+    with pytest.raises(ValueError, match=r'the wheel sank to the floor at 0\.\d+ s.* not carry it'):
+        run.run_case(coarse_wheel, 'slip_0004', wheel_packing, Settings())
+
+
 def test_draft_and_torque_belong_together(coarse_excavation, excavation_packing, monkeypatch):
     """The resultant acts within the part of the blade that is in the soil."""
     monkeypatch.setattr(scenes, 'FRAMES', 161)
-    made = run.run_case(coarse_excavation, 181, excavation_packing, Settings())  # upright, 8 cm
+    made = run.run_case(coarse_excavation, 182, excavation_packing, Settings())  # upright, 8 cm
     force, torque = made.force[100:].mean(axis=0), made.torque[100:].mean(axis=0)
     assert force[0] > 50.0
-    # About the edge torque_z = x F_y - y F_x, and contact acts on the blade's surface: within its
-    # thickness, between its lowest point and the top of the heap. Measured 2.7 N m.
-    half, top = 0.014, 0.1
-    low = -half * force[1] - top * force[0]
-    high = half * (force[1] + force[0])
-    assert low < torque[2] < high
-    # No side is preferred: measured 1.2 cm off the middle of a blade of 46 cm, on coarse cells.
-    assert np.linalg.norm(torque[:2]) < 0.03 * np.linalg.norm(force)
+    # About the edge torque_z = x F_y - y F_x; the face stands 14 mm ahead of it. The draft acts
+    # between the round edge and the middle of the 8 cm that are in the soil (measured -1 mm).
+    height = (-0.014 * force[1] - torque[2]) / force[0]
+    assert -0.014 < height < 0.04
+    # No side is preferred: roll and yaw are those of a draft that acts within a centimetre.
+    assert np.abs(torque[:2]).max() < 0.01 * force[0]
 
 
 def test_parameters_say_what_was_run(coarse_excavation, excavation_packing, short):
@@ -83,6 +88,7 @@ def test_parameters_say_what_was_run(coarse_excavation, excavation_packing, shor
     assert (p['case'], p['kind'], p['path_seed'], p['split']) == ('stops_0001', 'stops', 1, 'train')
     assert p['solver_version'] == versions.SOLVER_VERSION
     assert p['data_version'] == versions.DATA_VERSION
+    assert p['penetration_deepest_cells'] >= 0.0 and p['penetration_inside'] >= 0
     assert p['blade_width_m'] in (0.30, 0.457) and p['solver_cpu_s'] > 0.0
     new = run.run_case(coarse_excavation, 'stops_9001', excavation_packing, Settings())
     assert new.parameters['split'] is None

@@ -50,6 +50,27 @@ def test_torque_and_pose_travel_with_the_records(tmp_path):
         convert.convert(raw, str(tmp_path / 'other'), hold_out=[3])
 
 
+def test_context_that_changes_in_time_is_that_of_the_frames(tmp_path):
+    def load_grows(case, arrays):
+        frames = len(arrays['positions'])
+        arrays['step_context'] = np.linspace([9.81, 30, case], [9.81, 30, 2 * case], frames).astype(
+            np.float32
+        )
+
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'wheel', range(1, 7), change=load_grows)
+    metadata = convert.convert(raw, str(tmp_path / 'out'))
+    for run, case in zip(
+        dataset.read_split(str(tmp_path / 'out'), 'train'), metadata['dataset_split']['train']
+    ):
+        np.testing.assert_array_equal(run.step_context, raw_of(raw, case)['step_context'])
+    raw = synthetic.write_raw_folder(
+        str(tmp_path / 'raw'), 'wheel', range(1, 7),
+        change=lambda case, arrays: arrays.update(step_context=np.zeros((24, 2), np.float32)),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r'step_context has shape \(24, 2\).* of 3 values'):
+        convert.convert(raw, str(tmp_path / 'other'))
+
+
 def name_split(splits):
     def change(case, arrays):
         parameters = json.loads(str(arrays['parameters']))

@@ -146,3 +146,16 @@ def test_manifest_that_points_out_of_its_folder_is_refused(tmp_path):
     files.write_json(str(tmp_path / 'manifest.json'), ['a'])
     with pytest.raises(ValueError, match='is not a manifest'):
         files.check_manifest(str(tmp_path))
+
+
+def test_large_json_is_refused_before_it_is_parsed(tmp_path):
+    path = tmp_path / 'x.json'
+    path.write_text('[' + '[],' * (files.MAX_JSON_BYTES // 3) + '[]]')
+    with pytest.raises(ValueError, match='the limit of JSON files'):
+        files.read_json(str(path))
+
+
+def test_messages_cannot_control_a_terminal():
+    assert files.printable('case \x1b[2J\x07 ü\nnext\t1') == 'case \\x1b[2J\\x07 ü\nnext\t1'
+    assert files.printable('\u202eevil\x9b') == '\\u202eevil\\x9b'
+    assert len(files.printable('x' * 30_000)) < 5000

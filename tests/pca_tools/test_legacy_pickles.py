@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import pickletools
 
 import numpy as np
 import pytest
@@ -61,3 +62,44 @@ def test_reads_the_authors_files(original):
     assert eigenvalues.shape in ((4880,), (6005,)) and mean.shape == ()
     with pytest.raises(ValueError, match='git-lfs pointer'):
         legacy_pickles.read_array(f'{original}/{legacy_pickles.EIGENVECTORS_NAME}')
+
+
+def test_small_pickle_cannot_ask_for_gigabytes(tmp_path):
+    """LONG_BINPUT of a huge place: 12 bytes that took 4.2 GB and 87 s."""
+    path = tmp_path / 'x.pkl'
+    path.write_bytes(b'\x80\x02Nr\xff\xff\xff\x1f.')
+    with pytest.raises(ValueError, match='fills place 536870911 of its memory after 0 others'):
+        legacy_pickles.read_array(str(path))
+
+
+def test_stand_ins_cannot_be_changed(tmp_path):
+    """BUILD on a class sets its attributes for the whole process, unless the class refuses."""
+    path = tmp_path / 'x.pkl'
+    path.write_bytes(
+        b'\x80\x02cnumpy.core.multiarray\nscalar\n(N}X\x05\x00\x00\x00arrayNs' + b'tb.'
+    )
+    with pytest.raises(ValueError, match='x.pkl'):
+        legacy_pickles.read_array(str(path))
+    path.write_bytes(pickle.dumps(np.float64(2.5)))
+    assert legacy_pickles.read_array(str(path)) == 2.5
+
+
+@pytest.mark.parametrize('name', ['NEXT_BUFFER', 'PERSID', 'OBJ', 'EXT1', 'SETITEM'])
+def test_opcodes_that_no_array_needs_end_the_reading(name, tmp_path):
+    code = next(op.code for op in pickletools.opcodes if op.name == name).encode('latin-1')
+    path = tmp_path / 'x.pkl'
+    path.write_bytes(b'\x80\x02N' + code + b'\x01\n.')
+    with pytest.raises(ValueError, match=f'uses {name}'):
+        legacy_pickles.read_array(str(path))
+
+
+def test_object_arrays_give_arrays_and_nothing_else(tmp_path):
+    held = np.empty((2, 2), dtype=object)
+    held[0] = np.arange(3.0), 5
+    held[1] = np.float32([1, 2]), (np.int64(7), [1.5])
+    (first, five), (second, pair) = legacy_pickles.parse_objects(pickle.dumps(held), 'here')
+    assert first.tolist() == [0, 1, 2] and five == 5 and second.dtype == np.float32
+    assert pair[0] == 7 and pair[1] == [1.5]
+    held[1, 1] = 'text'
+    with pytest.raises(ValueError, match='here: .*holds str'):
+        legacy_pickles.parse_objects(pickle.dumps(held), 'here')

@@ -10,7 +10,9 @@ import warnings
 import numpy as np
 import pytest
 
+from learning_to_simulate.scene import Scene
 from pca_tools import convert, dataset, files, raw_writer, write_raw
+from pca_tools.inspection import inspect_folder
 from pca_tools.matching import match_particles
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
@@ -253,3 +255,42 @@ def test_scenes_without_a_body_in_two_dimensions_with_runs_of_different_lengths(
         assert all(run.n_rigid == 0 and not run.position[..., 2].any() for run in read)
         stored |= dict(zip(metadata['dataset_split'][split], lengths))
     assert stored == dict(enumerate((20, 24, 17, 30, 20, 22)))
+
+
+def test_several_bodies_keep_their_own_motion_force_and_pose(tmp_path):
+    """A blade of 20 points and a wheel of 16 in one bin."""
+
+    def runs():
+        for case in range(6):
+            blade, wheel = (synthetic.make_run(name, case) for name in ('excavation', 'wheel'))
+            forces = np.stack([blade['force'], wheel['force']], axis=1)
+            pose = np.tile(np.float32([0, 0, 0, 1, 0, 0, 0]), (24, 2, 1))
+            points = [blade['rigid_positions'], wheel['rigid_positions'] + np.float32([0, 0, 2])]
+            yield {
+                'positions': blade['positions'],
+                'rigid_positions': np.concatenate(points, axis=1),
+                'force': forces.sum(axis=1),
+                'body_force': forces,
+                'body_pose': pose,
+            }
+
+    bodies = [
+        {'name': 'blade', 'rigid_motion': 'prescribed', 'points': 20},
+        {'name': 'wheel', 'rigid_motion': 'driven', 'points': 16},
+    ]
+    raw, out = str(tmp_path / 'raw'), str(tmp_path / 'out')
+    write_raw(raw, runs(), 1 / 60, up_axis='y', body='driven', bodies=bodies)
+    metadata = convert.convert(raw, out, modes=3)
+    assert metadata['scene']['bodies'] == bodies
+    run, wanted = dataset.read_split(out, 'test')[0], list(runs())
+    case = metadata['dataset_split']['test'][0]
+    assert run.particle_type.tolist() == [3] * 20 + [0] * 16 + [6] * 3
+    np.testing.assert_array_equal(run.body_force, wanted[case]['body_force'])
+    assert run.body_pose.shape == (24, 2, 7)
+    inspection = inspect_folder(out)
+    assert not inspection.failed, inspection.findings
+    with pytest.raises(ValueError, match=r"several bodies \['blade', 'wheel'\]"):
+        Scene.from_metadata(metadata)
+    bodies[1]['points'] = 15
+    with pytest.raises(ValueError, match="has 36 rigid points, its bodies {'blade': 20, 'wheel'"):
+        write_raw(f'{raw}2', runs(), 1 / 60, up_axis='y', body='driven', bodies=bodies)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import graph_network, learned_simulator, reading_utils, training
+from learning_to_simulate import (
+    graph_network,
+    learned_simulator,
+    reading_utils,
+    rigid_body,
+    training,
+)
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
@@ -70,7 +76,7 @@ def test_still_axes_give_no_features(tmp_path):
     layout = model.layout(group.n_rigid)
     assert not group.velocity[:, :, : group.n_rigid, 2].any()
     state, known, context, _ = rollout_inputs(group, layout, model.simulator.scene)
-    coming = learned_simulator.KnownMotion(known.offset[0], known.velocity[0])
+    coming = rigid_body.KnownMotion(known.offset[0], known.velocity[0])
     nodes, edges = model.simulator.features(state, coming, context, layout)
     assert np.isfinite(nodes).all() and np.isfinite(edges).all()
     lateral = nodes.numpy()[:, : group.n_rigid, 2:15:3]
@@ -89,8 +95,8 @@ def test_order_of_rigid_particles_does_not_matter(tmp_path, preset, motion):
     moved = learned_simulator.SimulatorState(*(tf.gather(x, order, axis=1) for x in state))
     coming = again = None
     if known is not None:
-        coming = learned_simulator.KnownMotion(known.offset[0], known.velocity[0])
-        again = learned_simulator.KnownMotion(*(tf.gather(x, order[:4], axis=1) for x in coming))
+        coming = rigid_body.KnownMotion(known.offset[0], known.velocity[0])
+        again = rigid_body.KnownMotion(*(tf.gather(x, order[:4], axis=1) for x in coming))
     step = model.simulator.step
     after, force = step(state, coming, context, layout)
     shuffled, same_force = step(moved, again, context, layout)
@@ -200,7 +206,7 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
     def cheat(state, known, context, layout):
         rate = None
         if simulator.rate_scaled:
-            rate = learned_simulator.KnownMotion(coming_offset[frame], coming_velocity[frame])
+            rate = rigid_body.KnownMotion(coming_offset[frame], coming_velocity[frame])
         target = simulator.normalized_target(velocity[frame], state, rate, layout)
         return target, tf.zeros([len(group.position), 3])
 
@@ -211,7 +217,7 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
     def advance(state):
         coming = None
         if known is not None:
-            coming = learned_simulator.KnownMotion(known.offset[frame], known.velocity[frame])
+            coming = rigid_body.KnownMotion(known.offset[frame], known.velocity[frame])
         return simulator.step(state, coming, context, layout)[0]
 
     for k in range(n_frame):

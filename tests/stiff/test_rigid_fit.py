@@ -5,7 +5,7 @@ import pytest
 import tensorflow as tf
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import rollout
+from learning_to_simulate import rigid_body
 from pca_tools.rigid_fit import fit_rigid_motion
 
 RNG = np.random.default_rng(0)
@@ -21,7 +21,7 @@ SHAPES = {
     'collinear': np.outer(np.linspace(0.0, 1.0, 7), [1.0, 2.0, 3.0]),
     'coincident': np.full((5, 3), 0.3),
 }
-CORRECTION = tf.function(rollout.rigid_correction, jit_compile=True)
+CORRECTION = tf.function(rigid_body.rigid_correction, jit_compile=True)
 
 
 def poses(count, seed):

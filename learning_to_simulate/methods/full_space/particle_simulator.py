@@ -7,6 +7,7 @@ import sonnet as snt
 import tensorflow as tf
 from scipy.spatial import cKDTree
 
+from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import RATE_FLOOR
 from learning_to_simulate.methods.full_space.particle_network import ParticleNetwork
@@ -94,7 +95,7 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
     body_speed = speeds.mean() or 1.0
     if rate_scaled:
         velocity = velocity / np.maximum(speeds / body_speed, RATE_FLOOR)[:, :, None, None]
-    height = group.position[:, :, :n, scene.up_axis].mean(axis=2) if n else np.zeros((1, 3))
+    height = height_of(group.position[:, :, :n], scene.up_axis) if n else np.zeros((1, 3))
 
     def std_of_rows(values):
         rows = [values[:, :, :n], values[:, :, n:]] if n else [values, values]
@@ -238,8 +239,7 @@ class ParticleSimulator(snt.Module):
         all but its mean height where that is predicted."""
         if self.scene.rigid_motion != RigidMotion.DRIVEN:
             return displacement
-        up = np.eye(self.dim)[self.scene.up_axis]
-        return displacement - up * displacement.mean(axis=0)
+        return without_height(displacement, self.scene.up_axis)
 
     def decode(self, nodes, edges, senders, receivers):
         """Normalised outputs of the network, differentiable: values of each node [V, D], forces of

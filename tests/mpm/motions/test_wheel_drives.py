@@ -34,6 +34,9 @@ def test_limits_are_kept(drives):
         mean = scenes.wheel_load(parameters)
         assert load.min() >= 0.5 * mean - 1e-9 and load.max() <= 1.5 * mean + 1e-9
         assert load[0] == pytest.approx(mean)
+        if drive.body.radius < 0.05:
+            assert parameters['gravity_m_s2'] > 2.0
+            assert parameters['gravity_m_s2'] > 9.0 or load.max() <= mean * (1 + 1e-9)
         for name, values in SCENE.levels.items():
             if name != 'slip_percent':
                 assert parameters[name] in values

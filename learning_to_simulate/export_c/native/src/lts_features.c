@@ -109,7 +109,7 @@ void lts_node_features(const lts_instance *soil, int node, float *out) {
   for (int k = 0; k < m->velocity_inputs; ++k) {
     for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
   }
-  if (m->conditioned) {
+  if (m->position_inputs) {
     out = offset_features(soil, node, out);
     out = acceleration_features(soil, node, out);
   }
@@ -127,7 +127,7 @@ void lts_whole_features(const lts_instance *soil, float *out) {
       for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
     }
   }
-  if (m->conditioned) {
+  if (m->position_inputs) {
     for (int node = 0; node < n_node; ++node) out = offset_features(soil, node, out);
     for (int node = 0; node < n_node; ++node) out = acceleration_features(soil, node, out);
   }

@@ -11,6 +11,8 @@
 #define UNROLL
 #endif
 
+static const float lts_zeros[LTS_PANEL] = {0.0f};
+
 /* Any C99 compiler. A comparison that keeps NaN, so that a broken state stays visible. */
 #define W 1
 #define V float

@@ -6,12 +6,9 @@
 
 /* What a dense layer does with its sums s = x w + b. */
 typedef enum {
-  LTS_LINEAR,     /* y = s */
-  LTS_RELU,       /* y = max(s, 0) */
-  LTS_NORMED,     /* y = f s + o */
-  LTS_ADD,        /* y += s */
-  LTS_ADD_NORMED, /* y += f s + o */
-  LTS_SQUARES     /* y[row] += |s|^2 */
+  LTS_RELU,   /* y = max(s, 0) */
+  LTS_NORMED, /* y = f s + o; no factor counts as 1, no offset as 0 */
+  LTS_SQUARES /* y[row] = |s|^2 */
 } lts_form;
 
 typedef struct {

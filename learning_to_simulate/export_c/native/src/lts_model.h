@@ -62,7 +62,7 @@ struct lts_model {
   const char *name, *digest, *context_names;
   int32_t n_rigid, n_modes, n_soil, n_context, n_start, up_axis;
   int32_t has_force, is_graph;
-  int32_t conditioned, knows_next, rate_scaled, correction; /* correction: keep a predicted body rigid */
+  int32_t position_inputs, knows_next, rate_scaled, correction; /* correction: keep a predicted body rigid */
   int32_t velocity_inputs, mode_order, rigid_order, has_log_context;
   int32_t has_height, has_surface; /* has_surface: points above it have no edges */
   double dt, surface, body_speed, rate_floor, height_std, height_velocity_std;

@@ -31,9 +31,8 @@ static void run_mlp(lts_instance *soil, const lts_mlp *mlp, int rows) {
   }
 }
 
-static void run_normed(lts_instance *soil, const lts_normed *layer, int rows, float *y, int ldy,
-                       lts_form form) {
-  soil->run->dense(&layer->a, soil->a, LTS_PADDED(soil->model->latent), rows, y, ldy, form,
+static void run_normed(lts_instance *soil, const lts_normed *layer, int rows, float *y, int ldy) {
+  soil->run->dense(&layer->a, soil->a, LTS_PADDED(soil->model->latent), rows, y, ldy, LTS_NORMED,
                    soil->factor, layer->o);
 }
 
@@ -85,7 +84,7 @@ static void encode_edges(lts_instance *soil) {
     soil->run->dense(&m->edge_first, feature[0], 4, rows, soil->a, stride, LTS_RELU, NULL, NULL);
     run_mlp(soil, &m->edge_encoder, rows);
     run_normed(soil, &m->edge_out, rows, soil->edges + (size_t)first * edge_stride(m),
-               edge_stride(m), LTS_NORMED);
+               edge_stride(m));
   }
 }
 
@@ -109,11 +108,11 @@ static void encode_nodes(lts_instance *soil, int kind) {
     const int rows = smaller(LTS_TILE_ROWS, n - done), first = first_node(m, kind) + done;
     float *feature = soil->feature + (size_t)first * m->n_feature;
     for (int i = 0; i < rows; ++i) lts_node_features(soil, first + i, feature + i * m->n_feature);
-    soil->run->dense(&m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_LINEAR, NULL,
+    soil->run->dense(&m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_NORMED, NULL,
                      NULL);
     soil->run->sum_relu(soil->b, m->node_bias + (size_t)first * stride, NULL, rows * stride, soil->a);
     run_mlp(soil, &m->node_encoder, rows);
-    run_normed(soil, &columns->of, rows, soil->columns + (size_t)first * ldc, ldc, LTS_NORMED);
+    run_normed(soil, &columns->of, rows, soil->columns + (size_t)first * ldc, ldc);
   }
 }
 
@@ -146,8 +145,11 @@ static void pass_messages(lts_instance *soil, int index) {
     const int keep = smaller(rows, n_kept - first);
     if (keep > 0) {
       float *edges = soil->edges + (size_t)first * lde;
-      run_normed(soil, &step->message, keep, edges + stride, lde, LTS_ADD_NORMED);
-      soil->run->dense(&step->next_edge, edges + stride, lde, keep, edges, lde, LTS_LINEAR, NULL,
+      run_normed(soil, &step->message, keep, soil->b, stride);
+      for (int i = 0; i < keep; ++i) {
+        soil->run->accumulate(1.0f, soil->b + i * stride, stride, edges + (size_t)i * lde + stride);
+      }
+      soil->run->dense(&step->next_edge, edges + stride, lde, keep, edges, lde, LTS_NORMED, NULL,
                        NULL);
     }
   }
@@ -163,7 +165,7 @@ static void decode(lts_instance *soil, int first, int rows) {
     swap_rows(soil);
   }
   soil->run->dense(&m->decoder_last, soil->a, stride, rows, soil->out + first * LTS_PANEL, LTS_PANEL,
-                   LTS_LINEAR, NULL, NULL);
+                   LTS_NORMED, NULL, NULL);
 }
 
 static void update_nodes(lts_instance *soil, int index, int kind) {
@@ -178,7 +180,7 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
     /* A kind without edges into it receives nothing. */
     const float *received = columns->receive < 0 ? NULL : soil->received + (size_t)first * ldr;
     if (received) {
-      soil->run->dense(&step->received, received, ldr, rows, soil->b, stride, LTS_LINEAR, NULL,
+      soil->run->dense(&step->received, received, ldr, rows, soil->b, stride, LTS_NORMED, NULL,
                        NULL);
     }
     for (int i = 0; i < rows; ++i) {
@@ -187,7 +189,7 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
     }
     run_mlp(soil, &step->node, rows);
     if (is_last) {
-      run_normed(soil, &step->change, rows, soil->b, stride, LTS_NORMED);
+      run_normed(soil, &step->change, rows, soil->b, stride);
       for (int i = 0; i < rows; ++i) {
         soil->run->sum_relu(of_nodes + (size_t)i * ldc + columns->decode, soil->b + i * stride, NULL,
                             stride, soil->a + i * stride);
@@ -197,12 +199,12 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
     }
     /* The latent goes into `b`, because the columns of the next step lie where it is now. */
     const lts_columns *next = &m->steps[index + 1].columns[kind];
+    run_normed(soil, &step->change, rows, soil->b, stride);
     for (int i = 0; i < rows; ++i) {
-      memcpy(soil->b + i * stride, of_nodes + (size_t)i * ldc + columns->latent,
-             (size_t)stride * sizeof(float));
+      soil->run->accumulate(1.0f, of_nodes + (size_t)i * ldc + columns->latent, stride,
+                            soil->b + i * stride);
     }
-    run_normed(soil, &step->change, rows, soil->b, stride, LTS_ADD_NORMED);
-    soil->run->dense(&next->of.a, soil->b, stride, rows, of_nodes, ldc, LTS_LINEAR, NULL, NULL);
+    soil->run->dense(&next->of.a, soil->b, stride, rows, of_nodes, ldc, LTS_NORMED, NULL, NULL);
     if (next->latent >= 0) {
       for (int i = 0; i < rows; ++i) {
         memcpy(of_nodes + (size_t)i * ldc + next->latent, soil->b + i * stride,

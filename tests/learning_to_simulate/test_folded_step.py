@@ -1,11 +1,14 @@
-"""The specialised rollout against the plain one, on every kind of body and network."""
+"""The folded form of a step against the plain one, on every kind of body and network."""
+
+import functools
 
 import numpy as np
 import pytest
 import tensorflow as tf
 
 from learning_to_simulate import rollout
-from learning_to_simulate.specialised_rollout import SpecialisedRollout, rollout_function
+from learning_to_simulate.folded_step import FoldedStep, rollout_function
+from learning_to_simulate.step_form import PlainStep
 from learning_to_simulate.two_pass import AheadPass, FramePass
 from tests.learning_to_simulate import models
 
@@ -70,7 +73,8 @@ def test_same_as_the_plain_rollout(tmp_path, case, switch):
     tf.config.run_functions_eagerly(True)
     try:
         expected = rollout.RolloutFunction(model.simulator, layout)(*inputs)
-        got = SpecialisedRollout(model.simulator, layout, **switch)(*inputs)
+        folded = functools.partial(FoldedStep, **switch)
+        got = rollout.RolloutFunction(model.simulator, layout, make_step=folded)(*inputs)
     finally:
         tf.config.run_functions_eagerly(False)
     # Round-off grows in an untrained network: measured up to 2e-6 of the range in 12 frames. The
@@ -90,7 +94,7 @@ def test_compiled_rollout_follows_weights_that_training_changed(tmp_path):
     """Variables are read in every call."""
     model, (group,), _ = models.make(tmp_path)
     layout = model.layout(group.n_rigid)
-    function = SpecialisedRollout(model.simulator, layout)
+    function = rollout.RolloutFunction(model.simulator, layout, make_step=FoldedStep)
     plain = rollout.RolloutFunction(model.simulator, layout)
     inputs = _inputs(model, group.select(0))
     for _ in range(2):
@@ -103,7 +107,8 @@ def test_compiled_rollout_follows_weights_that_training_changed(tmp_path):
 def test_a_model_without_a_graph_keeps_the_plain_rollout(tmp_path):
     model, (group,), _ = models.make(tmp_path, preset='mlp', overrides={'mode_edges': 0})
     function = rollout_function(model.simulator, model.layout(group.n_rigid))
-    assert isinstance(function, rollout.RolloutFunction)
+    step = function._make_step(model.simulator, function.layout, True)
+    assert isinstance(step, PlainStep)
 
 
 def test_two_passes_do_what_one_does():

@@ -1,0 +1,329 @@
+"""What a user types: models, datasets, training, by `import learning_to_simulate as lts`."""
+
+import dataclasses
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from learning_to_simulate import presets
+from learning_to_simulate.methods import registry
+from pca_tools import dataset, files
+from pca_tools.subspace import Subspace
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+# What a name of a scene alone means: the default preset.
+DEFAULT_MODEL = 'pcg'
+
+
+def _found(name: str, kind: str, marker: str, deeper: str = '') -> str:
+    """A folder that is given by its path, or by its name among those that ship.
+
+    Raises:
+      FileNotFoundError: neither; the message lists what ships.
+    """
+    name = os.fspath(name)
+    shipped = os.path.join(ROOT, kind)
+    for path in (name, os.path.join(ROOT, name), os.path.join(shipped, name),
+                 os.path.join(shipped, name, deeper)):  # fmt: skip
+        if os.path.isfile(os.path.join(path, marker)):
+            return path
+    names = sorted(
+        os.path.relpath(folder, shipped)
+        for folder, _, inside in os.walk(shipped)
+        if marker in inside
+    )
+    have = f'shipped are {", ".join(names)}' if names else f'none ships with this copy ({shipped})'
+    raise FileNotFoundError(f'{name}: no folder with a {marker}; {have}')
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One recorded run of a dataset; `model.rollout` takes it.
+
+    Attributes:
+      split: it is part of.
+      index: its record.
+    """
+
+    split: 'Split'
+    index: int
+
+    @property
+    def name(self) -> str:
+        """Such as `test_0`."""
+        return f'{self.split.name}_{self.index}'
+
+
+class Split(Sequence):
+    """The runs of one split; read when they are first asked for.
+
+    Attributes:
+      folder: of the dataset.
+      name: train, valid or test.
+    """
+
+    def __init__(self, folder: str, name: str):
+        self.folder, self.name = folder, name
+        self._records: list[dataset.Trajectory] | None = None
+
+    @property
+    def records(self) -> list[dataset.Trajectory]:
+        """The recorded runs, in file order; raises as `pca_tools.dataset.read_split`."""
+        if self._records is None:
+            self._records = dataset.read_split(self.folder, self.name)
+        return self._records
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, index: int) -> Run:  # type: ignore[override]  # no slices
+        if not -len(self) <= index < len(self):
+            raise IndexError(f'{self.name} of {self.folder} has {len(self)} runs, not {index}')
+        return Run(self, index % len(self))
+
+    def __iter__(self) -> Iterator[Run]:
+        return (Run(self, i) for i in range(len(self)))
+
+
+class Dataset:
+    """A dataset folder.
+
+    Args:
+      path: folder, or the name of a shipped one ('excavation', 'wheel').
+
+    Attributes:
+      path: its folder.
+      metadata: its checked metadata.
+      train, valid, test: its splits.
+
+    Raises:
+      FileNotFoundError, ValueError: no dataset there, or a damaged one.
+    """
+
+    def __init__(self, path: str):
+        self.path = _found(path, 'datasets', 'metadata.json')
+        self.metadata = dataset.read_metadata(self.path)
+        self.train, self.valid, self.test = (Split(self.path, name) for name in dataset.SPLITS)
+
+    @property
+    def subspace(self) -> Subspace | None:
+        """Of the soil's modes, or None where the folder has none."""
+        path = os.path.join(self.path, 'subspace.npz')
+        return Subspace.load(path) if os.path.exists(path) else None
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Errors of a model on a split; prints as a table beside the trivial predictors.
+
+    Attributes:
+      summary: what `metrics.json` holds.
+    """
+
+    summary: dict
+
+    def __str__(self) -> str:
+        from learning_to_simulate import evaluation
+
+        return evaluation.table(self.summary)
+
+    def save(self, path: str) -> None:
+        """Writes the summary as JSON, whole or not at all."""
+        files.write_json(path, self.summary)
+
+
+class TrainedModel:
+    """A trained model from its folder.
+
+    Args:
+      path: model folder.
+
+    Attributes:
+      path: its folder.
+      model: `checkpoints.Model`, or what another method has.
+
+    Raises:
+      FileNotFoundError, ValueError: no model there, or a damaged one.
+    """
+
+    def __init__(self, path: str):
+        self.path = path
+        self._method = registry.of_folder(path)
+        self.model = self._method.load_code().load(path)
+        self._at_rest: tuple | None = None
+        self._roller: Any = None
+
+    @property
+    def scene(self):
+        """The `Scene` it was trained on."""
+        return self.model.simulator.scene
+
+    @property
+    def config(self):
+        """Its settings."""
+        return self.model.simulator.config
+
+    @property
+    def starts(self):
+        """`resting_start.Starts`: beds, bodies and contexts to start from.
+
+        Raises:
+          FileNotFoundError: a folder from before models carried them; the message has the remedy.
+        """
+        return self._from_rest()[0]
+
+    @property
+    def subspace(self) -> Subspace | None:
+        """The modes that the model predicts; raises as `starts`."""
+        return self._from_rest()[1]
+
+    def _from_rest(self):
+        if self._method.on_particles:
+            raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        if self._at_rest is None:
+            from learning_to_simulate import resting_start
+
+            starts, space = resting_start.read(self.path)
+            space = None if space is None else self.model.fitting_subspace(space)
+            self._at_rest = starts, space
+        return self._at_rest
+
+    def stepper(self, outside: str = 'flag'):
+        """A `live.LiveSoil`; `start` and `step` it with poses.
+
+        Frames come from the C library where there is a C compiler and the model has a C form, else
+        from TensorFlow: the same to round-off.
+
+        Args:
+          outside: what is done with a frame that is not `ok`: 'flag', 'hold' or 'raise'.
+
+        Raises:
+          FileNotFoundError, ValueError: as `starts`; a model on particles.
+        """
+        from learning_to_simulate.export_c.c_step import best_step
+        from learning_to_simulate.live import LiveSoil
+
+        starts, space = self._from_rest()
+        return LiveSoil(self.model, starts, space, outside=outside, back_end=best_step)
+
+    def rollout(self, path, velocity=None, case: int | None = None, context=None):
+        """Rolls out a whole path, several at once, or a recorded run.
+
+        Args:
+          path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
+            first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
+            of such paths, which are one batch; or a `Run` of a dataset.
+          velocity, case, context: of `LiveSoil.start`, for all paths; the velocity is by default
+            that of the first two poses.
+
+        Returns:
+          `path_rollout.SoilRollout`, or a list of them.
+
+        Raises:
+          ValueError: not a path; a run of a dataset that the model does not fit.
+        """
+        if isinstance(path, Run):
+            return self._of_run(path)
+        if self._roller is None:
+            from learning_to_simulate.path_rollout import PathRoller
+
+            self._roller = PathRoller(self.model, self.starts, self._soil())
+        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
+        pairs = [
+            self._roller.beginning(p, velocity, case, context)
+            for p in (path if several else [path])
+        ]
+        results = self._roller.roll_out(pairs)
+        return results if several else results[0]
+
+    def _soil(self):
+        from learning_to_simulate.soil import Soil
+
+        space = self.subspace
+        return None if space is None else Soil(space, self.scene.up_axis)
+
+    def _of_run(self, run):
+        from learning_to_simulate.path_rollout import of_recorded_run
+
+        opened = self._opened(run.split)
+        (group,) = (
+            g.take(np.flatnonzero(g.record == run.index)) for g in opened.groups
+            if run.index in g.record
+        )  # fmt: skip
+        rollout = opened.evaluator.roll_out(group)
+        return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
+
+    def _opened(self, split):
+        return self._method.load_code().open_model(self.path, split.folder, split.name)
+
+    def evaluate(self, split: Split, progress=iter) -> Evaluation:
+        """Rolls out every run of a split.
+
+        Args:
+          split: such as `Dataset('excavation').test`.
+          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+
+        Raises:
+          FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
+        """
+        opened = self._opened(split)
+        return Evaluation(opened.evaluator.run(opened.groups, split.name, progress)[1])
+
+    def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
+        """Writes a model that runs without this project; see `export`.
+
+        Args:
+          path: folder to write; absent or empty.
+          data: gives runs to compare on.
+          kind: savedmodel, tflite or onnx.
+
+        Returns:
+          the description that is also in `export.json`.
+
+        Raises:
+          ValueError, OSError: as `export.export`.
+        """
+        from learning_to_simulate import export
+
+        return export.export(self.path, data.path, path, kind)
+
+
+def load(name: str) -> TrainedModel:
+    """A trained model.
+
+    Args:
+      name: a model folder, or a shipped model: 'excavation' (its `pcg`), 'wheel/pcg_thesis'.
+
+    Raises:
+      FileNotFoundError: no such model; the message lists those that ship.
+      ValueError: damaged files.
+    """
+    return TrainedModel(_found(name, 'models', 'config.json', DEFAULT_MODEL))
+
+
+def preset(name: str, **fields):
+    """The settings of a preset with single fields replaced, by their flat names.
+
+    Raises:
+      ValueError: unknown preset or field, or a value outside its range.
+    """
+    return presets.make_config(name, **fields)
+
+
+def train(config, data: Dataset, path: str, save_every: int | None = None) -> TrainedModel:
+    """Trains a model, or goes on with its training, and opens it.
+
+    Args:
+      config: of `preset`.
+      data: dataset with a train split.
+      path: model folder, made if absent.
+      save_every: steps between checkpoints; None for a tenth of all.
+
+    Raises:
+      ValueError, OSError, SystemExit: as `training_run.loop.run`.
+    """
+    code = registry.get(config.model).load_code()
+    code.train(data.path, path, config, save_every=save_every)
+    return TrainedModel(path)

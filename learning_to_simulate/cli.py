@@ -1,0 +1,68 @@
+"""The console command `lts`: every program of the project under one name.
+
+lts train --data_path=datasets/excavation --model_path=my_model
+lts evaluate --data_path=datasets/excavation --model_path=my_model --output_path=rollouts
+lts rollout --model=excavation --poses=path.csv --output_path=dig.npz --picture=dig.gif
+lts COMMAND --help        # flags and examples of one
+"""
+
+import runpy
+import sys
+
+from learning_to_simulate._version import __version__
+
+# Name -> module, flags that the name stands for, and what it does.
+COMMANDS = {
+    'train': ('learning_to_simulate.train', [], 'trains a model, or goes on with its training'),
+    'evaluate': (
+        'learning_to_simulate.train',
+        ['--mode=eval_rollout'],
+        'rolls out a split: files and errors beside the trivial predictors',
+    ),
+    'rollout': ('learning_to_simulate.roll_out_path', [], "rolls out a path of one's own"),
+    'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
+    'export': ('learning_to_simulate.export', [], 'writes a SavedModel, LiteRT or ONNX model'),
+    'export-c': (
+        'learning_to_simulate.export_c.exporting',
+        [],
+        'writes a C project or an FMU (--format=c, fmu)',
+    ),
+    'add-start': ('learning_to_simulate.add_start', [], 'makes an old model folder self-contained'),
+    'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
+    'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
+    'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),
+    'inspect': ('pca_tools.inspect', [], 'what is in a dataset, and what is wrong with it'),
+    'modes': ('pca_tools.plot_modes', [], 'draws a subspace: energy, errors, modes'),
+    'report': ('reports', [], 'runs a report by its name; without one, lists them'),
+}
+
+
+def main() -> None:
+    """Runs `lts COMMAND ...`."""
+    name, *rest = sys.argv[1:] or ['--help']
+    if name in ('-h', '--help', 'help'):
+        print(__doc__)
+        for known, (_, _, about) in COMMANDS.items():
+            print(f'  {known:10s} {about}')
+        return
+    if name == '--version':
+        print(__version__)
+        return
+    if name not in COMMANDS:
+        sys.exit(f'error: no command {name!r}; there are {", ".join(COMMANDS)}')
+    module, implied, _ = COMMANDS[name]
+    sys.argv[1:] = implied + rest
+    asked = any(argument in ('-h', '--help', '--helpshort', '--helpfull') for argument in rest)
+    try:
+        runpy.run_module(module, run_name='__main__', alter_sys=True)
+    except ModuleNotFoundError as error:
+        sys.exit(f'error: lts {name} needs {error.name}, which is not installed')
+    except SystemExit as done:
+        # absl ends with 1 after the help that was asked for, and with 2 or a text after an error.
+        if asked and done.code == 1:
+            sys.exit(0)
+        raise
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,75 @@
+"""How the commands of the package start: help at once, errors in one line, a quiet TensorFlow."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+
+from absl import app, flags, logging
+
+HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
+
+
+def start(run: Callable, n_argument: int = 0) -> None:
+    """Runs a command as the main program; its flags are defined already.
+
+    A question for help ends with exit code 0. `ValueError` and `OSError` end in one line that
+    begins with `error:`, with exit code 1; so does an argument that is no flag.
+
+    Args:
+      run: called with the values of the flags, and, where it takes arguments, a list of these; what
+        it returns is the exit code.
+      n_argument: how many arguments that are no flags it takes at most.
+    """
+
+    def main(argv):
+        if len(argv) > n_argument + 1:
+            sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
+        try:
+            return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
+        except (ValueError, OSError) as error:
+            logging.debug('stack', exc_info=True)
+            sys.exit(f'error: {error}')
+
+    asked = any(argument.split('=')[0] in HELP for argument in sys.argv[1:])
+    try:
+        app.run(main)
+    except SystemExit as done:
+        if asked and done.code == 1:  # absl's code for help that was printed
+            sys.exit(0)
+        raise
+
+
+def import_tensorflow(num_threads: int | None = None) -> None:
+    """Imports TensorFlow without the lines that it writes while it starts.
+
+    Args:
+      num_threads: its CPU threads; None for its own choice.
+
+    Raises:
+      ValueError: it is not installed.
+    """
+    os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
+    # Its C++ part writes to the descriptor itself, before any log level holds.
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as aside:
+        terminal = os.dup(2)
+        os.dup2(aside.fileno(), 2)
+        try:
+            import tensorflow as tf
+
+            if num_threads:
+                tf.config.threading.set_intra_op_parallelism_threads(num_threads)
+                tf.config.threading.set_inter_op_parallelism_threads(1)
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f'this needs {error.name}, which is not installed: pip install -c constraints.txt '
+                f'-e .[cpu]'
+            ) from error
+        except BaseException:
+            aside.seek(0)
+            os.write(terminal, aside.read())
+            raise
+        finally:
+            os.dup2(terminal, 2)
+            os.close(terminal)

@@ -1,0 +1,95 @@
+"""`CompiledStep`: frames of a model by TensorFlow, the back end of a `stepping.Stepper`."""
+
+import functools
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints
+from learning_to_simulate.body_height import without_height
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.folded_step import FoldedStep
+from learning_to_simulate.learned_simulator import SimulatorState
+from learning_to_simulate.rigid_body import Correction, KnownMotion
+from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.step_form import PlainStep
+
+
+class CompiledStep:
+    """Frames by TensorFlow, compiled: the back end of a `Stepper`.
+
+    Args:
+      model: `checkpoints.Model`; its weights are taken as they are now.
+      n_rigid: R, rigid particles that are nodes.
+      rigid_correction: whether a predicted body is kept rigid.
+    """
+
+    def __init__(self, model: checkpoints.Model, n_rigid: int, rigid_correction: bool = True):
+        self._simulator, self._layout = model.simulator, model.layout(n_rigid)
+        self._scene = scene = model.simulator.scene
+        self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED
+        self._state = self._context = self._shape = self._proposed = None
+        dim, shape = self._simulator.dim, (1, self._layout.n_node)
+        spec = tf.TensorSpec
+        body = spec((1, n_rigid, dim))
+        self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
+        self._call = self._frame.get_concrete_function(
+            SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
+            KnownMotion(body, body) if scene.rigid_motion.is_known else None,
+            spec((1, len(scene.context_names))) if scene.context_names else None,
+            spec((1, n_rigid, dim), tf.float64) if self._correct else None,
+        )
+
+    @property
+    def traces(self) -> int:
+        """How often the frame was traced; 1 for the life of a back end."""
+        return self._frame.experimental_get_tracing_count()
+
+    def reset(self, history, context) -> None:
+        """Starts after the frames float64 [H, V, D], with a context float64 [C] or None."""
+        layout = self._layout
+        velocity = np.diff(history, axis=0).swapaxes(0, 1)
+        self._context = None if context is None else tf.constant(context[None], tf.float32)
+        self._state = SimulatorState(
+            tf.constant((history[-1] - layout.origin)[None], tf.float32),
+            tf.constant(velocity[None], tf.float32),
+        )
+        if self._correct:
+            n = layout.n_rigid
+            self._shape = Correction(self._state.offset[:, :n], layout.origin[:n]).shape
+
+    def propose(self, body, displacement):
+        """The next frame; the state stays as it is until `accept`.
+
+        Args:
+          body: float64 [R, D], m, the body in the coming frame, or None where it is predicted.
+          displacement: float64 [R, D], m, of the body into that frame; or None.
+
+        Returns:
+          float64 [V, D] positions, m, and float32 [D] force, N, or None.
+        """
+        known = None
+        if body is not None:
+            motion = [body - self._layout.origin[: self._layout.n_rigid], displacement]
+            if self._scene.rigid_motion == RigidMotion.DRIVEN:
+                motion = [without_height(x, self._scene.up_axis) for x in motion]
+            known = KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion))
+        self._proposed, force = self._call(self._state, known, self._context, self._shape)
+        position = self._proposed.offset.numpy()[0] + self._layout.origin
+        return position, None if force is None else force.numpy()[0]
+
+    def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
+        self._state = self._proposed
+
+    def _compute(self, state, known, context, shape):
+        if self._simulator.config.has_lasting_graph:
+            make = functools.partial(FoldedStep, ahead=False, frozen=True)
+        else:
+            make = PlainStep
+        step = make(self._simulator, self._layout, self._correct, shape=shape)
+        one = None if known is None else KnownMotion(*(x[None] for x in known))
+        frames = step.ahead(state, one, context, 1)
+        carry, written = step.advance(step.begin(state), frames(0))
+        force = written[-1] if self._scene.has_force else None
+        return step.state_after(state, known, carry), force

@@ -1,0 +1,177 @@
+"""Measures the C step beside TensorFlow's stepper, in one run, as CPU time of one core.
+
+Every figure is also given as a ratio to the first row, because machines are busy: compare ratios
+within one run.
+
+Example:
+  python -m learning_to_simulate.export_c.benchmark --models=models/excavation/pcg,models/wheel/pcg
+"""
+
+import ctypes
+import os
+import sys
+import tempfile
+import time
+
+import numpy as np
+from absl import app, flags
+
+from learning_to_simulate import experiment, stepping
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.export_c import c_header, c_library, c_stepper, starts
+from learning_to_simulate.export_c.c_soil import CSoil
+from pca_tools import files
+
+PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
+TURNS = 5  # the rows of the table take turns, so that a busy moment hits all of them
+
+
+def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
+    """CPU times of the calls that answer a pose, over a recorded test run.
+
+    Args:
+      model_path: trained model.
+      data_path: its dataset.
+      calls: of each C call; the Python rows take a tenth, TensorFlow a hundredth.
+
+    Returns:
+      by row, `median_us` and `p99_us`.
+
+    Raises:
+      FileNotFoundError, ValueError: no model or dataset there, or no test run of its size.
+      c_library.NoCompiler: there is no C compiler.
+    """
+    model, n, subspace, found = starts.read_model(model_path, data_path)
+    _, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    group = next((g for g in groups if g.n_rigid == n), None)
+    if group is None:
+        raise ValueError(f'{data_path}: no test run has {n} rigid nodes')
+    known = model.simulator.scene.rigid_motion.is_known
+    history = group.position[0, :H]
+    context = None if group.context is None else group.context[0]
+    poses = np.ascontiguousarray(group.position[0, H:, :n])
+    timed, library = _timed_library()
+    data = c_stepper.CStepper(model, n, subspace, starts=found)
+    fast = {'C step': CSoil(library, data.model, 'best')}
+    fast['plain build (-O2, 4-wide)'] = CSoil(library, data.model, 'vector4')
+    python = {
+        'from Python, with particles': data,
+        "TensorFlow's stepper, with particles": stepping.Stepper(model, n, subspace),
+    }
+    for soil in (*fast.values(), *python.values()):
+        soil.reset(history, context)
+    times: dict[str, list] = {}
+    for _ in range(TURNS):
+        for name, soil in fast.items():
+            parts = _c_times(timed, soil, poses if known else None, len(poses), calls // TURNS)
+            times.setdefault(name, []).append(parts[0] + parts[1])
+            if name == 'C step':
+                for part, values in zip(('prepare', 'pose -> force', 'decode'), parts):
+                    times.setdefault(part, []).append(values)
+        for share, (name, stepper) in zip((10, 100), python.items()):
+            count = max(calls // TURNS // share, 1)
+            times.setdefault(name, []).append(
+                _python_times(stepper, history, context, poses, known, count)
+            )
+    return {name: _row(np.concatenate(values)) for name, values in times.items()}
+
+
+def _row(seconds):
+    return {
+        'median_us': 1e6 * float(np.median(seconds)),
+        'p99_us': 1e6 * float(np.percentile(seconds, 99)),
+        'calls': len(seconds),
+    }
+
+
+def _timed_library():
+    """The library with a loop in C that reads the clock around single calls."""
+    folder = tempfile.mkdtemp(prefix='lts-benchmark-')
+    path = os.path.join(folder, 'timed.so')
+    extra = [os.path.join(c_header.NATIVE, 'bench_calls.c')]
+    c_library.compile_sources(path, c_header.NATIVE, PLAIN_FLAGS, extra)
+    library = c_library.declared(ctypes.CDLL(path))
+    pointer, size = ctypes.c_void_p, ctypes.c_size_t
+    library.lts_time_calls.argtypes = (
+        pointer, pointer, size, pointer, ctypes.c_int, ctypes.c_int, ctypes.c_int, pointer, size,
+        pointer, pointer, pointer,
+    )  # fmt: skip
+    return library.lts_time_calls, library
+
+
+def _c_times(timed, soil, poses, n_frame, calls):
+    """Seconds [3, calls] of prepare, frame and decode over whole runs."""
+    runs = max(calls // n_frame, 1)
+    saved, seconds = soil.save(), np.empty((3, runs * n_frame))
+    particles = np.empty((max(soil.n_soil, 1), 3), np.float32)
+    code = timed(
+        soil.address, saved, len(saved), None if poses is None else poses.ctypes.data,
+        0 if poses is None else poses[0].size, n_frame, runs,
+        particles.ctypes.data if soil.n_soil else None, soil.n_soil,
+        *(row.ctypes.data for row in seconds),
+    )  # fmt: skip
+    if code < 0:
+        raise ValueError(f'the benchmark stopped with error {code} of lts.h')
+    return seconds
+
+
+def _python_times(stepper, history, context, poses, known, count):
+    """Seconds [count] of a step and its particles."""
+    seconds = []
+    while len(seconds) < count:
+        stepper.reset(history, context)
+        for pose in poses[: count - len(seconds)]:
+            start = time.process_time()
+            stepper.step(pose if known else None)
+            stepper.particles()
+            seconds.append(time.process_time() - start)
+    return np.array(seconds)
+
+
+def table(results: dict[str, dict[str, dict]]) -> str:
+    """The figures of all models, for the terminal."""
+    lines = []
+    for model, rows in results.items():
+        first = rows['C step']['median_us']
+        lines.append(f'{model}: CPU time of one core, us')
+        lines.append(f'  {"":38}{"median":>9}{"p99":>9}{"p99/median":>12}{"of the C step":>15}')
+        for name, row in rows.items():
+            median, p99 = row['median_us'], row['p99_us']
+            lines.append(
+                f'  {name:38}{median:9.1f}{p99:9.1f}{p99 / median:12.2f}{median / first:15.2f}'
+            )
+    return '\n'.join(lines)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_list('models', ['models/excavation/pcg', 'models/wheel/pcg'], 'Model folders.')
+    flags.DEFINE_list('data', None, 'Their datasets; default: datasets/<scene of the path>.')
+    flags.DEFINE_integer('calls', 100_000, 'Calls of each row in C.', 1)
+    flags.DEFINE_string('output', None, 'JSON file for the figures.')
+
+
+def main(_) -> None:
+    """Runs the command."""
+    v = flags.FLAGS
+    data = v.data or [
+        os.path.join('datasets', os.path.basename(os.path.dirname(os.path.normpath(path))))
+        for path in v.models
+    ]
+    if len(data) != len(v.models):
+        sys.exit(f'error: {len(v.models)} models but {len(data)} datasets')
+    results = {}
+    try:
+        for path, folder in zip(v.models, data):
+            print(f'measuring {path} ...', flush=True)
+            results[path] = measure(path, folder, v.calls)
+    except (ValueError, OSError, c_library.NoCompiler) as error:
+        sys.exit(f'error: {error}')
+    print(table(results))
+    if v.output:
+        files.write_json(v.output, results)
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)

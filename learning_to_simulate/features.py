@@ -1,0 +1,143 @@
+"""The inputs of a node: one table, read by the plain network, the whole-state networks and the
+folded form.
+
+A feature has a name, the nodes that have it, a width and its values; which features a model has,
+and in which order they meet the rows of the first layer, is decided here and nowhere else. A new
+input is an entry of `TABLE` and, for the folded form, a line in `folded_simulator` that says what
+of it is known ahead.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import tensorflow as tf
+
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.scene import RigidMotion
+
+EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
+# Who has a feature: every node, the rigid particles (a value each, or one for all), or the scene.
+NODES, RIGID, SCENE = 'nodes', 'rigid', 'scene'
+
+
+class Feature(NamedTuple):
+    """One input.
+
+    Attributes:
+      name: of its rows in the first layer.
+      at: `NODES`, `RIGID` or `SCENE`.
+      is_present: called with the simulator.
+      width: values per node, called with the simulator.
+      values: [B or 1, n, width], called with a `View`.
+    """
+
+    name: str
+    at: str
+    is_present: Callable
+    width: Callable
+    values: Callable
+
+
+class View:
+    """What features are made of: the state, and what is given, of B graphs.
+
+    Args:
+      simulator: its config, scene and statistics say how.
+      state: `SimulatorState`.
+      known: `KnownMotion` of the coming frame, or None.
+      context: float32 [B, C] or None.
+      layout: of the graphs.
+    """
+
+    def __init__(self, simulator, state, known, context, layout):
+        self.simulator, self.state, self.known = simulator, state, known
+        self.context, self.layout = context, layout
+        # Soil at these speeds is nearly rate-independent: motion is counted per displacement of
+        # the body in the coming frame, [B, 1, 1].
+        self.rate = simulator.rate(known)
+        count = simulator.config.velocity_inputs
+        self.history = state.velocity[:, :, -count:] / self.rate[..., None]
+
+    def flat(self, history):
+        """[B, V, K, D] -> [B, V, K D], oldest first."""
+        return tf.reshape(history, [self.state.offset.shape[0], self.layout.n_node, -1])
+
+
+def _velocity(view):
+    layout = view.layout
+    return view.flat((view.history - layout.velocity_mean[:, None]) / layout.velocity_std[:, None])
+
+
+def _acceleration(view):
+    change = view.history[:, :, 1:] - view.history[:, :, :-1]
+    change -= view.layout.acceleration_mean[:, None]
+    return view.flat(change / view.layout.acceleration_std[:, None])
+
+
+def _rate(view):
+    # What does depend on the rate (inertia, a body at rest) is left to the network.
+    return tf.concat([tf.math.log(view.rate), view.rate], -1)
+
+
+def _coming(view):
+    layout, n = view.layout, view.layout.n_rigid
+    return (view.known.velocity / view.rate - layout.velocity_mean[:n]) / layout.velocity_std[:n]
+
+
+def _height(view):
+    """Height of a driven body and its H - 1 last changes, [B, 1, H]."""
+    n, up, s = view.layout.n_rigid, view.simulator.scene.up_axis, view.simulator.statistics
+    height = tf.reduce_mean(view.state.offset[:, :n, up], axis=1, keepdims=True)
+    change = tf.reduce_mean(view.state.velocity[:, :n, :, up], axis=1)
+    scales = s.height_std[0].astype('f4'), s.height_velocity_std[0].astype('f4')
+    return tf.concat([height / scales[0], change / scales[1]], axis=-1)[:, None]
+
+
+def _has_positions(simulator):
+    return simulator.config.position_inputs
+
+
+TABLE = (
+    Feature(
+        'velocity', NODES, lambda s: True, lambda s: s.config.velocity_inputs * s.dim, _velocity
+    ),
+    Feature(
+        'offset', NODES, _has_positions, lambda s: s.dim,
+        lambda view: view.state.offset / view.layout.position_std,
+    ),
+    Feature(
+        'acceleration', NODES,
+        lambda s: s.config.position_inputs and s.config.velocity_inputs > 1,
+        lambda s: (s.config.velocity_inputs - 1) * s.dim, _acceleration,
+    ),
+    Feature('rate', SCENE, lambda s: s.rate_scaled, lambda s: 2, _rate),
+    Feature('coming', RIGID, lambda s: s.knows_next_frame, lambda s: s.dim, _coming),
+    Feature(
+        'height', RIGID,
+        lambda s: s.config.position_inputs and s.scene.rigid_motion == RigidMotion.DRIVEN,
+        lambda s: INPUT_SEQUENCE_LENGTH, _height,
+    ),
+    Feature(
+        'embedding', NODES, lambda s: True, lambda s: EMBEDDING_SIZE,
+        lambda view: view.simulator.node_embedding(view.layout)[None],
+    ),
+    Feature(
+        'context', SCENE, lambda s: bool(s.scene.context_names),
+        lambda s: len(s.scene.context_names) * (1 if s.statistics.log_context_mean is None else 2),
+        lambda view: view.simulator.context_features(view.context)[:, None],
+    ),
+)  # fmt: skip
+
+
+def of(simulator) -> tuple[Feature, ...]:
+    """The features that a model has, in the order of the rows of its first layer."""
+    return tuple(feature for feature in TABLE if feature.is_present(simulator))
+
+
+def at_every_node(feature: Feature, view: View):
+    """Values of a feature [B, V, width]; what the rigid particles alone have is zero at the
+    modes."""
+    layout, values = view.layout, feature.values(view)
+    n = layout.n_rigid if feature.at == RIGID else layout.n_node
+    values = tf.broadcast_to(values, [view.state.offset.shape[0], n, values.shape[-1]])
+    return tf.pad(values, [[0, 0], [0, layout.n_node - n], [0, 0]])

@@ -1,0 +1,222 @@
+"""Rollouts of a swept field over the runs of a dataset, judged as those of all methods."""
+
+import time
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learning_to_simulate import evaluation
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods.swept_field import quality, soil_physics, tool_path
+from learning_to_simulate.methods.swept_field.episodes import frames_of
+from learning_to_simulate.methods.swept_field.tool_path import Frame
+
+
+class FieldRollout(NamedTuple):
+    """A one-run `rollout.Rollout` that also holds particles.
+
+    Attributes:
+      position, force, judgements, seconds: as of `Rollout`; the modes are those of the predicted
+        particles.
+      arrays: name -> what else its file holds: predicted_particles [F, P, 3], particle_frames [F],
+        particle_indices [P], predicted_torques [T - H, 3].
+      facts: physics and quality of the run, see `FieldEvaluator.facts`.
+    """
+
+    position: np.ndarray
+    force: np.ndarray | None
+    judgements: list
+    seconds: float
+    arrays: dict[str, Any]
+    facts: dict[str, Any]
+
+
+class FieldEvaluator:
+    """Rolls out a field, as `evaluation.Evaluator`.
+
+    Args:
+      field: `SweptField`.
+      reader: `episodes.EpisodeReader` of the dataset.
+      metadata: of it.
+      split: whose runs these are.
+      force_mean: [3] of the training runs, N, for the trivial predictor.
+    """
+
+    def __init__(self, field, reader, metadata: dict, split: str, force_mean):
+        self._field, self._reader, self._metadata = field, reader, metadata
+        self._split = split
+        self._mean = force_mean
+        self._episodes = None
+
+    def _episode(self, record):
+        if self._episodes is None:
+            self._episodes = {e.record: e for e in self._reader.read(self._split)}
+        return self._episodes[record]
+
+    def roll_out(self, group) -> FieldRollout:
+        """The rollout of a one-run `RunGroup` of the split."""
+        field, axes = self._field, self._field.axes
+        record = int(group.record[0])
+        episode = self._episode(record)
+        (frames,) = frames_of([episode], field.grid, field.scene.dt)
+        sampled, n_rigid = episode.frames, group.n_rigid
+        space = self._reader.subspace
+        bed = space.decode(group.position[0, :1, n_rigid:])[0]
+        origin = np.array([episode.pose[0, 0], episode.level, 0.0])
+        rest = np.concatenate([axes.points(bed) - origin, episode.local_rest])
+        chosen = Frame(frames.bins[sampled], frames.scalars[sampled])
+        clock = time.perf_counter()
+        members = field.displacement(chosen, rest)
+        moved = members.mean(axis=0).astype(np.float64)
+        soil_seconds = time.perf_counter() - clock
+        loads = field.loads(frames)
+        seconds = time.perf_counter() - clock - soil_seconds
+        # Soil is computed in the frames that the truth has; a rollout of all would cost the more.
+        seconds += soil_seconds * len(frames.scalars) / len(sampled)
+        points = rest + origin + moved
+        width = episode.width
+        deepest = 0.0
+        for i, frame in enumerate(sampled):
+            depth, way = soil_physics.inside(points[i], episode.pose[frame], field.blade, width)
+            deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
+        n_bed = len(bed)
+        world = axes.world(points[:, n_bed:] - episode.rest)
+        sample = self._reader.sample(self._split)
+        position = group.position[:, H:].copy()
+        soil = space.encode(bed + axes.world(points[:, :n_bed] - axes.points(bed)))
+        at = np.arange(len(frames.scalars))
+        # Modes of the frames between: on the straight line.
+        flat = soil.reshape(len(sampled), -1)
+        modes = np.stack([np.interp(at, sampled, column) for column in flat.T], axis=-1)
+        position[0, :, n_rigid:] = modes.reshape(len(at), *soil.shape[1:])[H:]
+        force, torque = axes.world_loads(loads.mean(axis=0)[H:])
+        late = sampled >= H
+        finite = bool(np.isfinite(points).all() and np.isfinite(loads).all())
+        judgement = quality.judge(frames.scalars, field.ranges, 0, finite)
+        particles = sample[record][:1] + world
+        return FieldRollout(
+            position,
+            force[None].astype(np.float32),
+            [judgement],
+            seconds,
+            {
+                'predicted_particles': particles[late].astype(np.float32),
+                'particle_frames': sampled[late],
+                'particle_indices': np.asarray(sample.indices),
+                'predicted_torques': torque.astype(np.float32),
+            },
+            self.facts(episode, frames, members[:, :, n_bed:], points[:, n_bed:], loads, deepest),
+        )
+
+    def facts(self, episode, frames, members, points, loads, deepest) -> dict:
+        """Errors in full space, physics and quality of one run.
+
+        Args:
+          episode: of the run.
+          frames: its `Frame`s.
+          members: [M, F, P, 3] predicted displacements of the sample.
+          points: [F, P, 3] its predicted places, pushed out.
+          loads: [M, T, 3].
+          deepest: how deep a particle lay in the blade before it was pushed out, m.
+
+        Returns:
+          soil_mm, still_mm, force_l2; penetration_mm before the push-out and in the truth;
+          heap_litre, true_heap_litre, cut_litre at the end; air_force_N, the largest one predicted
+          with the blade clear of all soil; errors and bounds of frames for `reliability`.
+        """
+        field, late = self._field, episode.frames >= H
+        truth = episode.rest + episode.moved
+        error = points - truth
+        load_error = loads.mean(axis=0)[:, :2] - episode.load[:, :2]
+        frame_mm = 1e3 * np.sqrt((error**2).mean(axis=(1, 2)))
+        true_depth = max(
+            float(soil_physics.inside(p, episode.pose[f], field.blade, episode.width)[0].max())
+            for p, f in zip(truth, episode.frames, strict=True)
+        )
+        volume = field.kept_spacing**3 * len(field.rest) / len(episode.rest)
+        places = episode.pose[0, 0] + field.grid.offsets
+        heaps = [
+            1e3 * soil_physics.heap_volume(
+                p, np.interp(p[:, 0], places, episode.surface), volume
+            )
+            for p in (points[-1], truth[-1])
+        ]  # fmt: skip
+        bins = frames.bins
+        clear = self.clearance(frames) > 0.03
+        in_air = clear & (bins[..., tool_path.CUT].max(axis=1) == 0)
+        force = np.linalg.norm(loads.mean(axis=0)[:, :2], axis=1)
+        return {
+            'record': episode.record,
+            'soil_mm': float(np.sqrt((frame_mm[late] ** 2).mean())),
+            'still_mm': float(1e3 * np.sqrt((episode.moved[late] ** 2).mean())),
+            'force_l2': float(
+                np.linalg.norm(load_error[H:]) / np.linalg.norm(episode.load[H:, :2])
+            ),
+            'soil_mm_of_members': [
+                float(1e3 * np.sqrt(((m - episode.moved)[late] ** 2).mean())) for m in members
+            ],
+            'force_l2_of_members': [
+                float(np.linalg.norm((m - episode.load)[H:, :2]))
+                / float(np.linalg.norm(episode.load[H:, :2]))
+                for m in loads
+            ],
+            'penetration_mm': 1e3 * deepest,
+            'true_penetration_mm': 1e3 * true_depth,
+            'heap_litre': heaps[0],
+            'true_heap_litre': heaps[1],
+            'cut_litre': 1e3 * soil_physics.cut_volume(
+                frames.scalars[-1, tool_path.SCALARS.index('area')], episode.width
+            ),
+            'air_force_N': float(force[in_air].max()) if in_air.any() else 0.0,
+            'frames': {
+                'soil_error': frame_mm[late].tolist(),
+                'soil_spread': (1e3 * quality.spread(members))[late].tolist(),
+                'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).tolist(),
+                'force_spread': quality.spread(loads[..., :2])[H:].tolist(),
+            },
+        }  # fmt: skip
+
+    def clearance(self, frames) -> np.ndarray:
+        """[T] m, height of the blade's lowest point over the untouched bed's highest."""
+        height = frames.scalars[:, tool_path.SCALARS.index('height')] - self._field.blade.radius
+        return height - frames.bins[..., tool_path.SURFACE].max(axis=1)
+
+    def run(self, groups, split: str, progress=iter):
+        """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`, with the
+        facts of each run as `field` of the summary."""
+        results = evaluation.roll_out_all(self.roll_out, groups, progress)
+        summary = evaluation.summarise(
+            results, model_of(self._field, self._mean), self._metadata, split
+        )
+        facts = [dict(rollout.facts) for _, _, rollout in results]
+        for kind in quality.FLOORS:
+            errors, spreads = (
+                np.concatenate([f['frames'][f'{kind}_{part}'] for f in facts])
+                for part in ('error', 'spread')
+            )
+            factor = self._field.calibration.get(kind)
+            summary.setdefault('reliability', {})[kind] = {
+                'factor': factor,
+                'factor_of_this_split': quality.calibrate(errors, spreads, kind),
+                'groups': []
+                if factor is None
+                else quality.reliability(errors, spreads, factor, kind),
+            }
+        for fact in facts:
+            del fact['frames']
+        return results, summary | {'field': facts}
+
+
+def model_of(field, force_mean) -> SimpleNamespace:
+    """A field as `evaluation.summarise` and the API take a model."""
+    statistics = SimpleNamespace(force_mean=np.asarray(force_mean, np.float64))
+    simulator = SimpleNamespace(scene=field.scene, config=field.config, statistics=statistics)
+    n_mode = field.scene.n_modes
+
+    def layout(n_rigid):
+        return SimpleNamespace(n_node=n_rigid + n_mode, n_edge=0, senders=(), receivers=())
+
+    return SimpleNamespace(
+        simulator=simulator, field=field, layout=layout, edge_counts=dict, mode_mask=None
+    )

@@ -1,0 +1,127 @@
+"""`SweptField`: a trained swept field, from paths and beds to soil, force and torque."""
+
+import dataclasses
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.methods.swept_features import SweptGrid
+from learning_to_simulate.methods.swept_field import tool_path
+from learning_to_simulate.methods.swept_field.axes import Axes
+from learning_to_simulate.methods.swept_field.inputs import Inputs
+from learning_to_simulate.methods.swept_field.network import FieldNetwork
+from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
+from learning_to_simulate.methods.swept_field.tool_path import Blade, Frame
+from learning_to_simulate.scene import Scene
+
+# Frames times particles of one call of the network, so that its memory stays small.
+CHUNK = 120_000
+DEFAULT_GRID = SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75)
+
+
+@dataclasses.dataclass
+class SweptField:
+    """A trained model.
+
+    Attributes:
+      config: how it was trained.
+      scene: of its data.
+      axes, grid: see there.
+      blade: the blade where nothing else is said.
+      rest: float64 [N, 3], world, m: the bed at rest that it was trained on.
+      kept_spacing, spacing: between the particles of `rest` and between those of the solver, m.
+      ranges: name of a scalar -> its range over the training paths; see `quality`.
+      calibration: see `quality`.
+      network: the weights.
+    """
+
+    config: SweptFieldConfig
+    scene: Scene
+    axes: Axes
+    grid: SweptGrid
+    blade: Blade
+    rest: np.ndarray
+    kept_spacing: float
+    spacing: float
+    ranges: dict = dataclasses.field(default_factory=dict)
+    calibration: dict = dataclasses.field(default_factory=dict)
+    network: FieldNetwork | None = None
+
+    def __post_init__(self):
+        inputs = Inputs(self.grid, self.blade.radius)
+        if self.network is None:
+            self.network = FieldNetwork(self.config, inputs, input_sizes(inputs, self.grid))
+        spec = tf.TensorSpec
+        bins = spec([None, len(self.grid.offsets), tool_path.CHANNELS])
+        scalars = spec([None, len(tool_path.SCALARS)])
+        self._gate = tf.function(inputs.gate, [bins, scalars, spec([None, None, 3])], False)
+        self._soil, self._load = {}, {}
+        self._specs = bins, scalars, spec([None, None, 3])
+
+    def _functions(self, members):
+        if members not in self._soil:
+            *frame, rest = self._specs
+            network = self.network
+            self._soil[members] = tf.function(
+                lambda *x: network.displacement(*x, members), [*frame, rest], False
+            )
+            self._load[members] = tf.function(lambda *x: network.force(*x, members), frame, False)
+        return self._soil[members], self._load[members]
+
+    def displacement(self, frames: Frame, rest, members: int | None = None) -> np.ndarray:
+        """Displacement of particles from rest.
+
+        Particles that cannot have moved are left out, which is exact: their gate is 0.
+
+        Args:
+          frames: [T, ...] of one path.
+          rest: [P, 3] from the tool's first place and the level, m (`Episode.local_rest`).
+          members: only so many networks; None: all.
+
+        Returns:
+          float32 [M, T, P, 3], m, along the way, up, across.
+        """
+        rest = np.asarray(rest, np.float32)
+        moving = self.may_move(frames, rest)
+        count = self.config.members if members is None else members
+        found = np.zeros((count, len(frames.scalars), len(rest), 3), np.float32)
+        call, _ = self._functions(members)
+        step = max(1, CHUNK // max(1, int(moving.any(axis=0).sum())))
+        for begin in range(0, len(found[0]), step):
+            chosen = slice(begin, begin + step)
+            of_any = np.flatnonzero(moving[chosen].any(axis=0))
+            if len(of_any):
+                n = len(frames.scalars[chosen])
+                some = np.broadcast_to(rest[of_any], (n, len(of_any), 3))
+                values = call(frames.bins[chosen], frames.scalars[chosen], some)
+                found[:, chosen, of_any] = values.numpy()
+        return found
+
+    def may_move(self, frames: Frame, rest) -> np.ndarray:
+        """bool [T, P]: particles that may have moved by a frame; arguments as of
+        `displacement`."""
+        rest = np.asarray(rest, np.float32)
+        step = max(1, 8 * CHUNK // max(1, len(rest)))
+        parts = []
+        for begin in range(0, len(frames.scalars), step):
+            chosen = slice(begin, begin + step)
+            n = len(frames.scalars[chosen])
+            gate = self._gate(
+                frames.bins[chosen], frames.scalars[chosen], np.broadcast_to(rest, (n, *rest.shape))
+            )
+            parts.append(gate.numpy() > 0)
+        return np.concatenate(parts)
+
+    def loads(self, frames: Frame, members: int | None = None) -> np.ndarray:
+        """Force along the way and up (N), torque (N m), float32 [M, T, 3]; needs no particles."""
+        return self._functions(members)[1](frames.bins, frames.scalars).numpy()
+
+
+def input_sizes(inputs: Inputs, grid: SweptGrid) -> tuple[int, int]:
+    """Numbers of inputs of both networks."""
+    bins = tf.zeros([1, len(grid.offsets), tool_path.CHANNELS])
+    scalars = tf.zeros([1, len(tool_path.SCALARS)])
+    return (
+        int(inputs.particles(bins, scalars, tf.zeros([1, 1, 3])).shape[-1]),
+        int(inputs.force(bins, scalars).shape[-1]),
+    )

@@ -1,0 +1,121 @@
+"""From a dataset to a trained swept field."""
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods import resting_bed
+from learning_to_simulate.methods.swept_field import episodes as episodes_lib
+from learning_to_simulate.methods.swept_field import field as field_lib
+from learning_to_simulate.methods.swept_field import tool_path, training
+from learning_to_simulate.scene import RigidMotion
+from pca_tools import dataset
+from pca_tools.subspace import Subspace
+
+
+def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
+    """A field with fresh weights for a dataset.
+
+    Raises:
+      FileNotFoundError: no runs, subspace or particle sample.
+      ValueError: a scene whose tool does not follow a given path.
+    """
+    groups = reading_utils.read_groups(data_path, 'train', metadata)
+    scene = reading_utils.read_scene(data_path, metadata, groups, None)
+    if scene.rigid_motion != RigidMotion.PRESCRIBED:
+        raise ValueError(
+            f'swept_field needs a tool whose whole motion is given (prescribed); that of '
+            f'{data_path} is {scene.rigid_motion}'
+        )
+    axes = episodes_lib.find_axes(dataset.read_split(data_path, 'train'), scene.up_axis)
+    space = Subspace.load(f'{data_path}/subspace.npz')
+    rest = space.initial
+    kept = resting_bed.kept_spacing(rest)
+    first = next(iter(metadata.get('cases', {}).get('train', [])), {})
+    return field_lib.SweptField(
+        config, scene, axes, field_lib.DEFAULT_GRID, tool_path.Blade(), rest, kept,
+        resting_bed.solver_spacing(first) or kept,
+    )  # fmt: skip
+
+
+def reader_of(field, data_path: str, metadata: dict) -> episodes_lib.EpisodeReader:
+    """Reads the episodes of a dataset as a field sees them."""
+    beds = episodes_lib.BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
+    return episodes_lib.EpisodeReader(data_path, metadata, beds, field.blade)
+
+
+def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, dict]:
+    """Trains a field on the train runs of a dataset.
+
+    Returns:
+      the field with the ranges of its training, and facts of the training: episodes, runs, losses,
+      `outside_mm`, the largest displacement of a training particle that the field says cannot have
+      moved.
+
+    Raises:
+      see `make_field` and `training.Trainer.run`.
+    """
+    tf.keras.utils.set_random_seed(config.seed)
+    field = make_field(config, data_path, metadata)
+    reader = reader_of(field, data_path, metadata)
+    episodes = reader.read('train', config.start_every, config.train_runs)
+    frames = episodes_lib.frames_of(episodes, field.grid, field.scene.dt)
+    facts = training.Trainer(field.network, config, training.TrainingData(episodes, frames)).run()
+    scalars = np.concatenate([f.scalars for f in frames])
+    field.ranges = {
+        name: [float(scalars[:, i].min()), float(scalars[:, i].max())]
+        for i, name in enumerate(tool_path.SCALARS)
+    }
+    facts |= {
+        'episodes': len(episodes),
+        'runs': len({e.record for e in episodes}),
+        'outside_mm': 1e3 * outside(field, episodes, frames),
+        'force_mean': field.axes.world_loads(
+            np.concatenate([e.load for e in episodes if not e.start]).mean(axis=0)
+        )[0].tolist(),
+    }
+    return field, facts
+
+
+def outside(field, episodes, frames) -> float:
+    """The largest displacement (m) of a particle that the field says cannot have moved."""
+    largest = 0.0
+    for episode, frame in zip(episodes, frames, strict=True):
+        chosen = tool_path.Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
+        rests = ~field.may_move(chosen, episode.local_rest)
+        size = np.sqrt((episode.moved**2).sum(axis=-1))
+        largest = max(largest, float((size * rests).max()))
+    return largest
+
+
+def sample_errors(field, reader, split: str, members=None) -> list[dict]:
+    """Errors of each run of a split on its particle sample, from frame H on: soil (mm, root mean
+    square per component) and force (relative L2) of the mean and of single members, and of soil
+    that stays still."""
+    episodes = reader.read(split)
+    found = []
+    for episode, frame in zip(
+        episodes, episodes_lib.frames_of(episodes, field.grid, field.scene.dt), strict=True
+    ):
+        late = episode.frames >= H
+        chosen = tool_path.Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
+        moved = field.displacement(chosen, episode.local_rest, members)
+        loads = field.loads(frame, members)[:, H:, :2]
+        truth = episode.load[H:, :2]
+        size = np.linalg.norm(truth)
+        found.append(
+            {
+                'record': episode.record,
+                'soil_mm': _rms(moved.mean(axis=0)[late] - episode.moved[late]),
+                'soil_mm_of_members': [_rms(m[late] - episode.moved[late]) for m in moved],
+                'still_mm': _rms(episode.moved[late]),
+                'force_l2': float(np.linalg.norm(loads.mean(axis=0) - truth) / size),
+                'force_l2_of_members': [float(np.linalg.norm(m - truth) / size) for m in loads],
+            }
+        )
+    return found
+
+
+def _rms(error):
+    return float(1e3 * np.sqrt((error**2).mean()))

@@ -1,0 +1,184 @@
+"""What the networks of a swept field see, and where they may say anything; TensorFlow.
+
+Lengths are divided by what is typical of them, so that inputs are of order one. Places across the
+blade enter by their distance from its middle plane, so the field is symmetric about it.
+"""
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.methods.swept_field import tool_path
+
+# Offsets along the way at which the profile is seen, m: around a particle, ahead of the tool, and
+# around the tool for the force.
+AROUND = np.array([-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085,
+                   0.13, 0.2])  # fmt: skip
+AHEAD = np.array([-0.06, -0.03, 0.0, 0.03, 0.06, 0.1, 0.16])
+SINCE_AROUND = np.array([-0.1, -0.04, 0.0, 0.04, 0.1])
+AT_EDGE = np.array([-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11,
+                    0.16])  # fmt: skip
+BUMPS, BUMP_WIDTH = np.array([-0.08, 0.0, 0.08]), 0.05
+# Soil that lies this far below what may have moved rests, m; above it its share grows.
+BELOW, BELOW_RAMP = 0.05, 0.03
+# ... and this far beside the blade.
+BESIDE, BESIDE_RAMP = 0.3, 0.05
+# A heap of a swept area stands at most so high above the surface, in roots of the area: a slope of
+# 35 degrees on one side of an upright wall.
+HEAP_HEIGHT = float(np.sqrt(2.0 * np.tan(np.radians(35.0))))
+CONTACT_ABOVE, CONTACT_RAMP = 0.02, 0.01
+CONTACT_AROUND = np.array([-0.06, -0.03, 0.0, 0.03, 0.06])
+
+_S = {name: i for i, name in enumerate(tool_path.SCALARS)}
+_C = tool_path
+
+
+def at_places(bins, places):
+    """Channels of bins at places, linear between them.
+
+    Args:
+      bins: [B, n, C].
+      places: [B, ...] in bins; beyond the ends, the ends.
+
+    Returns:
+      [B, ..., C].
+    """
+    last = tf.cast(tf.shape(bins)[1] - 1, tf.float32)
+    places = tf.clip_by_value(places, 0.0, last)
+    low = tf.minimum(tf.floor(places), last - 1.0)
+    index, share = tf.cast(low, tf.int32), (places - low)[..., None]
+    return (1.0 - share) * tf.gather(bins, index, batch_dims=1) + share * tf.gather(
+        bins, index + 1, batch_dims=1
+    )
+
+
+class Inputs:
+    """The inputs of one grid of bins.
+
+    Args:
+      grid: `swept_features.SweptGrid`.
+      radius: of the blade's edge, m.
+    """
+
+    def __init__(self, grid, radius: float):
+        self._first, self._spacing = float(grid.offsets[0]), grid.spacing
+        self._radius, self._forget = radius, grid.forget
+
+    def _at(self, bins, places):
+        """Channels at places [B, ...], m from the tool's first."""
+        return at_places(bins, (places - self._first) / self._spacing)
+
+    def gate(self, bins, scalars, rest):
+        """Share in [0, 1] of its displacement that a particle may show; exactly 0 where nothing has
+        been.
+
+        Args:
+          bins, scalars: of B frames, see `tool_path.Frame`.
+          rest: [B, P, 3] u from the tool's first place, height over the level, distance from the
+            middle plane (signed), m.
+
+        Returns:
+          [B, P].
+        """
+        here = self._at(bins, rest[..., 0])
+        depth = here[..., _C.SURFACE] - rest[..., 1]
+        below = (here[..., _C.DISTURBED] + BELOW - depth) / BELOW_RAMP
+        beside = (_scalar(scalars, 'half_width') + BESIDE - tf.abs(rest[..., 2])) / BESIDE_RAMP
+        return (
+            here[..., _C.INFLUENCE]
+            * tf.clip_by_value(below, 0.0, 1.0)
+            * tf.clip_by_value(beside, 0.0, 1.0)
+        )
+
+    def particles(self, bins, scalars, rest):
+        """Inputs [B, P, I] of particles; arguments as of `gate`."""
+        u, y, z = tf.unstack(rest, axis=-1)
+        tip, height, half = (_scalar(scalars, n) for n in ('tip', 'height', 'half_width'))
+        behind, beside = tip - u, tf.abs(z)
+        around = self._at(bins, u[..., None] + tf.constant(AROUND, tf.float32))
+        middle = around[..., len(AROUND) // 2, :]
+        cut, surface = middle[..., _C.CUT], middle[..., _C.SURFACE]
+        above = y - surface + cut  # over the deepest cut at its place
+        since = self._at(bins, u[..., None] + tf.constant(SINCE_AROUND, tf.float32))
+        bumps = [tf.exp(-(((behind - c) / BUMP_WIDTH) ** 2)) for c in BUMPS]
+        ahead = self._ahead(bins, scalars)
+        foremost = _scalar(scalars, 'foremost') - u
+        columns = [
+            behind / 0.15, tf.tanh(behind / 0.03), *bumps,
+            (y - surface) / 0.05, (y - height) / 0.05, tf.tanh((y - height) / 0.02),
+            beside / 0.15, tf.tanh((beside - half) / 0.03), tf.tanh((beside - half) / 0.1),
+            above / 0.05, tf.tanh(above / 0.01),
+            foremost / 0.15, tf.tanh(foremost / 0.03),
+            middle[..., _C.AREA_BEFORE] / 0.01,
+            tf.sqrt(middle[..., _C.AREA_BEFORE] + 1e-6) / 0.1,
+            _scalar(scalars, 'end') - u,
+        ]  # fmt: skip
+        per_particle = tf.concat(
+            [
+                tf.stack(columns, axis=-1),
+                around[..., _C.CUT] / 0.03,
+                (around[..., _C.SURFACE] - surface[..., None]) / 0.03,
+                since[..., _C.SINCE] / 0.2,
+            ],
+            axis=-1,
+        )
+        shared = tf.concat([self._of_tool(scalars), ahead], axis=-1)
+        shape = tf.concat([tf.shape(rest)[:2], [shared.shape[-1]]], axis=0)
+        return tf.concat([per_particle, tf.broadcast_to(shared[:, None], shape)], axis=-1)
+
+    def contact(self, bins, scalars):
+        """Share [B] in [0, 1] of its force that a tool may show; exactly 0 in the air."""
+        places = _scalar(scalars, 'tip') + tf.constant(CONTACT_AROUND, tf.float32)
+        surface = tf.reduce_max(self._at(bins, places)[..., _C.SURFACE], axis=-1)
+        heap = HEAP_HEIGHT * tf.sqrt(tf.maximum(scalars[:, _S['area']], 0.0))
+        clearance = scalars[:, _S['height']] - self._radius - surface
+        return tf.clip_by_value((heap + CONTACT_ABOVE - clearance) / CONTACT_RAMP, 0.0, 1.0)
+
+    def force(self, bins, scalars):
+        """Inputs [B, I] of the force on the tool."""
+        places = _scalar(scalars, 'tip') + tf.constant(AT_EDGE, tf.float32)
+        there = self._at(bins, places)
+        height = scalars[:, _S['height']][:, None]
+        low = there[..., _C.SURFACE] - there[..., _C.CUT]
+        depth = tf.nn.relu(there[..., len(AT_EDGE) // 2, _C.SURFACE][:, None] - height) / 0.05
+        speed = scalars[:, _S['speed'] : _S['speed'] + 2]
+        size = tf.sqrt(tf.reduce_sum(speed**2, axis=1, keepdims=True) + 1e-8)
+        end = scalars[:, _S['end']] - scalars[:, _S['tip']]
+        return tf.concat(
+            [
+                self._of_tool(scalars),
+                there[..., _C.CUT] / 0.03,
+                (there[..., _C.SURFACE] - height) / 0.05,
+                tf.tanh((low - height) / 0.02),
+                there[..., _C.SINCE] / 0.2,
+                depth, depth**2,
+                speed / size, tf.math.log(size / 0.03), size / 0.1,
+                tf.tanh(end[:, None] / 0.1),
+            ],
+            axis=-1,
+        )  # fmt: skip
+
+    def _ahead(self, bins, scalars):
+        there = self._at(bins, _scalar(scalars, 'tip') + tf.constant(AHEAD, tf.float32))
+        height = scalars[:, _S['height']][:, None]
+        return tf.concat(
+            [there[..., _C.CUT] / 0.03, (there[..., _C.SURFACE] - height) / 0.05], axis=-1
+        )
+
+    def _of_tool(self, scalars):
+        """Inputs [B, I] that say how the tool stands and moves."""
+        s = {name: scalars[:, i] for name, i in _S.items()}
+        rates = {'speed': 0.1, 'rise': 0.1, 'turn': 1.0}
+        columns = [
+            s['height'] / 0.05, tf.nn.relu(s['height']) / 0.03, s['lean'],
+            s['area'] / 0.01, tf.sqrt(tf.nn.relu(s['area']) + 1e-6) / 0.1,
+            (s['foremost'] - s['tip']) / 0.1, s['half_width'] / 0.2, s['end'] - s['tip'],
+            tf.tanh(s['speed'] / 0.02), tf.tanh(s['rise'] / 0.02),
+        ]  # fmt: skip
+        for ending in ('', *(f'_{i}' for i in range(len(tool_path.TIME_SCALES)))):
+            columns += [s[name + ending] / scale for name, scale in rates.items()]
+        return tf.stack(columns, axis=-1)
+
+
+def _scalar(scalars, name):
+    """One scalar of B frames, [B, 1]."""
+    return scalars[:, _S[name]][:, None]

@@ -1,0 +1,67 @@
+"""What holds for any soil, whatever a network says: none of it is inside the tool.
+
+Points are u, height, distance from the middle plane (m), poses u, height, lean, as in `tool_path`.
+"""
+
+import numpy as np
+
+
+def blade_axis(pose, blade) -> np.ndarray:
+    """[..., 2] u and height (m) of the middle of the upper edge minus that of the lower one."""
+    lean = np.asarray(pose)[..., 2]
+    return blade.length * np.stack([-np.sin(lean), np.cos(lean)], axis=-1)
+
+
+def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
+    """How deep points lie in a blade, and the shortest way out.
+
+    The blade is a stadium, all points within its radius of a segment, drawn out across the way.
+
+    Args:
+      points: [P, 3].
+      pose: [3].
+      blade: `tool_path.Blade`.
+      width: of this blade, m.
+
+    Returns:
+      depth [P], m, 0 outside, and way [P, 3] of that length.
+    """
+    points = np.asarray(points, np.float64)
+    axis = blade_axis(pose, blade)
+    relative = points[:, :2] - np.asarray(pose)[:2]
+    along = np.clip(relative @ axis / (axis @ axis), 0.0, 1.0)
+    away = relative - along[:, None] * axis
+    distance = np.hypot(away[:, 0], away[:, 1])
+    # On the segment itself there is no nearest side: out to the front.
+    front = np.array([axis[1], -axis[0]]) / blade.length
+    normal = np.where(distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], front)
+    in_plane, beside = blade.radius - distance, width / 2 - np.abs(points[:, 2])
+    depth = np.maximum(np.minimum(in_plane, beside), 0.0)
+    is_plane = in_plane <= beside
+    way = np.zeros_like(points)
+    way[:, :2] = np.where(is_plane, depth, 0.0)[:, None] * normal
+    way[:, 2] = np.where(is_plane, 0.0, depth) * np.where(points[:, 2] < 0, -1.0, 1.0)
+    return depth, way
+
+
+def pushed_out(points, pose, blade, width) -> np.ndarray:
+    """Points [P, 3] with those inside the blade moved to its nearest face; the others as they
+    are."""
+    return np.asarray(points) + inside(points, pose, blade, width)[1]
+
+
+def heap_volume(points, surface, particle_volume: float) -> float:
+    """Volume (m3) of soil over the untouched surface.
+
+    Args:
+      points: [P, 3].
+      surface: [P], height (m) of the untouched surface where each point now is.
+      particle_volume: that each point stands for, m3.
+    """
+    return float(particle_volume * np.count_nonzero(points[:, 1] > surface))
+
+
+def cut_volume(area, width) -> float:
+    """Volume (m3) of a cut of an area (m2, between untouched surface and deepest cut) and a
+    width."""
+    return float(area * width)

@@ -1,0 +1,143 @@
+"""Training of both networks: particles drawn from frames of episodes, and all frames for the force.
+
+Every draw is a function of (seed, step). Runs count alike in the loss, whether much or little soil
+moves in them, so that each is learned to about the same share of its motion.
+"""
+
+import numpy as np
+import tensorflow as tf
+import tqdm
+
+from learning_to_simulate.methods.swept_field import network
+
+# A run that moves less than this (root mean square) weighs no more than one that does, m.
+LEAST_MOTION = 0.003
+LEAST_FORCE = 10.0  # N, likewise
+# A particle that ever moves so far is drawn more often, m; the others show that they rest.
+MOVED = 0.001
+MOVER_SHARE = 0.85
+LOAD_BATCH = 1024
+CLIP_NORM = 1.0
+_SOIL_STREAM, _LOAD_STREAM, _PARTICLE_STREAM = 1, 2, 3
+
+
+class TrainingData:
+    """Episodes as tensors.
+
+    Args:
+      episodes: list of `episodes.Episode`, of one number of particles.
+      frames: of `episodes.frames_of`.
+    """
+
+    def __init__(self, episodes, frames):
+        chosen = [e.frames for e in episodes]
+        self.bins = np.concatenate([f.bins[c] for f, c in zip(frames, chosen, strict=True)])
+        self.scalars = np.concatenate([f.scalars[c] for f, c in zip(frames, chosen, strict=True)])
+        self.moved = np.concatenate([e.moved for e in episodes])
+        self.episode = np.repeat(np.arange(len(episodes)), [len(c) for c in chosen])
+        self.rest = np.stack([e.local_rest for e in episodes])
+        motion = np.array([np.sqrt((e.moved**2).mean()) for e in episodes])
+        weight = 1.0 / np.maximum(motion, LEAST_MOTION)
+        self.weight = (weight / weight.mean()).astype(np.float32)
+        is_mover = np.stack([(e.moved**2).sum(-1).max(0) > MOVED**2 for e in episodes])
+        count = is_mover.sum(axis=1, keepdims=True)
+        n = is_mover.shape[1]
+        share = np.where(count > 0, MOVER_SHARE * is_mover / np.maximum(count, 1), 0.0)
+        share += np.where(count > 0, 1.0 - MOVER_SHARE, 1.0) / n
+        self.logits = np.log(share).astype(np.float32)
+        self.importance = (1.0 / (n * share)).astype(np.float32)
+        self.load_bins = np.concatenate([f.bins for f in frames])
+        self.load_scalars = np.concatenate([f.scalars for f in frames])
+        self.load = np.concatenate([e.load for e in episodes])
+        size = np.array([np.sqrt((e.load[:, :2] ** 2).sum(-1).mean()) for e in episodes])
+        weight = 1.0 / np.maximum(size, LEAST_FORCE) ** 2
+        of_frame = np.repeat(weight, [len(e.load) for e in episodes])
+        self.load_weight = (of_frame / of_frame.mean()).astype(np.float32)
+
+
+class Trainer:
+    """Trains a `network.FieldNetwork`.
+
+    Args:
+      model: the network.
+      config: `SweptFieldConfig`.
+      data: `TrainingData`.
+    """
+
+    def __init__(self, model, config, data: TrainingData):
+        self._model, self._config, self._data = model, config, data
+        schedule = tf.keras.optimizers.schedules.CosineDecay(
+            config.learning_rate, config.num_steps, warmup_target=None
+        )
+        # Each part has an optimiser of its own: neither gradient is clipped by the other's.
+        self._optimizers = []
+        for part in (model.soil, model.load):
+            optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
+            optimizer.build(part.trainable_variables)
+            self._optimizers.append(optimizer)
+        self._step = tf.function(self._train_step, autograph=False)
+
+    def run(self, progress=True) -> dict[str, float]:
+        """Trains to the end; returns the mean losses of the last tenth.
+
+        Raises:
+          ValueError: a loss that is not finite.
+        """
+        config, data = self._config, self._data
+        late = []
+        bar = tqdm.trange(config.num_steps, unit='step', disable=None if progress else True)
+        for step in bar:
+            rng = np.random.Generator(
+                np.random.Philox(key=config.seed, counter=[0, 0, _SOIL_STREAM, step])
+            )
+            # The same number of frames of every episode, in the long run.
+            picks = rng.integers(len(data.episode), size=config.batch_size)
+            loads = rng.integers(len(data.load), size=LOAD_BATCH)
+            episode = data.episode[picks]
+            losses = self._step(
+                tf.constant([config.seed, step], tf.int32),
+                tf.constant(data.bins[picks]),
+                tf.constant(data.scalars[picks]),
+                tf.constant(data.rest[episode]),
+                tf.constant(data.moved[picks]),
+                tf.constant(data.logits[episode]),
+                tf.constant(data.importance[episode] * data.weight[episode, None]),
+                tf.constant(data.load_bins[loads]),
+                tf.constant(data.load_scalars[loads]),
+                tf.constant(data.load[loads]),
+                tf.constant(data.load_weight[loads]),
+            )
+            if step % 50 == 0 or step >= 0.9 * config.num_steps:
+                values = [float(loss) for loss in losses]
+                if not np.isfinite(values).all():
+                    raise ValueError(f'losses of soil and force are {values} at step {step}')
+                bar.set_postfix(soil=f'{values[0]:.3g}', force=f'{values[1]:.3g}')
+                if step >= 0.9 * config.num_steps:
+                    late.append(values)
+        soil, load = np.mean(late, axis=0) if late else values
+        return {'loss_soil': float(soil), 'loss_force': float(load)}
+
+    def _train_step(self, seed, bins, scalars, rest, moved, logits, weight, *loads):
+        drawn = tf.random.stateless_categorical(
+            logits, self._config.particles_per_frame, seed, dtype=tf.int32
+        )
+        rest, moved, weight = (tf.gather(x, drawn, batch_dims=1) for x in (rest, moved, weight))
+        load_bins, load_scalars, load, load_weight = loads
+        losses = []
+        with tf.GradientTape() as tape:
+            error = self._model.displacement(bins, scalars, rest) - moved
+            square = tf.reduce_sum((error / network.DISPLACEMENT) ** 2, axis=-1)
+            # Summed over members, which know nothing of each other.
+            losses.append(tf.reduce_sum(tf.reduce_mean(square * weight, axis=(1, 2))))
+        self._apply(tape, losses[0], self._model.soil, self._optimizers[0])
+        with tf.GradientTape() as tape:
+            scale = tf.constant([network.FORCE, network.FORCE, network.TORQUE])
+            error = (self._model.force(load_bins, load_scalars) - load) / scale
+            square = tf.reduce_sum(error**2, axis=-1)
+            losses.append(tf.reduce_sum(tf.reduce_mean(square * load_weight, axis=1)))
+        self._apply(tape, losses[1], self._model.load, self._optimizers[1])
+        return [loss / self._config.members for loss in losses]
+
+    def _apply(self, tape, loss, part, optimizer):
+        variables = part.trainable_variables
+        optimizer.apply_gradients(zip(tape.gradient(loss, variables), variables, strict=True))

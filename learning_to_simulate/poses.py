@@ -1,0 +1,152 @@
+"""Poses of a rigid body: what a user says, and the particles that the models take.
+
+A pose is a position (m) of the body's reference point, the centroid of its particles, and a
+rotation from the body's own frame. It is given as one of
+
+  (x, y, z, qw, qx, qy, qz)     with a quaternion, scalar first
+  ((x, y, z), (qw, qx, qy, qz)) the same as a pair
+  (x, height, angle)            of a body that moves in the plane of drive and height; angle in rad,
+                                from the drive axis towards the height axis
+
+Inside, poses are float64 [7] of the first form.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+# What a unit quaternion may be off by before it is taken for something else.
+UNIT_TOLERANCE = 1e-3
+LARGEST = float(np.finfo(np.float32).max)  # the models compute in float32
+
+
+def numbers(name: str, values, *shapes: tuple) -> np.ndarray:
+    """Values of a user as float64, or an error that says what is wrong with them.
+
+    Args:
+      name: of the values, for messages.
+      values: anything that numpy makes an array of.
+      *shapes: that are allowed; None in a shape stands for any length.
+
+    Returns:
+      a float64 copy.
+
+    Raises:
+      ValueError: not real numbers (texts, dates, Booleans, complex or masked values), another
+        shape, or values that are not finite in float32.
+    """
+    try:
+        array = np.asanyarray(values)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{name} is not an array of numbers ({error})') from error
+    if isinstance(array, np.ma.MaskedArray) or array.dtype.kind not in 'fiu':
+        kind = 'masked' if isinstance(array, np.ma.MaskedArray) else array.dtype
+        raise ValueError(f'{name} is not an array of numbers: real ones are taken, not {kind}')
+    if not any(
+        len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape))
+        for shape in shapes
+    ):
+        allowed = ' or '.join(str(shape).replace('None', 'any') for shape in shapes)
+        raise ValueError(f'{name} has shape {array.shape}, must be {allowed}')
+    array = np.array(array, np.float64)
+    good = np.abs(array) <= LARGEST  # false for NaN as well
+    if not good.all():
+        where = tuple(int(i) for i in np.argwhere(~good)[0])
+        raise ValueError(f'{name} holds {array[where]} at {where}, must be finite in float32')
+    return array
+
+
+class PoseReader:
+    """Reads poses of one scene.
+
+    Args:
+      up_axis: axis against gravity.
+      lateral: m, where a body of the plane stands across it.
+    """
+
+    def __init__(self, up_axis: int, lateral: float):
+        self._up, self._lateral = up_axis, lateral
+        (self._across,) = {1, 2} - {up_axis} if up_axis else (2,)
+
+    def read(self, pose) -> np.ndarray:
+        """float64 [7] of a pose in any of its forms.
+
+        Raises:
+          ValueError: not a pose.
+        """
+        if isinstance(pose, (tuple, list)) and len(pose) == 2:
+            position, rotation = numbers('position', pose[0], (3,)), pose[1]
+            return np.concatenate([position, _unit(numbers('quaternion', rotation, (4,)))])
+        values = numbers('pose', pose, (7,), (3,))
+        if len(values) == 7:
+            return np.concatenate([values[:3], _unit(values[3:])])
+        position = np.zeros(3)
+        position[[0, self._up, self._across]] = values[0], values[1], self._lateral
+        return np.concatenate([position, self._turned(values[2])])
+
+    def read_velocity(self, velocity) -> np.ndarray:
+        """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6].
+
+        Args:
+          velocity: [6]; [3] linear; None for a body at rest. Of a pose in the plane, [3] would be
+            ambiguous: give [6].
+        """
+        if velocity is None:
+            return np.zeros(6)
+        values = numbers('velocity', velocity, (6,), (3,))
+        return np.concatenate([values, np.zeros(6 - len(values))])
+
+    def _turned(self, angle):
+        """Quaternion of a turn from the drive axis towards the height axis."""
+        turn = np.zeros(4)
+        # Axis x up = the axis across, but for its sign: (x, y, z) is right-handed.
+        sign = 1.0 if (self._up, self._across) in ((1, 2), (2, 0)) else -1.0
+        turn[0], turn[1 + self._across] = np.cos(angle / 2), sign * np.sin(angle / 2)
+        return turn
+
+
+def _unit(quaternion):
+    length = np.linalg.norm(quaternion)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise ValueError(f'quaternion has length {length:.6g}, must be 1')
+    return quaternion / length
+
+
+def rotation_matrix(quaternion) -> np.ndarray:
+    """float64 [3, 3] of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def placed(body, pose) -> np.ndarray:
+    """Particles [R, 3], m, of a body [R, 3] in its own frame, at a pose [7]."""
+    return body @ rotation_matrix(pose[3:]).T + pose[:3]
+
+
+def moved_back(pose, velocity, seconds: float) -> np.ndarray:
+    """The pose [7] of `seconds` ago, of a body whose velocity [6] was constant."""
+    turn = -np.asarray(velocity[3:]) * seconds
+    angle = np.linalg.norm(turn)
+    w, x, y, z = pose[3:]
+    if angle > 0:
+        a = np.cos(angle / 2)
+        b, c, d = np.sin(angle / 2) * turn / angle
+        # Hamilton product: the turn about the world's axes comes after the rotation of the pose.
+        w, x, y, z = (
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        )
+    return np.concatenate([pose[:3] - velocity[:3] * seconds, [w, x, y, z]])
+
+
+def quaternion_of(matrix) -> np.ndarray:
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix [3, 3]."""
+    x, y, z, w = Rotation.from_matrix(matrix).as_quat(canonical=True)
+    return np.array([w, x, y, z])

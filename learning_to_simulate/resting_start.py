@@ -1,0 +1,218 @@
+"""What lies in a model folder beside the weights, so that the model runs without its dataset.
+
+  start.npz      the body's particles in its own frame, which of them are nodes, and beds at rest
+  subspace.npz   a copy of the dataset's
+
+Beds, and bodies where their size differs by case, are those of the first frames of the records; of
+records that start alike one is kept. The digests of both files are in `config.json`.
+"""
+
+import dataclasses
+import json
+import os
+import shutil
+
+import numpy as np
+
+from learning_to_simulate import checkpoints, poses, reading_utils
+from pca_tools import dataset, files, rigid_fit
+from pca_tools.metadata import SPLITS
+from pca_tools.subspace import Subspace
+
+START_FILE, SUBSPACE_FILE = 'start.npz', 'subspace.npz'
+# Two records start alike where no coordinate differs by more than this, m: float32 scores of
+# several metres round to 5e-7.
+SAME_START_M = 1e-5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Starts:
+    """K ways to begin.
+
+    Attributes:
+      cases: per start, the parameters that the dataset states of its case ({} if it states none).
+      body: float64 [K][R', D], all particles of the body in its own frame, m.
+      kept: int [K][R], which of them are nodes.
+      pose: float64 [K, 7], where the body is in the record's first frame.
+      modes: float64 [K, r', D], all modes of the dataset, m; the bed at rest.
+      context: float64 [K, C], or None.
+      force_limit: N, the largest force of the training runs; None where there is no force.
+    """
+
+    cases: tuple[dict, ...]
+    body: tuple[np.ndarray, ...]
+    kept: tuple[np.ndarray, ...]
+    pose: np.ndarray
+    modes: np.ndarray
+    context: np.ndarray | None
+    force_limit: float | None
+
+    def __len__(self) -> int:
+        return len(self.cases)
+
+    def index(self, case: int | None) -> int:
+        """The start of a case of the dataset; the first one for None.
+
+        Raises:
+          ValueError: there is no such case.
+        """
+        if case is None:
+            return 0
+        numbers = [values.get('case') for values in self.cases]
+        if case not in numbers:
+            raise ValueError(f'no start of case {case!r}; there are {numbers}')
+        return numbers.index(case)
+
+
+def collect(data_path: str, nodes: dict) -> Starts:
+    """The different starts of a dataset's records.
+
+    Args:
+      data_path: dataset folder.
+      nodes: of `TrainConfig`, but for the modes: starts hold all of them.
+
+    Raises:
+      FileNotFoundError, ValueError: as `reading_utils.read_groups`.
+    """
+    metadata = dataset.read_metadata(data_path)
+    found: list[tuple] = []
+    force_limit = None
+    for split in SPLITS:
+        if not os.path.exists(dataset.split_path(data_path, split)):
+            continue
+        groups = reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
+        cases = metadata.get('cases', {}).get(split, [])
+        stated = [r.rigid_pose for r in dataset.read_split(data_path, split)]
+        if split == 'train' and groups[0].force is not None:
+            force_limit = float(max(np.linalg.norm(g.force, axis=-1).max() for g in groups))
+        for group in groups:
+            for run, record in enumerate(group.record):
+                case = _parameters(cases[record]) if record < len(cases) else {}
+                pose = stated[record]
+                _add(found, case, group, run, None if pose is None else pose[0].astype(float))
+    return Starts(
+        *(tuple(column) for column in list(zip(*found))[:3]),
+        *(np.stack(column) for column in list(zip(*found))[3:5]),
+        None if found[0][5] is None else np.stack([row[5] for row in found]),
+        force_limit,
+    )
+
+
+def _parameters(case):
+    """The numbers that tell a case from others, without how it was computed."""
+    return {
+        k: v
+        for k, v in case.items()
+        if isinstance(v, (int, float, str)) and not k.startswith(('solver', 'time_step', 'seed'))
+    }
+
+
+def _add(found, case, group, run, pose):
+    """Adds the start of a run unless one like it is there.
+
+    Where the records state no pose, the body's frame is that of the first one: its centroid, and
+    its orientation in the first frame.
+    """
+    n = group.n_rigid
+    points = group.position[run, 0, :n] if group.body is None else group.body[run][0]
+    kept = np.arange(n) if group.kept is None else group.kept[run]
+    if pose is None:
+        centre = points.mean(axis=0) if len(points) else np.zeros(3)
+        pose = np.concatenate([centre, [1.0, 0.0, 0.0, 0.0]])
+    body = (points - pose[:3]) @ poses.rotation_matrix(pose[3:])  # R^T (x - p), row by row
+    modes = group.position[run, 0, n:]
+    context = None if group.context is None else group.context[run]
+    for _, other, other_kept, _, other_modes, other_context in found:
+        if (
+            other.shape == body.shape
+            and np.array_equal(kept, other_kept)
+            and np.abs(modes - other_modes).max() <= SAME_START_M
+            and (context is None or np.array_equal(context, other_context))
+            and (len(body) < rigid_fit.MIN_POINTS or _same_body(other, body))
+        ):
+            return
+    found.append((case, body, kept, pose, modes, context))
+
+
+def _same_body(one, other):
+    return rigid_fit.fit_rigid_motion(one, other).residual <= SAME_START_M
+
+
+def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
+    """Writes the files of this module into a model folder; returns their sha256 by name.
+
+    Args:
+      model_path: model folder.
+      data_path: its dataset folder; without a subspace in it none is copied.
+      nodes: of the model's `TrainConfig`.
+    """
+    starts = collect(data_path, nodes)
+    flat = {'modes': starts.modes, 'pose': starts.pose}
+    for name in ('body', 'kept'):
+        parts = getattr(starts, name)
+        flat[name] = np.concatenate(parts)
+        flat[f'{name}_counts'] = np.array([len(p) for p in parts])
+    if starts.context is not None:
+        flat['context'] = starts.context
+    if starts.force_limit is not None:
+        flat['force_limit'] = np.array(starts.force_limit)
+    flat['cases'] = np.array([json.dumps(case) for case in starts.cases])
+    files.write_npz(os.path.join(model_path, START_FILE), **flat)
+    written = [START_FILE]
+    source = os.path.join(data_path, SUBSPACE_FILE)
+    if os.path.exists(source):
+        target = os.path.join(model_path, SUBSPACE_FILE)
+        files.write_atomically(target, lambda name: shutil.copyfile(source, name))
+        written.append(SUBSPACE_FILE)
+    return {n: files.sha256_of_file(os.path.join(model_path, n)) for n in written}
+
+
+def read(model_path: str) -> tuple[Starts, Subspace | None]:
+    """The starts and the subspace of a self-contained model folder.
+
+    Raises:
+      FileNotFoundError: the folder was made before models were self-contained.
+      ValueError: a file is damaged or is not the one of this model.
+    """
+    stored = checkpoints.read_config(model_path).get('files')
+    if not isinstance(stored, dict) or START_FILE not in stored:
+        raise FileNotFoundError(
+            f'{model_path}: holds no {START_FILE}, the model was trained before models carried '
+            f'their start; add it: python -m learning_to_simulate.add_start '
+            f'--model_path={model_path} --data_path=<its dataset>'
+        )
+    for name in (START_FILE, SUBSPACE_FILE):
+        path = os.path.join(model_path, name)
+        if name in stored and files.sha256_of_file(path) != stored[name]:
+            raise ValueError(f'{path}: is not the file of this model (sha256 differs)')
+    starts = _parse(os.path.join(model_path, START_FILE))
+    has_space = SUBSPACE_FILE in stored
+    return starts, Subspace.load(os.path.join(model_path, SUBSPACE_FILE)) if has_space else None
+
+
+def _parse(path):
+    arrays = files.read_npz(path)
+    try:
+        parts = {
+            name: tuple(np.split(arrays[name], np.cumsum(arrays[f'{name}_counts'])[:-1]))
+            for name in ('body', 'kept')
+        }
+        starts = Starts(
+            cases=tuple(json.loads(str(text)) for text in arrays['cases']),
+            **parts,
+            pose=arrays['pose'],
+            modes=arrays['modes'],
+            context=arrays.get('context'),
+            force_limit=float(arrays['force_limit']) if 'force_limit' in arrays else None,
+        )
+        lengths = {len(x) for x in (starts.body, starts.kept, starts.pose, starts.modes)}
+        finite = all(np.isfinite(x).all() for x in (arrays['body'], starts.pose, starts.modes))
+        indices = all(
+            not len(kept) or kept.min() >= 0 and kept.max() < len(body)
+            for kept, body in zip(starts.kept, starts.body)
+        )
+        if lengths != {len(starts)} or starts.pose.shape[1:] != (7,) or not (finite and indices):
+            raise ValueError('shapes or values do not fit')
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{path}: is not the start of a model ({error})') from error
+    return starts

@@ -1,0 +1,118 @@
+"""The rigid body in a frame: its height apart from its shape, what is given of its motion, and the
+correction that keeps a predicted one rigid. Each is written here and nowhere else."""
+
+from typing import NamedTuple
+
+import tensorflow as tf
+
+from learning_to_simulate.body_height import without_height
+from learning_to_simulate.scene import RigidMotion, Scene
+
+
+class KnownMotion(NamedTuple):
+    """What is given of the coming frame of the rigid body.
+
+    Where the motion is driven, the up component holds the shape only: its mean over the R particles
+    is 0, and the predicted height is added to it.
+
+    Attributes:
+      offset: float32 [B, R, D], m.
+      velocity: float32 [B, R, D], m/frame.
+    """
+
+    offset: tf.Tensor
+    velocity: tf.Tensor
+
+
+def given_part(values, scene: Scene):
+    """The given part of offsets or displacements [..., R, D] of a body: all of them, or all but the
+    mean height where that is predicted."""
+    if scene.rigid_motion != RigidMotion.DRIVEN:
+        return values
+    return without_height(values, scene.up_axis, tf.reduce_mean)
+
+
+def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
+    """The given part of true rigid motion.
+
+    Args:
+      offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
+        displacement of the frame; numpy or TensorFlow.
+      scene: decides what is given.
+
+    Returns:
+      `KnownMotion`, or None where nothing is given.
+    """
+    if not scene.rigid_motion.is_known:
+        return None
+    return KnownMotion(given_part(offset, scene), given_part(velocity, scene))
+
+
+def rigid_correction(shape, position):
+    """Nearest rigid placement of a body to predicted particles (Usmani & Skonieczny 2023, Algorithm
+    3).
+
+    Horn's quaternion form (J. Opt. Soc. Am. A 4, 1987) instead of an SVD: its result is a proper
+    rotation for coplanar bodies too, and XLA compiles it. The thesis places the particles of the
+    frame before; placing the body's first shape is the same map without the drift of the shape.
+
+    Args:
+      shape: float64 [B, R, D], particles relative to their centroid in a reference frame.
+      position: float64 [B, R, D], predicted particles.
+
+    Returns:
+      float64 [B, R, D], the rotated and translated shape.
+    """
+    centroid = tf.reduce_mean(position, axis=1, keepdims=True)
+    s = tf.einsum('bri,brj->bij', shape, position - centroid)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (
+        tf.unstack(row, axis=-1) for row in tf.unstack(s, axis=1)
+    )
+    rows = [
+        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
+        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
+        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
+        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
+    ]
+    _, vectors = tf.linalg.eigh(tf.stack([tf.stack(row, -1) for row in rows], 1))
+    w, x, y, z = tf.unstack(vectors[..., -1], axis=-1)
+    rotation = tf.stack(
+        [
+            tf.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            tf.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            tf.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        axis=1,
+    )
+    return centroid + tf.einsum('bij,brj->bri', rotation, shape)
+
+
+class Correction:
+    """Keeps predicted bodies in the shape that they had at the start.
+
+    Args:
+      offset: float32 [B, R, D] at the start, m; or None, and `shape` is given.
+      origin: float64 [R, D].
+      shape: of an earlier `Correction`.
+
+    Attributes:
+      shape: float64 [B, R, D], particles relative to their centroid, m.
+    """
+
+    def __init__(self, offset, origin, shape=None):
+        self._origin = origin
+        if shape is None:
+            position = tf.cast(offset, tf.float64) + origin
+            shape = position - tf.reduce_mean(position, axis=1, keepdims=True)
+        self.shape = shape
+
+    def __call__(self, before, after):
+        """Offset and velocity, float32 [B, R, D], of the body after the correction.
+
+        Args:
+          before, after: float32 [B, R, D] offsets before the frame and as predicted.
+        """
+        position = tf.cast(after, tf.float64) + self._origin
+        placed = rigid_correction(self.shape, position) - self._origin
+        velocity = tf.cast(placed - tf.cast(before, tf.float64), tf.float32)
+        return tf.cast(placed, tf.float32), velocity

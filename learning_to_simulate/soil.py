@@ -1,0 +1,59 @@
+"""`Soil`: from mode scores to particles and to the height of the surface."""
+
+import numpy as np
+
+from pca_tools.subspace import Subspace
+
+
+class Soil:
+    """Decodes frames of one subspace, in float32.
+
+    Args:
+      subspace: of the model.
+      up_axis: axis against gravity.
+
+    Attributes:
+      subspace: as given.
+    """
+
+    def __init__(self, subspace: Subspace, up_axis: int):
+        self.subspace = subspace
+        self._components = np.ascontiguousarray(subspace.components, np.float32)
+        self._mean = np.asarray(subspace.mean, np.float32)
+        self._up = up_axis
+        self._plan = [axis for axis in range(subspace.initial.shape[1]) if axis != up_axis]
+        self._low = subspace.initial[:, self._plan].min(axis=0)
+        self._size = np.ptp(subspace.initial[:, self._plan], axis=0)
+
+    @property
+    def extent(self) -> np.ndarray:
+        """float64 [2, 2], m: of the bed at rest seen from above, lowest and highest of each axis;
+        what a height map spans."""
+        return np.stack([self._low, self._low + self._size], axis=1)
+
+    def particles(self, modes) -> np.ndarray:
+        """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
+        return self._components @ np.asarray(modes, np.float32) + self._mean
+
+    def height_map(self, modes, nx: int, nz: int) -> np.ndarray:
+        """Heights of the surface on a grid.
+
+        Args:
+          modes: [r, D] scores, m.
+          nx, nz: cells along the drive and across it, over `extent`; particles beyond it count in
+            the cells of the rim.
+
+        Returns:
+          float32 [nx, nz], m, of the highest particle of each cell; NaN where a cell has none.
+
+        Raises:
+          ValueError: no cells.
+        """
+        if nx < 1 or nz < 1:
+            raise ValueError(f'a height map of {nx} x {nz} cells has none')
+        points = self.particles(modes)
+        cell = (points[:, self._plan] - self._low) / self._size * (nx, nz)
+        cell = np.clip(np.nan_to_num(cell).astype(int), 0, (nx - 1, nz - 1))
+        heights = np.full(nx * nz, -np.inf, np.float32)
+        np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, self._up])
+        return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)

@@ -1,0 +1,72 @@
+"""Writes the tables of the documents from the JSON that they name, so that no number drifts.
+
+A table that follows a comment of this form is what the function makes of the files:
+
+    <!-- table: reports.results_table:tables models/wheel/pcg -->
+
+Arguments are paths below the root of the project, or words; the table ends at an empty line. A
+table with measured numbers and no such comment says why: `<!-- no record: ... -->` before it.
+`tests/test_documents.py` holds all documents to this.
+
+Examples:
+    python -m reports documents            # writes the tables that changed
+    python -m reports documents README.md  # of one document
+"""
+
+import importlib
+import os
+import re
+import subprocess
+
+from pca_tools import files
+from reports import command
+from reports.record import ROOT
+
+NAMED = re.compile(r'<!-- table: ([\w.]+):(\w+)((?: [^\s>]+)*) -->\n((?:.+\n)*)')
+
+
+def render(text: str) -> str:
+    """A document with its named tables made anew.
+
+    Raises:
+      ValueError: a comment names no function, or one that makes no table of its arguments.
+    """
+
+    def made(match):
+        module, name, arguments, _ = match.groups()
+        paths = [
+            os.path.join(ROOT, a) if os.path.exists(os.path.join(ROOT, a)) else a
+            for a in arguments.split()
+        ]
+        try:
+            table = getattr(importlib.import_module(module), name)(*paths)
+        except (ImportError, AttributeError, TypeError, KeyError, OSError) as error:
+            raise ValueError(f'{match[0].splitlines()[0]}: {error!r}') from error
+        return f'<!-- table: {module}:{name}{arguments} -->\n{table.strip()}\n'
+
+    return NAMED.sub(made, text)
+
+
+def names() -> list[str]:
+    """The Markdown files of the project, relative to its root."""
+    done = subprocess.run(
+        ['git', '-C', ROOT, 'ls-files', '--cached', '--others', '--exclude-standard', '*.md'],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.splitlines()
+
+
+def main(_, arguments) -> None:
+    """Runs the command."""
+    for name in arguments or names():
+        path = os.path.join(ROOT, name)
+        with open(path, encoding='utf-8') as file:
+            old = file.read()
+        new = render(old)
+        if new != old:
+            files.write_text(path, new)
+            print(f'wrote {name}')
+
+
+if __name__ == '__main__':
+    command.start(lambda: None, main, n_argument=1000)

@@ -1,0 +1,209 @@
+"""Files and folders under temporary names, moved into place when they are complete.
+
+A temporary name cannot be guessed and is made with O_EXCL, so no other writer (thread, process,
+container with the same process ids) has it and no link lies in wait there; what is removed after a
+failure is only what this call has made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import os
+import shutil
+import uuid
+from collections.abc import Callable
+
+TEMPORARY = '.tmp'
+_OLD = '.old'
+# Longest name of most file systems; a temporary name keeps so much of the final one.
+_MAX_NAME = 255
+_KEPT_OF_NAME = 120
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+def temporary_beside(path: str, ending: str = TEMPORARY) -> str:
+    """Returns a name in the folder of `path` that nobody else has."""
+    folder, name = os.path.split(path)
+    return os.path.join(folder, f'{_stem(name)}{uuid.uuid4().hex}{ending}')
+
+
+def _stem(name: str) -> str:
+    return f'.{name[:_KEPT_OF_NAME]}.'
+
+
+def write_file(path: str, write: Callable[[str], None]) -> None:
+    """Writes a file under a temporary name and moves it into place only when it is complete.
+
+    Args:
+        path: final name; its folder must exist.
+        write: called with the temporary name, an empty file in the same folder; it must write and
+            close it.
+
+    Raises:
+        OSError: with the path, if the folder is missing or full; nothing is left under either name,
+            an older file stays.
+    """
+    path = os.path.abspath(path)
+    _check_name(path)
+    temporary = temporary_beside(path)
+    try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_WRONLY, 0o666))
+        write(temporary)
+        with open(temporary, 'rb+') as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        # A full disk does not say which file did not fit, and a temporary name helps nobody.
+        other = f' ({error.filename})' if error.filename not in (None, temporary, path) else ''
+        raise OSError(
+            error.errno, f'cannot write {path}: {error.strerror or error}{other}'
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            os.remove(temporary)
+    sync_folder(os.path.dirname(path))
+
+
+def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -> None:
+    """Fills a folder under a temporary name and moves it into place only when it is complete.
+
+    That the name can be taken is tried before the work. A link is followed to the folder that it
+    means. An older folder changes places with the new one in one call where the system can; where
+    it cannot, a kill between two renames is mended by the next call (`recover_folder`). A mount
+    point, which cannot be renamed, is filled file by file, each moved in when all are complete.
+
+    Args:
+        path: final name.
+        fill: called with the temporary folder.
+        replace: whether a folder of that name is replaced, so ask before; else it must be empty or
+            absent, also by the time that the new one is complete.
+
+    Raises:
+        OSError: the name cannot be taken, a file could not be written, or another writer was
+            faster; nothing is left under a new name, an older folder stays.
+    """
+    path = os.path.realpath(path)
+    _check_name(path)
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    recover_folder(path)
+    if os.path.ismount(path):
+        _fill_mount(path, fill)
+        return
+    temporary = temporary_beside(path)
+    os.mkdir(temporary)
+    try:
+        if not os.path.lexists(path):  # try the name now: after the work is too late
+            os.rename(temporary, path)
+            os.rename(path, temporary)
+        elif not os.path.isdir(path):
+            raise NotADirectoryError(errno.ENOTDIR, 'is a file, a folder was expected', path)
+        fill(temporary)
+        if replace and os.path.isdir(path) and os.listdir(path):
+            _exchange(temporary, path)
+            return
+        os.rename(temporary, path)  # refuses to replace a folder that is not empty
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        sync_folder(os.path.dirname(path))
+
+
+def recover_folder(path: str) -> str | None:
+    """Gives a folder its name back where a writer was killed while it replaced it.
+
+    Only if there is nothing under the name, and one folder that a writer had put aside.
+
+    Returns:
+        Where it lay, or None if there was nothing to do.
+    """
+    parent, name = os.path.split(os.path.abspath(path))
+    if os.path.lexists(path) or not os.path.isdir(parent):
+        return None
+    aside = [
+        entry
+        for entry in os.listdir(parent)
+        if entry.startswith(_stem(name)) and entry.endswith(_OLD)
+        and len(entry) == len(_stem(name)) + 32 + len(_OLD)
+    ]  # fmt: skip
+    if len(aside) != 1:
+        return None
+    old = os.path.join(parent, aside[0])
+    os.rename(old, path)
+    print(f'{path}: was put aside by a writer that did not finish; it has its name again')
+    return old
+
+
+def _exchange(temporary: str, path: str) -> None:
+    """Puts the folder `temporary` in the place of `path`; the old one ends up as `temporary`."""
+    if _swap(temporary, path):
+        return
+    old = temporary_beside(path, _OLD)
+    os.rename(path, old)
+    try:
+        os.rename(temporary, path)
+    except BaseException:
+        os.rename(old, path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _swap(first: str, second: str) -> bool:
+    """Exchanges two names in one call; False where system or file system cannot."""
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    names = os.fsencode(first), os.fsencode(second)
+    return renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0
+
+
+def _fill_mount(path: str, fill: Callable[[str], None]) -> None:
+    """Fills an empty mount point: inside it, then everything one level up, last written last."""
+    held = [name for name in os.listdir(path) if name != 'lost+found']
+    if held:
+        raise OSError(
+            errno.ENOTEMPTY, 'is a mount point, which cannot be replaced, and not empty', path
+        )
+    temporary = os.path.join(path, f'.{uuid.uuid4().hex}{TEMPORARY}')
+    os.mkdir(temporary)
+    try:
+        fill(temporary)
+        # The manifest is written last, and says that all others are there.
+        with os.scandir(temporary) as entries:
+            found = sorted(entries, key=lambda entry: entry.stat().st_mtime_ns)
+        for entry in found:
+            os.rename(entry.path, os.path.join(path, entry.name))
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        sync_folder(path)
+
+
+def remove_temporary(folder: str) -> None:
+    """Removes what writers that were killed left in a folder; only its one writer may call it."""
+    for name in os.listdir(folder):
+        if name.startswith('.') and name.endswith(TEMPORARY):
+            with contextlib.suppress(OSError):
+                os.remove(os.path.join(folder, name))
+
+
+def sync_folder(folder: str) -> None:
+    """Makes a rename itself durable, where the file system can."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(handle)
+    except OSError:
+        pass
+    finally:
+        os.close(handle)
+
+
+def _check_name(path: str) -> None:
+    name = os.path.basename(path)
+    if not name or len(os.fsencode(name)) > _MAX_NAME:
+        raise OSError(errno.ENAMETOOLONG, f'a name of 1 to {_MAX_NAME} bytes was expected', path)

@@ -1,0 +1,179 @@
+"""Inputs against a numpy twin; symmetries and exact zeros of a field with random weights."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.methods.swept_field import inputs as inputs_lib
+from learning_to_simulate.methods.swept_field import model_files, tool_path
+from learning_to_simulate.methods.swept_field.inputs import Inputs
+from learning_to_simulate.methods.swept_field.tool_path import Frame
+from tests.learning_to_simulate.methods.swept_field import small_world as world
+
+C = tool_path
+
+
+def local_rest(field, plane):
+    origin = np.array([plane[0, 0, 0], world.SURFACE, 0.0])
+    return (world.AXES.points(field.rest) - origin).astype(np.float32)
+
+
+def twin(bins, scalars, rest):
+    """Gate and inputs of one particle in one frame, by interpolation with `np.interp`."""
+    s = dict(zip(tool_path.SCALARS, scalars.astype(float)))
+    u, y, z = (float(v) for v in rest)
+
+    def at(channel, place):
+        return np.interp(place, world.GRID.offsets, bins[:, channel].astype(float))
+
+    surface, cut, before = (at(c, u) for c in (C.SURFACE, C.CUT, C.AREA_BEFORE))
+    below = (at(C.DISTURBED, u) + inputs_lib.BELOW - (surface - y)) / inputs_lib.BELOW_RAMP
+    beside = (s['half_width'] + inputs_lib.BESIDE - abs(z)) / inputs_lib.BESIDE_RAMP
+    gate = at(C.INFLUENCE, u) * np.clip(below, 0, 1) * np.clip(beside, 0, 1)
+    behind, over, above = s['tip'] - u, y - s['height'], y - surface + cut
+    foremost = s['foremost'] - u
+    bumps = [np.exp(-(((behind - c) / 0.05) ** 2)) for c in (-0.08, 0.0, 0.08)]
+    values = [
+        behind / 0.15, np.tanh(behind / 0.03), *bumps,
+        (y - surface) / 0.05, over / 0.05, np.tanh(over / 0.02),
+        abs(z) / 0.15, np.tanh((abs(z) - s['half_width']) / 0.03),
+        np.tanh((abs(z) - s['half_width']) / 0.1),
+        above / 0.05, np.tanh(above / 0.01), foremost / 0.15, np.tanh(foremost / 0.03),
+        before / 0.01, np.sqrt(before + 1e-6) / 0.1, s['end'] - u,
+    ]  # fmt: skip
+    values += [at(C.CUT, u + d) / 0.03 for d in inputs_lib.AROUND]
+    values += [(at(C.SURFACE, u + d) - surface) / 0.03 for d in inputs_lib.AROUND]
+    values += [at(C.SINCE, u + d) / 0.2 for d in inputs_lib.SINCE_AROUND]
+    values += [
+        s['height'] / 0.05, max(s['height'], 0) / 0.03, s['lean'], s['area'] / 0.01,
+        np.sqrt(max(s['area'], 0) + 1e-6) / 0.1, (s['foremost'] - s['tip']) / 0.1,
+        s['half_width'] / 0.2, s['end'] - s['tip'], np.tanh(s['speed'] / 0.02),
+        np.tanh(s['rise'] / 0.02),
+    ]  # fmt: skip
+    for ending in ('', '_0', '_1'):
+        values += [s['speed' + ending] / 0.1, s['rise' + ending] / 0.1, s['turn' + ending]]
+    ahead = s['tip'] + inputs_lib.AHEAD
+    values += [at(C.CUT, a) / 0.03 for a in ahead]
+    values += [(at(C.SURFACE, a) - s['height']) / 0.05 for a in ahead]
+    return gate, np.array(values)
+
+
+def test_inputs_are_those_of_the_twin():
+    plane = world.path()
+    frames = world.frames(plane)
+    field = world.make_field()
+    rest = local_rest(field, plane)[::11]
+    given = Inputs(world.GRID, world.BLADE.radius)
+    for t in (5, 30, 60):
+        one = frames.bins[t : t + 1], frames.scalars[t : t + 1], rest[None]
+        gate, seen = given.gate(*one).numpy()[0], given.particles(*one).numpy()[0]
+        for p, place in enumerate(rest):
+            wanted_gate, wanted = twin(frames.bins[t], frames.scalars[t], place)
+            assert gate[p] == pytest.approx(wanted_gate, abs=1e-4)
+            np.testing.assert_allclose(seen[p], wanted, atol=2e-3, rtol=1e-3)
+
+
+def test_reflection_across_the_middle_plane():
+    plane = world.path()
+    field, frames = world.make_field(), world.frames(plane)
+    rest = local_rest(field, plane)
+    mirror = np.array([1, 1, -1], np.float32)
+    here, there = field.displacement(frames, rest), field.displacement(frames, rest * mirror)
+    assert np.abs(here[..., 2]).max() > 1e-3
+    np.testing.assert_allclose(there, here * mirror, atol=2e-6)
+
+
+def test_shifting_the_scene_shifts_the_answer():
+    field, plane, shift = world.make_field(), world.path(), np.array([3.0, 0.5, 0.0])
+    here = world.frames(plane)
+    bed = world.flat_bed(plane[0, 0, 0])
+    bed = tool_path.Bed(bed.surface + 0.5, bed.level + 0.5, bed.end + 3.0)
+    found = tool_path.frames(world.GRID, bed, np.array([0.457]), plane + shift, world.DT)
+    there = Frame(found.bins[:, 0], found.scalars[:, 0])
+    rest = local_rest(field, plane)
+    difference = field.displacement(there, rest) - field.displacement(here, rest)
+    assert np.abs(difference).max() < 2e-4
+    np.testing.assert_allclose(field.loads(there), field.loads(here), atol=0.2)
+
+
+def test_nothing_moves_where_nothing_has_been():
+    """Before the soil is touched nothing moves at all; later only what lies near the cut."""
+    plane = world.path()
+    field, frames = world.make_field(), world.frames(plane)
+    rest = local_rest(field, plane)
+    moved = np.abs(field.displacement(frames, rest)).max(axis=(0, 3))
+    untouched = ~(frames.bins[..., C.CUT] > 0).any(axis=1)
+    assert untouched.any() and not moved[untouched].any()
+    assert moved.max() > 0.01
+    cut = frames.bins[-1, :, C.CUT] > 0
+    near = np.abs(rest[:, :1] - world.GRID.offsets[cut]).min(axis=1)
+    assert not moved[:, near > tool_path.REACH].any()
+
+
+def test_leaving_out_particles_changes_nothing():
+    plane = world.path()
+    field, frames = world.make_field(), world.frames(plane)
+    rest = local_rest(field, plane)
+    some = field.displacement(frames, rest)
+    every = field.network.displacement(
+        frames.bins, frames.scalars, np.broadcast_to(rest, (len(plane), *rest.shape))
+    ).numpy()
+    moving = field.may_move(frames, rest)
+    assert 0.05 < moving.mean() < 0.95
+    # Products of other sizes round otherwise: 2 um.
+    np.testing.assert_allclose(some, every, atol=2e-6)
+    assert not every[:, ~moving].any()
+
+
+def test_no_force_in_the_air_and_none_jumps():
+    plane = world.path(601, dt=world.DT / 10)
+    field, frames = world.make_field(), world.frames(plane)
+    loads = field.loads(frames)
+    clear = frames.scalars[:, 1] - world.BLADE.radius > 0.2
+    assert not loads[:, clear].any()
+    high = world.path()[:10] + [[0.0, 0.3, 0.0]]
+    assert not field.loads(world.frames(high)).any()
+    in_soil = np.abs(loads[..., 0]).max()
+    assert in_soil > 10
+    # A tenth of a frame changes the force by a tenth of what it may be, at most.
+    assert np.abs(np.diff(loads, axis=1)).max() < 0.1 * np.abs(loads).max()
+
+
+def test_members_are_those_of_the_ensemble():
+    plane = world.path()
+    field, frames = world.make_field(), world.frames(plane)
+    rest = local_rest(field, plane)[:50]
+    whole = field.displacement(frames, rest)
+    np.testing.assert_allclose(field.displacement(frames, rest, 1), whole[:1], atol=2e-6)
+    np.testing.assert_allclose(field.loads(frames, 2), field.loads(frames)[:2], atol=1e-4)
+    assert np.abs(whole[0] - whole[1]).max() > 1e-3
+
+
+def test_a_model_folder_gives_the_same_field(tmp_path):
+    field = world.make_field()
+    field.calibration = {'soil': 2.0, 'force': 3.0}
+    model_files.save(str(tmp_path), field, {})
+    other = model_files.load(str(tmp_path))
+    plane = world.path()
+    frames, rest = world.frames(plane), local_rest(field, plane)
+    np.testing.assert_array_equal(
+        other.displacement(frames, rest), field.displacement(frames, rest)
+    )
+    np.testing.assert_allclose(other.rest, field.rest, atol=1e-7)
+    assert (other.config, other.axes, other.grid, other.blade, other.calibration) == (
+        field.config, field.axes, field.grid, field.blade, field.calibration,
+    )  # fmt: skip
+
+
+def test_damaged_model_folders_are_refused(tmp_path):
+    field = world.make_field()
+    model_files.save(str(tmp_path), field, {})
+    text = (tmp_path / 'config.json').read_text()
+    (tmp_path / 'config.json').write_text(text.replace('"members": 3', '"members": 2'))
+    with pytest.raises(ValueError, match='not the weights'):
+        model_files.load(str(tmp_path))
+    (tmp_path / 'config.json').write_text(text.replace('"axes"', '"axles"'))
+    with pytest.raises(ValueError, match='missing, unknown or wrong'):
+        model_files.load(str(tmp_path))
+    field.network.soil.layers[0][0].assign(np.nan * field.network.soil.layers[0][0])
+    with pytest.raises(ValueError, match='not finite'):
+        model_files.save(str(tmp_path), field, {})

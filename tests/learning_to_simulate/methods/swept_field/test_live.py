@@ -1,0 +1,166 @@
+"""Live steps against whole rollouts; beds that are given; bad input."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.methods.swept_field import soil_physics, tool_path
+from learning_to_simulate.methods.swept_field.episodes import BedReader
+from learning_to_simulate.methods.swept_field.live import HeightMap, LiveField
+from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
+from learning_to_simulate.rollout_status import RolloutStatus
+from tests.learning_to_simulate.methods.swept_field import small_world as world
+
+
+@pytest.fixture(scope='module')
+def field():
+    return world.make_field()
+
+
+def whole(field, plane, points):
+    """Loads [T, 3] and particles [T, N, 3] of a path, all frames at once."""
+    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
+    surface, level, end = reader.read(points, plane[0, 0, 0], field.blade.width)
+    bed = Bed(surface[None], np.array([level]), np.array([end]))
+    found = tool_path.frames(field.grid, bed, np.array([field.blade.width]), plane, world.DT)
+    frames = Frame(found.bins[:, 0], found.scalars[:, 0])
+    origin = np.array([plane[0, 0, 0], level, 0.0])
+    rest = field.axes.points(points) - origin
+    moved = field.displacement(frames, rest.astype(np.float32)).mean(axis=0)
+    return field.loads(frames).mean(axis=0), rest + origin + moved
+
+
+def test_steps_are_the_frames_of_a_rollout(field):
+    plane = world.path()
+    loads, points = whole(field, plane, field.rest)
+    live = LiveField(field)
+    live.start(world.world_pose(plane[0, 0]))
+    for t, pose in enumerate(world.world_pose(plane[1:, 0]), start=1):
+        answer = live.step(pose)
+        force, torque = field.axes.world_loads(loads[t])
+        np.testing.assert_allclose(answer.force, force, atol=1e-2)
+        np.testing.assert_allclose(answer.torque, torque, atol=1e-3)
+        if t % 20 == 0:
+            out = soil_physics.pushed_out(points[t], plane[t, 0], field.blade, field.blade.width)
+            there = field.axes.points(live.particles())
+            np.testing.assert_allclose(there, out, atol=1e-5)
+            inside, _ = soil_physics.inside(there, plane[t, 0], field.blade, field.blade.width)
+            assert inside.max() < 1e-6
+    assert np.abs(loads).max() > 10
+
+
+def test_a_kept_state_goes_on_to_the_same_bits(field):
+    poses = world.world_pose(world.path()[:, 0])
+    live = LiveField(field)
+    live.start(poses[0])
+    for pose in poses[1:20]:
+        live.step(pose)
+    kept = live.state
+    first = [live.step(pose).force for pose in poses[20:40]]
+    live.state = kept
+    np.testing.assert_array_equal([live.step(pose).force for pose in poses[20:40]], first)
+
+
+def test_the_state_does_not_grow(field):
+    poses = world.world_pose(world.path()[:, 0])
+    live = LiveField(field)
+    live.start(poses[0])
+
+    def size():
+        arrays = [*live.state.swept, *live.state[1:]]
+        return sum(a.nbytes for a in arrays)
+
+    before = size()
+    for _ in range(5):
+        for pose in [*poses[1:], *poses[-2::-1]]:
+            live.step(pose)
+    assert size() == before
+
+
+def test_a_bed_may_be_given_as_particles_or_as_heights(field):
+    plane = world.path()
+    poses = world.world_pose(plane[:, 0])
+    live = LiveField(field)
+
+    def force_on(bed):
+        live.start(poses[0], bed)
+        return np.array([live.step(pose).force for pose in poses[1:40]])
+
+    flat = force_on(None)
+    np.testing.assert_array_equal(force_on(field.rest), flat)
+    places = np.linspace(0.1, 0.9, 9)
+    level = HeightMap(places, np.full(9, world.SURFACE))
+    np.testing.assert_allclose(force_on(level), flat, atol=0.5)
+    lower = force_on(HeightMap(places, np.full(9, world.SURFACE - 0.03)))
+    assert np.abs(lower - flat).max() > 5
+
+
+def test_height_map_and_what_is_left_out(field):
+    poses = world.world_pose(world.path()[:, 0])
+    live = LiveField(field)
+    live.start(poses[0])
+    heights = live.height_map(8, 4)
+    np.testing.assert_allclose(heights, field.rest[:, 1].max(), atol=1e-9)
+    assert live.explain().startswith(f'0 of {len(field.rest)}')
+    for pose in poses[1:]:
+        live.step(pose)
+    assert np.nanmax(np.abs(live.height_map(8, 4) - heights)) > 1e-3
+
+
+def test_status_says_what_is_unlike_training(field):
+    poses = world.world_pose(world.path()[:, 0])
+    live = LiveField(field)
+    assert live.start(poses[0]).status == RolloutStatus.OK
+    ranges = dict(field.ranges)
+    try:
+        field.ranges['lean'] = [0.0, 0.1]
+        judged = live.step(poses[1]).judgement
+    finally:
+        field.ranges = ranges
+    assert judged.status == RolloutStatus.EXTRAPOLATING and 'lean' in judged.reason
+
+
+@pytest.mark.parametrize(
+    'change, message',
+    [
+        (lambda p: p + [0.2, 0, 0, 0, 0, 0, 0], 'jumps'),
+        (lambda p: p - [0, 0.04, 0, 0, 0, 0, 0], 'floor'),
+        (lambda p: p * np.nan, 'NaN'),
+        (lambda p: p[:3], 'shape'),
+        (lambda p: np.array([*p[:3], 2, 0, 0, 0]), 'length 1'),
+    ],
+)
+def test_bad_poses_are_refused_and_the_state_stays(field, change, message):
+    plane = world.path()
+    if message == 'floor':
+        plane = world.path(depth=0.14)
+    poses = world.world_pose(plane[:, 0])
+    live = LiveField(field)
+    live.start(poses[0])
+    for pose in poses[1:31]:
+        live.step(pose)
+    kept = live.state
+    with pytest.raises(ValueError, match=message):
+        live.step(change(poses[31]))
+    assert live.state is kept
+
+
+def test_bad_starts_are_refused(field):
+    pose = world.world_pose(world.path()[0, 0])
+    live = LiveField(field)
+    with pytest.raises(ValueError, match='start'):
+        live.step(pose)
+    for bed, message in (
+        (np.zeros((4, 2)), 'shape'),
+        (HeightMap([0.0, 1.0], [0.2]), 'height map'),
+        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'NaN'),
+        (HeightMap([0.0, 1.0], [0.2, -3.0]), 'floor'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            live.start(pose, bed)
+    with pytest.raises(ValueError, match='blade_width'):
+        live.start(pose, blade_width=-1.0)
+    live.start(pose)
+    with pytest.raises(ValueError, match='time must go on'):
+        live.step(pose, dt=-0.1)
+    with pytest.raises(ValueError, match='members'):
+        LiveField(field, members=9)

@@ -1,0 +1,116 @@
+"""The state of a path: invariants, and cones drawn bin by bin."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.methods.swept_field import tool_path
+from learning_to_simulate.methods.swept_field.tool_path import Bed
+from tests.learning_to_simulate.methods.swept_field import small_world as world
+
+
+def run(plane, bed=None, dt=world.DT, state=None):
+    bed = world.flat_bed(plane[0, 0, 0]) if bed is None else bed
+    if state is None:
+        state, plane = tool_path.start(world.GRID, bed, plane[0]), plane[1:]
+    for pose in plane:
+        state = tool_path.advance(world.GRID, state, pose, dt)
+    return state, bed
+
+
+def seen(state, bed):
+    return tool_path.frame(world.GRID, bed, np.array([0.457]), state)
+
+
+def test_two_calls_equal_one():
+    plane = world.path()
+    whole, bed = run(plane)
+    half, _ = run(plane[:30], bed)
+    rest, _ = run(plane[30:], bed, state=half)
+    for one, other in zip(seen(whole, bed), seen(rest, bed)):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_shifting_the_scene_changes_nothing():
+    plane, shift = world.path(), np.array([7.25, -1.5, 0.0])
+    here = seen(*run(plane))
+    bed = world.flat_bed(plane[0, 0, 0])
+    moved = Bed(bed.surface + shift[1], bed.level + shift[1], bed.end + shift[0])
+    there = seen(*run(plane + shift, moved))
+    for one, other in zip(here, there):
+        np.testing.assert_allclose(one, other, atol=2e-6)
+
+
+@pytest.mark.parametrize('factor', [2, 4])
+def test_the_frame_rate_hardly_matters(factor):
+    """Twice and four times the frames of one smooth path."""
+    coarse = seen(*run(world.path()))
+    fine = seen(*run(world.path(60 * factor + 1, dt=world.DT / factor), dt=world.DT / factor))
+    scale = np.abs(coarse.scalars).max()
+    rates = [n.startswith(('speed', 'rise', 'turn')) for n in tool_path.SCALARS]
+    difference = np.abs(fine.scalars - coarse.scalars)[0]
+    assert difference[np.logical_not(rates)].max() < 1e-4 * scale
+    # A velocity is that of the last frame, half a frame ago.
+    assert difference[rates].max() < 0.05
+    deepest = coarse.bins[..., tool_path.CUT].max()
+    assert np.abs(fine.bins - coarse.bins)[..., tool_path.CUT].max() < 0.02 * deepest
+
+
+def test_influence_and_disturbed_depth_are_cones_about_the_cut():
+    state, bed = run(world.path()[:35])
+    bins = seen(state, bed).bins[0]
+    cut = (state.swept.surface - state.swept.profile)[0]
+    u = world.GRID.offsets
+    touched = np.minimum(cut / tool_path.TOUCH, 1.0)
+    for i in range(0, len(u), 7):
+        distance = np.abs(u - u[i])
+        influence = np.clip(3 * (touched - distance / tool_path.REACH).max(), 0, 1)
+        depth = (cut - tool_path.RISE * distance).max()
+        assert bins[i, tool_path.INFLUENCE] == pytest.approx(influence, abs=1e-6)
+        assert bins[i, tool_path.DISTURBED] == pytest.approx(depth, abs=1e-6)
+    assert cut.max() > 0.02
+
+
+def test_nothing_is_influenced_before_the_soil_is_touched():
+    plane = world.path()[:1] + [[0.0, 0.03, 0.0]]
+    plane = np.concatenate([plane + [[0.002 * i, 0.0, 0.0]] for i in range(20)])
+    bins = seen(*run(plane)).bins
+    assert not bins[..., tool_path.INFLUENCE].any()
+    assert not bins[..., tool_path.CUT].any()
+
+
+def test_memory_is_the_exponential_average_of_the_velocity():
+    plane = world.path()
+    state, _ = run(plane)
+    velocity = np.diff(plane[:, 0], axis=0) / world.DT
+    for k, tau in enumerate(tool_path.TIME_SCALES):
+        age = np.arange(len(velocity))[::-1] * world.DT
+        weight = np.exp(-age / tau) * (1 - np.exp(-world.DT / tau))
+        np.testing.assert_allclose(state.memory[0, k], weight @ velocity, atol=1e-12)
+
+
+def test_tools_of_a_batch_know_nothing_of_each_other():
+    one, other = world.path(), world.path(depth=0.07)
+    beds = [world.flat_bed(one[0, 0, 0])] * 2
+    both, _ = run(np.concatenate([one, other], axis=1), Bed(*map(np.concatenate, zip(*beds))))
+    for i, alone in enumerate((one, other)):
+        single, _ = run(alone)
+        np.testing.assert_array_equal(both.swept.profile[i], single.swept.profile[0])
+        np.testing.assert_array_equal(both.area_before[i], single.area_before[0])
+
+
+@pytest.mark.parametrize(
+    'call, message',
+    [
+        (lambda s: tool_path.advance(world.GRID, s, [[0.0, np.nan, 0.0]], 0.1), 'not finite'),
+        (lambda s: tool_path.advance(world.GRID, s, [[0.0, 0.2, 0.0]], -0.1), 'time'),
+        (lambda s: tool_path.advance(world.GRID, s, [[5.0, 0.2, 0.0]], 0.1), 'do not hold it'),
+        (lambda s: tool_path.advance(world.GRID, s, [[0.0, 0.2]], 0.1), 'shape'),
+        (lambda s: tool_path.Blade(width=0.0), 'width must be positive'),
+    ],
+)
+def test_bad_input_is_refused_and_the_state_stays(call, message):
+    state, bed = run(world.path()[:10])
+    before = seen(state, bed)
+    with pytest.raises(ValueError, match=message):
+        call(state)
+    np.testing.assert_array_equal(seen(state, bed).bins, before.bins)

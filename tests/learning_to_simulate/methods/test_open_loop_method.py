@@ -1,0 +1,93 @@
+"""Open-loop methods through the same command, folders and files as the networks."""
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from learning_to_simulate import evaluation, presets
+from learning_to_simulate.methods import open_loop_method, registry, resting_bed, tool_motion
+from pca_tools import files
+from tests.learning_to_simulate import synthetic
+
+
+@pytest.fixture(scope='module')
+def trained(tmp_path_factory):
+    """(data folder, model folder) of a ridge."""
+    folder = tmp_path_factory.mktemp('open_loop')
+    data = synthetic.write_dataset(folder / 'data', n_run=6)
+    model = str(folder / 'model')
+    config = presets.make_config('path_ridge', max_samples=60)
+    registry.get('path_ridge').load_code().train(data, model, config)
+    return data, model
+
+
+def test_a_model_folder_rolls_out_to_the_files_of_every_method(trained, tmp_path):
+    data, model = trained
+    code = registry.of_folder(model).load_code()
+    opened = code.open_model(model, data, 'test')
+    results, summary = opened.evaluator.run(opened.groups, 'test')
+    evaluation.save_rollouts(str(tmp_path), 'test', results, summary, opened.metadata)
+    stored = files.read_npz(str(tmp_path / 'rollout_test_0.npz'))
+    assert stored['predicted_rollout'].shape == stored['ground_truth_rollout'].shape
+    assert {'predicted_forces', 'status'} <= stored.keys()
+    assert summary['soil_mse_over_best_trivial'] < 0.5
+    assert 'model' in evaluation.table(summary)
+    assert set(opened.one_step_errors()) == {'one_step_position_mse', 'one_step_force_mse'}
+
+
+def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):
+    data, model = trained
+    path = os.path.join(model, 'path_ridge.npz')
+    before = os.stat(path).st_mtime_ns
+    open_loop_method.train(data, model, presets.make_config('path_ridge', max_samples=60))
+    assert os.stat(path).st_mtime_ns == before
+    with pytest.raises(ValueError, match='another config'):
+        open_loop_method.train(data, model, presets.make_config('path_ridge', max_samples=61))
+
+
+def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
+    data, model = trained
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'notes.txt').write_text('x')
+    with pytest.raises(ValueError, match='not a model folder'):
+        open_loop_method.train(data, str(tmp_path / 'other'), presets.make_config('path_ridge'))
+    copy = shutil.copytree(model, tmp_path / 'copy')
+    config = json.loads((copy / 'config.json').read_text())
+    del config['scene']['dt']
+    (copy / 'config.json').write_text(json.dumps(config))
+    with pytest.raises(ValueError, match='missing, unknown or wrong'):
+        open_loop_method.load(str(copy))
+    with pytest.raises(ValueError, match='contradicts'):
+        open_loop_method.open_model(model, data, 'test', {'max_samples': 5})
+    with pytest.raises(ValueError, match='max_samples'):
+        presets.make_config('path_ridge', max_samples=0)
+
+
+@pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])
+def test_a_formula_of_another_scene_is_refused_before_anything_is_written(
+    trained, preset, tmp_path
+):
+    data, _ = trained
+    with pytest.raises(ValueError):
+        open_loop_method.train(data, str(tmp_path / 'model'), presets.make_config(preset))
+    assert not os.path.exists(tmp_path / 'model' / 'config.json')
+
+
+def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():
+    """A jittered lattice, a fifth of it kept, with a hill across the way."""
+    rng = np.random.default_rng(0)
+    spacing = 0.0136
+    grid = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in (56, 11, 42)), indexing='ij'), -1)
+    points = (grid.reshape(-1, 3) + rng.uniform(-0.05, 0.05, (grid.size // 3, 3))) * spacing
+    frame = tool_motion.TravelFrame(0, -1, 1)
+    kept = points[::5]
+    flat = resting_bed.flat_surface(kept, frame, resting_bed.kept_spacing(kept), spacing)
+    assert flat == pytest.approx(11 * spacing, abs=0.2 * spacing)
+    hill = points.copy()
+    hill[:, 1] += 0.05 * np.exp(-(((points[:, 0] - 0.4) / 0.1) ** 2))
+    places = -np.array([0.1, 0.4, 0.7])
+    profile = resting_bed.surface_profile(hill[::5], places, frame, 0.02, spacing)
+    assert profile - flat == pytest.approx([0.0, 0.05, 0.0], abs=0.006)

@@ -1,0 +1,309 @@
+"""The public door: the lines of the README, poses, starts, status, what is refused."""
+
+import pathlib
+import shutil
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate import add_start, poses, resting_start
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout_status import RolloutStatus
+from pca_tools import files
+from tests.learning_to_simulate import synthetic
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+DT = 1 / 60
+VELOCITY = np.array([-0.05, -0.03, 0.0])
+
+
+@pytest.fixture(scope='module')
+def blade():
+    """The shipped excavation, its stepper and a path within the training runs."""
+    model = lts.load('excavation')
+    path = np.tile(model.starts.pose[0], (90, 1))
+    path[:, :3] += np.arange(90)[:, None] * VELOCITY * DT
+    return model, model.stepper(), path
+
+
+def test_importing_the_package_imports_no_tensorflow():
+    code = (
+        'import sys; sys.modules["tensorflow"] = None\n'
+        'import learning_to_simulate as lts\n'
+        'lts.preset("pcg", latent_size=32); lts.Dataset("excavation"); print(lts.__version__)'
+    )
+    done = subprocess.run([sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_live_frames_are_those_of_the_whole_path(blade):
+    model, live, path = blade
+    whole = model.rollout(path)
+    assert live.start(path[0], VELOCITY).status == RolloutStatus.OK
+    frames = [live.step(pose) for pose in path[1:]]
+    modes = np.stack([frame.modes for frame in frames])
+    motion = np.ptp(whole.modes, axis=0).max()
+    np.testing.assert_allclose(modes, whole.modes, atol=1e-5 * motion)
+    force = np.stack([frame.force for frame in frames])
+    np.testing.assert_allclose(force, whole.force, atol=1e-5 * np.abs(whole.force).max())
+    assert frames[-1].status == whole.status == RolloutStatus.OK
+    np.testing.assert_allclose(frames[-1].particles(), whole.particles(-1), atol=1e-5)
+    np.testing.assert_allclose(frames[-1].pose, path[-1], atol=1e-12)
+    # The blade moves against x and down: the soil holds it back, and it digs.
+    assert whole.force[-1, 0] > 0 and frames[-1].height_map(12, 8).shape == (12, 8)
+
+
+def test_paths_of_one_batch_are_those_alone_and_the_rest_of_a_block_does_not_count(blade):
+    model, _, path = blade
+    both = model.rollout([path, path[:20]])
+    alone = model.rollout(path[:20])
+    assert [len(r.modes) for r in both] == [89, 19]
+    motion = np.ptp(both[0].modes, axis=0).max()
+    np.testing.assert_allclose(both[1].modes, alone.modes, atol=1e-5 * motion)
+    np.testing.assert_allclose(both[0].modes[:19], both[1].modes, atol=1e-5 * motion)
+
+
+def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
+    model, _, path = blade
+    data = lts.Dataset('excavation')
+    recorded, made = model.rollout(data.test[0]), model.rollout(path[:20])
+    assert recorded.truth is not None and made.truth is None
+    from learning_to_simulate.rendering import rollout_frames
+
+    for rollout in (recorded, made):
+        name = str(tmp_path / f'{rollout.name}.npz')
+        rollout.save(name)
+        frames = rollout_frames.load(name, data.path)
+        assert frames.has_truth == (rollout.truth is not None)
+        np.testing.assert_allclose(frames.scores['prediction'][H:], rollout.modes, atol=1e-5)
+        np.testing.assert_allclose(frames.force['prediction'][H:], rollout.force, atol=1e-4)
+    assert len(data.test) == 4 and data.test[-1].index == 3
+    with pytest.raises(IndexError, match='has 4 runs'):
+        data.test[4]
+
+
+@pytest.mark.parametrize('ending', ['.png', '.gif'])
+def test_path_is_drawn_without_a_truth(blade, tmp_path, ending):
+    pytest.importorskip('matplotlib')
+    model, _, path = blade
+    rollout = model.rollout(path[:20])
+    rollout.render(str(tmp_path / f'dig{ending}'), step_stride=8)
+    assert (tmp_path / f'dig{ending}').stat().st_size > 10_000
+    with pytest.raises(ValueError, match='no truth'):
+        rollout.render(str(tmp_path / 'dig.png'), color_by='error')
+    with pytest.raises(ValueError, match='must end in'):
+        rollout.render(str(tmp_path / 'dig.bmp'))
+
+
+def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
+    model, live, path = blade
+    live.start(path[0], VELOCITY)
+    assert live.step(path[1]).now == RolloutStatus.OK
+    away = path[2].copy()
+    away[0] += 0.5
+    jump = live.step(away)
+    assert jump.status != RolloutStatus.OK and 'is outside' in jump.reason
+    later = live.step(away)
+    assert later.status != RolloutStatus.OK
+    # A whole history of zeros is no bed.
+    from learning_to_simulate.stepping import Stepper
+
+    stepper = Stepper(model.model, 10)
+    assert stepper.reset(np.zeros((H, 18, 3))).status == RolloutStatus.EXTRAPOLATING
+    assert stepper.step(path[1, :3] + np.zeros((10, 3))).status != RolloutStatus.OK
+
+
+def test_force_above_twice_the_largest_of_training_left_the_bounds(blade):
+    model, live, path = blade
+    from learning_to_simulate.live_status import FrameJudge
+
+    simulator = model.model.simulator
+    judge = FrameJudge(10, simulator.statistics, model.scene, force_limit=100.0)
+    live.start(path[0])
+    position = np.concatenate([np.zeros((10, 3)), model.starts.modes[0]])
+    assert judge.predicted(7, position, np.array([199.0, 0, 0])).status == RolloutStatus.OK
+    found = judge.predicted(7, position, np.array([201.0, 0, 0]))
+    assert found.status == RolloutStatus.LEFT_BOUNDS and 'force 201 N' in found.reason
+    assert judge.predicted(7, position, np.array([np.nan, 0, 0])).status == 'non_finite'
+
+
+@pytest.mark.parametrize(
+    ('pose', 'message'),
+    [
+        (np.full(7, 1e39), 'finite in float32'),
+        (np.full(7, np.nan), 'finite in float32'),
+        (np.ma.masked_array(np.ones(7), [True] + 6 * [False]), 'masked'),
+        (np.ones(7, complex), 'complex'),
+        (np.ones(7, bool), 'bool'),
+        (np.array(['1'] * 7), 'not an array of numbers'),
+        (np.array([0] * 7, 'datetime64[s]'), 'datetime64'),
+        (np.array([0.8, 0.4, 0.4, 2, 0, 0, 0]), 'length 2, must be 1'),
+        ((0.8, 0.4), r'position has shape \(\)'),
+        (np.zeros((10, 3)), 'must be'),
+    ],
+)
+def test_what_is_no_pose_is_refused_and_changes_nothing(blade, pose, message):
+    _, live, path = blade
+    live.start(path[0], VELOCITY)
+    first = live.step(path[1])
+    with pytest.raises(ValueError, match=message):
+        live.step(pose)
+    second = live.step(path[2])
+    live.start(path[0], VELOCITY)
+    np.testing.assert_array_equal(live.step(path[1]).modes, first.modes)
+    np.testing.assert_array_equal(live.step(path[2]).modes, second.modes)
+
+
+def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
+    model, live, path = blade
+    live.start(path[0], VELOCITY)
+    frame = live.step(path[1])
+    for values in (frame.modes, frame.force, frame.rigid_pose):
+        with pytest.raises(ValueError, match='read-only'):
+            values[:] = 0
+    stepper = live._stepper
+    with stepper._lock:
+        caught = []
+
+        def other():
+            with pytest.raises(RuntimeError, match='another thread') as error:
+                live.step(path[2])
+            caught.append(error)
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+    assert caught
+    live.step(path[2])
+
+
+def test_hold_stays_and_raise_refuses(blade):
+    model, _, path = blade
+    away = path[2].copy()
+    away[0] += 0.5
+    for outside in ('hold', 'raise'):
+        live = model.stepper(outside=outside)
+        live.start(path[0], VELOCITY)
+        before = live.step(path[1])
+        if outside == 'raise':
+            with pytest.raises(ValueError, match='extrapolating: '):
+                live.step(away)
+        else:
+            held = live.step(away)
+            np.testing.assert_array_equal(held.modes, before.modes)
+            assert held.now == RolloutStatus.EXTRAPOLATING
+        after = live.step(path[2])
+        assert after.now == RolloutStatus.OK and not np.array_equal(after.modes, before.modes)
+
+
+def test_wheel_has_its_cases_and_its_context():
+    model = lts.load('wheel')
+    live, starts = model.stepper(), model.starts
+    case = starts.cases[3]['case']
+    assert live.start(case=case).status == RolloutStatus.OK
+    pose = starts.pose[3].copy()
+    pose[:2] += 3e-4, 1.0  # of a driven body the height is not the user's
+    frame = live.step(pose)
+    assert abs(frame.pose[1] - starts.pose[3, 1]) < 5e-3 and frame.pose[0] == pose[0]
+    context = dict(zip(model.scene.context_names, starts.context[3]))
+    assert live.start(context=context).status == RolloutStatus.OK
+    far = context | {'load': 1e4}
+    found = live.start(context=far)
+    assert found.status == RolloutStatus.EXTRAPOLATING and 'load' in found.reason
+    with pytest.raises(ValueError, match='context names'):
+        live.start(context={'gravity': 9.81})
+    with pytest.raises(ValueError, match='no start of case 1000'):
+        live.start(case=1000)
+
+
+def test_predicted_wheel_takes_no_pose_and_says_where_it_is():
+    model = lts.load('wheel/pcg_thesis')
+    live = model.stepper()
+    live.start(velocity=(2e-2, 0, 0))
+    frame = live.step()
+    assert np.linalg.norm(frame.pose[:3] - model.starts.pose[0, :3]) < 5e-3
+    assert np.linalg.norm(frame.pose[3:]) == pytest.approx(1)
+    with pytest.raises(ValueError, match='does not take a pose'):
+        live.step(model.starts.pose[0])
+
+
+def test_poses_in_all_forms_and_planes():
+    reader = poses.PoseReader(1, 0.4)
+    turn = np.array([np.cos(0.1), 0, 0, np.sin(0.1)])
+    flat = reader.read((0.8, 0.3, 0.2))
+    np.testing.assert_allclose(flat, [0.8, 0.3, 0.4, *turn])
+    np.testing.assert_allclose(reader.read(((0.8, 0.3, 0.4), turn)), flat)
+    # The drive axis turns towards the height axis, whichever that is.
+    for up, across in ((1, 2), (2, 1)):
+        values = poses.PoseReader(up, 0.4).read((0.8, 0.3, np.pi / 2))
+        matrix = poses.rotation_matrix(values[3:])
+        np.testing.assert_allclose(matrix @ np.eye(3)[0], np.eye(3)[up], atol=1e-12)
+        assert values[across] == 0.4
+    matrix = poses.rotation_matrix(np.array([0.5, 0.5, 0.5, 0.5]))
+    np.testing.assert_allclose(poses.quaternion_of(matrix), [0.5] * 4, atol=1e-12)
+    # A constant turn, undone in two halves.
+    velocity = np.array([1.0, 2.0, 3.0, 0.3, -0.4, 0.5])
+    twice = poses.moved_back(poses.moved_back(flat, velocity, 0.5), velocity, 0.5)
+    np.testing.assert_allclose(poses.moved_back(flat, velocity, 1.0), twice, atol=1e-12)
+    from learning_to_simulate.path_rollout import velocity_between
+
+    before = poses.moved_back(flat, velocity, DT)
+    np.testing.assert_allclose(velocity_between(before, flat, DT), velocity, atol=1e-9)
+
+
+def test_height_map_is_the_highest_particle_of_each_cell(blade):
+    model, live, path = blade
+    live.start(path[0], VELOCITY)
+    frame = live.step(path[1])
+    heights, points = frame.height_map(7, 5), frame.particles()
+    (x0, x1), (z0, z1) = frame.soil.extent
+    for i, j in ((0, 0), (3, 2), (6, 4)):
+        inside = (
+            (np.clip(((points[:, 0] - x0) / (x1 - x0) * 7).astype(int), 0, 6) == i)
+            & (np.clip(((points[:, 2] - z0) / (z1 - z0) * 5).astype(int), 0, 4) == j)
+        )  # fmt: skip
+        assert heights[i, j] == points[inside, 1].max()
+
+
+def test_trained_model_is_self_contained_and_an_old_folder_says_what_to_do(tmp_path):
+    """The dataset is gone before the model is used."""
+    folder = synthetic.write_dataset(tmp_path / 'data')
+    synthetic.write_subspace(folder)
+    config = lts.preset(
+        'pcg', latent_size=8, num_steps=2, unroll_steps=0, mode_edges=4, rigid_particles=3
+    )
+    path = str(tmp_path / 'model')
+    model = lts.train(config, lts.Dataset(folder), path)
+    assert 'soil MSE' in str(model.evaluate(lts.Dataset(folder).test))
+    backup = shutil.copytree(folder, tmp_path / 'backup')
+    shutil.rmtree(folder)
+    starts = model.starts
+    # Plates of one shape: the same body, wherever it stands; beds do not differ either.
+    assert len(starts) == 1 and len(starts.body[0]) == 4 and len(starts.kept[0]) == 3
+    rollout = model.rollout(starts.pose[0] + np.outer(np.arange(5), [1e-3, 0, 0, 0, 0, 0, 0]))
+    assert rollout.particles().shape == (4, synthetic.N_SOIL, 3) and rollout.body.shape[1] == 4
+    values = files.read_json(f'{path}/config.json')
+    files.write_json(f'{path}/config.json', {k: v for k, v in values.items() if k != 'files'})
+    with pytest.raises(FileNotFoundError, match='learning_to_simulate.add_start'):
+        lts.load(path).stepper()
+    add_start.add_start(path, str(backup))
+    assert files.read_json(f'{path}/config.json') == values
+    with open(f'{path}/start.npz', 'ab') as file:
+        file.write(b' ')
+    with pytest.raises(ValueError, match='not the file of this model'):
+        resting_start.read(path)
+
+
+def test_names_that_are_not_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match='shipped are .*excavation/pcg'):
+        lts.load('moon')
+    with pytest.raises(FileNotFoundError, match='shipped are excavation, wheel'):
+        lts.Dataset('moon')
+    assert lts.Dataset('wheel').test.folder.endswith('wheel')
+    with pytest.raises(AttributeError, match='no attribute'):
+        lts.stpper  # noqa: B018

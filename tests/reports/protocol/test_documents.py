@@ -1,0 +1,30 @@
+"""Figures of the stored protocol follow from the errors of its runs, and the page shows them."""
+
+import json
+import pathlib
+
+import pytest
+
+from reports.protocol import tables
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+STORED = sorted((ROOT / 'docs' / 'protocol').glob('*.json'))
+
+
+@pytest.mark.parametrize('path', STORED, ids=lambda path: path.name)
+def test_figures_follow_from_the_errors_of_the_runs(path):
+    document = json.loads(path.read_text(encoding='utf-8'))
+    assert tables.complete(document) == document
+    assert {'command', 'commit', 'machine'} <= document['record'].keys()
+    for method in document['methods']:
+        for seed in method['seeds']:
+            for split, runs in document['runs'].items():
+                assert len(seed['runs'][split]) == len(runs)
+
+
+def test_the_page_shows_every_stored_scene():
+    text = (ROOT / 'docs' / 'protocol.md').read_text(encoding='utf-8')
+    assert STORED
+    for path in STORED:
+        for quantity in json.loads(path.read_text(encoding='utf-8'))['summary']['test']['all']:
+            assert f'tables:quantity docs/protocol/{path.name} test {quantity} -->' in text

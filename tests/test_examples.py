@@ -1,0 +1,83 @@
+"""What the documents show runs as it is written."""
+
+import importlib.util
+import json
+import pathlib
+import re
+
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate import api
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+
+
+def _example(name):
+    path = ROOT / 'examples' / f'{name}.py'
+    module = importlib.util.module_from_spec(
+        spec := importlib.util.spec_from_file_location(name, path)
+    )
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_live_stepping(capsys):
+    frame = _example('live_stepping').main(0.5)
+    assert frame.status == 'ok' and frame.force[0] > 0
+    assert 'surface between' in capsys.readouterr().out
+
+
+def test_rollout(tmp_path):
+    pytest.importorskip('matplotlib')
+    rollout, recorded = _example('rollout').main(str(tmp_path))
+    assert rollout.status == 'ok' and recorded.truth is not None
+    assert {p.name for p in tmp_path.iterdir()} == {'dig.npz', 'dig.png'}
+
+
+def test_lines_of_the_python_page(tmp_path, monkeypatch):
+    """As written, but for the length of the training."""
+    pytest.importorskip('matplotlib')
+    text = (ROOT / 'docs' / 'python_api.md').read_text(encoding='utf-8')
+    code = re.search(r'```python\n(.*?)```', text, re.S)[1]
+    monkeypatch.chdir(tmp_path)
+    preset = api.preset
+    short = {'num_steps': 2, 'unroll_steps': 0}
+    monkeypatch.setattr(api, 'preset', lambda name, **fields: preset(name, **fields | short))
+    assert lts.preset('pcg').num_steps == 2
+    values = {}
+    exec(code, values)
+    assert values['frame'].status == values['rollout'].status == 'ok'
+    assert {p.name for p in tmp_path.iterdir()} == {'dig.gif', 'dig.npz', 'my_model'}
+    assert lts.load('my_model').config.latent_size == 32
+
+
+def test_five_lines_of_the_front_page():
+    text = (ROOT / 'README.md').read_text(encoding='utf-8')
+    values = {}
+    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    assert values['frame'].status == 'ok' and values['frame'].force[0] > 0
+    assert values['rollout'].status == 'ok'
+
+
+@pytest.mark.slow
+def test_data_of_ones_own(tmp_path, capsys):
+    settings = {'num_steps': 4, 'unroll_steps': 0, 'latent_size': 8}
+    errors = _example('your_own_data').main(str(tmp_path / 'own'), **settings)
+    assert errors.summary['mean']['model']['soil_mse'] > 0
+    assert 'soil RMS mm' in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_cells_of_the_tutorial_run_in_order(capsys):
+    pytest.importorskip('matplotlib').use('agg')
+    path = ROOT / 'examples' / 'tutorial.ipynb'
+    cells = json.loads(path.read_text(encoding='utf-8'))['cells']
+    values = {}
+    for number, cell in enumerate(cells):
+        if cell['cell_type'] == 'code':
+            exec(compile(''.join(cell['source']), f'cell {number}', 'exec'), values)
+            assert not cell['outputs'], 'is committed without outputs'
+    assert set(values['states']) == {'ok'} and values['outside'].status != 'ok'
+    assert values['rollout'].force.shape == (149, 3)
+    assert 'soil RMS mm' in capsys.readouterr().out
