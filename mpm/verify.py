@@ -3,7 +3,7 @@
 Examples:
     python -m mpm.verify --list
     python -m mpm.verify --raw_path=raw --json=verify.json
-    python -m mpm.verify --rows=free_fall,incline
+    python -m mpm.verify --rows=free_fall,momentum
 
 Each row is written to JSON when it is made; the same command goes on with those that are absent.
 Runs that a row needs are read from RAW_PATH/excavation and RAW_PATH/wheel; those that are not
@@ -45,7 +45,6 @@ def rows_of(raw_path: str) -> dict:
         'momentum': kernel_rows.momentum,
         'column_1': partial(kernel_rows.column, 1.0),
         'column_3': partial(kernel_rows.column, 3.0),
-        'incline': kernel_rows.incline,
     }
     for scene in SCENES.values():
         rows[f'packing_{scene.name}'] = partial(run_rows.packed_soil, scene, raw_path)

@@ -37,16 +37,14 @@ SWEEPS = {
 def changed(parameter: str, value: float):
     """Changes one of the solver's constants for a while."""
     places = {
-        'exchanges per frame': [
-            (solver, 'EXCHANGE', 1 / (scenes.FRAME_RATE * value)),
-            (simulation, 'EXCHANGE', 1 / (scenes.FRAME_RATE * value)),
-            (simulation, 'INTERVALS', value),
-        ],
         'contact radius, spacings': [(contact, 'RADIUS', value)],
         'contact stiffness, of M h': [(contact, 'STIFFNESS', value)],
         'damping, of dx / c': [(stability, 'DAMPING', value)],
-        'steps, of the fewest': [],
-    }[parameter]
+    }.get(parameter, [])
+    if parameter == 'exchanges per frame':
+        interval = 1 / (scenes.FRAME_RATE * value)
+        places = [(solver, 'EXCHANGE', interval), (simulation, 'EXCHANGE', interval)]
+        places += [(simulation, 'INTERVALS', value)]
     before = [getattr(module, name) for module, name, _ in places]
     try:
         for module, name, new in places:

@@ -1,7 +1,6 @@
 """Checks that need no run of a scene."""
 
 from mpm import experiments
-from mpm.verification.incline import bagnold_incline
 from mpm.verification.rows import Check
 
 
@@ -45,26 +44,4 @@ def column(aspect: float) -> list[Check]:
             0.3,
             'channel, Lube et al. 2005',
         )
-    ]
-
-
-def incline() -> list[Check]:
-    """Soil flows down a rough plane."""
-    found = bagnold_incline()
-    return [
-        Check(
-            'Bagnold incline: mean speed over mu(I)',
-            found['speed_ratio'],
-            1.0,
-            0.1,
-            'I = 0.1, 8 cells deep',
-        ),
-        Check(
-            'Bagnold incline: RMS error of the profile',
-            found['profile_error'],
-            0.0,
-            0.1,
-            f'over the speed of the surface, {found["surface_speed_m_s"]:.3f} m/s; '
-            f'{found["still_gains"]:+.1%} in the last tenth',
-        ),
     ]
