@@ -16,6 +16,8 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
+# AutoGraph cannot read the source of a lambda, and there is nothing here to convert.
+plain = tf.autograph.experimental.do_not_convert
 # Who has a feature: every node, the rigid particles (a value each, or one for all), or the scene.
 NODES, RIGID, SCENE = 'nodes', 'rigid', 'scene'
 
@@ -129,11 +131,19 @@ TABLE = (
 )  # fmt: skip
 
 
+@plain
 def of(simulator) -> tuple[Feature, ...]:
     """The features that a model has, in the order of the rows of its first layer."""
     return tuple(feature for feature in TABLE if feature.is_present(simulator))
 
 
+@plain
+def values_of(feature: Feature, view: View):
+    """Values of a feature, [B or 1, n, width]."""
+    return feature.values(view)
+
+
+@plain
 def at_every_node(feature: Feature, view: View):
     """Values of a feature [B, V, width]; what the rigid particles alone have is zero at the
     modes."""

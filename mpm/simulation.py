@@ -99,8 +99,8 @@ class Simulation:
         self.time = 0.0
         self._frame = 0
         if drive.load is not None:
-            # Resting on the surface; its mass is that which weighs the first load on the Earth.
-            self.heave[0] = box.surface + drive.body.radius
+            # Just above the grains; its mass is that which weighs the first load on the Earth.
+            self.heave[0] = box.surface + drive.body.radius + self._solver.law.radius
             self.heave[2] = float(drive.load(np.zeros(1))[0]) / EARTH_GRAVITY
             self._rest()
 

@@ -221,6 +221,7 @@ class Solver:
         volume: m3 of packed soil per particle.
         steps: per exchange interval.
         dt: time step, s.
+        law: `contact.ContactLaw`.
         impulse: float64 [6], given to the body so far (N s; N m s about its reference point).
     """
 
@@ -242,7 +243,7 @@ class Solver:
         self.dt = EXCHANGE / self.steps
         self.nodes = make_nodes(grid)
         self.impulse = np.zeros(6)
-        self._law = make_contact(soil, volume)
+        self.law = make_contact(soil, volume)
         self._fluidity = np.zeros((grid.nodes, 3)) if is_nonlocal else None
 
     def advance(
@@ -269,7 +270,7 @@ class Solver:
             near = self._near(block, body, path, heave)
         motion = Motion(
             body,
-            self._law,
+            self.law,
             path,
             np.zeros(count + 1) if weight is None else weight,
             np.zeros(3) if heave is None else heave,
@@ -306,7 +307,7 @@ class Solver:
         turn = np.abs(path[:, 2] - path[0, 2]).max() * (body.length + body.radius)
         way = np.linalg.norm(path[:, :2] - path[0, :2], axis=1).max() + turn
         speed = np.abs(block.particles[3:6]).max(initial=0.0)
-        reach = self._law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
+        reach = self.law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
         near = np.zeros(block.particles.shape[1], dtype=np.int64)
         return near[: list_near(block.particles, body, start, reach, near)]
 

@@ -2,7 +2,8 @@
 
 Rolls every shipped model out over the test split of its dataset, trains a small model for a few
 steps of both stages, and keeps the sha256 of the results. Bits are those of one machine: other
-processors round differently. Before and after a change:
+processors, and other numbers of threads, round differently: one thread is taken. Before and after
+a change:
 
   python -m tests.rollout_bits --write=/tmp/bits.json
   python -m tests.rollout_bits --compare=/tmp/bits.json
@@ -15,6 +16,7 @@ import json
 import sys
 
 import numpy as np
+import tensorflow as tf
 
 from learning_to_simulate import experiment, presets, reading_utils
 from learning_to_simulate.evaluation import Evaluator
@@ -60,6 +62,8 @@ def main():
     parser.add_argument('--compare', help='JSON file of before; a difference ends with exit code 1')
     parser.add_argument('--no_training', action='store_true', help='rollouts only')
     args = parser.parse_args()
+    tf.config.threading.set_intra_op_parallelism_threads(1)
+    tf.config.threading.set_inter_op_parallelism_threads(1)
     found = {path: of_rollouts(path) for path in sorted(glob.glob('models/*/*'))}
     if not args.no_training:
         for data_path in sorted(glob.glob('datasets/*')):

@@ -58,7 +58,9 @@ class WholeStateSimulator(LearnedSimulator):
         n_graph = state.offset.shape[0]
         view = features.View(self, state, known, context, layout)
         # The place of a value says whose it is: no node needs a name.
-        velocities, *values = (f.values(view) for f in features.of(self) if f.name != 'embedding')
+        velocities, *values = (
+            features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
+        )
         values = [
             tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
             for v in values

@@ -31,7 +31,7 @@ class Check:
     @property
     def passed(self) -> bool:
         """Whether the figure is within the tolerance; a reported one always is."""
-        return self.expected is None or abs(self.figure - self.expected) <= self.tolerance
+        return self.expected is None or bool(abs(self.figure - self.expected) <= self.tolerance)
 
 
 def reported(name: str, figure: float, note: str) -> Check:

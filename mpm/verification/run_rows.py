@@ -18,6 +18,7 @@ EARTHMOVING_CASES = (123, 146, 186, 213, 216)
 EXPONENT_CASES = (22, 123, 146, 186, 216)
 EXPONENT_TRAVEL = (0.15, 0.3)  # m of travel over which the draft is averaged
 SAW_TOOTH_CASES = (123, 186, 146)
+LEVEL = 0.35  # largest slope of a cut that counts as level
 # Slip 20, "40", 70 % with the middle load, diameter and friction, on the Earth.
 SLIP_CASES = (176, 203, 230)
 
@@ -144,14 +145,16 @@ def saw_tooth(force: np.ndarray, speed: float, dx: float) -> float:
 
 
 def cutting_force(run: raw_run.RawRun) -> np.ndarray:
-    """Returns the force [T] along x of the last stretch of a run at constant speed and depth."""
+    """Returns the force [T] along x of a run while it cuts at its speed and about level.
+
+    The first quarter of that stretch is left out: the draft still builds up.
+    """
     path = grid.make_drive(scenes.EXCAVATION, run.parameters).pose(
         np.arange(len(run.force)) / scenes.FRAME_RATE
     )
     step = np.diff(path[:, :2], axis=0)
-    is_steady = (np.abs(step[:, 1]) < 1e-9) & (
-        np.abs(np.abs(step[:, 0]) * scenes.FRAME_RATE - run.parameters['speed_m_s']) < 1e-9
-    )
+    way = run.parameters['speed_m_s'] / scenes.FRAME_RATE
+    is_steady = (np.abs(-step[:, 0] - way) < 1e-6 * way) & (np.abs(step[:, 1]) < LEVEL * way)
     steady = np.flatnonzero(is_steady) + 1
     return run.force[steady[len(steady) // 4 :], 0].astype(np.float64)
 

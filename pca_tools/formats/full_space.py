@@ -105,8 +105,16 @@ def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | No
     bounds = metadata.get('bounds')
     if bounds is None:
         return None
-    array = np.asarray(bounds, np.float64) if isinstance(bounds, list) else np.empty(0)
-    if array.ndim != 2 or array.shape[1] != 2 or not np.all(array[:, 0] < array[:, 1]):
+    try:
+        array = np.asarray(bounds, np.float64) if isinstance(bounds, list) else np.empty(0)
+    except (ValueError, TypeError, OverflowError):  # texts, or rows of different lengths
+        array = np.empty(0)
+    if (
+        array.ndim != 2
+        or array.shape[1] != 2
+        or not np.all(array[:, 0] < array[:, 1])
+        or not np.all(np.isfinite(array))
+    ):
         raise ValueError(f'{where}: bounds is {bounds!r}, pairs [low, high] were expected')
     return array.tolist()
 

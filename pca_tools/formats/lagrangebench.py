@@ -72,7 +72,7 @@ def _runs_of(path: str, split: str) -> Iterator[FullSpaceRun]:
         with h5py.File(path, 'r') as file:
             for name in sorted(file):
                 yield _run_of(file[name], f'{split}_{name}', split, f'{path}: {name}')
-    except OSError as error:
+    except (OSError, RuntimeError, KeyError, TypeError) as error:  # h5py, of damaged files
         raise ValueError(f'{path}: is not a readable HDF5 file ({error})') from error
 
 

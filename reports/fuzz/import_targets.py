@@ -69,11 +69,11 @@ def _possible_sample(runs: list) -> bool:
     return all(run.ndim == 3 and run.dtype == np.float64 for run in runs)
 
 
+# MPM-NGF and VTP keep folders of files, the bench single ones.
 _CHANGED = {
     'deepmind': ('train.tfrecord', 'metadata.json'),
     'geoelements': ('train.npz', 'metadata.json'),
     'lagrangebench': ('train.h5', 'metadata.json'),
-    'mpm_ngf': (os.path.join('train_0', 'frames', 'ds_0002.csv'),),
     'npz': ('train_0.npz',),
 }
 

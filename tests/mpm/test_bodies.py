@@ -9,8 +9,9 @@ from mpm import bodies
 
 
 def distance_to(body, x, y, z, angle=0.0):
-    """Distance and normal of a point, relative to the reference point in x and y."""
-    return bodies.signed_distance(body, math.sin(angle), math.cos(angle), x, y, z)
+    """Distance and normal of a point, given relative to the reference point."""
+    sine, cosine = math.sin(angle), math.cos(angle)
+    return bodies.signed_distance(body, sine, cosine, x, y, z + body.z_middle)
 
 
 def cross_section(body, count=4000):
@@ -102,7 +103,7 @@ def test_bad_bodies_are_refused():
 def test_leaning_body_is_the_upright_one_turned():
     blade, angle = bodies.make_blade(0.4), 0.7
     cosine, sine = math.cos(angle), math.sin(angle)
-    for x, y, z in np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3)) + [0, 0, 0.4]:
+    for x, y, z in np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3)):
         distance, nx, ny, nz = distance_to(blade, x, y, z)
         turned = distance_to(blade, cosine * x - sine * y, sine * x + cosine * y, z, angle)
         expected = (distance, cosine * nx - sine * ny, sine * nx + cosine * ny, nz)

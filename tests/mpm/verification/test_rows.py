@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from mpm import verify
@@ -13,7 +14,7 @@ def test_rows_are_written_when_made_and_not_made_again(tmp_path):
 
     def make():
         made.append(1)
-        return [Check('a', 1.02, 1.0, 0.05, 'note'), reported('b', 7.0, '')]
+        return [Check('a', np.float64(1.02), 1.0, 0.05, 'note'), reported('b', 7.0, '')]
 
     Table(path).add('first', make)
     table = Table(path)

@@ -32,11 +32,12 @@ def made_up(case):
 
 
 @pytest.mark.parametrize('case', run_rows.SAW_TOOTH_CASES)
-def test_cutting_is_where_speed_and_depth_are_constant(case):
+def test_cutting_is_at_constant_speed_and_about_level(case):
     made = made_up(case)
     frames = run_rows.cutting_force(made).astype(int)
     assert len(frames) > 60 and (np.diff(frames) == 1).all()
     pose = grid.make_drive(scenes.EXCAVATION, made.parameters).pose(frames / 60)
-    assert np.ptp(pose[:, 1]) < 1e-9
+    slope = np.abs(np.diff(pose[:, 1]) / np.diff(pose[:, 0]))
+    assert slope.max() < 0.36
     way = -np.diff(pose[:, 0]) * 60
     np.testing.assert_allclose(way, made.parameters['speed_m_s'], rtol=1e-6)

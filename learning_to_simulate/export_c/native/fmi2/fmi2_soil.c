@@ -76,7 +76,7 @@ typedef enum { CREATED, INITIALISING, STEPPING, TERMINATED } phase;
 typedef struct {
   phase now;
   int begun; /* whether the model has been started from the current values */
-  int start, told;
+  int start, told; /* told: status bits that have held since the start */
   double time, first_height;
   double real[N_REAL];
 } values;
@@ -91,7 +91,8 @@ typedef struct {
 
 static void log_text(component *c, fmi2Status status, fmi2String category, fmi2String text) {
   if (c->call.logger && (c->logs || status >= fmi2Error)) {
-    c->call.logger(c->call.componentEnvironment, c->name, status, category, "%s", text);
+    /* No text has a % in it: importers differ in whether they expand formats. */
+    c->call.logger(c->call.componentEnvironment, c->name, status, category, text);
   }
 }
 
@@ -172,12 +173,6 @@ static fmi2Status begin(component *c) {
   tell_status(c, status, 0);
   c->v.begun = 1;
   return fmi2OK;
-}
-
-static int status_now(const component *c) {
-  lts_judgement worst;
-  const int status = lts_judge(c->soil, &worst);
-  return status < 0 ? 0 : status;
 }
 
 /* ---- life ---- */
@@ -360,7 +355,7 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2Va
   component *c = (component *)instance;
   if (!c || (n && (!vr || !value))) return fmi2Error;
   if (c->v.now == INITIALISING && begin(c) != fmi2OK) return fmi2Error;
-  const int status = c->v.begun ? status_now(c) : 0;
+  const int status = c->v.told;
   for (size_t i = 0; i < n; ++i) {
     if (vr[i] >= N_BOOLEAN) return refuse(c, "no boolean variable of this value reference");
     const int bits[N_BOOLEAN] = {0, LTS_EXTRAPOLATING, LTS_LEFT_BOUNDS, LTS_NON_FINITE};
