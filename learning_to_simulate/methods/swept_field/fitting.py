@@ -50,8 +50,7 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
 
     Returns:
       the field with the ranges of its training, and facts of the training: episodes, runs, losses,
-      `outside_mm`, the largest displacement of a training particle that the field says cannot have
-      moved.
+      and those of `left_out`.
 
     Raises:
       see `make_field` and `training.Trainer.run`.
@@ -70,23 +69,33 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
     facts |= {
         'episodes': len(episodes),
         'runs': len({e.record for e in episodes}),
-        'outside_mm': 1e3 * outside(field, episodes, frames),
         'force_mean': field.axes.world_loads(
             np.concatenate([e.load for e in episodes if not e.start]).mean(axis=0)
         )[0].tolist(),
+        **left_out(field, episodes, frames),
     }
     return field, facts
 
 
-def outside(field, episodes, frames) -> float:
-    """The largest displacement (m) of a particle that the field says cannot have moved."""
-    largest = 0.0
+def left_out(field, episodes, frames) -> dict[str, float]:
+    """What the field leaves out of episodes, since it says that it cannot have moved.
+
+    Returns:
+      `left_out_share` of all particles in all frames, `left_out_rms_mm`, their displacement in
+      truth, and `left_out_motion`, their share of all squared displacements.
+    """
+    count, number, square, whole = 0, 0, 0.0, 0.0
     for episode, frame in zip(episodes, frames, strict=True):
         chosen = tool_path.Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
         rests = ~field.may_move(chosen, episode.local_rest)
-        size = np.sqrt((episode.moved**2).sum(axis=-1))
-        largest = max(largest, float((size * rests).max()))
-    return largest
+        size = (episode.moved.astype(np.float64) ** 2).sum(axis=-1)
+        count, number = count + int(rests.sum()), number + rests.size
+        square, whole = square + float(size[rests].sum()), whole + float(size.sum())
+    return {
+        'left_out_share': count / number,
+        'left_out_rms_mm': 1e3 * float(np.sqrt(square / max(3 * count, 1))),
+        'left_out_motion': square / max(whole, 1e-30),
+    }
 
 
 def sample_errors(field, reader, split: str, members=None) -> list[dict]:

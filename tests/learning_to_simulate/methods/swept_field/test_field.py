@@ -137,8 +137,8 @@ def test_no_force_in_the_air_and_none_jumps():
     )
     after = field.loads(world.frames(lifted))[:, len(plane) :]
     assert after[:, 0].any() and not after[:, -60:].any()
-    assert np.abs(np.diff(after, axis=1)).max() < 0.25 * np.abs(loads).max()
-    # No jump, even of random weights. The first frame has no velocity yet.
+    # No jump, even of random weights, but where the velocity itself jumps: in first frames.
+    assert np.abs(np.diff(after[:, 1:], axis=1)).max() < 0.25 * np.abs(loads).max()
     assert np.abs(np.diff(loads[:, 1:], axis=1)).max() < 0.25 * np.abs(loads).max()
 
 
