@@ -44,6 +44,8 @@ def run(values) -> None:
     from learning_to_simulate import api
 
     rollout = api.load(values.model).rollout(path, case=values.case)
+    for target in filter(None, (values.output_path, values.picture)):
+        os.makedirs(os.path.dirname(os.path.abspath(target)), exist_ok=True)
     rollout.save(values.output_path)
     print(f'wrote {values.output_path}: {len(rollout.modes)} frames of {rollout.scene.dt:.4g} s')
     print(f'status {rollout.status}' + (f': {rollout.reason}' if rollout.reason else ''))

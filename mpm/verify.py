@@ -1,7 +1,7 @@
 """Checks of the solver with numbers, as a table.
 
 Examples:
-    python -m mpm.verify --list
+    python -m mpm.verify --list_rows
     python -m mpm.verify --raw_path=raw --json=verify.json
     python -m mpm.verify --rows=free_fall,momentum
 
@@ -28,8 +28,8 @@ _RAW_PATH = flags.DEFINE_string(
 _JSON = flags.DEFINE_string(
     'json', os.path.join('outputs', 'verify.json'), 'Where rows are kept; those there are not made.'
 )
-_ROWS = flags.DEFINE_list('rows', None, 'Only these rows, by name (see --list).')
-_LIST = flags.DEFINE_bool('list', False, 'Only name the rows.')
+_ROWS = flags.DEFINE_list('rows', None, 'Only these rows, by name (see --list_rows).')
+_LIST = flags.DEFINE_bool('list_rows', False, 'Only name the rows.')
 
 HALVED_CASES = (186, 78, 146, 22, 188)  # motion 2: the blade is in the soil from the beginning
 SLEEP_CASES = (186, 78, 123, 146)

@@ -126,8 +126,10 @@ class RolloutFrames:
         """[T] RMS soil error per coordinate in mm: prediction and its trivial neighbours.
 
         Keys `prediction`, `stay still`, `constant velocity`. Without N the RMS is that of the mode
-        scores.
+        scores. Empty without a truth.
         """
+        if TRUTH not in self.scores:
+            return {}
         truth, start = self.scores[TRUTH], self.first_predicted
         given, n_predicted = truth[None, :start], self.n_frames - start
         predictions = {

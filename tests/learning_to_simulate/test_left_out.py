@@ -42,7 +42,7 @@ def test_fewer_modes_are_judged_against_all_of_the_dataset(tmp_path):
     assert model.simulator.scene.n_modes == 2 and group.position.shape[2] == 4 + 2
     run = dataset.read_split(str(tmp_path), 'train')[0]
     result = _roll_out(model, group)
-    summary = evaluation.Evaluator(model, metadata).metrics([(0, group.select(0), result)], 'train')
+    summary = evaluation.summarise([(0, group.select(0), result)], model, metadata, 'train')
     # By hand: errors of the two modes, and all of the third.
     truth = run.position[H:].astype(np.float64)
     error = (result.position[0, :, 4:] - truth[:, 4:6], truth[:, 6:])

@@ -59,7 +59,7 @@ def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
         results = [(0, run, rollout.roll_out(function, run))]
     finally:
         tf.config.run_functions_eagerly(False)
-    summary = evaluation.Evaluator(model, metadata).metrics(results, 'train')
+    summary = evaluation.summarise(results, model, metadata, 'train')
     (path, _) = evaluation.save_rollouts(str(tmp_path), 'train', results, summary, metadata)
     assert files.read_npz(path)['status'].dtype.kind == 'U'
     assert rollout_frames.load(path, str(tmp_path / 'data')).rigid[TRUTH].shape[1] == 4
