@@ -26,7 +26,8 @@ def add_start(model_path: str, data_path: str) -> list[str]:
       FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
     """
     command.import_tensorflow()
-    from learning_to_simulate import checkpoints, resting_start
+    from learning_to_simulate import checkpoints
+    from learning_to_simulate.live import resting_start
     from pca_tools import dataset
 
     model = checkpoints.load_model(model_path)

@@ -183,7 +183,7 @@ class TrainedModel:
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
         if self._at_rest is None:
-            from learning_to_simulate import resting_start
+            from learning_to_simulate.live import resting_start
 
             starts, space = resting_start.read(self.path)
             space = None if space is None else self.model.fitting_subspace(space)
@@ -203,7 +203,7 @@ class TrainedModel:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
         """
         from learning_to_simulate.export_c.c_step import best_step
-        from learning_to_simulate.live import LiveSoil
+        from learning_to_simulate.live.live_soil import LiveSoil
 
         starts, space = self._from_rest()
         return LiveSoil(self.model, starts, space, outside=outside, back_end=best_step)
@@ -227,7 +227,7 @@ class TrainedModel:
         if isinstance(path, Run):
             return self._of_run(path)
         if self._roller is None:
-            from learning_to_simulate.path_rollout import PathRoller
+            from learning_to_simulate.live.path_rollout import PathRoller
 
             self._roller = PathRoller(self.model, self.starts, self._soil())
         several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
@@ -239,13 +239,13 @@ class TrainedModel:
         return results if several else results[0]
 
     def _soil(self):
-        from learning_to_simulate.soil import Soil
+        from learning_to_simulate.live.soil import Soil
 
         space = self.subspace
         return None if space is None else Soil(space, self.scene.up_axis)
 
     def _of_run(self, run):
-        from learning_to_simulate.path_rollout import of_recorded_run
+        from learning_to_simulate.live.path_rollout import of_recorded_run
 
         opened = self._opened(run.split)
         (group,) = (

@@ -11,10 +11,11 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import features, graph_network, normalization, tool_depth
+from learning_to_simulate import features, graph_network, normalization
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
+from learning_to_simulate.edges import tool_depth
 from learning_to_simulate.scene import RigidMotion, Scene
 
 NUM_PARTICLE_TYPES = 9

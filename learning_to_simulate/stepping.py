@@ -23,12 +23,12 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.compiled_step import CompiledStep
+from learning_to_simulate.compiled.compiled_step import CompiledStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live_status import FrameJudge, worse
-from learning_to_simulate.poses import numbers
+from learning_to_simulate.live.frame_judge import FrameJudge, worse
+from learning_to_simulate.live.poses import numbers
+from learning_to_simulate.live.soil import Soil
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
-from learning_to_simulate.soil import Soil
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 

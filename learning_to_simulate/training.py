@@ -14,7 +14,7 @@ import tensorflow as tf
 from learning_to_simulate import losses, noise_utils
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.edge_gates import EdgeGates
+from learning_to_simulate.edges.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
     initial_state,

@@ -24,7 +24,8 @@ import sys
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import connectivity_utils, edge_lists, edge_picture
+from learning_to_simulate import connectivity_utils
+from learning_to_simulate.edges import edge_lists, edge_picture
 from learning_to_simulate.scene import Scene
 from nri import data as nri_data
 from nri.model import load_model

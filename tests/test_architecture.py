@@ -34,8 +34,8 @@ MAY_IMPORT = {
     'nri': (
         'pca_tools',
         'learning_to_simulate.connectivity_utils',
-        'learning_to_simulate.edge_lists',
-        'learning_to_simulate.edge_picture',
+        'learning_to_simulate.edges.edge_lists',
+        'learning_to_simulate.edges.edge_picture',
         'learning_to_simulate.scene',
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),

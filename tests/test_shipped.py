@@ -6,7 +6,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from learning_to_simulate import edge_lists, evaluation, experiment, presets
+from learning_to_simulate import evaluation, experiment, presets
+from learning_to_simulate.edges import edge_lists
 from pca_tools import dataset
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

@@ -7,7 +7,7 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_header, c_library
-from learning_to_simulate.poses import numbers
+from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 

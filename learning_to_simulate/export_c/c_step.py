@@ -72,6 +72,6 @@ def best_step(model, n_rigid: int):
     try:
         return CStep(model, n_rigid)
     except (ValueError, c_library.NoCompiler):
-        from learning_to_simulate.compiled_step import CompiledStep
+        from learning_to_simulate.compiled.compiled_step import CompiledStep
 
         return CompiledStep(model, n_rigid)

@@ -7,15 +7,10 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import (
-    checkpoints,
-    edge_lists,
-    evaluation,
-    normalization,
-    reading_utils,
-    resting_start,
-)
+from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils
 from learning_to_simulate.checkpoints import load_model as load
+from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion

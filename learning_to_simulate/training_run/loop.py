@@ -13,7 +13,8 @@ import numpy as np
 import tensorflow as tf
 import tqdm
 
-from learning_to_simulate import checkpoints, resting_start
+from learning_to_simulate import checkpoints
+from learning_to_simulate.live import resting_start
 from learning_to_simulate.training_run import training_state
 from learning_to_simulate.training_run.stop_signals import StopSignals
 from pca_tools import folder_lock

@@ -35,15 +35,9 @@ import tensorflow as tf
 import tqdm
 from absl import flags
 
-from learning_to_simulate import (
-    connectivity_utils,
-    edge_lists,
-    evaluation,
-    experiment,
-    presets,
-    reading_utils,
-)
-from learning_to_simulate.folded_step import rollout_function
+from learning_to_simulate import connectivity_utils, evaluation, experiment, presets, reading_utils
+from learning_to_simulate.compiled.folded_step import rollout_function
+from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.training import Trainer
 from pca_tools import dataset, files

@@ -15,7 +15,7 @@ import numpy as np
 import tensorflow as tf
 from absl import flags
 
-from learning_to_simulate import edge_lists, edge_picture
+from learning_to_simulate.edges import edge_lists, edge_picture
 from nri import data as nri_data
 from nri import experiment
 from nri.export_edges import edge_posterior, spread

@@ -8,8 +8,9 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, edge_lists, model_config
+from learning_to_simulate import checkpoints, model_config
 from learning_to_simulate.config import TrainConfig
+from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene

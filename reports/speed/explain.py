@@ -23,9 +23,9 @@ import tensorflow as tf
 from absl import flags
 
 from learning_to_simulate import connectivity_utils, experiment, reading_utils
+from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
+from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.features import EMBEDDING_SIZE
-from learning_to_simulate.folded_simulator import FoldedSimulator
-from learning_to_simulate.folded_step import FoldedStep
 from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion

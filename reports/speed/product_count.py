@@ -7,7 +7,7 @@ element by element, which is small beside the products.
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.folded_step import FoldedStep, given_motion
+from learning_to_simulate.compiled.folded_step import FoldedStep, given_motion
 
 _TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
 

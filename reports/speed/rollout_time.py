@@ -19,8 +19,8 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing

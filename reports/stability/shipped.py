@@ -6,8 +6,8 @@ import os
 import numpy as np
 
 from learning_to_simulate import checkpoints, experiment, metrics, reading_utils
+from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.folded_step import rollout_function
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from reports.record import ROOT

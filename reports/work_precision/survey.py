@@ -8,7 +8,8 @@ import threading
 
 import tqdm
 
-from learning_to_simulate import checkpoints, edge_lists, experiment, reading_utils
+from learning_to_simulate import checkpoints, experiment, reading_utils
+from learning_to_simulate.edges import edge_lists
 from pca_tools import dataset
 from reports import markdown, record
 from reports.work_precision import families, measure, solver_rows

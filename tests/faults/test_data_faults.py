@@ -16,7 +16,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from learning_to_simulate import connectivity_utils, edge_lists
+from learning_to_simulate import connectivity_utils
+from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.scene import Scene
 from mpm import files as mpm_files
 from nri import data as nri_data

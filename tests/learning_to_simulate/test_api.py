@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import add_start, poses, resting_start
+from learning_to_simulate import add_start
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import poses, resting_start
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -119,7 +120,7 @@ def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
 
 def test_force_above_twice_the_largest_of_training_left_the_bounds(blade):
     model, live, path = blade
-    from learning_to_simulate.live_status import FrameJudge
+    from learning_to_simulate.live.frame_judge import FrameJudge
 
     simulator = model.model.simulator
     judge = FrameJudge(10, simulator.statistics, model.scene, force_limit=100.0)
@@ -249,7 +250,7 @@ def test_poses_in_all_forms_and_planes():
     velocity = np.array([1.0, 2.0, 3.0, 0.3, -0.4, 0.5])
     twice = poses.moved_back(poses.moved_back(flat, velocity, 0.5), velocity, 0.5)
     np.testing.assert_allclose(poses.moved_back(flat, velocity, 1.0), twice, atol=1e-12)
-    from learning_to_simulate.path_rollout import velocity_between
+    from learning_to_simulate.live.path_rollout import velocity_between
 
     before = poses.moved_back(flat, velocity, DT)
     np.testing.assert_allclose(velocity_between(before, flat, DT), velocity, atol=1e-9)

@@ -71,7 +71,7 @@ def test_output_is_tried_before_the_work(tmp_path):
 
 
 def test_rollout_of_a_file_of_poses(tmp_path):
-    from learning_to_simulate import resting_start
+    from learning_to_simulate.live import resting_start
 
     starts, _ = resting_start.read('models/excavation/pcg')
     path = np.tile(starts.pose[0], (9, 1))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, edge_lists, experiment, presets
-from learning_to_simulate.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
+from learning_to_simulate import checkpoints, experiment, presets
+from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.edges.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
 from learning_to_simulate.training import Trainer
 from learning_to_simulate.training_run import training_state
 from pca_tools import files

@@ -7,7 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, edge_lists, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate.edges import edge_lists
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 from tests.learning_to_simulate.test_connectivity_utils import ring_edges, scene

@@ -11,13 +11,13 @@ from learning_to_simulate import (
     connectivity_utils,
     evaluation,
     experiment,
-    folded_step,
     presets,
     reading_utils,
     rollout,
     stepping,
 )
-from learning_to_simulate.folded_simulator import FoldedSimulator
+from learning_to_simulate.compiled import folded_step
+from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace

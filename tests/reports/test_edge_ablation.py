@@ -7,7 +7,8 @@ import types
 import numpy as np
 import pytest
 
-from learning_to_simulate import edge_lists, presets
+from learning_to_simulate import presets
+from learning_to_simulate.edges import edge_lists
 from reports.edges import edge_ablation, edge_ablation_report
 from tests.learning_to_simulate import synthetic
 

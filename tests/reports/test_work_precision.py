@@ -12,7 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, edge_lists, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate.edges import edge_lists
 from pca_tools import dataset
 from reports.timing import Timing
 from reports.work_precision import (

@@ -14,7 +14,8 @@ import shutil
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, poses, reading_utils
+from learning_to_simulate import checkpoints, reading_utils
+from learning_to_simulate.live import poses
 from pca_tools import dataset, files, rigid_fit
 from pca_tools.metadata import SPLITS
 from pca_tools.subspace import Subspace

@@ -8,16 +8,17 @@ import os
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import poses, reading_utils
+from learning_to_simulate import reading_utils
+from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.folded_step import rollout_function
-from learning_to_simulate.live import Beginning
-from learning_to_simulate.live_status import FrameJudge, worse
+from learning_to_simulate.live import poses
+from learning_to_simulate.live.frame_judge import FrameJudge, worse
+from learning_to_simulate.live.live_soil import Beginning
+from learning_to_simulate.live.soil import Soil
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.soil import Soil
 from pca_tools import dataset, files
 
 # Paths are padded to a multiple of so many frames, so that few lengths are compiled.

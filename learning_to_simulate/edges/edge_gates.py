@@ -15,8 +15,8 @@ import math
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import edge_lists
-from learning_to_simulate.edge_lists import EdgeList
+from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.edges.edge_lists import EdgeList
 
 # Louizos et al. 2018, section 4: temperature, and the ends of the stretched interval.
 TEMPERATURE, LOW, HIGH = 2 / 3, -0.1, 1.1

@@ -12,8 +12,7 @@ import tensorflow as tf
 
 from learning_to_simulate import features
 from learning_to_simulate.body_height import up_vector
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.folded_network import (
+from learning_to_simulate.compiled.folded_network import (
     MODES,
     RIGID,
     EdgeBlock,
@@ -21,6 +20,7 @@ from learning_to_simulate.folded_network import (
     Linear,
     edge_blocks,
 )
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import (
     Layout,
     LearnedSimulator,

@@ -9,10 +9,10 @@ A frame of the model is `dt` seconds and cannot be divided: between frames hold 
 
 import numpy as np
 
-from learning_to_simulate import poses
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live_status import FrameJudge
-from learning_to_simulate.resting_start import Starts
+from learning_to_simulate.live import poses
+from learning_to_simulate.live.frame_judge import FrameJudge
+from learning_to_simulate.live.resting_start import Starts
 from learning_to_simulate.rollout_status import Judgement
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.stepping import FLAG, Frame, Stepper

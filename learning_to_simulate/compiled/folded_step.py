@@ -14,13 +14,13 @@ It computes what `step_form.PlainStep` computes, to float32 round-off:
 import tensorflow as tf
 
 from learning_to_simulate.body_height import up_vector
-from learning_to_simulate.folded_simulator import FoldedSimulator, Given, MovingState
+from learning_to_simulate.compiled.folded_simulator import FoldedSimulator, Given, MovingState
+from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
 from learning_to_simulate.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.rigid_body import Correction, given_part
 from learning_to_simulate.rollout import RolloutFunction
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.step_form import PlainStep
-from learning_to_simulate.two_pass import AheadPass, FramePass
 
 
 def step_of(simulator, layout, rigid_correction: bool = True):

@@ -1,0 +1,1 @@
+"""Rollouts and live steps made fast: folded weights, two passes."""

@@ -1,0 +1,1 @@
+"""Which node acts on which: lists, learned gates, pictures."""

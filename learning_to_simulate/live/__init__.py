@@ -1,0 +1,1 @@
+"""Live use: poses, starts, status, soil, whole paths."""
