@@ -29,6 +29,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -175,6 +176,14 @@ def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
             )
     if base['dt'] != runs.dt:
         raise ValueError(f'{like}: has dt {base["dt"]}, the raw runs have {runs.dt}')
+    versions = {_solver_version(case) for case in base.get('cases', {}).get('train', [])}
+    new = {_solver_version(runs.parameters(index)) for index in range(len(runs.cases))}
+    if versions and not new <= versions:
+        warnings.warn(
+            f'{like}: its runs are of solver version {sorted(versions)}, the raw runs of '
+            f'{sorted(new)}: errors of its models will include what changed between them',
+            stacklevel=2,
+        )
     # Case numbers count anew in every kind of run (grid, driven paths).
     trained = {_kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
     known = [
@@ -184,6 +193,10 @@ def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
     ]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
+
+
+def _solver_version(parameters: dict[str, Any]) -> str:
+    return str(parameters.get('solver_version', 'not stated'))
 
 
 def _kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:

@@ -3,7 +3,8 @@ them.
 
 The solver makes the ground truth of both cases side by side; the learned simulators roll them out
 from the first six frames; the table holds their errors and run times next to the trivial
-predictors.
+predictors. Where the shipped models have learned from another version of the solver, they are
+judged on the recorded test runs of that version, and the new run gives the solver's time only.
 
 Examples:
     python -m run_scripts.demo --output_path=demo_output
@@ -21,7 +22,7 @@ import time
 import tqdm
 from absl import app, flags
 
-from mpm import scenes
+from mpm import raw_run, scenes, versions
 from reports import markdown
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
@@ -42,27 +43,42 @@ def simulate(name: str, case: int, folder: str, position: int) -> subprocess.Pop
     return subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
 
 
-def evaluate(name: str, raw: str, out: str) -> list[dict]:
-    """Rolls out the shipped models on a raw run.
+def judged_on(name: str, raw: str, out: str) -> tuple[str, str]:
+    """Returns the dataset that the shipped models are judged on, and what it is in words.
+
+    That of the raw run, if models and run are of one version of the solver.
+    """
+    from pca_tools import convert
+    from pca_tools.metadata import read_metadata
+
+    like = os.path.join(ROOT, 'datasets', name)
+    learned = read_metadata(like)['cases']['train'][0].get('solver_version', '1')
+    if learned != versions.SOLVER_VERSION:
+        return like, (
+            f'recorded test runs of solver version {learned}, which the models learned from '
+            f'(the new run is of version {versions.SOLVER_VERSION})'
+        )
+    data = os.path.join(out, 'dataset')
+    convert.convert(raw, data, like=like, overwrite=os.path.isdir(data))
+    return data, 'the new run'
+
+
+def evaluate(name: str, raw: str, data: str, out: str) -> list[dict]:
+    """Rolls out the shipped models on the test runs of a dataset.
 
     Args:
-        name: scene, names the folders in `datasets/` and `models/`.
-        raw: folder of raw runs.
-        out: folder for dataset, rollouts and pictures.
+        name: scene, names the folder in `models/`.
+        raw: folder with the raw run that tells the solver's time.
+        data: dataset folder.
+        out: folder for rollouts and pictures.
 
     Returns:
         One dict per row of the table.
     """
     from learning_to_simulate import evaluation, experiment
-    from pca_tools import convert
 
-    data = os.path.join(out, 'dataset')
-    metadata = convert.convert(
-        raw, data, like=os.path.join(ROOT, 'datasets', name), overwrite=os.path.isdir(data)
-    )
-    parameters = metadata['cases']['test'][0]
-    simulated = metadata['sequence_length'] * metadata['dt']
-    solver = parameters['solver_cpu_s'] / simulated
+    (run,) = raw_run.read_manifest(raw)['runs']
+    solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
     for preset in MODELS:
         model, metadata, groups = experiment.load_for_evaluation(
@@ -103,15 +119,15 @@ def _bar(drawn, label):
     return tqdm.tqdm(drawn, desc=label, unit='frame', disable=None)
 
 
-def draw(out: str) -> list[str]:
-    """Pictures and films of every model's rollout; returns the files."""
+def draw(out: str, data: str) -> list[str]:
+    """Pictures and films of every model's first rollout; returns the files."""
     from learning_to_simulate import render_rollout
 
     written = []
     for preset in MODELS:
         _, paths = render_rollout.render(
             os.path.join(out, preset, 'rollout_test_0.npz'),
-            os.path.join(out, 'dataset'),
+            data,
             os.path.join(out, preset),
             formats=['png', 'gif'],
             step_stride=4,
@@ -156,10 +172,15 @@ def main(_) -> None:
     print('\n' * len(running) + 'learned simulators: rolling out')
     results, pictures = {}, []
     for scene, case, folder in zip(chosen, cases, raw):
-        rows = evaluate(scene.name, folder, os.path.join(out, scene.name))
-        results[scene.name] = {'case': case, 'rows': rows}
-        pictures += draw(os.path.join(out, scene.name))
-    text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
+        target = os.path.join(out, scene.name)
+        data, judged = judged_on(scene.name, folder, target)
+        rows = evaluate(scene.name, folder, data, target)
+        results[scene.name] = {'case': case, 'judged_on': judged, 'rows': rows}
+        pictures += draw(target, data)
+    text = '\n\n'.join(
+        f'{table(name, r["case"], r["rows"])}\nmodels on: {r["judged_on"]}'
+        for name, r in results.items()
+    )
     with open(os.path.join(out, 'table.txt'), 'w', encoding='utf-8') as file:
         file.write(text + '\n')
     with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as file:
