@@ -72,7 +72,8 @@ class TrainingState:
         """Restores the newest checkpoint that is whole; returns its step, 0 if there is none at
         all.
 
-        Newer damaged ones are reported and set aside under names that end in `.damaged`.
+        Newer damaged ones are reported and set aside under names that end in `.damaged`, and so is
+        a first one that was never finished.
 
         Raises:
           ValueError: there are checkpoints and all of them are damaged, or the newest whole one is
@@ -88,6 +89,12 @@ class TrainingState:
             self._read(step)
             self._set_aside(damaged)
             return step
+        if len(damaged) == 1 and not os.path.exists(
+            os.path.join(self._path, f'ckpt-{next(iter(damaged))}.json')
+        ):
+            # Killed while it wrote the first one: there is nothing to go on from.
+            self._set_aside(damaged)
+            return 0
         if damaged:
             raise ValueError(
                 f'{self._path}: all checkpoints are damaged; nothing was changed. Bring one of '
