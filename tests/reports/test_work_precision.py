@@ -232,7 +232,10 @@ def test_edges_of_every_row_can_be_had_on_the_shipped_datasets(scene):
 SMALL = {'latent_size': 8, 'mode_edges': 5, 'hidden_layers': 1, 'zero_decoder': True}
 SMALL_SWEEPS = {
     'latent size': [('base', SMALL)],
-    'edges': [('base', SMALL), ('too many edges', SMALL | {'mode_edges': 9, 'learning_rate': 1e12})],
+    'edges': [
+        ('base', SMALL),
+        ('too many edges', SMALL | {'mode_edges': 9, 'learning_rate': 1e12}),
+    ],
 }
 
 
