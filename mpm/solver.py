@@ -26,7 +26,6 @@ import numpy as np
 
 from mpm.bodies import Body
 from mpm.columns import (
-    COLUMNS,
     JIT,
     LEFT_GRID,
     OK,
@@ -310,15 +309,3 @@ class Solver:
         reach = self.law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
         near = np.zeros(block.particles.shape[1], dtype=np.int64)
         return near[: list_near(block.particles, body, start, reach, near)]
-
-
-def check_columns(particles: np.ndarray) -> None:
-    """Refuses an array that is not a particle array.
-
-    Raises:
-        ValueError: if it is not float64 [N, COLUMNS].
-    """
-    if particles.dtype != np.float64 or particles.ndim != 2 or particles.shape[1] != COLUMNS:
-        raise ValueError(
-            f'particles must be float64 [N, {COLUMNS}], got {particles.dtype} {particles.shape}'
-        )
