@@ -322,8 +322,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training.loop.run`.
+      ValueError, OSError, SystemExit: as `registry.train`.
     """
-    code = registry.get(config.model).load_code()
-    code.train(data.path, path, config, save_every=save_every)
+    registry.train(data.path, path, config, save_every=save_every)
     return TrainedModel(path)
