@@ -74,8 +74,8 @@ def test_velocity_and_acceleration_are_continuous(paths):
     for _, _, poses in made[:40]:
         velocity = np.diff(poses, axis=0) / dt
         acceleration = np.diff(velocity, axis=0) / dt
-        # From rest, and no jump beside the largest value (of what is seen of a piece that the record
-        # cuts off): a step of a millisecond changes little, where a jump would be all of it.
+        # From rest, and no jump beside the largest value (of a piece that the end cuts, of what is
+        # seen of it): a step of a millisecond changes little, where a jump would be all of it.
         assert np.abs(velocity[0]).max() < 1e-3
         for values in (velocity, acceleration):
             jump = np.abs(np.diff(values, axis=0)).max(axis=0)
