@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, experiment, rollout, rollout_status, stepping
+import learning_to_simulate as lts
+from learning_to_simulate import rollout, rollout_status, stepping
 from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.export_c import c_library, c_stepper
 from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.step_form import PlainStep
 from learning_to_simulate.training import Trainer
-from pca_tools import dataset
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.numpy_twin import Twin
 
@@ -197,31 +197,25 @@ def test_a_rollout_says_in_which_frame_it_leaves_the_training_runs(made):
     assert judgements[1].frame == 20 and 'friction_angle_deg 99' in judgements[1].reason
 
 
-def test_command_trains_evaluates_and_exports(tmp_path):
-    """The whole way of a dataset whose context changes, a few steps long."""
-    from learning_to_simulate import api, export, presets
-
-    models.make(tmp_path / 'data', **CHANGING)
-    data, path = str(tmp_path / 'data'), str(tmp_path / 'model')
-    config = presets.make_config(
-        'pcg', **models.SMALL, num_steps=3, unroll_steps=2, unroll_length=2
-    )
-    experiment.train(data, path, config)
-    dataset.read_metadata(data)
-    assert checkpoints.load_model(path).simulator.scene.context_names
-    model = api.TrainedModel(path)
-    poses = model.starts.pose[0] + np.arange(9)[:, None] * [1e-3, 0, 0, 0, 0, 0, 0]
+def test_paths_and_live_poses_take_a_load_that_changes():
+    """The shipped wheel under 120 N, then under 180 N."""
+    model = lts.load('wheel')
+    names = model.scene.context_names
+    path = model.starts.pose[0] + np.arange(9)[:, None] * [1e-3, 0, 0, 0, 0, 0, 0]
     context = np.tile(model.starts.context[0], (9, 1))
-    steady = model.rollout(poses, context=context[0])
-    np.testing.assert_allclose(model.rollout(poses, context=context).modes, steady.modes, atol=1e-6)
-    context[4:, 1] += 3.0
-    changed = model.rollout(poses, context=context)
+    context[:, names.index('load')] = [120.0] * 4 + [180.0] * 5
+    whole = model.rollout(path, context=context)
     live = model.stepper()
-    live.start(poses[0], (poses[1] - poses[0])[:3] * 60, context=context[0])
-    modes = [live.step(p, dict(zip(model.scene.context_names, c))).modes
-             for p, c in zip(poses[1:], context[1:])]  # fmt: skip
-    np.testing.assert_allclose(changed.modes, modes, atol=1e-5)
-    np.testing.assert_array_equal(
-        changed.modes[:3], model.rollout(poses, context=context[0]).modes[:3]
-    )
-    assert export.export(path, data, str(tmp_path / 'out'), 'savedmodel')
+    live.start(path[0], (path[1] - path[0])[:3] / model.scene.dt, context=context[0])
+    frames = [
+        live.step(pose, dict(zip(names, values)))
+        for pose, values in zip(path[1:], context[1:], strict=True)
+    ]
+    moved = np.ptp(whole.modes, axis=0).max()
+    np.testing.assert_allclose([f.modes for f in frames], whole.modes, atol=1e-4 * moved)
+    live.start(path[0], (path[1] - path[0])[:3] / model.scene.dt, context=context[0])
+    steady = [live.step(pose).modes for pose in path[1:]]
+    np.testing.assert_array_equal([f.modes for f in frames[:3]], steady[:3])
+    assert np.abs(frames[-1].modes - steady[-1]).max() > 1e-2 * moved
+    with pytest.raises(ValueError, match='shape'):
+        model.rollout(path, context=context[:5])
