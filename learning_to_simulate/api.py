@@ -284,11 +284,11 @@ class TrainedModel:
           the description that is also in `export.json`.
 
         Raises:
-          ValueError, OSError: as `export.export`.
+          ValueError, OSError: as `exporting.export`.
         """
-        from learning_to_simulate import export
+        from learning_to_simulate.export import exporting
 
-        return export.export(self.path, data.path, path, kind)
+        return exporting.export(self.path, data.path, path, kind)
 
 
 def load(name: str) -> TrainedModel:
@@ -323,7 +323,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training_run.loop.run`.
+      ValueError, OSError, SystemExit: as `training.loop.run`.
     """
     code = registry.get(config.model).load_code()
     code.train(data.path, path, config, save_every=save_every)

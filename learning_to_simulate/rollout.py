@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import (
     Layout,
@@ -15,7 +16,6 @@ from learning_to_simulate.learned_simulator import (
 )
 from learning_to_simulate.rigid_body import KnownMotion, known_motion
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
-from learning_to_simulate.step_form import PlainStep
 
 
 class Rollout(NamedTuple):

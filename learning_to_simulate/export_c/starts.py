@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, experiment, reading_utils
+from learning_to_simulate import checkpoints, reading_utils
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 
@@ -28,7 +28,7 @@ def read_model(model_path: str, data_path: str, n_rigid: int | None = None):
     """
     model = checkpoints.load_model(model_path)
     metadata = read_metadata(data_path)
-    experiment.check_dataset(model_path, model, data_path, metadata)
+    checkpoints.check_dataset(model_path, model, data_path, metadata)
     path = os.path.join(data_path, 'subspace.npz')
     subspace = Subspace.load(path) if os.path.exists(path) else None
     n_rigid = checkpoints.read_config(model_path)['n_rigid'] if n_rigid is None else n_rigid

@@ -13,9 +13,9 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.live.resting_start import Starts
+from learning_to_simulate.live.stepping import FLAG, Frame, Stepper
 from learning_to_simulate.rollout_status import Judgement
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.stepping import FLAG, Frame, Stepper
 from pca_tools import rigid_fit
 
 

@@ -179,7 +179,7 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(
             f'{model_path}: holds no {START_FILE}, the model was trained before models carried '
-            f'their start; add it: python -m learning_to_simulate.add_start '
+            f'their start; add it: lts add-start '
             f'--model_path={model_path} --data_path=<its dataset>'
         )
     for name in (START_FILE, SUBSPACE_FILE):

@@ -14,8 +14,8 @@ from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import Trainer
-from learning_to_simulate.training_run import loop
+from learning_to_simulate.training import loop
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 
 __all__ = ['data_digests', 'load', 'make_model', 'open_model', 'train']

@@ -23,7 +23,7 @@ from absl import flags
 from learning_to_simulate import checkpoints, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.stepping import Stepper
+from learning_to_simulate.live.stepping import Stepper
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
 

@@ -6,7 +6,7 @@ import tensorflow as tf
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods.full_space.particle_simulator import history_of
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import TwoStageSchedule, WeightAverages
+from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
 
 _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
