@@ -22,7 +22,7 @@ from learning_to_simulate.rigid_body import Correction, given_part
 from learning_to_simulate.rollout import RolloutFunction
 from learning_to_simulate.scene import RigidMotion
 <<<<<<< HEAD
-from learning_to_simulate.step_form import PlainStep, context_in
+from learning_to_simulate.compiled.step_form import PlainStep, context_in
 =======
 >>>>>>> main
 

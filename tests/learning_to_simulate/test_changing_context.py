@@ -7,13 +7,14 @@ import pytest
 import tensorflow as tf
 
 import learning_to_simulate as lts
-from learning_to_simulate import rollout, rollout_status, stepping
+from learning_to_simulate import rollout, rollout_status
 from learning_to_simulate.compiled.folded_step import FoldedStep
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.export_c import c_library, c_stepper
+from learning_to_simulate.live import stepping
 from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
-from learning_to_simulate.step_form import PlainStep
-from learning_to_simulate.training import Trainer
+from learning_to_simulate.training.trainer import Trainer
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.numpy_twin import Twin
 
