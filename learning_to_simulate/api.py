@@ -215,8 +215,9 @@ class TrainedModel:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
             first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
             of such paths, which are one batch; or a `Run` of a dataset.
-          velocity, case, context: of `LiveSoil.start`, for all paths; the velocity is by default
-            that of the first two poses.
+          velocity, case: of `LiveSoil.start`, for all paths; the velocity is by default that of
+            the first two poses.
+          context: likewise, or [T, C] where it changes in time.
 
         Returns:
           `path_rollout.SoilRollout`, or a list of them.
@@ -231,11 +232,11 @@ class TrainedModel:
 
             self._roller = PathRoller(self.model, self.starts, self._soil())
         several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        pairs = [
+        begun = [
             self._roller.beginning(p, velocity, case, context)
             for p in (path if several else [path])
         ]
-        results = self._roller.roll_out(pairs)
+        results = self._roller.roll_out(begun)
         return results if several else results[0]
 
     def _soil(self):

@@ -50,7 +50,7 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
         raise ValueError(f'{data_path}: no test run has {n} rigid nodes')
     known = model.simulator.scene.rigid_motion.is_known
     history = group.position[0, :H]
-    context = None if group.context is None else group.context[0]
+    context = group.context_at(H, 0)
     poses = np.ascontiguousarray(group.position[0, H:, :n])
     timed, library = _timed_library()
     data = c_stepper.CStepper(model, n, subspace, starts=found)

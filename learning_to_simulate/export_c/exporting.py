@@ -96,14 +96,15 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
             return {'skipped': str(error)}
         soil = CSoil.open(library, name)
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
-    context = None if group.context is None else group.context[0]
     nodes, forces, particles = ([], []), ([], []), []
     known = model.simulator.scene.rigid_motion.is_known
     for stepper in steppers:
-        stepper.reset(group.position[0, :H], context)
-    for pose in group.position[0, H : H + COMPARED_STEPS, :n_rigid]:
+        stepper.reset(group.position[0, :H], group.context_at(H, 0))
+    poses = group.position[0, H : H + COMPARED_STEPS, :n_rigid]
+    for k, pose in enumerate(poses, H):
+        context = group.context_at(k, 0) if group.context_changes else None
         for stepper, of_nodes, of_force in zip(steppers, nodes, forces):
-            frame = stepper.step(pose if known else None)
+            frame = stepper.step(pose if known else None, context)
             of_nodes.append(np.concatenate([frame.rigid_pose, frame.modes]))
             of_force.append(np.zeros(3) if frame.force is None else frame.force)
         if subspace is not None:

@@ -44,7 +44,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     statistics = normalization.compute_statistics(
         [g.position for g in groups],
         [g.force for g in groups],
-        [g.context for g in groups],
+        reading_utils.contexts_by_frame(groups),
         metadata,
         scene,
         config,

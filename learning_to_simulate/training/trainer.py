@@ -222,7 +222,7 @@ class Trainer:
         state = self._noisy_state(offset, velocity, layout, noise_seed)
         known = self._known(offset, velocity, layout, h)
         target = self.simulator.normalized_target(velocity[:, h], state, known, layout)
-        predicted, predicted_force = self.simulator.predict(state, known, context, layout)
+        predicted, predicted_force = self.simulator.predict(state, known, context(h), layout)
         true_force = None if force is None else force[:, h]
         values = losses.one_step_loss(
             target, predicted, true_force, predicted_force, layout.loss_weight, force_weight
@@ -241,7 +241,7 @@ class Trainer:
         offsets, forces = [], []
         for k in range(n):
             known = self._known(offset, velocity, layout, h + k)
-            state, predicted_force = self.simulator.step(state, known, context, layout)
+            state, predicted_force = self.simulator.step(state, known, context(h + k), layout)
             offsets.append(state.offset)
             forces.append(predicted_force)
         s = self.simulator.statistics
