@@ -257,7 +257,7 @@ class TrainedModel:
         return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
 
     def _opened(self, split):
-        return self._method.load_code().open_model(self.path, split.folder, split.name)
+        return registry.open_model(self.path, split.folder, split.name)
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
         """Rolls out every run of a split.

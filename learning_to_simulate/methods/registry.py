@@ -22,6 +22,8 @@ import importlib
 from types import ModuleType
 from typing import Any
 
+from learning_to_simulate import command
+
 
 @dataclasses.dataclass(frozen=True)
 class Method:
@@ -47,7 +49,8 @@ class Method:
     default_preset: str | None = None
 
     def load_code(self) -> ModuleType:
-        """The module with its functions."""
+        """The module with its functions; TensorFlow is imported without its start-up lines."""
+        command.import_tensorflow()
         return importlib.import_module(self.code)
 
     def make_simulator(self, scene, config, statistics, particle_types=(0, 6)):
@@ -213,6 +216,7 @@ def of_folder(model_path: str) -> Method:
     Raises:
       FileNotFoundError, ValueError: no model there, or one of a method that does not exist.
     """
+    command.import_tensorflow()
     from learning_to_simulate import checkpoints
 
     config = checkpoints.read_config(model_path).get('config')
