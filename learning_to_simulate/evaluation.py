@@ -209,7 +209,7 @@ def table(summary: dict) -> str:
         lines.append('  '.join([f'{name:18s}', *cells]))
     if summary['projection_mse'] is not None:
         lines.append(
-            f'projection floor (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
+            f'truncation error (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
             f'to the soil MSE'
         )
     lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')
