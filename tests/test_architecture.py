@@ -36,6 +36,7 @@ MAY_IMPORT = {
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.edges.edge_lists',
         'learning_to_simulate.edges.edge_picture',
+        'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),

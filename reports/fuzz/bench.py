@@ -20,7 +20,7 @@ from reports.fuzz.targets import TARGETS, Promise, Target
 
 OUTCOMES = ('refused', 'equal', 'possible', 'failed')
 # Limits of one input, far above the milliseconds and kilobytes of the valid ones.
-SECONDS, MEMORY = 20, 3 * 2**29
+SECONDS, MEMORY = 10, 2**30
 
 
 class Hang(BaseException):
