@@ -10,6 +10,7 @@ A folder that ships with the project holds no checkpoints.
 """
 
 import dataclasses
+import hashlib
 import importlib.metadata
 import os
 from collections.abc import Callable
@@ -279,6 +280,13 @@ def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tu
             f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
             f'{differing[:4]}'
         )
+
+
+def folder_digest(path: str) -> str:
+    """sha256 of what a model folder says a model is: config.json and its arrays."""
+    names = sorted(n for n in os.listdir(path) if n == CONFIG_FILE or n.endswith('.npz'))
+    parts = [f'{n} {files.sha256_of_file(os.path.join(path, n))}' for n in names]
+    return hashlib.sha256('\n'.join(parts).encode()).hexdigest()
 
 
 def refuse_contradictions(model_path, config, overrides):

@@ -63,7 +63,10 @@ ONLY_IN = {
 # Modules -> packages that they must import without. (Keras loads scikit-learn and matplotlib where
 # they are installed, so a look at what is loaded afterwards would blame the wrong one.)
 IMPORTS_WITHOUT = [
-    (('storage.whole_files', 'storage.folder_lock', 'storage.parent'), ('numpy', 'pca_tools', 'mpm')),
+    (
+        ('storage.whole_files', 'storage.folder_lock', 'storage.parent', 'storage.messages'),
+        ('numpy', 'pca_tools', 'mpm'),
+    ),
     (
         ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
         ('tensorflow', 'matplotlib'),

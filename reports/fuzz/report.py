@@ -2,12 +2,12 @@
 
 A reader may refuse (ValueError or OSError with the name of the file in its message) or return a
 value: the original one, or, where the files carry no checksum, one that some valid file could hold.
-Everything else is a failure: another exception, a crash of the process, more than 10 s, more than 1 GB of
-memory, a damaged file that passes. Inputs are functions of (seed, number); those that fail are
-kept in `<output_path>/fuzz_failures/`.
+Everything else is a failure: another exception, a crash of the process, more than 10 s, more than
+1 GB of memory, a damaged file that passes. Inputs are functions of (seed, number); those that fail
+are kept in `<output_path>/fuzz_failures/`.
 
 Examples:
-    python -m reports fuzz --count=100000 --seed=0 --num_processes=2 --output_path=docs
+    python -m reports fuzz --count=1000000 --seed=0 --num_processes=8 --output_path=docs
 
     python -m reports fuzz --count=2000 --targets=subspace.npz --output_path=/tmp/fuzz
 """
