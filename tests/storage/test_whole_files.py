@@ -192,7 +192,7 @@ def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
 
 @pytest.mark.parametrize('point', range(1, 9))
 def test_kill_while_results_are_replaced_never_mixes_them(tmp_path, point):
-    """SIGKILL before each change of a name: the last file lies beside one whole set, or is absent."""
+    """SIGKILL before each change of a name: `last` lies beside one whole set, or is absent."""
     code = """
 import os, signal, sys
 from storage import whole_files
