@@ -39,6 +39,11 @@ def refuse(simulator) -> None:
         raise ValueError(f'the model has inputs {names}, the C form knows {list(_FEATURES)}')
 
 
+def motion_of(scene) -> int:
+    """The number that `lts.h` has for the motion of a scene's body."""
+    return c_header.constants()[_MOTIONS[scene.rigid_motion]]
+
+
 def values(
     model,
     n_rigid: int,
@@ -66,7 +71,7 @@ def values(
         raise ValueError('surface_height needs a graph')
     result = {
         'abi': c_header.constants()['LTS_ABI'],
-        'motion': c_header.constants()[_MOTIONS[scene.rigid_motion]],
+        'motion': motion_of(scene),
         'name': scene.name,
         'context_names': ','.join(scene.context_names),
         'n_rigid': n_rigid,

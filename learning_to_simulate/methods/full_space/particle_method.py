@@ -105,14 +105,17 @@ def load(path: str) -> ParticleModel:
         config, scene, types = model_config.config_and_scene(values)
         statistics = ParticleStatistics.from_json(values['statistics'])
         statistics.check(scene)
-        simulator = ParticleSimulator(scene, config, statistics, types)
     except model_config.WRONG_FIELD as error:
         raise ValueError(
             f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
         ) from error
-    simulator.create_variables()
-    checkpoints.load_weights(path, simulator)
-    return ParticleModel(simulator)
+
+    def make():
+        simulator = ParticleSimulator(scene, config, statistics, types)
+        simulator.create_variables()
+        return ParticleModel(simulator)
+
+    return checkpoints.filled(path, make)
 
 
 def open_model(
