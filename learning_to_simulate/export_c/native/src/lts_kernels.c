@@ -26,6 +26,9 @@ static const float lts_zeros[LTS_PANEL] = {0.0f};
 #define MUL(a, b) ((a) * (b))
 #define MADD(a, b, c) ((a) * (b) + (c))
 #define RELU(a) ((a) < 0.0f ? 0.0f : (a))
+#define DIV(a, b) ((a) / (b))
+#define MIN(a, b) ((a) < (b) ? (a) : (b))
+#define MAX(a, b) ((a) > (b) ? (a) : (b))
 #include "lts_kernels.inc"
 
 /* Vectors of four: SSE2 of every x86-64, NEON of every AArch64. */
@@ -40,6 +43,9 @@ static INLINE v4 v4_load(const float *p) {
 static INLINE void v4_store(float *p, v4 v) { memcpy(p, &v, sizeof v); }
 static INLINE v4 v4_set(float x) { return (v4){x, x, x, x}; }
 static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
+static INLINE v4 v4_either(i4 which, v4 a, v4 b) { return (v4)(((i4)a & which) | ((i4)b & ~which)); }
+static INLINE v4 v4_min(v4 a, v4 b) { return v4_either(a < b, a, b); }
+static INLINE v4 v4_max(v4 a, v4 b) { return v4_either(a > b, a, b); }
 #define W 4
 #define V v4
 #define TILE 3
@@ -52,6 +58,9 @@ static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
 #define MUL(a, b) ((a) * (b))
 #define MADD(a, b, c) ((a) * (b) + (c))
 #define RELU(a) v4_relu(a)
+#define DIV(a, b) ((a) / (b))
+#define MIN(a, b) v4_min(a, b)
+#define MAX(a, b) v4_max(a, b)
 #include "lts_kernels.inc"
 #endif
 
@@ -73,6 +82,9 @@ static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
 #define MUL(a, b) _mm256_mul_ps(a, b)
 #define MADD(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define RELU(a) _mm256_max_ps(_mm256_setzero_ps(), a) /* the second operand if that is NaN */
+#define DIV(a, b) _mm256_div_ps(a, b)
+#define MIN(a, b) _mm256_min_ps(a, b)
+#define MAX(a, b) _mm256_max_ps(a, b)
 #include "lts_kernels.inc"
 
 #if defined(_MSC_VER) && !defined(__clang__)
