@@ -23,7 +23,7 @@ class CField:
     Args:
       library: `c_library.declared` of a shared library.
       model: address of its `lts_field_model`.
-      kernel: 'best', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
+      kernel: 'best' or one of `c_soil.KERNELS`.
       members: networks that answer; None: all.
 
     Raises:
@@ -107,7 +107,7 @@ class CField:
 
     @property
     def kernel(self) -> str:
-        """Which arithmetic runs: 'avx2', 'vector4' (SSE2, NEON) or 'scalar'."""
+        """Which arithmetic runs, one of `c_soil.KERNELS`."""
         return KERNELS[self._c.lts_field_kernel(self._soil)]
 
     def start(self, pose, bed=None, blade_width: float | None = None) -> Judgement:

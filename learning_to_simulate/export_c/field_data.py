@@ -70,6 +70,7 @@ def values(field) -> dict:
         'start_u': float(points[:, 0].max() + field.spacing / 2 - _from_end(field)),
         'start_height': level,
         'n_bin': len(grid.offsets),
+        'n_pad': 2 + int(np.abs([*inputs_lib.AROUND, *inputs_lib.SINCE_AROUND]).max() / grid.spacing),
         'n_scale': len(tool_path.TIME_SCALES),
         'first': grid.offsets[0],
         'bin': grid.spacing,
@@ -139,6 +140,8 @@ def _check(field, counts):
     limit = c_header.constants()['LTS_FIELD_SCALES']
     if len(scales) > limit:
         raise ValueError(f'{len(scales)} memories of the velocity, the C form has at most {limit}')
+    if max(map(len, _PLACES.values())) > 32:
+        raise ValueError('the C form of a swept field looks at no more than 32 places')
     if field.config.hidden_layers < 1:
         raise ValueError('a swept field without hidden layers has no C form')
     expected = {'width', 'radius', 'length'}

@@ -68,7 +68,7 @@ enum {
 enum { LTS_NO_BODY = 0, LTS_PRESCRIBED = 1, LTS_DRIVEN = 2, LTS_PREDICTED = 3 };
 
 /* Which arithmetic. */
-enum { LTS_BEST = -1, LTS_SCALAR = 0, LTS_VECTOR4 = 1, LTS_AVX2 = 2 };
+enum { LTS_BEST = -1, LTS_SCALAR = 0, LTS_VECTOR4 = 1, LTS_AVX2 = 2, LTS_AVX512 = 3 };
 
 typedef struct {
   int32_t abi;

@@ -103,15 +103,43 @@ void lts_field_shared_inputs(const lts_field *soil, float *x) {
 
 /* Columns of `lts_field_own_inputs` that are a tanh, and those that are an exp, which follow from it:
  * exp(-x) = (1 - t) / (1 + t), t = tanh(x / 2). Their arguments are kept side by side. */
-#define MOST_CURVED 32
+#define MOST_CURVED 48
 typedef struct {
   int n, column[MOST_CURVED];
   float value[MOST_CURVED][LTS_FIELD_ROWS];
 } curves;
 
-static void note(curves *c, int column, int row, float value) {
-  c->column[c->n] = column;
-  c->value[c->n++][row] = value;
+static void finish(const lts_field *soil, curves *c, int n, int is_exp, float *out, int ld) {
+  for (int j = 0; j < c->n; ++j) {
+    float *t = c->value[j];
+    for (int row = n; row < LTS_PADDED(n); ++row) t[row] = 0.0f;
+    soil->run->tanh_of(t, LTS_PADDED(n), t);
+    for (int row = 0; row < LTS_PADDED(n) && is_exp; ++row) t[row] = (1.0f - t[row]) / (1.0f + t[row]);
+    for (int row = 0; row < n; ++row) out[row * ld + c->column[j]] = t[row];
+  }
+}
+
+/* Places in whole bins and shares of the next one: added to those of a particle. */
+#define MOST_PLACES 32
+typedef struct {
+  int n, bin[MOST_PLACES];
+  float share[MOST_PLACES];
+} offsets;
+
+static void split(const lts_field_model *m, const float *places, int n, offsets *out) {
+  out->n = n;
+  for (int j = 0; j < n; ++j) {
+    const double bins = (double)places[j] / m->bin, low = floor(bins + 1e-5);
+    out->bin[j] = (int)low;
+    out->share[j] = bins - low < 1e-5 ? 0.0f : (float)(bins - low);
+  }
+}
+
+static inline lts_place moved(lts_place here, const offsets *o, int j) {
+  const float share = here.share + o->share[j];
+  const int more = share >= 1.0f;
+  const lts_place at = {here.low + o->bin[j] + more, share - (float)more};
+  return at;
 }
 
 void lts_field_own_inputs(const lts_field *soil, const int32_t *which, int n, float *out, int ld) {
@@ -119,7 +147,9 @@ void lts_field_own_inputs(const lts_field *soil, const int32_t *which, int n, fl
   const named s = named_of(soil);
   const float *cuts = soil->bins[LTS_CUT], *surfaces = soil->bins[LTS_SURFACE];
   curves tanhs, exps;
-  tanhs.n = exps.n = 0;
+  offsets around, since;
+  split(m, m->around, m->n_around, &around);
+  split(m, m->since, m->n_since, &since);
   for (int row = 0; row < n; ++row) {
     const int i = which[row];
     const float u = soil->u[i], y = soil->y[i], beside = fabsf(soil->z[i]);
@@ -128,48 +158,42 @@ void lts_field_own_inputs(const lts_field *soil, const int32_t *which, int n, fl
     const float cut = between(cuts, here), surface = between(surfaces, here);
     const float before = between(soil->bins[LTS_AREA_BEFORE], here), above = y - surface + cut;
     float *x = out + row * ld;
-    int k = 0;
-    tanhs.n = exps.n = 0;
+    int k = 0, t = 0, e = 0;
+#define TANH(argument) (tanhs.column[t] = k++, tanhs.value[t++][row] = (argument))
+#define EXP_MINUS(argument) (exps.column[e] = k++, exps.value[e++][row] = 0.5f * (argument))
     x[k++] = behind / 0.15f;
-    note(&tanhs, k++, row, behind / 0.03f);
+    TANH(behind / 0.03f);
     for (int b = 0; b < m->n_bump; ++b) {
       const float away = (behind - m->bumps[b]) / m->bump_width;
-      note(&exps, k++, row, 0.5f * away * away);
+      EXP_MINUS(away * away);
     }
     x[k++] = (y - surface) / 0.05f;
     x[k++] = (y - s.height) / 0.05f;
-    note(&tanhs, k++, row, (y - s.height) / 0.02f);
+    TANH((y - s.height) / 0.02f);
     x[k++] = beside / 0.15f;
-    note(&tanhs, k++, row, (beside - s.half_width) / 0.03f);
-    note(&tanhs, k++, row, (beside - s.half_width) / 0.1f);
+    TANH((beside - s.half_width) / 0.03f);
+    TANH((beside - s.half_width) / 0.1f);
     x[k++] = above / 0.05f;
-    note(&tanhs, k++, row, above / 0.01f);
+    TANH(above / 0.01f);
     x[k++] = foremost / 0.15f;
-    note(&tanhs, k++, row, foremost / 0.03f);
+    TANH(foremost / 0.03f);
     x[k++] = before / 0.01f;
     x[k++] = sqrtf(before + 1e-6f) / 0.1f;
     x[k++] = s.end - u;
-    for (int j = 0; j < m->n_around; ++j) {
-      const lts_place at = lts_field_place(m, u + m->around[j]);
+    for (int j = 0; j < around.n; ++j) {
+      const lts_place at = moved(here, &around, j);
       x[k + j] = between(cuts, at) / 0.03f;
-      x[k + m->n_around + j] = (between(surfaces, at) - surface) / 0.03f;
+      x[k + around.n + j] = (between(surfaces, at) - surface) / 0.03f;
     }
-    k += 2 * m->n_around;
-    for (int j = 0; j < m->n_since; ++j) {
-      const lts_place at = lts_field_place(m, u + m->since[j]);
-      note(&exps, k++, row, 0.5f * between(soil->bins[LTS_SINCE], at) / m->recent);
+    k += 2 * around.n;
+    for (int j = 0; j < since.n; ++j) {
+      EXP_MINUS(between(soil->bins[LTS_SINCE], moved(here, &since, j)) / m->recent);
     }
+    tanhs.n = t;
+    exps.n = e;
+#undef TANH
+#undef EXP_MINUS
   }
-  for (int j = 0; j < tanhs.n + exps.n; ++j) {
-    const int is_exp = j >= tanhs.n;
-    curves *of = is_exp ? &exps : &tanhs;
-    float *value = of->value[j - (is_exp ? tanhs.n : 0)];
-    const int column = of->column[j - (is_exp ? tanhs.n : 0)];
-    for (int row = n; row < LTS_PADDED(n); ++row) value[row] = 0.0f;
-    soil->run->tanh_of(value, LTS_PADDED(n), value);
-    for (int row = 0; row < n; ++row) {
-      const float t = value[row];
-      out[row * ld + column] = is_exp ? (1.0f - t) / (1.0f + t) : t;
-    }
-  }
+  finish(soil, &tanhs, n, 0, out, ld);
+  finish(soil, &exps, n, 1, out, ld);
 }

@@ -45,12 +45,12 @@ struct lts_field {
   int32_t placed, local_is_of_bed; /* placed: whether `points` is of the newest state */
   int32_t has_local, unused;
   lts_field_ground local_of; /* what `local` was computed for */
-  float *bins[LTS_CHANNELS]; /* [n_bin] */
+  float *bins[LTS_CHANNELS]; /* [n_bin], and on either side 2 n_pad times the outermost one */
   float scalars[LTS_MOST_SCALARS];
   /* particles at rest as u, height and distance from the middle from the tool's first place and level,
    * with the bin of u and the share of the next one, and their share beside the blade, */
   float *u, *y, *z, *share, *beside; /* [N] */
-  int32_t *low, *moving;             /* [N] */
+  int32_t *low, *moving;             /* [N]; low: at most n_pad beyond the bins */
   float *gate, *points;              /* [N], [N][3] */
   /* and rows on their way through a network. */
   float *seen, *shared, *bias, *a, *b, *out;

@@ -15,7 +15,7 @@ struct lts_field_model {
   double middle, dt;
   double start_u, start_height; /* see lts_field_description.start */
   /* Bins, and the circle that sweeps them. */
-  int32_t n_bin, n_scale;
+  int32_t n_bin, n_scale, n_pad, unused_pad; /* n_pad: bins that a place around a particle is away */
   double first, bin, radius, forget;
   const double *time_scales; /* [n_scale] */
   double touch, reach, rise;

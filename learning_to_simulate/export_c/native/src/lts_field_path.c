@@ -94,6 +94,12 @@ void lts_field_go(lts_field *soil, const double plane[3], double dt) {
   h->lean = plane[2];
 }
 
+/* Beyond the bins the outermost ones go on. */
+static void pad(const lts_field_model *m, float *channel) {
+  for (int k = 1; k <= 2 * m->n_pad; ++k) channel[-k] = channel[0];
+  for (int k = 0; k <= 2 * m->n_pad; ++k) channel[m->n_bin + k] = channel[m->n_bin - 1];
+}
+
 void lts_field_see(lts_field *soil) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;
@@ -142,4 +148,5 @@ void lts_field_see_reach(lts_field *soil) {
   }
   cone(influence, m->n_bin, m->bin / m->reach, 3.0f, 1.0f, soil->bins[LTS_INFLUENCE]);
   cone(depth, m->n_bin, m->rise * m->bin, 1.0f, HUGE_VALF, soil->bins[LTS_DISTURBED]);
+  for (int k = 0; k < LTS_CHANNELS; ++k) pad(m, soil->bins[k]);
 }

@@ -19,9 +19,10 @@ static void make_local(lts_field *soil) {
     soil->u[i] = (float)(plane[0] - h->ground.origin);
     soil->y[i] = (float)(plane[1] - h->ground.level);
     soil->z[i] = (float)plane[2];
-    const lts_place at = lts_field_place(m, soil->u[i]);
-    soil->low[i] = at.low;
-    soil->share[i] = at.share;
+    const float bin = (soil->u[i] - m->first_bin) / m->bin_width;
+    const float low = floorf(fminf(fmaxf(bin, -(float)m->n_pad), (float)(m->n_bin - 1 + m->n_pad)));
+    soil->low[i] = (int32_t)low;
+    soil->share[i] = fminf(fmaxf(bin - low, 0.0f), 1.0f);
     const float half_width = (float)(0.5 * h->ground.width);
     const float beside = (half_width + m->beside - fabsf(soil->z[i])) / m->beside_ramp;
     soil->beside[i] = beside < 0.0f ? 0.0f : beside > 1.0f ? 1.0f : beside;
@@ -82,28 +83,27 @@ static void displacement(lts_field *soil, const int32_t *which, int n, float *me
   for (int i = 0; i < 3 * n; ++i) mean[i] /= (float)soil->of_particles;
 }
 
-/* Out of the blade, by the shortest way; twin of `soil_physics.inside`. */
-static void push_out(const lts_field *soil, double point[3]) {
+/* Out of the blade, by the shortest way; twin of `soil_physics.inside`. `axis`: from the middle of its
+ * lower edge to that of the upper one, m. */
+static void push_out(const lts_field *soil, const double axis[2], double point[3]) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;
-  const double axis[2] = {-m->length * sin(h->lean), m->length * cos(h->lean)};
   const double rel[2] = {point[0] - h->position[0], point[1] - h->position[1]};
-  double along = (rel[0] * axis[0] + rel[1] * axis[1]) / (axis[0] * axis[0] + axis[1] * axis[1]);
+  double along = (rel[0] * axis[0] + rel[1] * axis[1]) / (m->length * m->length);
   along = along < 0.0 ? 0.0 : along > 1.0 ? 1.0 : along;
   const double away[2] = {rel[0] - along * axis[0], rel[1] - along * axis[1]};
-  const double distance = hypot(away[0], away[1]);
-  const double in_plane = m->blade_radius - distance;
+  const double square = away[0] * away[0] + away[1] * away[1];
   const double beside = 0.5 * h->ground.width - fabs(point[2]);
-  const double depth = in_plane < beside ? in_plane : beside;
-  if (!(depth > 0.0)) return;
+  if (!(square < m->blade_radius * m->blade_radius && beside > 0.0)) return;
+  const double distance = sqrt(square), in_plane = m->blade_radius - distance;
   if (in_plane > beside) {
-    point[2] += point[2] < 0.0 ? -depth : depth;
+    point[2] += point[2] < 0.0 ? -beside : beside;
   } else if (distance > 1e-12) {
-    point[0] += depth * away[0] / distance;
-    point[1] += depth * away[1] / distance;
+    point[0] += in_plane * away[0] / distance;
+    point[1] += in_plane * away[1] / distance;
   } else { /* on the segment itself there is no nearest side: out to the front */
-    point[0] += depth * axis[1] / m->length;
-    point[1] -= depth * axis[0] / m->length;
+    point[0] += in_plane * axis[1] / m->length;
+    point[1] -= in_plane * axis[0] / m->length;
   }
 }
 
@@ -114,6 +114,7 @@ static void place(lts_field *soil) {
   if (soil->placed) return;
   const float *rest = h->has_bed ? soil->bed : m->rest;
   const int across = 3 - m->axis - m->up, n = find_moving(soil);
+  const double axis[2] = {-m->length * sin(h->lean), m->length * cos(h->lean)};
   float mean[3 * LTS_FIELD_ROWS];
   memcpy(soil->points, rest, 3 * (size_t)m->n_soil * sizeof *rest);
   if (n) {
@@ -135,7 +136,7 @@ static void place(lts_field *soil) {
       for (int k = 0; k < 3; ++k) {
         now[k] = old[k] + (double)(size * mean[3 * row + k] * (k == 2 ? odd : 1.0f));
       }
-      push_out(soil, now);
+      push_out(soil, axis, now);
       float *point = soil->points + 3 * i;
       point[m->axis] = (float)(m->sign * now[0]);
       point[m->up] = (float)now[1];

@@ -63,7 +63,8 @@ size_t lts_field_lay_out(const lts_field_model *m, char *base, lts_field *soil) 
   if (base) soil->field = (type *)(void *)(base + at);       \
   at += lts_aligned((count) * sizeof(type), LTS_ALIGNMENT);
   for (int k = 0; k < LTS_CHANNELS; ++k) {
-    TAKE(bins[k], float, bins)
+    TAKE(bins[k], float, bins + 4 * (size_t)m->n_pad + 1)
+    if (base) soil->bins[k] += 2 * m->n_pad;
   }
   TAKE(u, float, n)
   TAKE(y, float, n)
