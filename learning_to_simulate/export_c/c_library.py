@@ -124,6 +124,7 @@ def declared(library: ctypes.CDLL) -> ctypes.CDLL:
         'start_pose': (pointer, number, pointer),
         'start_context': (pointer, number, pointer),
         'prepare': (pointer,),
+        'set_context': (pointer, pointer),
         'frame': (pointer, pointer, pointer),
         'frame_at': (pointer, pointer, pointer),
         'modes': (pointer, pointer),

@@ -3,7 +3,7 @@
  * may last any time and has no frames to wait for. There is nothing to prepare: a force needs its pose.
  *
  *   lts_field_init(&lts_model_of_export, memory, size, LTS_BEST, &soil);
- *   lts_field_start(soil, &pose, NULL, 0.0);            // on the flat bed of the training
+ *   lts_field_start(soil, &pose, NULL, NULL, 0.0);            // on the flat bed of the training
  *   for (;;) {
  *     lts_field_frame(soil, &pose, dt, &result);        // force, torque, bound; no particle
  *     lts_field_particles(soil, particles, n);          // only where they are asked for
@@ -70,10 +70,11 @@ LTS_API int lts_field_members(lts_field *soil, int of_force, int of_particles);
 
 /* Begins where the tool is.
  *   pose: the middle of the blade's lower edge, and its rotation from upright.
+ *   twist: its motion so far; null: at rest.
  *   bed: null for the flat bed of the training.
  *   blade_width: m; 0 for the usual one. */
-LTS_API int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_field_bed *bed,
-                            double blade_width);
+LTS_API int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twist,
+                            const lts_field_bed *bed, double blade_width);
 /* Begins anew where the tool is, on the bed as the model now sees it: for use without end. */
 LTS_API int lts_field_renew(lts_field *soil);
 

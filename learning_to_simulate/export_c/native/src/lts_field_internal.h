@@ -73,7 +73,7 @@ int lts_field_read_bed(lts_field *soil, const float *points, double u, double wi
 int lts_field_stretch(const lts_field_model *model, const lts_field_bed *bed, float *points);
 
 /* lts_field_path.c */
-void lts_field_begin(lts_field *soil, const double plane[3]);
+void lts_field_begin(lts_field *soil, const double plane[3], const double velocity[3]);
 void lts_field_go(lts_field *soil, const double plane[3], double dt);
 /* Bins and scalars that the force sees; those that only particles see. */
 void lts_field_see(lts_field *soil);

@@ -21,7 +21,7 @@ struct lts_field_model {
   double touch, reach, rise;
   /* Blade, bed, limits of a pose. */
   double width, blade_radius, length;
-  double kept_spacing, spacing, fastest, fastest_turn, unit_tolerance;
+  double kept_spacing, spacing, fastest, fastest_turn;
   const float *rest; /* [N][3] m */
   /* Inputs: places along the way, [n] m, and widths, m. */
   int32_t n_around, n_since, n_ahead, n_edge, n_contact, n_bump;
@@ -32,16 +32,18 @@ struct lts_field_model {
   int32_t n_seen, n_shared, n_force, n_soil_hidden, n_load_hidden, latent, load_latent, unused;
   const lts_dense *soil_first;  /* [M] n_seen -> latent; biases come from soil_shared */
   const lts_dense *soil_hidden; /* [M][n_soil_hidden] */
-  const lts_dense *soil_last;   /* [M] -> 3 */
+  const lts_dense *soil_last;   /* [M] -> 3, and the share of the tool's way that a particle goes */
   lts_dense soil_shared;        /* n_shared -> M latents side by side */
   lts_dense load_first;         /* n_force -> M latents side by side */
   const lts_dense *load_hidden; /* [M][n_load_hidden] */
-  const lts_dense *load_last;   /* [M] -> 3 */
+  const lts_dense *load_last;   /* [M] -> 3, and the logarithm of their gain */
   float displacement, force, torque, full_width; /* units of what they say; of the width */
-  /* Status: limits [2][n_scalar], the bit of each, and the bound factor (spread + least). */
+  float carried, gain_limit;
+  /* Status: limits [2][n_scalar] and the bit of each; weights of the bound: constant, of the spread over
+   * members and of the size of the force, or null. */
   const double *limits;
   const int32_t *bits;
-  double bound_factor, bound_least;
+  const double *bound;
 };
 
 #endif

@@ -61,15 +61,15 @@ static void cut(lts_field *soil, const double position[2], double area) {
   memcpy(h->position, position, sizeof h->position);
 }
 
-void lts_field_begin(lts_field *soil, const double plane[3]) {
+void lts_field_begin(lts_field *soil, const double plane[3], const double velocity[3]) {
   const lts_field_model *m = soil->model;
   lts_field_head *h = soil->head;
   memcpy(h->position, plane, sizeof h->position);
   h->lean = plane[2];
   h->foremost = plane[0];
   h->travelled = 0.0;
-  memset(h->velocity, 0, sizeof h->velocity);
-  memset(h->memory, 0, sizeof h->memory);
+  memcpy(h->velocity, velocity, sizeof h->velocity);
+  for (int i = 0; i < m->n_scale; ++i) memcpy(h->memory[i], velocity, sizeof h->memory[i]);
   memcpy(soil->profile, soil->surface, (size_t)m->n_bin * sizeof *soil->profile);
   for (int k = 0; k < m->n_bin; ++k) {
     soil->last[k] = -m->forget;

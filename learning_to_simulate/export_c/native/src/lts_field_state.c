@@ -18,7 +18,7 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.up_axis = m->up;
   d.travel_axis = m->axis;
   d.travel_sign = m->sign;
-  d.has_bound = m->bound_factor > 0.0;
+  d.has_bound = m->bound != NULL;
   d.dt = m->dt;
   d.blade_width = m->width;
   d.blade_radius = m->blade_radius;

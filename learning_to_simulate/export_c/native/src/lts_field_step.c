@@ -6,16 +6,11 @@
 
 /* u, height and lean of an upright tool; 0 where the pose has no numbers or no rotation. */
 static int plane_of(const lts_field_model *m, const lts_pose *pose, double plane[3]) {
-  const double *q = pose->rotation;
   double up[3] = {0.0, 0.0, 0.0};
   lts_pose unit;
   if (!lts_usable_pose(pose, &unit)) return 0;
-  if (!(fabs(sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) - 1.0) <=
-        m->unit_tolerance)) {
-    return 0;
-  }
   up[m->up] = 1.0;
-  lts_rotate(q, up, up);
+  lts_rotate(unit.rotation, up, up);
   plane[0] = m->sign * pose->position[m->axis];
   plane[1] = pose->position[m->up];
   plane[2] = atan2(-m->sign * up[m->axis], up[m->up]);
@@ -46,8 +41,10 @@ static void find_load(lts_field *soil, lts_field_result *result) {
         y = other;
       }
       run->dense(&m->load_last[member], x, latent, 1, soil->out, LTS_PANEL, LTS_NORMED, NULL, NULL);
+      const float most = m->gain_limit, gain = expf(fminf(fmaxf(soil->out[3], -most), most));
       for (int k = 0; k < 3; ++k) {
-        const double load = soil->out[k] * (share * (2.0f * half_width / m->full_width)) * scale[k];
+        const double load = soil->out[k] * gain * (share * (2.0f * half_width / m->full_width)) *
+                            scale[k];
         const double away = load - mean[k]; /* Welford's mean and spread */
         mean[k] += away / (member + 1);
         square[k] += away * (load - mean[k]);
@@ -60,8 +57,12 @@ static void find_load(lts_field *soil, lts_field_result *result) {
   result->force[m->axis] = m->sign * mean[0];
   result->force[m->up] = mean[1];
   result->torque[across] = m->turn * mean[2];
-  result->force_bound =
-      m->bound_factor * (sqrt(0.5 * (square[0] + square[1]) / n) + m->bound_least);
+  result->force_bound = 0.0;
+  if (m->bound) {
+    const double spread = sqrt(0.5 * (square[0] + square[1]) / n);
+    const double size = sqrt(0.5 * (mean[0] * mean[0] + mean[1] * mean[1]));
+    result->force_bound = m->bound[0] + m->bound[1] * spread + m->bound[2] * size;
+  }
 }
 
 /* Status of the newest frame, and why. */
@@ -101,15 +102,15 @@ static int answer(lts_field *soil, int with_load) {
   return result->status;
 }
 
-int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_field_bed *bed,
-                    double blade_width) {
+int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twist,
+                    const lts_field_bed *bed, double blade_width) {
   const int error = lts_field_check(soil);
   if (error) return error;
   if (!pose) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
   const size_t n = 3 * (size_t)m->n_soil;
   double plane[3];
-  if (!plane_of(m, pose, plane)) return LTS_ERROR_VALUE;
+  if (!plane_of(m, pose, plane) || (twist && !lts_usable_twist(twist))) return LTS_ERROR_VALUE;
   if (!(blade_width >= 0.0 && isfinite(blade_width))) return LTS_ERROR_VALUE;
   const double width = blade_width > 0.0 ? blade_width : m->width;
   const float *points = m->rest;
@@ -142,7 +143,13 @@ int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_field_bed *
   head->has_bed = bed != NULL;
   head->ground = ground;
   head->pose = *pose;
-  lts_field_begin(soil, plane);
+  double velocity[3] = {0.0, 0.0, 0.0};
+  if (twist) {
+    velocity[0] = m->sign * twist->linear[m->axis];
+    velocity[1] = twist->linear[m->up];
+    velocity[2] = m->turn * twist->angular[3 - m->axis - m->up];
+  }
+  lts_field_begin(soil, plane, velocity);
   return answer(soil, 0);
 }
 
@@ -163,7 +170,7 @@ int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_
   if (offset - m->radius < m->first || offset + m->radius > last) return LTS_ERROR_PLACE;
   lts_field_go(soil, plane, dt);
   head->pose = *pose;
-  ++head->frame;
+  if (head->frame < INT32_MAX) ++head->frame;
   const int status = answer(soil, 1);
   if (result) *result = head->result;
   return status;
