@@ -1,20 +1,38 @@
-"""`CField`: a swept field of the C library, called by ctypes; steps as `LiveField` does.
+"""`CField`: a swept field of the C library, called by ctypes.
 
 Example:
-    live = CField.load('models/excavation/swept_field')
-    live.start(pose)
-    answer = live.step(next_pose)        # force, torque, bound, status; without TensorFlow
+    soil = CField.load('models/excavation/swept_field')
+    soil.start(pose)
+    frame = soil.step(next_pose)         # force, torque, bound, status; no particle is computed
+    points = soil.particles()            # only where they are asked for
 """
 
 import ctypes
+from typing import NamedTuple
 
 import numpy as np
 
 from learning_to_simulate.export_c import c_header, c_library, c_values, field_data
 from learning_to_simulate.export_c.c_soil import KERNELS
 from learning_to_simulate.live.poses import numbers
-from learning_to_simulate.methods.swept_field.live import Answer, HeightMap
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+
+
+class FieldFrame(NamedTuple):
+    """One frame.
+
+    Attributes:
+      force: float64 [3] on the tool, world, N.
+      torque: float64 [3] about its reference point, N m.
+      bound: N, root mean square per component that 95 % of frames like those of valid keep; None
+        where the model was not calibrated.
+      status: bits of lts.h; 0 where all is well.
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
+    bound: float | None
+    status: int
 
 
 class CField:
@@ -110,15 +128,30 @@ class CField:
         """Which arithmetic runs, one of `c_soil.KERNELS`."""
         return KERNELS[self._c.lts_field_kernel(self._soil)]
 
-    def start(self, pose, bed=None, blade_width: float | None = None) -> Judgement:
-        """Begins where the tool is; as `LiveField.start`, but for a bed of N particles only."""
+    def start(self, pose, velocity=None, bed=None, blade_width: float | None = None) -> Judgement:
+        """Begins where the tool is; returns how the start is to be judged.
+
+        Args:
+          pose: [7] middle of the blade's lower edge, m, and its rotation w, x, y, z from upright.
+          velocity: [6] linear, m/s, and angular, rad/s; None: at rest.
+          bed: None for the flat bed of the training; [N, 3] particles, m; or anything with `places`
+            and `heights`, as a height map of the method.
+          blade_width: m; None for the usual one.
+
+        Raises:
+          ValueError: not a pose, a velocity, a bed or a width; the state stays as it was.
+        """
         self._take(pose)
         width = 0.0 if blade_width is None else float(blade_width)
         if not (blade_width is None or 0 < width < np.inf):
             raise ValueError(f'blade_width is {blade_width}, must be positive')
+        twist = None if velocity is None else numbers('velocity', velocity, (6,))
         given = None if bed is None else self._bed(bed)
-        at = None if bed is None else ctypes.addressof(given)
-        self._done(self._c.lts_field_start(self._soil, self._at_pose, at, width))
+        at_twist = None if twist is None else twist.ctypes.data
+        at_bed = None if bed is None else ctypes.addressof(given)
+        self._done(
+            self._c.lts_field_start(self._soil, self._at_pose, at_twist, at_bed, width)
+        )
         return self.judgement
 
     def renew(self) -> None:
@@ -127,8 +160,8 @@ class CField:
 
     def _bed(self, bed):
         made = c_header.structures()['lts_field_bed']()
-        if isinstance(bed, HeightMap):
-            places, heights = (numbers(n, v, (None,)) for n, v in zip(HeightMap._fields, bed))
+        if hasattr(bed, 'heights'):
+            places, heights = (numbers(n, getattr(bed, n), (None,)) for n in ('places', 'heights'))
             if len(places) != len(heights) or len(places) < 2:
                 raise ValueError(
                     f'a height map has {len(places)} places and {len(heights)} heights: two rows '
@@ -145,17 +178,25 @@ class CField:
         made.alive = parts
         return made
 
-    def step(self, pose, dt: float | None = None) -> Answer:
-        """Moves the tool in a straight line to its next pose; as `LiveField.step`."""
+    def step(self, pose, dt: float | None = None) -> FieldFrame:
+        """Moves the tool in a straight line to its next pose.
+
+        Args:
+          pose: [7], see `start`.
+          dt: s; None for the frame time of the training data.
+
+        Raises:
+          ValueError: before `start`; not a pose, a jump, a time that does not pass, a place beyond
+            the bins or under the floor. The state stays as it was.
+        """
         self._take(pose)
         dt = self._d.dt if dt is None else float(dt)
         if not 0 < dt < np.inf:
             raise ValueError(f'dt is {dt} s: time must go on')
         self._done(self._c.lts_field_frame(self._soil, self._at_pose, dt, self._at_result))
         r = self._result
-        bound = r.force_bound if self._d.has_bound else float('nan')
-        judged = self.judgement if r.status else Judgement(RolloutStatus.OK)
-        return Answer(np.array(r.force), np.array(r.torque), bound, judged)
+        bound = r.force_bound if self._d.has_bound else None
+        return FieldFrame(np.array(r.force), np.array(r.torque), bound, r.status)
 
     def _take(self, pose):
         self._pose[:] = numbers('pose', pose, (7,))

@@ -132,7 +132,7 @@ def declared(library: ctypes.CDLL) -> ctypes.CDLL:
     }
     of_field = {
         'members': (pointer, number, number),
-        'start': (pointer, pointer, pointer, real),
+        'start': (pointer, pointer, pointer, pointer, real),
         'renew': (pointer,),
         'frame': (pointer, pointer, real, pointer),
         'moving': (pointer,),

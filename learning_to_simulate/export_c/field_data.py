@@ -53,7 +53,6 @@ def values(field) -> dict:
     own, shared = w[:, : counts['n_seen']], w[:, counts['n_seen'] :]
     low, high = np.array([field.ranges[name] for name in tool_path.SCALARS]).T
     margin = quality.MARGIN * (high - low) + 1e-6
-    factor = field.calibration.get('force', 0.0)
     result = {
         'abi': c['LTS_ABI'],
         'n_soil': len(field.rest),
@@ -87,7 +86,6 @@ def values(field) -> dict:
         'spacing': field.spacing,
         'fastest': live.FASTEST,
         'fastest_turn': live.FASTEST_TURN,
-        'unit_tolerance': live.UNIT_TOLERANCE,
         'rest': field.rest,
         'bump_width': inputs_lib.BUMP_WIDTH,
         'recent': inputs_lib.RECENT,
@@ -117,8 +115,9 @@ def values(field) -> dict:
         'full_width': network.WIDTH,
         'limits': np.stack([low - margin, high + margin]),
         'bits': np.array([c[_bit(name)] for name in tool_path.SCALARS]),
-        'bound_factor': factor,
-        'bound_least': quality.FLOORS['force'],
+        'carried': getattr(network, 'CARRIED', 0.0),
+        'gain_limit': getattr(network, 'GAIN_LIMIT', 0.0),
+        'bound': _bound(field.calibration.get('force', ())),
         **counts,
         **{name: places for name, places in _PLACES.items()},
         **{f'n_{name.rstrip("s")}': size for name, size in sizes.items()},
@@ -147,6 +146,12 @@ def _check(field, counts):
     expected = {'width', 'radius', 'length'}
     if {f.name for f in dataclasses.fields(field.blade)} != expected:
         raise ValueError(f'the C form knows of a blade {sorted(expected)} only')
+
+
+def _bound(weights):
+    if np.ndim(weights):
+        return np.array(weights)
+    return weights * np.array([quality.FLOORS['force'], 1.0, 0.0])
 
 
 def _from_end(field):
