@@ -5,7 +5,7 @@ from scipy.spatial import ConvexHull
 
 THICKNESS = 0.01  # of a flat body, m
 # Colours of the soil from unmoved to moved far, and of heights from low to high.
-SOIL = np.array([[92, 66, 44], [150, 104, 58], [214, 150, 60], [240, 90, 40]], float)
+SOIL = np.array([[104, 74, 46], [170, 112, 52], [225, 160, 56], [240, 90, 40]], float)
 HEIGHT = np.array([[38, 50, 96], [58, 120, 138], [140, 180, 110], [245, 225, 130]], float)
 MOVED = 0.08  # m, of the last colour
 EMPTY = 90  # grey of a cell without particles
@@ -19,12 +19,18 @@ def blended(colours, share) -> np.ndarray:
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 
-def soil_colours(particles, rest) -> np.ndarray:
-    """uint8 [N, 3]: how far particles [N, 3] are from where they were, m."""
-    return blended(SOIL, np.linalg.norm(particles - rest, axis=1) / MOVED)
+def shades(count: int) -> np.ndarray:
+    """float [N, 1]: brightness of each particle, so that it can be followed by eye."""
+    return np.random.default_rng(0).uniform(0.75, 1.05, (count, 1))
 
 
-def height_picture(heights, low: float, high: float, forwards: float, pixels: int = 6):
+def soil_colours(particles, rest, shade) -> np.ndarray:
+    """uint8 [N, 3]: how far particles [N, 3] are from where they were, m, times `shades`."""
+    share = np.linalg.norm(particles - rest, axis=1) / MOVED
+    return (blended(SOIL, share) * shade).astype(np.uint8)
+
+
+def height_picture(heights, low: float, high: float, forwards: float, pixels: int = 12):
     """uint8 picture [.., .., 3] of a height map [nx, nz], the drive from left to right.
 
     Args:

@@ -11,6 +11,14 @@ BY_HAND = 'by hand'
 KEYS = (('J', 'U'), ('K', 'I'), ('L', 'O'))
 SHOWN = 6.0  # s of the chart
 WITHIN = 'The tool keeps to the places, angles and speeds of the training runs.'
+# Of the chart; the last two are there while a recorded run is followed.
+LINES = (
+    {'label': 's'},
+    {'label': 'drive, N', 'stroke': '#d33', 'width': 2},
+    {'label': 'up, N', 'stroke': '#36c', 'width': 2},
+    {'label': 'drive, solver', 'stroke': '#e99', 'dash': [4, 4]},
+    {'label': 'up, solver', 'stroke': '#9be', 'dash': [4, 4]},
+)
 COARSE = 5  # steps of a slider that a key moves it by
 HELP = (
     'Drag the arrows and the ring at the tool, or move the sliders. Without a mouse: Tab and the '
@@ -53,7 +61,7 @@ class Panel:
 
     def build(self, session) -> None:
         """Everything that depends on the model, anew."""
-        for made in self._made:
+        for made in reversed(self._made):  # what is in a folder before the folder
             made.remove()
         self._made, self._sliders, page, gui = [], {}, self._page, self._gui
 
@@ -158,18 +166,10 @@ class Panel:
         self.chart = None
         if not session.scene.has_force:
             return
-        empty = tuple(np.zeros(1) for _ in range(5))
-        line = {'width': 2}
         self.chart = made(
             self._gui.add_uplot(
-                empty,
-                (
-                    {'label': 's'},
-                    {'label': 'drive, N', 'stroke': '#d33', **line},
-                    {'label': 'up, N', 'stroke': '#36c', **line},
-                    {'label': 'solver', 'stroke': '#e99', 'dash': [4, 4]},
-                    {'label': 'solver', 'stroke': '#9be', 'dash': [4, 4]},
-                ),
+                (np.zeros(1),) * len(LINES),
+                LINES,
                 title='Force on the tool',
                 scales={'x': {'time': False}},
                 height=180,
@@ -206,15 +206,21 @@ class Panel:
             return
         plan = [0, session.scene.up_axis]
         sign = np.array([session.forwards, 1.0])
-        truth = np.full(2, np.nan)
+        truth = ()
         if session.run is not None and session.run.force is not None:
             truth = session.run.force[min(moment.frame, len(session.run) - 1)][plan] * sign
+        if self._rows and len(self._rows[-1]) != 3 + len(truth):
+            self._rows.clear()  # the recorded run was left
         self._rows.append([moment.time, *(moment.force[plan] * sign), *truth])
 
     def draw_chart(self) -> None:
         """Draws what was kept."""
         if self.chart is not None and self._rows:
-            self.chart.data = tuple(np.array(self._rows).T.copy())
+            data = tuple(np.array(self._rows).T.copy())
+            with self._page.server.atomic():
+                if len(self.chart.series) != len(data):
+                    self.chart.series = LINES[: len(data)]
+                self.chart.data = data
 
     def show_lamp(self, moment, rate: float) -> None:
         """Shows the status."""

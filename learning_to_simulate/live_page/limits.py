@@ -9,6 +9,7 @@ from learning_to_simulate.scene import RigidMotion
 
 # Shares of a wanted turn that are tried, the largest that is allowed is taken.
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)
+INSIDE = 0.9  # of the judge's margin, so that rounding does not lead out of it
 ANGLES = np.deg2rad(np.arange(0.0, 90.5, 0.5))
 AXES = ('along the drive', 'in height')
 
@@ -26,7 +27,7 @@ class Limits:
     """
 
     def __init__(self, scene, statistics, body, reader: poses.PoseReader):
-        extra = 1 + 2 * RANGE_MARGIN
+        extra = 1 + 2 * INSIDE * RANGE_MARGIN
         (self.low, self.high), self.speed, self._extent, (_, (self._fastest,)) = (
             widened(*x, extra)
             for x in (

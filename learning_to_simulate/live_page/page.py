@@ -17,7 +17,8 @@ from learning_to_simulate.live_page.session import STOPPED, Session
 
 # Frames between updates of what need not move at the frame rate.
 CHART_EVERY, GHOST_EVERY, HEIGHT_EVERY, LAMP_EVERY = 6, 3, 15, 6
-CELL = 48  # cells of the height map along the longer side
+CELL = 1.6  # of the height map, in spacings of the particles: smaller ones would be empty
+HEIGHTS = 0.08, 0.05  # of its colours, m below and above the bed
 GHOST_COLOUR, FORCE_COLOUR, BODY_COLOUR = (70, 140, 255), (230, 60, 60), (120, 130, 145)
 
 
@@ -134,22 +135,24 @@ class Page:
         size = float((high - low).max())
         cloud = {'point_size': 0.45 * spacing, 'point_shape': 'circle', 'position': self._middle}
         self._soil = scene.add_point_cloud(
-            '/soil', session.rest - self._middle, drawing.SOIL[0] / 255, **cloud
+            '/soil', session.rest - self._middle, drawing.SOIL[0].astype(np.uint8)[None].repeat(len(session.rest), 0), **cloud
         )
         self._ghost = scene.add_point_cloud(
             '/solver', session.rest - self._middle, GHOST_COLOUR,
             **cloud | {'point_size': 0.22 * spacing}, visible=False,
         )  # fmt: skip
         limit = session.model.starts.force_limit or 100.0
-        self._arrow_scale = 0.4 * size / limit
+        self._arrow_scale = size / limit
         self._arrow = scene.add_arrows(
             '/force', np.zeros((1, 2, 3), np.float32), FORCE_COLOUR, shaft_radius=0.008 * size,
             head_radius=0.018 * size, head_length=0.04 * size, visible=False,
         )  # fmt: skip
         self._handle = None
         if session.steering is not None:
+            active = [False] * 3
+            active[0], active[session.scene.up_axis] = session.steering.handle
             self._handle = scene.add_transform_controls(
-                '/handle', scale=0.2 * size, active_axes=session.steering.handle, depth_test=False
+                '/handle', scale=0.2 * size, active_axes=tuple(active), depth_test=False
             )
             self._handle.on_update(self._dragged)
         view = np.array([0.25 * session.forwards, 0.0, 1.0]) * size
@@ -160,10 +163,10 @@ class Page:
         server.initial_camera.look_at = self._middle
         for client in server.get_clients().values():
             client.camera.position, client.camera.look_at = self._middle + view, self._middle
-        self._cells = np.maximum(
-            1, np.round(CELL * (high - low) / size).astype(int)
-        )[[axis for axis in range(3) if axis != session.scene.up_axis]]  # fmt: skip
-        self._heights = low[session.scene.up_axis], high[session.scene.up_axis] + 0.25 * spacing
+        level = np.delete(high - low, session.scene.up_axis)
+        self._cells = np.maximum(1, level / (CELL * spacing)).astype(int)
+        self._heights = session.level - HEIGHTS[0], session.level + HEIGHTS[1]
+        self._shade = drawing.shades(len(session.rest))
         self.panel.build(session)
         self._restart()
 
@@ -221,7 +224,7 @@ class Page:
                 truth = session.run.particles(min(moment.frame, len(session.run) - 1))
                 self._ghost.points = truth - self._middle
             if n % CHART_EVERY == 0:
-                self._soil.colors = drawing.soil_colours(moment.particles, session.rest)
+                self._soil.colors = drawing.soil_colours(moment.particles, session.rest, self._shade)
             if n % HEIGHT_EVERY == 0:
                 self.panel.heights.image = self.height_picture()
         self.panel.record(session)

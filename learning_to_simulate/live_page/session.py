@@ -115,7 +115,7 @@ class Session:
         self.context = None if context is None else dict(zip(names, context))
         self._steer(start, first)
         self._poses = [first]
-        self._outside, self._held = judgement.reason, None
+        self._outside, self._broken = judgement.reason, False
         force = np.zeros(3, np.float32) if self.scene.has_force else None
         self.moment = Moment(0, 0.0, self.rest, first, force, None, *self._lamp(judgement.status))
 
@@ -168,7 +168,7 @@ class Session:
     def advance(self) -> Moment:
         """One frame farther; where that cannot be, the moment of before with the reason."""
         last = self.moment
-        if last.lamp == STOPPED and last.reason != self._held:
+        if self._broken:
             return last
         pose, plane, limited = self._next()
         if pose is None and limited:
@@ -178,9 +178,9 @@ class Session:
             bad = frame.now in (RolloutStatus.LEFT_BOUNDS, RolloutStatus.NON_FINITE)
         except ValueError as refused:
             # The tool stays where it is; another wish may be possible.
-            self._held = str(refused)
-            return self._stay(self._held)
+            return self._stay(str(refused))
         if bad:
+            self._broken = True
             return self._stay(f'the prediction left its bounds, reset: {frame.reason}')
         self._plane = plane
         if pose is not None:
