@@ -301,7 +301,16 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(_found(name, 'models', 'config.json', DEFAULT_MODEL))
+    return TrainedModel(find_model(name))
+
+
+def find_model(name: str) -> str:
+    """The folder of a model, named as for `load`, without a look inside.
+
+    Raises:
+      FileNotFoundError: no such model; the message lists those that ship.
+    """
+    return _found(name, 'models', 'config.json', DEFAULT_MODEL)
 
 
 def preset(name: str, **fields):
