@@ -35,7 +35,7 @@ SCENES = {
 }  # fmt: skip
 RECIPE = {
     'latent_size': 32, 'rigid_particles': 0, 'num_steps': 2000, 'decay_steps': 1000,
-    'unroll_steps': 300, 'unroll_length': 8, 'unroll_batch_size': 8,
+    'unroll_steps': 200, 'unroll_length': 5, 'unroll_batch_size': 16,
 }  # fmt: skip
 PARTS = 'model', 'exported', 'rollout'
 BASE = 'widths'  # the scene of one blade, whose time is 1
