@@ -21,11 +21,12 @@ def _between(low, high, run, turn=0):
 
 
 def _column(run, rate, frames, width, lattice, flat=False):
-    """A column that stands at a wall and falls; its height differs from run to run."""
-    height = _between(0.16, 0.32, run)
+    """A column at a wall falls, thrown off it at a speed that differs from run to run."""
+    speed = _between(0.0, 0.8, run)
     room = Bin((0.96, 0.4, width), DX, (0, 0, 0), 1, 0.48, ())
-    block = Bin((0.2, height, width), DX, lattice, 1, 0.48, ())
+    block = Bin((0.2, 0.24, width), DX, lattice, 1, 0.48, ())
     box = Box(room, block, SOIL, smooth_sides=flat)
+    box.particles[:, 3] = speed
     frames_of = []
     for _ in range(frames):
         frames_of.append(box.particles[:, :3].copy())
@@ -34,7 +35,7 @@ def _column(run, rate, frames, width, lattice, flat=False):
     if flat:  # one plane of the particles across
         positions = positions[:, :: lattice[2], :2]
     return {'positions': positions.astype(np.float32), 'split': SPLITS[run],
-            'parameters': {'height_m': height}}  # fmt: skip
+            'parameters': {'speed_m_s': speed}}  # fmt: skip
 
 
 def column(run):
