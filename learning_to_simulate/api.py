@@ -182,6 +182,7 @@ class TrainedModel:
     def _from_rest(self):
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
 

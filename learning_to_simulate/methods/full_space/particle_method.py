@@ -48,6 +48,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
       ValueError: a scene that the model cannot simulate.
     """
     scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
+    scene.check_one_body('the method full_space')
     n_particle = group.position.shape[2] - group.n_rigid
     scene = dataclasses.replace(
         scene,
