@@ -182,6 +182,7 @@ class TrainedModel:
     def _from_rest(self):
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
 
@@ -301,7 +302,16 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(_found(name, 'models', 'config.json', DEFAULT_MODEL))
+    return TrainedModel(find_model(name))
+
+
+def find_model(name: str) -> str:
+    """The folder of a model, named as for `load`, without a look inside.
+
+    Raises:
+      FileNotFoundError: no such model; the message lists those that ship.
+    """
+    return _found(name, 'models', 'config.json', DEFAULT_MODEL)
 
 
 def preset(name: str, **fields):

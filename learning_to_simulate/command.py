@@ -30,8 +30,10 @@ def start(run: Callable, n_argument: int = 0) -> None:
         try:
             return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
         except (ValueError, OSError) as error:
+            from pca_tools import files  # loads numpy, and help does not wait for it
+
             logging.debug('stack', exc_info=True)
-            sys.exit(f'error: {error}')
+            sys.exit(f'error: {files.printable(error)}')
 
     asked = any(argument.split('=')[0] in HELP for argument in sys.argv[1:])
     try:

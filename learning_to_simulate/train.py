@@ -152,7 +152,7 @@ def _evaluate_one_step(overrides):
 
 
 def _evaluate_rollouts(overrides):
-    from learning_to_simulate import evaluation
+    from learning_to_simulate import checkpoints, evaluation
 
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
@@ -162,7 +162,10 @@ def _evaluate_rollouts(overrides):
     results, summary = opened.evaluator.run(
         opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
     )
-    written = evaluation.save_rollouts(_OUTPUT_PATH.value, split, results, summary, opened.metadata)
+    written = evaluation.save_rollouts(
+        _OUTPUT_PATH.value, split, results, summary, opened.metadata,
+        checkpoints.folder_digest(_MODEL_PATH.value),
+    )  # fmt: skip
     print(evaluation.table(summary))
     print(f'wrote {len(written)} files to {_OUTPUT_PATH.value}')
 

@@ -24,6 +24,7 @@ from absl import app, flags
 
 from mpm import raw_run, scenes, versions
 from reports import markdown
+from storage import messages
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 MODELS = ('fcg_original', 'pcg')
@@ -160,7 +161,7 @@ def main(_) -> None:
                 scenes.select_cases(scene, case)[0] for scene, case in zip(chosen, values.cases)
             ]
     except ValueError as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {messages.printable(error)}')
     raw = [os.path.join(out, s.name, f'raw_{case}') for s, case in zip(chosen, cases)]
     print('solver: ' + ', '.join(f'{s.name} case {c}' for s, c in zip(chosen, cases)))
     running = [

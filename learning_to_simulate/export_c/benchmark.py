@@ -168,7 +168,7 @@ def main(_) -> None:
             print(f'measuring {path} ...', flush=True)
             results[path] = measure(path, folder, v.calls)
     except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(table(results))
     if v.output:
         files.write_json(v.output, results)

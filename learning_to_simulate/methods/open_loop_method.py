@@ -107,6 +107,7 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
     Raises:
       ValueError: a scene that the method does not fit.
     """
+    scene.check_one_body(f'the method {config.model}')
     bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
     if not bodies.shape[2]:
         raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')

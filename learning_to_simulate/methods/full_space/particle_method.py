@@ -48,6 +48,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
       ValueError: a scene that the model cannot simulate.
     """
     scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
+    scene.check_one_body('the method full_space')
     n_particle = group.position.shape[2] - group.n_rigid
     scene = dataclasses.replace(
         scene,
@@ -105,14 +106,17 @@ def load(path: str) -> ParticleModel:
         config, scene, types = model_config.config_and_scene(values)
         statistics = ParticleStatistics.from_json(values['statistics'])
         statistics.check(scene)
-        simulator = ParticleSimulator(scene, config, statistics, types)
     except model_config.WRONG_FIELD as error:
         raise ValueError(
             f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
         ) from error
-    simulator.create_variables()
-    checkpoints.load_weights(path, simulator)
-    return ParticleModel(simulator)
+
+    def make():
+        simulator = ParticleSimulator(scene, config, statistics, types)
+        simulator.create_variables()
+        return ParticleModel(simulator)
+
+    return checkpoints.filled(path, make)
 
 
 def open_model(
