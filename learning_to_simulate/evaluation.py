@@ -215,9 +215,7 @@ def _arrays(group, rollout) -> dict:
         if predicted.shape != rollout.force[0].shape:  # of each of several bodies
             each = (len(predicted), -1, predicted.shape[1])
             arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
-            arrays['ground_truth_body_forces'] = (
-                group.force[0, H:].reshape(each).astype(np.float32)
-            )
+            arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
     # What a method says beyond modes, e.g. the particles of one that has none.
     return arrays | getattr(rollout, 'arrays', {})
 
