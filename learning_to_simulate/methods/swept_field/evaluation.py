@@ -49,20 +49,25 @@ class FieldEvaluator:
         self._mean = force_mean
         self._episodes = None
 
-    def _episode(self, record):
+    def episode(self, record: int):
+        """`Episode` of a run from its start."""
         if self._episodes is None:
             self._episodes = {e.record: e for e in self._reader.read(self._split)}
         return self._episodes[record]
+
+    def bed(self, group) -> np.ndarray:
+        """float64 [N, 3], m, of the first frame of a one-run group."""
+        return self._reader.subspace.decode(group.position[0, :1, group.n_rigid :])[0].astype(float)
 
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""
         field, axes = self._field, self._field.axes
         record = int(group.record[0])
-        episode = self._episode(record)
+        episode = self.episode(record)
         (frames,) = frames_of([episode], field.grid, field.scene.dt)
         sampled, n_rigid = episode.frames, group.n_rigid
         space = self._reader.subspace
-        bed = space.decode(group.position[0, :1, n_rigid:])[0]
+        bed = self.bed(group)
         origin = np.array([episode.pose[0, 0], episode.level, 0.0])
         rest = np.concatenate([axes.points(bed) - origin, episode.local_rest])
         chosen = Frame(frames.bins[sampled], frames.scalars[sampled])

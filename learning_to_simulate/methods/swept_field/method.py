@@ -8,6 +8,7 @@ import tqdm
 
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.subspace_method import data_digests
 from learning_to_simulate.methods.swept_field import episodes, fitting, model_files
@@ -15,6 +16,10 @@ from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, 
 from pca_tools import dataset, files, folder_lock
 
 METRICS = 'metrics.json'
+_OF_A_FIELD = {
+    folder_lock.LOCK_NAME, METRICS, checkpoints.WEIGHTS_FILE, resting_start.START_FILE,
+    resting_start.SUBSPACE_FILE,
+}  # fmt: skip
 
 
 def train(
@@ -69,9 +74,9 @@ def train(
             cases = metadata.get('cases', {}).get('train', [])
             chosen = episodes.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
-            model_files.save(
-                model_path, field, data | {'force_mean': facts['force_mean'], 'runs': runs}
-            )
+            written = resting_start.write(model_path, data_path, {})
+            data |= {'force_mean': facts['force_mean'], 'runs': runs}
+            model_files.save(model_path, field, data, written)
     summary = files.read_json(os.path.join(model_path, METRICS))
     print(evaluation.table(summary))
     print(f'trained {config.preset}: {model_path}')
@@ -84,7 +89,7 @@ def _bar(runs):
 
 def _finished(path, config, data):
     """Whether the folder holds this very model; refuses a folder of something else."""
-    present = set(os.listdir(path)) - {folder_lock.LOCK_NAME, METRICS, checkpoints.WEIGHTS_FILE}
+    present = set(os.listdir(path)) - _OF_A_FIELD
     if not present:
         return False
     if checkpoints.CONFIG_FILE not in present:

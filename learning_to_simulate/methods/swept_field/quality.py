@@ -69,9 +69,7 @@ def judge(scalars, ranges: dict, first: int = 0, finite: bool = True) -> Judgeme
     """
     if not finite:
         return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
-    low, high = np.array([ranges[name] for name in tool_path.SCALARS]).T
-    extra = MARGIN * (high - low) + 1e-6
-    bad = ~((scalars >= low - extra) & (scalars <= high + extra))
+    bad, low, high = _outside(scalars, ranges)
     if not bad.any():
         return Judgement(RolloutStatus.OK)
     frame, which = (int(i) for i in np.argwhere(bad)[0])
@@ -82,3 +80,17 @@ def judge(scalars, ranges: dict, first: int = 0, finite: bool = True) -> Judgeme
         f'{tool_path.SCALARS[which]} {scalars[frame, which]:.4g} is outside '
         f'[{low[which]:.4g}, {high[which]:.4g}] of training',
     )
+
+
+def statuses(scalars, ranges: dict, finite) -> list[RolloutStatus]:
+    """The status of each frame alone; arguments as of `judge`, `finite` bool [T]."""
+    found = np.where(_outside(scalars, ranges)[0].any(axis=1), 1, 0)
+    kinds = (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE)
+    return [kinds[i] for i in np.where(finite, found, 2)]
+
+
+def _outside(scalars, ranges):
+    """bool [T, S], and the ranges [S] that hold without the margin."""
+    low, high = np.array([ranges[name] for name in tool_path.SCALARS]).T
+    extra = MARGIN * (high - low) + 1e-6
+    return ~((scalars >= low - extra) & (scalars <= high + extra)), low, high
