@@ -177,8 +177,10 @@ class FieldEvaluator:
             'frames': {
                 'soil_error': frame_mm[late].tolist(),
                 'soil_spread': (1e3 * quality.spread(members))[late].tolist(),
+                'soil_size': (1e3 * quality.size(members))[late].tolist(),
                 'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).tolist(),
                 'force_spread': quality.spread(loads[..., :2])[H:].tolist(),
+                'force_size': quality.size(loads[..., :2])[H:].tolist(),
             },
         }  # fmt: skip
 
@@ -196,17 +198,15 @@ class FieldEvaluator:
         )
         facts = [dict(rollout.facts) for _, _, rollout in results]
         for kind in quality.FLOORS:
-            errors, spreads = (
-                np.concatenate([f['frames'][f'{kind}_{part}'] for f in facts])
-                for part in ('error', 'spread')
-            )
-            factor = self._field.calibration.get(kind)
+            runs = [
+                [np.array(f['frames'][f'{kind}_{part}']) for part in ('error', 'spread', 'size')]
+                for f in facts
+            ]
+            weights = self._field.calibration.get(kind)
             summary.setdefault('reliability', {})[kind] = {
-                'factor': factor,
-                'factor_of_this_split': quality.calibrate(errors, spreads, kind),
-                'groups': []
-                if factor is None
-                else quality.reliability(errors, spreads, factor, kind),
+                'weights': weights,
+                'weights_of_this_split': quality.calibrate(runs, kind),
+                'groups': [] if weights is None else quality.reliability(runs, weights),
             }
         for fact in facts:
             del fact['frames']

@@ -32,6 +32,8 @@ CONTACT_AROUND = np.array([-0.06, -0.03, 0.0, 0.03, 0.06])
 
 _S = {name: i for i, name in enumerate(tool_path.SCALARS)}
 _C = tool_path
+# The first channels: cut and surface.
+_PROFILES = 2
 
 
 def at_places(bins, places):
@@ -96,11 +98,13 @@ class Inputs:
         u, y, z = tf.unstack(rest, axis=-1)
         tip, height, half = (_scalar(scalars, n) for n in ('tip', 'height', 'half_width'))
         behind, beside = tip - u, tf.abs(z)
-        around = self._at(bins, u[..., None] + tf.constant(AROUND, tf.float32))
+        around = self._at(bins[..., :_PROFILES], u[..., None] + tf.constant(AROUND, tf.float32))
         middle = around[..., len(AROUND) // 2, :]
         cut, surface = middle[..., _C.CUT], middle[..., _C.SURFACE]
+        area_before = self._at(bins[..., _C.AREA_BEFORE, None], u)[..., 0]
         above = y - surface + cut  # over the deepest cut at its place
-        since = self._at(bins, u[..., None] + tf.constant(SINCE_AROUND, tf.float32))
+        places = u[..., None] + tf.constant(SINCE_AROUND, tf.float32)
+        since = self._at(bins[..., _C.SINCE, None], places)[..., 0]
         bumps = [tf.exp(-(((behind - c) / BUMP_WIDTH) ** 2)) for c in BUMPS]
         ahead = self._ahead(bins, scalars)
         foremost = _scalar(scalars, 'foremost') - u
@@ -110,8 +114,7 @@ class Inputs:
             beside / 0.15, tf.tanh((beside - half) / 0.03), tf.tanh((beside - half) / 0.1),
             above / 0.05, tf.tanh(above / 0.01),
             foremost / 0.15, tf.tanh(foremost / 0.03),
-            middle[..., _C.AREA_BEFORE] / 0.01,
-            tf.sqrt(middle[..., _C.AREA_BEFORE] + 1e-6) / 0.1,
+            area_before / 0.01, tf.sqrt(area_before + 1e-6) / 0.1,
             _scalar(scalars, 'end') - u,
         ]  # fmt: skip
         per_particle = tf.concat(
@@ -119,7 +122,7 @@ class Inputs:
                 tf.stack(columns, axis=-1),
                 around[..., _C.CUT] / 0.03,
                 (around[..., _C.SURFACE] - surface[..., None]) / 0.03,
-                tf.exp(-since[..., _C.SINCE] / RECENT),
+                tf.exp(-since / RECENT),
             ],
             axis=-1,
         )

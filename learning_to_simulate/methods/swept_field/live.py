@@ -164,8 +164,9 @@ class LiveField:
             self._state = before._replace(frame=held)
             return held
         bound = None
-        if (factor := field.calibration.get('force')) is not None:
-            bound = float(quality.bound(quality.spread(loads[..., :2])[0], factor, 'force'))
+        if (weights := field.calibration.get('force')) is not None:
+            spread, size = (f(loads[..., :2])[0] for f in (quality.spread, quality.size))
+            bound = float(quality.bound(spread, size, weights))
         result = self._frame(
             frame, plane, before.ground, pose, loads.mean(axis=0)[0].astype(np.float64), bound,
             worse(before.frame.judgement, judgement), judgement,

@@ -67,7 +67,7 @@ def train(
                 reading_utils.read_groups(data_path, 'valid', metadata), 'valid', _bar
             )
             field.calibration = {
-                kind: row['factor_of_this_split'] for kind, row in summary['reliability'].items()
+                kind: row['weights_of_this_split'] for kind, row in summary['reliability'].items()
             }
             summary['training'] = facts
             files.write_json(os.path.join(model_path, METRICS), summary)

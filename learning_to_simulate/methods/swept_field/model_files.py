@@ -86,7 +86,7 @@ def load(path: str) -> SweptField:
             'kept_spacing': float(values['kept_spacing']),
             'spacing': float(values['spacing']),
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
-            'calibration': {k: float(v) for k, v in values['calibration'].items()},
+            'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error

@@ -7,7 +7,10 @@ from learning_to_simulate.methods.swept_field import tool_path
 
 # Displacements and forces are of the order of these: m, N, N m.
 DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
-OUTPUTS = 3
+# Of each network, beside three components: the share of the tool's way that a particle goes along,
+# and the logarithm of a gain of the load, which grows a hundredfold where the tool is pressed down.
+OUTPUTS = 4
+CARRIED, GAIN_LIMIT = 0.3, 4.0
 
 
 class Members(tf.Module):
@@ -75,7 +78,11 @@ class FieldNetwork(tf.Module):
         flat = tf.reshape(seen, [-1, self.sizes[0]])
         moved = self.soil(flat, members)
         shape = tf.concat([[tf.shape(moved)[0]], tf.shape(rest)], axis=0)
-        moved = tf.reshape(moved, shape) * gate[None, ..., None]
+        moved = tf.reshape(moved, tf.concat([shape[:-1], [OUTPUTS]], axis=0))
+        way = tf.nn.relu(scalars[:, tool_path.SCALARS.index('foremost')][:, None] - rest[..., 0])
+        carried = CARRIED / DISPLACEMENT * moved[..., 3] * way
+        moved = tf.stack([moved[..., 0] + carried, moved[..., 1], moved[..., 2]], axis=-1)
+        moved = moved * gate[None, ..., None]
         # Odd across the middle plane: the network sees the distance from it only.
         across = tf.clip_by_value(rest[..., 2:] / 0.05, -1.0, 1.0)
         return (
@@ -84,7 +91,16 @@ class FieldNetwork(tf.Module):
 
     def force(self, bins, scalars, members: int | None = None):
         """Force along the way and up (N) and torque in their plane (N m), [M, B, 3]."""
+        share = self.load_share(bins, scalars)
+        return self.load_of(self.inputs.force(bins, scalars), share, members)
+
+    def load_share(self, bins, scalars):
+        """[B] that a load is multiplied by: exactly 0 in the air, in proportion to the width."""
         width = 2.0 * scalars[:, tool_path.SCALARS.index('half_width')] / WIDTH
-        share = self.inputs.contact(bins, scalars) * width
-        size = tf.constant([FORCE, FORCE, TORQUE])
-        return self.load(self.inputs.force(bins, scalars), members) * share[None, :, None] * size
+        return self.inputs.contact(bins, scalars) * width
+
+    def load_of(self, seen, share, members: int | None = None):
+        """`force` from its inputs [B, I] and `load_share` [B]."""
+        found = self.load(seen, members)
+        gain = tf.exp(tf.clip_by_value(found[..., 3:], -GAIN_LIMIT, GAIN_LIMIT))
+        return found[..., :3] * gain * share[None, :, None] * tf.constant([FORCE, FORCE, TORQUE])

@@ -154,7 +154,7 @@ def test_members_are_those_of_the_ensemble():
 
 def test_a_model_folder_gives_the_same_field(tmp_path):
     field = world.make_field()
-    field.calibration = {'soil': 2.0, 'force': 3.0}
+    field.calibration = {'soil': [0.1, 2.0, 0.3], 'force': [1.0, 3.0, 0.1]}
     model_files.save(str(tmp_path), field, {})
     other = model_files.load(str(tmp_path))
     plane = world.path()
