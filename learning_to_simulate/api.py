@@ -218,8 +218,9 @@ class TrainedModel:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
             first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
             of such paths, which are one batch; or a `Run` of a dataset.
-          velocity, case, context: of `LiveSoil.start`, for all paths; the velocity is by default
-            that of the first two poses.
+          velocity, case: of `LiveSoil.start`, for all paths; the velocity is by default that of
+            the first two poses.
+          context: likewise, or [T, C] where it changes in time.
 
         Returns:
           `path_rollout.SoilRollout`, or a list of them.
@@ -297,11 +298,11 @@ class TrainedModel:
           the description that is also in `export.json`.
 
         Raises:
-          ValueError, OSError: as `export.export`.
+          ValueError, OSError: as `exporting.export`.
         """
-        from learning_to_simulate import export
+        from learning_to_simulate.export import exporting
 
-        return export.export(self.path, data.path, path, kind)
+        return exporting.export(self.path, data.path, path, kind)
 
 
 def load(name: str) -> TrainedModel:
@@ -336,7 +337,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training_run.loop.run`.
+      ValueError, OSError, SystemExit: as `training.loop.run`.
     """
     code = registry.get(config.model).load_code()
     code.train(data.path, path, config, save_every=save_every)

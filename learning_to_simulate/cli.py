@@ -19,7 +19,7 @@ COMMANDS = {
         ['--mode=eval_rollout'],
         'rolls out a split: files and errors beside the trivial predictors',
     ),
-    'rollout': ('learning_to_simulate.roll_out_path', [], "rolls out a path of one's own"),
+    'rollout': ('learning_to_simulate.live.roll_out_path', [], "rolls out a path of one's own"),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
     'export': ('learning_to_simulate.export', [], 'writes a SavedModel, LiteRT or ONNX model'),
     'export-c': (
@@ -27,7 +27,11 @@ COMMANDS = {
         [],
         'writes a C project or an FMU (--format=c, fmu)',
     ),
-    'add-start': ('learning_to_simulate.add_start', [], 'makes an old model folder self-contained'),
+    'add-start': (
+        'learning_to_simulate.live.add_start',
+        [],
+        'makes an old model folder self-contained',
+    ),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
     'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),

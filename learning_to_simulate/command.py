@@ -1,4 +1,5 @@
-"""How the commands of the package start: help at once, errors in one line, a quiet TensorFlow."""
+"""How the commands of the package start: help at once, errors in one line, outputs tried before the
+work, a quiet TensorFlow."""
 
 import os
 import sys
@@ -38,6 +39,29 @@ def start(run: Callable, n_argument: int = 0) -> None:
         if asked and done.code == 1:  # absl's code for help that was printed
             sys.exit(0)
         raise
+
+
+def writable_folder(path: str) -> None:
+    """Tries whether results can be written into a folder, and leaves nothing behind.
+
+    Args:
+      path: folder; it need not exist.
+
+    Raises:
+      OSError: nothing can be written there.
+    """
+    missing, above = [], os.path.abspath(path)
+    while not os.path.exists(above):
+        missing.append(above)
+        above = os.path.dirname(above)
+    try:
+        os.makedirs(path, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+        for folder in missing:
+            os.rmdir(folder)
+    except OSError as error:
+        raise OSError(f'{path}: cannot be written to ({error.strerror})') from error
 
 
 def import_tensorflow(num_threads: int | None = None) -> None:

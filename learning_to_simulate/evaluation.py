@@ -51,7 +51,7 @@ class Evaluator:
 
     def roll_out(self, group):
         """`Rollout` of one `RunGroup` (its runs as one batch)."""
-        key = group.position.shape
+        key = group.position.shape, group.context_changes
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
             self._functions[key] = rollout_function(self._model.simulator, layout, self._correct)

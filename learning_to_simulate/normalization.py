@@ -119,7 +119,7 @@ def compute_statistics(
     Args:
       positions: list of float64 [S, T, V, D], one per rigid node count; the last r nodes are modes.
       forces: list of [S, T, D], or None.
-      contexts: list of [S, T, C], or None.
+      contexts: list of [S, C] or [S, T, C], or None; all of one kind.
       metadata: validated metadata; the published presets take their statistics from it.
       scene: the scene.
       config: decides the family.

@@ -29,7 +29,7 @@ class RunGroup:
       particle_type: int64 [V].
       position: float64 [S, T, V, D], m.
       force: float64 [S, T, D], N, or None.
-      context: float64 [S, C], or None.
+      context: float64 [S, C], or [S, T, C] where that of a run changes in time, or None.
       record: int [S], index of each run in its file.
       body: per run, float64 [T, R', D]: all rigid particles of the record; None if all of them are
         nodes.
@@ -51,6 +51,16 @@ class RunGroup:
     def velocity(self) -> np.ndarray:
         """float64 [S, T, V, D], displacement since the frame before; 0 in frame 0."""
         return np.diff(self.position, axis=1, prepend=self.position[:, :1])
+
+    @property
+    def context_changes(self) -> bool:
+        """Whether the context is given by frame."""
+        return self.context is not None and self.context.ndim == 3
+
+    def context_at(self, frame: int, run: int | None = None) -> np.ndarray | None:
+        """float64 [S, C], or [C] of one run: the context in a frame; None without one."""
+        context = self.context[:, frame] if self.context_changes else self.context
+        return context if context is None or run is None else context[run]
 
     @property
     def n_left_modes(self) -> int:
@@ -163,9 +173,8 @@ def read_groups(
       modes: so many first modes become nodes; 0 keeps all.
 
     Raises:
-      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a context that changes in
-        time, a stride whose particles do not keep the height of a body that is not prescribed, more
-        modes than there are.
+      FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a stride whose particles
+        do not keep the height of a body that is not prescribed, more modes than there are.
     """
     if modes > metadata['mode_number']:
         raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
@@ -173,10 +182,6 @@ def read_groups(
     runs: dict[tuple, list] = {}
     for index, run in enumerate(dataset.read_split(folder, split)):
         where = f'{folder}: {split} record {index}'
-        if run.step_context is not None and np.ptp(run.step_context, axis=0).any():
-            raise ValueError(
-                f'{where}: step_context changes in time; this simulator takes constant context only'
-            )
         kept = np.arange(run.n_rigid)[::rigid_stride]
         if rigid_stride > 1 and run.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
             _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
@@ -219,9 +224,7 @@ def _stack(n_rigid, members, modes):
         force=None
         if first.force is None
         else np.stack([run.force for run in runs]).astype(np.float64),
-        context=None
-        if first.step_context is None
-        else np.stack([run.step_context[0] for run in runs]).astype(np.float64),
+        context=context_of(runs),
         record=np.array([index for index, _, _ in members]),
         body=tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
         if thinned
@@ -233,6 +236,25 @@ def _stack(n_rigid, members, modes):
         if 0 < modes < first.n_modes
         else None,
     )
+
+
+def context_of(runs) -> np.ndarray | None:
+    """The context of T-frame runs, float64: [S, C] where none changes in time, else [S, T, C]."""
+    if runs[0].step_context is None:
+        return None
+    context = np.stack([run.step_context for run in runs]).astype(np.float64)
+    return context if np.ptp(context, axis=1).any() else context[:, 0]
+
+
+def contexts_by_frame(groups) -> list[np.ndarray | None]:
+    """The contexts of groups, for statistics: where one changes in time, all count by frame."""
+    contexts = [group.context for group in groups]
+    if all(c is None or c.ndim == 2 for c in contexts):
+        return contexts
+    return [
+        np.broadcast_to(c if c.ndim == 3 else c[:, None], (*group.position.shape[:2], c.shape[-1]))
+        for c, group in zip(contexts, groups, strict=True)
+    ]
 
 
 def read_scene(

@@ -30,7 +30,7 @@ import re
 import tqdm
 from absl import flags
 
-from learning_to_simulate import checks, command, presets
+from learning_to_simulate import command, presets
 from learning_to_simulate.methods import registry
 
 _MODE = flags.DEFINE_enum(
@@ -160,7 +160,7 @@ def _evaluate_rollouts(overrides):
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    checks.writable_folder(_OUTPUT_PATH.value)
+    command.writable_folder(_OUTPUT_PATH.value)
     opened = _open(overrides)
     results, summary = opened.evaluator.run(
         opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)

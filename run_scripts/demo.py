@@ -75,15 +75,17 @@ def evaluate(name: str, raw: str, data: str, out: str) -> list[dict]:
     Returns:
         One dict per row of the table.
     """
-    from learning_to_simulate import evaluation, experiment
+    from learning_to_simulate import evaluation
+    from learning_to_simulate.methods import subspace_method
 
     (run,) = raw_run.read_manifest(raw)['runs']
     solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
     for preset in MODELS:
-        model, metadata, groups = experiment.load_for_evaluation(
-            os.path.join(ROOT, 'models', name, preset), data, 'test', {}
+        opened = subspace_method.open_model(
+            os.path.join(ROOT, 'models', name, preset), data, 'test'
         )
+        model, metadata, groups = opened.model, opened.metadata, opened.groups
         evaluator = evaluation.Evaluator(model, metadata)
         results, summary = evaluator.run(groups, 'test')
         evaluation.save_rollouts(os.path.join(out, preset), 'test', results, summary, metadata)

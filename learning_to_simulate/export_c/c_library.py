@@ -110,6 +110,7 @@ def declared(library: ctypes.CDLL) -> ctypes.CDLL:
         'lts_start_pose': (pointer, ctypes.c_int, pointer),
         'lts_start_context': (pointer, ctypes.c_int, pointer),
         'lts_prepare': (pointer,),
+        'lts_set_context': (pointer, pointer),
         'lts_frame': (pointer, pointer, pointer),
         'lts_frame_at': (pointer, pointer, pointer),
         'lts_advance': (pointer, ctypes.c_double, pointer, pointer, pointer),

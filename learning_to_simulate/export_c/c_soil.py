@@ -178,7 +178,15 @@ class CSoil:
         self._require_start('prepare')
         self._done(self._c.lts_prepare(self._soil))
 
-    def step(self, rigid_pose=None) -> Frame:
+    def set_context(self, context) -> None:
+        """Gives the context [C] of the coming frame and those after it."""
+        self._require_start('set_context')
+        context = self._checked_context(context)
+        if context is None:
+            raise ValueError('the scene takes no context')
+        self._done(self._c.lts_set_context(self._soil, context.ctypes.data))
+
+    def step(self, rigid_pose=None, context=None) -> Frame:
         """Predicts the next frame; as `stepping.Stepper.step`."""
         self._require_start('step')
         if self._motion.is_known != (rigid_pose is not None):
@@ -188,6 +196,8 @@ class CSoil:
         if rigid_pose is not None:
             self._pose[:] = _checked('rigid_pose', rigid_pose, self._pose.shape)
             at = self._at_pose
+        if context is not None:
+            self.set_context(context)
         self._done(self._c.lts_frame(self._soil, at, self._at_result))
         return self._newest()
 

@@ -15,10 +15,12 @@ import tempfile
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import checkpoints, experiment, stepping
+from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts
 from learning_to_simulate.export_c.c_soil import CSoil
+from learning_to_simulate.live import stepping
+from learning_to_simulate.methods import subspace_method
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -80,7 +82,8 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
     Raises:
       ValueError: a difference above the tolerance.
     """
-    _, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    opened = subspace_method.open_model(model_path, data_path, 'test')
+    groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n_rigid), None)
     if group is None:
         return {'skipped': f'no test run has {n_rigid} rigid nodes'}
@@ -93,14 +96,15 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
             return {'skipped': str(error)}
         soil = CSoil.open(library, name)
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
-    context = None if group.context is None else group.context[0]
     nodes, forces, particles = ([], []), ([], []), []
     known = model.simulator.scene.rigid_motion.is_known
     for stepper in steppers:
-        stepper.reset(group.position[0, :H], context)
-    for pose in group.position[0, H : H + COMPARED_STEPS, :n_rigid]:
+        stepper.reset(group.position[0, :H], group.context_at(H, 0))
+    poses = group.position[0, H : H + COMPARED_STEPS, :n_rigid]
+    for k, pose in enumerate(poses, H):
+        context = group.context_at(k, 0) if group.context_changes else None
         for stepper, of_nodes, of_force in zip(steppers, nodes, forces):
-            frame = stepper.step(pose if known else None)
+            frame = stepper.step(pose if known else None, context)
             of_nodes.append(np.concatenate([frame.rigid_pose, frame.modes]))
             of_force.append(np.zeros(3) if frame.force is None else frame.force)
         if subspace is not None:

@@ -212,7 +212,7 @@ def _save(path, config, scene, method, groups, metadata, data):
     statistics = normalization.compute_statistics(
         [g.position for g in groups],
         [g.force for g in groups],
-        [g.context for g in groups],
+        reading_utils.contexts_by_frame(groups),
         metadata,
         scene,
         presets.PRESETS['pcg'],

@@ -14,8 +14,8 @@ from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import Trainer
-from learning_to_simulate.training_run import loop
+from learning_to_simulate.training import loop
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 
 __all__ = ['data_digests', 'load', 'make_model', 'open_model', 'train']
@@ -52,7 +52,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     statistics = normalization.compute_statistics(
         [g.position for g in groups],
         [g.force for g in groups],
-        [g.context for g in groups],
+        reading_utils.contexts_by_frame(groups),
         metadata,
         scene,
         config,

@@ -14,7 +14,7 @@ from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.training_run import training_state
+from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data
 from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace

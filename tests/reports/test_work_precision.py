@@ -12,8 +12,9 @@ import time
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.methods import subspace_method
 from pca_tools import dataset
 from reports.timing import Timing
 from reports.work_precision import (
@@ -300,7 +301,7 @@ def test_trivial_predictors_are_not_those_of_thinned_particles(tmp_path, monkeyp
 
 def test_model_of_the_same_config_and_data_is_loaded_not_trained(tmp_path):
     model, groups, _ = models.make(tmp_path / 'data')
-    digests = experiment.data_digests(str(tmp_path / 'data'))
+    digests = subspace_method.data_digests(str(tmp_path / 'data'))
     path = tmp_path / 'models' / 'mine'
     path.mkdir(parents=True)
     checkpoints.save_config(str(path), model, groups[0].n_rigid, {'sha256': digests})

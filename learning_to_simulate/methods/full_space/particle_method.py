@@ -17,7 +17,7 @@ from learning_to_simulate.methods.full_space.particle_simulator import (
 )
 from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.training_run import loop
+from learning_to_simulate.training import loop
 from pca_tools import dataset, files
 
 

@@ -17,11 +17,11 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import worse
 from learning_to_simulate.live.live_soil import Beginning
+from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame
 from learning_to_simulate.methods.swept_field import beds, quality, tool_path
 from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
 from learning_to_simulate.methods.swept_field.tool_path import ToolState
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
-from learning_to_simulate.stepping import FLAG, HOLD, RAISE, Frame
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -127,11 +127,12 @@ class LiveField:
         )  # fmt: skip
         return judgement
 
-    def step(self, pose, dt: float | None = None) -> Frame:
+    def step(self, pose, context=None, dt: float | None = None) -> Frame:
         """Moves the tool in a straight line to its next pose.
 
         Args:
           pose: see `live.poses`.
+          context: None: a field has none.
           dt: s; None for the frame time of the training data.
 
         Returns:
@@ -145,6 +146,8 @@ class LiveField:
         """
         before, field = self.state, self._field
         dt = field.scene.dt if dt is None else float(dt)
+        if context is not None:
+            self._beginning.read_context(context)  # says that there is none
         pose = self._beginning.read(pose)
         plane = field.axes.poses(pose)
         self._refuse_bad(plane, before, dt)

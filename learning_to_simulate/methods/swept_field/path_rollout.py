@@ -12,6 +12,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses, resting_start
 from learning_to_simulate.live.live_soil import Beginning
 from learning_to_simulate.live.path_rollout import SoilRollout, of_recorded_run, velocity_between
+from learning_to_simulate.live.stepping import FLAG
 from learning_to_simulate.methods.swept_field import beds, episodes, quality, tool_path
 from learning_to_simulate.methods.swept_field.field_soil import (
     FieldSoil,
@@ -21,7 +22,6 @@ from learning_to_simulate.methods.swept_field.field_soil import (
 )
 from learning_to_simulate.methods.swept_field.live import LiveField
 from learning_to_simulate.methods.swept_field.tool_path import Frame
-from learning_to_simulate.stepping import FLAG
 
 
 def stepper(path: str, model, outside: str = FLAG) -> LiveField:
@@ -51,7 +51,8 @@ class FieldRoller:
         self._soil = FieldSoil(field, subspace)
 
     def beginning(self, path, velocity=None, case=None, context=None):
-        """The start of a path and its poses; as `live.path_rollout.PathRoller.beginning`."""
+        """The start of a path, its poses, and whether it begins on the bed of a case; as
+        `live.path_rollout.PathRoller.beginning`."""
         values = poses.numbers('path', path, (None, 7), (None, 3))
         if len(values) < 2:
             raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
@@ -61,17 +62,15 @@ class FieldRoller:
         values = np.stack([chosen.read(pose) for pose in values])
         if velocity is None:
             velocity = velocity_between(values[0], values[1], scene.dt)
-        chosen.choose(values[0], velocity, case, context)
-        chosen.is_given = case is not None
-        return chosen, values
+        return chosen.choose(values[0], velocity, case, context), values, case is not None
 
-    def roll_out(self, pairs) -> list[SoilRollout]:
+    def roll_out(self, begun) -> list[SoilRollout]:
         """Rolls out paths of `beginning`.
 
         Raises:
           ValueError: a path that leaves the bins.
         """
-        return [self._rolled(*pair) for pair in pairs]
+        return [self._rolled(*one) for one in begun]
 
     def recorded(self, evaluator, group, name: str) -> SoilRollout:
         """The rollout of a recorded run, with its truth.
@@ -91,10 +90,10 @@ class FieldRoller:
         swept = _one_by_one(frames, episode.pose, ground, H)
         return dataclasses.replace(found, modes=SweptFrames(swept, self._soil))
 
-    def _rolled(self, chosen, path) -> SoilRollout:
+    def _rolled(self, chosen, path, is_given) -> SoilRollout:
         field = self._field
         plane = field.axes.poses(path)
-        recorded = (self._space, self._starts.modes[chosen.index]) if chosen.is_given else None
+        recorded = (self._space, self._starts.modes[chosen.index]) if is_given else None
         ground, swept_bed = beds.ground(
             field, plane[0], case=self._starts.cases[chosen.index], recorded=recorded
         )

@@ -139,6 +139,10 @@ LTS_API int lts_start_pose(const lts_model *model, int start, lts_pose *out);
 /* Context [C] of a start. */
 LTS_API int lts_start_context(const lts_model *model, int start, double *context);
 
+/* Context [C] of the coming frame and those after it; outside the training runs that is noted at once
+ * and returned, and is not in the status of the frame. */
+LTS_API int lts_set_context(lts_instance *soil, const double *context);
+
 /* Computes all of the coming frame that needs no pose; otherwise lts_frame does it. */
 LTS_API int lts_prepare(lts_instance *soil);
 

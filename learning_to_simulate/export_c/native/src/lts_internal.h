@@ -81,7 +81,7 @@ void lts_node_offset(const lts_instance *soil, int node, float out[3]);
 
 /* lts_status.c: checks of one frame of the start or of the rollout; return bits, and keep the first
  * frame of each kind. `before` is null for the first frame of all. */
-int lts_check_context(lts_instance *soil);
+int lts_check_context(lts_instance *soil, int frame);
 int lts_check_start(lts_instance *soil, int frame, const double *nodes);
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points);
 int lts_check_predicted(lts_instance *soil, int frame);

@@ -198,7 +198,7 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
     for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] -= centroid[i % 3];
   }
   lts_context_features(soil);
-  int status = lts_check_context(soil);
+  int status = lts_check_context(soil, 0);
   for (int f = 0; f < LTS_HISTORY; ++f) {
     const double *nodes = history + f * 3 * n_node;
     status |= lts_check_start(soil, f, nodes);
@@ -208,6 +208,20 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   head->result.status = status;
   for (size_t i = 0; i < 3 * n_rigid; ++i) head->result.point[i % 3] += newest[i] / (double)n_rigid;
   return status;
+}
+
+int lts_set_context(lts_instance *soil, const double *context) {
+  const int error = lts_check_started(soil);
+  if (error) return error;
+  const lts_model *m = soil->model;
+  if (!m->n_context) return LTS_ERROR_CALL;
+  if (!context) return LTS_ERROR_NULL;
+  if (!all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
+  if (soil->state.head->frame == INT32_MAX) return LTS_ERROR_CALL; /* no frame comes */
+  for (int i = 0; i < m->n_context; ++i) soil->state.context[i] = context[i];
+  soil->prepared = 0;
+  lts_context_features(soil);
+  return lts_check_context(soil, soil->state.head->frame + 1);
 }
 
 /* Saved bytes: a header, then the state. */

@@ -3,8 +3,7 @@
 Models that are trained now carry it from the start; this is for folders from before.
 
 Example:
-  python -m learning_to_simulate.add_start --model_path=models/excavation/pcg \\
-      --data_path=datasets/excavation
+  lts add-start --model_path=models/excavation/pcg --data_path=datasets/excavation
 """
 
 import os

@@ -8,8 +8,8 @@ import tensorflow as tf
 
 from learning_to_simulate import rollout
 from learning_to_simulate.compiled.folded_step import FoldedStep, rollout_function
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
-from learning_to_simulate.step_form import PlainStep
 from tests.learning_to_simulate import models
 
 PREDICTED = {'preset': 'pcg_thesis', 'motion': 'predicted', 'rigid_counts': (6,), 'context': True}

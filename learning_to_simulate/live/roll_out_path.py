@@ -1,8 +1,7 @@
 """Rolls out a path of one's own: poses in, positions, forces and status out.
 
 Examples:
-  python -m learning_to_simulate.roll_out_path --model=excavation --poses=path.csv \\
-      --output_path=dig.npz --picture=dig.gif
+  lts rollout --model=excavation --poses=path.csv --output_path=dig.npz --picture=dig.gif
 
 The file of poses has a line a frame (1/60 s for the shipped models): x, y, z, qw, qx, qy, qz, or
 x, height, angle (rad) of a body in the plane; `.csv` (lines that begin with # are skipped) or
@@ -14,7 +13,7 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import checks, command
+from learning_to_simulate import command
 from pca_tools import files
 
 
@@ -39,7 +38,7 @@ def run(values) -> None:
     """Runs the command with its flags."""
     path = read_poses(values.poses)
     for target in filter(None, (values.output_path, values.picture)):
-        checks.writable_folder(os.path.dirname(os.path.abspath(target)))
+        command.writable_folder(os.path.dirname(os.path.abspath(target)))
     command.import_tensorflow()
     from learning_to_simulate import api
 

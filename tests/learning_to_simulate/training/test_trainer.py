@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import noise_utils, training
 from learning_to_simulate.learned_simulator import LearnedSimulator, SimulatorState, initial_state
+from learning_to_simulate.training import noise_utils
+from learning_to_simulate.training.trainer import Trainer
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.training_twin import H, TrainingTwin
+from tests.learning_to_simulate.twins.training_twin import H, TrainingTwin
 
 SMALL = {
     'latent_size': 4, 'hidden_layers': 1, 'batch_size': 3, 'unroll_batch_size': 2, 'mode_edges': 4,
@@ -50,7 +51,7 @@ class Case:
         the trainer."""
         for variable, value in zip(self._variables, self._start):
             variable.assign(value)
-        trainer = training.Trainer(self.model, self.groups)
+        trainer = Trainer(self.model, self.groups)
         if mutate:
             mutate(trainer)
         tf.config.run_functions_eagerly(True)
@@ -105,13 +106,13 @@ def _no_position_noise(patch, _):
 
 def _clean_base_of_the_target(patch, _):
     """The velocity that an order-2 target is counted from, without its noise."""
-    noisy, target, clean = training.Trainer._noisy_state, LearnedSimulator.normalized_target, []
+    noisy, target, clean = Trainer._noisy_state, LearnedSimulator.normalized_target, []
 
     def remembering(self, offset, velocity, *others):
         clean.append(initial_state(offset[:, :H], velocity[:, 1:H]))
         return noisy(self, offset, velocity, *others)
 
-    patch.setattr(training.Trainer, '_noisy_state', remembering)
+    patch.setattr(Trainer, '_noisy_state', remembering)
     patch.setattr(
         LearnedSimulator,
         'normalized_target',

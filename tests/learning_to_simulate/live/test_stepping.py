@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import rollout, stepping
+from learning_to_simulate import rollout
+from learning_to_simulate.live import stepping
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 

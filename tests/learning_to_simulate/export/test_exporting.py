@@ -7,7 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, experiment, export, rollout
+from learning_to_simulate import checkpoints, rollout
+from learning_to_simulate.export import exporting
+from learning_to_simulate.methods import subspace_method
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -22,9 +24,9 @@ import tensorflow as tf
 model = tf.saved_model.load(sys.argv[1])
 given = np.load(sys.argv[2])
 history, forces = given['history'], []
-for coming in given['coming']:
+for coming, context in zip(given['coming'], given['context']):
     inputs = {'position_history': history, 'next_rigid_position': coming,
-              'context': given['context']}
+              'context': context}
     out = model.signatures['step'](**{k: tf.constant(v) for k, v in inputs.items()})
     history = np.concatenate([history[1:], out['next_position'][None]])
     forces.append(out['force'])
@@ -46,19 +48,20 @@ def make(tmp_path, motion, with_subspace=True, **more):
 
 
 def test_saved_model_rolls_out_without_the_project(tmp_path):
-    model_path, data = make(tmp_path, 'driven', context=True)
+    model_path, data = make(tmp_path, 'driven', context='changing')
     out = str(tmp_path / 'exported')
-    description = export.export(model_path, data, out, 'savedmodel')
+    description = exporting.export(model_path, data, out, 'savedmodel')
     assert set(description['signatures']) == {'step', 'reconstruct'}
     written = json.loads((tmp_path / 'exported' / 'export.json').read_text())
     assert written == json.loads(json.dumps(description))
-    model, _, groups = experiment.load_for_evaluation(model_path, data, 'test', {})
+    opened = subspace_method.open_model(model_path, data, 'test')
+    model, groups = opened.model, opened.groups
     group = groups[0].select(0)
     np.savez(
         tmp_path / 'given.npz',
         history=group.position[0, :6],
         coming=group.position[0, 6 : 6 + N_STEP, :4],
-        context=group.context[0].astype(np.float32),
+        context=group.context[0, 6 : 6 + N_STEP].astype(np.float32),
     )
     arguments = [out, str(tmp_path / 'given.npz'), str(tmp_path / 'result.npz')]
     subprocess.run([sys.executable, '-c', PROGRAM, *arguments], cwd=tmp_path, check=True)
@@ -78,20 +81,20 @@ def test_predicted_body_is_kept_rigid_in_a_saved_model_and_refused_elsewhere(tmp
     model_path, data = make(
         tmp_path, 'predicted', with_subspace=False, preset='pcg_thesis', rigid_counts=(6,)
     )
-    description = export.export(model_path, data, str(tmp_path / 'exported'), 'savedmodel')
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'savedmodel')
     assert set(description['signatures']) == {'step'}
     assert 'next_rigid_position' not in description['signatures']['step']
     for kind in ('tflite', 'onnx'):
         with pytest.raises(ValueError, match='no eigenvalue solver'):
-            export.export(model_path, data, str(tmp_path / kind), kind)
+            exporting.export(model_path, data, str(tmp_path / kind), kind)
         assert not (tmp_path / kind).exists()
 
 
 def test_litert_says_the_same(tmp_path):
     model_path, data = make(tmp_path, 'driven')
-    description = export.export(model_path, data, str(tmp_path / 'exported'), 'tflite')
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'tflite')
     assert (tmp_path / 'exported' / 'step.tflite').stat().st_size > 1000
-    assert max(description['compared']['relative_difference'].values()) <= export.TOLERANCE
+    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
     assert len(description['origin']) == 4 + synthetic.N_MODES
     assert 'mean height' in description['state']
 
@@ -100,24 +103,24 @@ def test_onnx_says_the_same(tmp_path):
     pytest.importorskip('tf2onnx', reason='extra deploy')
     pytest.importorskip('onnxruntime', reason='extra deploy')
     model_path, data = make(tmp_path, 'prescribed')
-    description = export.export(model_path, data, str(tmp_path / 'exported'), 'onnx')
-    assert max(description['compared']['relative_difference'].values()) <= export.TOLERANCE
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'onnx')
+    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
 
 
 def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
     model_path, data = make(tmp_path, 'prescribed')
     out = tmp_path / 'exported'
     with pytest.raises(ValueError, match=r'no test run has 7 rigid nodes, there are \[4\]'):
-        export.export(model_path, data, str(out), 'savedmodel', n_rigid=7)
+        exporting.export(model_path, data, str(out), 'savedmodel', n_rigid=7)
     monkeypatch.setitem(sys.modules, 'tf2onnx', None)
     with pytest.raises(ValueError, match='comes with the extra'):
-        export.export(model_path, data, str(out), 'onnx')
-    monkeypatch.setattr(export, 'RECONSTRUCT_TOLERANCE', 0.0)
-    monkeypatch.setattr(export, 'TOLERANCE', 0.0)
+        exporting.export(model_path, data, str(out), 'onnx')
+    monkeypatch.setattr(exporting, 'RECONSTRUCT_TOLERANCE', 0.0)
+    monkeypatch.setattr(exporting, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='differs from its source.*nothing was written'):
-        export.export(model_path, data, str(out), 'tflite')
+        exporting.export(model_path, data, str(out), 'tflite')
     assert not [p for p in tmp_path.iterdir() if 'exported' in p.name]
     out.mkdir()
     (out / 'mine').write_text('keep')
     with pytest.raises(ValueError, match='not empty'):
-        export.export(model_path, data, str(out), 'tflite')
+        exporting.export(model_path, data, str(out), 'tflite')

@@ -7,8 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.methods import subspace_method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 from tests.learning_to_simulate.test_connectivity_utils import ring_edges, scene
@@ -214,7 +215,7 @@ def make_model(folder, **overrides):
     metadata = dataset.read_metadata(folder)
     groups = reading_utils.read_groups(folder, 'train', metadata)
     config = presets.make_config('pcg', latent_size=8, **overrides)
-    return experiment.make_model(folder, metadata, groups, config)
+    return subspace_method.make_model(folder, metadata, groups, config)
 
 
 def test_default_preset_takes_the_list_of_the_dataset(data, tmp_path):
@@ -264,6 +265,6 @@ def test_other_edges_do_not_resume_a_model(data, tmp_path):
         edges = edge_list(mask, R, edge_lists.data_digests(folder))
         edge_lists.write(f'{folder}/edges.json', edges)
         if k == 0:
-            experiment.train(folder, path, config)
+            subspace_method.train(folder, path, config)
     with pytest.raises(ValueError, match='other edges'):
-        experiment.train(folder, path, config)
+        subspace_method.train(folder, path, config)

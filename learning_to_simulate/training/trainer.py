@@ -5,15 +5,11 @@ them. A step is a function of (weights, optimiser, seed, step): a training that 
 resumed gives the same weights.
 """
 
-import contextlib
-import copy
-
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import losses, noise_utils
 from learning_to_simulate.body_height import up_vector
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.edges.edge_gates import EdgeGates
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
@@ -21,130 +17,12 @@ from learning_to_simulate.learned_simulator import (
 )
 from learning_to_simulate.rigid_body import known_motion
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.training import losses, noise_utils
+from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
+from learning_to_simulate.training.windows import GroupTensors
 
 # Independent random streams of one (seed, step).
 _WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM, _GATE_STREAM = 1, 2, 3, 4, 5
-
-
-# The force error of a run is counted in units of the run's own force, because that is how it is
-# judged (relative L2); a run with less than this share of the largest force counts as if it had it.
-FORCE_FLOOR = 0.02
-
-
-class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
-    """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
-    stage.
-
-    The unrolled stage starts from a fraction of the first rate and decays to the floor by a cosine.
-    """
-
-    def __init__(self, config: TrainConfig):
-        self._config = config
-
-    def __call__(self, step):
-        c = self._config
-        step = tf.cast(step, tf.float32)
-        single = (c.learning_rate - c.learning_rate_floor) * 0.1 ** (
-            step / c.decay_steps
-        ) + c.learning_rate_floor
-        progress = tf.clip_by_value((step - c.num_steps) / max(c.unroll_steps, 1), 0.0, 1.0)
-        start = c.unroll_learning_rate
-        unrolled = c.learning_rate_floor + (start - c.learning_rate_floor) * 0.5 * (
-            1.0 + tf.cos(np.pi * progress)
-        )
-        return tf.where(step < c.num_steps, single, unrolled)
-
-    def get_config(self):
-        """Keras asks for it; the config is stored beside the checkpoint instead."""
-        return {}
-
-
-class _GroupTensors:
-    """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
-
-    def __init__(self, group, layout, statistics, relative_force):
-        self.layout = layout
-        self.n_run, self.n_frame = group.position.shape[:2]
-        self.record = group.record
-        flat = (self.n_run * self.n_frame, *group.position.shape[2:])
-        # Differences in float64 before the cast: see the note on state in `learned_simulator`.
-        self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
-        self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
-        self.force = self.context = self.force_weight = None
-        if statistics.force_mean is not None:
-            normalised = (group.force - statistics.force_mean) / statistics.force_std
-            self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
-            if relative_force:
-                size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
-                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
-                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
-            else:
-                weight = np.ones(self.n_run)
-            self.force_weight = tf.constant(weight, tf.float32)
-        if statistics.context_mean is not None:
-            self.context = tf.constant(group.context, tf.float32)
-
-    def with_layout(self, layout):
-        """The same runs on another graph of the same nodes."""
-        other = copy.copy(self)
-        other.layout = layout
-        return other
-
-    def picks(self, batch_size, length, seed):
-        """Run and first frame of `batch_size` windows of `length` frames, a function of `seed`
-        int32 [2]."""
-        n_start = self.n_frame - length + 1
-        pick = tf.random.stateless_uniform(
-            [batch_size], seed, maxval=self.n_run * n_start, dtype=tf.int32
-        )
-        return pick // n_start, pick % n_start
-
-    def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names."""
-        run, start = self.picks(batch_size, length, seed)
-        frames = (run * self.n_frame + start)[:, None] + tf.range(length)
-        return (
-            tf.gather(self.offset, frames),
-            tf.gather(self.velocity, frames),
-            None if self.force is None else tf.gather(self.force, frames),
-            None if self.context is None else tf.gather(self.context, run),
-            1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
-        )
-
-
-class WeightAverages:
-    """Moving averages of the weights, which are what is evaluated and saved.
-
-    Args:
-      variables: the trained ones.
-      decay: of the averages; 0 for none.
-    """
-
-    def __init__(self, variables, decay: float):
-        self._trained, self._decay = variables, decay
-        self.variables = [tf.Variable(v, name='average') for v in variables]
-
-    def update(self, step) -> None:
-        """Takes in the weights after training step `step` (counted from 0)."""
-        count = tf.cast(step, tf.float32)
-        keep = tf.minimum(self._decay, (1.0 + count) / (10.0 + count))  # forgets the start sooner
-        for average, variable in zip(self.variables, self._trained, strict=True):
-            average.assign_sub((1.0 - keep) * (average - variable))
-
-    @contextlib.contextmanager
-    def in_place(self):
-        """Puts the averages in place of the weights, and the trained ones back after."""
-        if not self._decay:
-            yield
-            return
-        trained = [v.numpy() for v in self._trained]
-        for variable, average in zip(self._trained, self.variables, strict=True):
-            variable.assign(average)
-        try:
-            yield
-        finally:
-            for variable, value in zip(self._trained, trained, strict=True):
-                variable.assign(value)
 
 
 class Trainer:
@@ -172,7 +50,7 @@ class Trainer:
                 f'frames'
             )
         self._tensors = [
-            _GroupTensors(
+            GroupTensors(
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
@@ -344,7 +222,7 @@ class Trainer:
         state = self._noisy_state(offset, velocity, layout, noise_seed)
         known = self._known(offset, velocity, layout, h)
         target = self.simulator.normalized_target(velocity[:, h], state, known, layout)
-        predicted, predicted_force = self.simulator.predict(state, known, context, layout)
+        predicted, predicted_force = self.simulator.predict(state, known, context(h), layout)
         true_force = None if force is None else force[:, h]
         values = losses.one_step_loss(
             target, predicted, true_force, predicted_force, layout.loss_weight, force_weight
@@ -363,7 +241,7 @@ class Trainer:
         offsets, forces = [], []
         for k in range(n):
             known = self._known(offset, velocity, layout, h + k)
-            state, predicted_force = self.simulator.step(state, known, context, layout)
+            state, predicted_force = self.simulator.step(state, known, context(h + k), layout)
             offsets.append(state.offset)
             forces.append(predicted_force)
         s = self.simulator.statistics

@@ -202,17 +202,18 @@ class Stepper:
             raise ValueError(f'the scene takes context {list(names)}, got {context}')
         return numbers('context', context, (len(names),)) if names else None
 
-    def step(self, rigid_pose=None) -> Frame:
+    def step(self, rigid_pose=None, context=None) -> Frame:
         """Predicts the next frame.
 
         Args:
           rigid_pose: [R, D] positions of the body in the coming frame, m, where its motion is given
             (of a driven body the mean height is ignored); None where it is predicted.
+          context: [C] in the coming frame and those after it; None leaves it as it was.
 
         Raises:
-          ValueError: before `reset`; a pose where none is taken or the other way round; wrong shape
-            or kind of values; values that are not finite in float32; with `outside='raise'` a frame
-            that is not `ok`. The state stays as it was.
+          ValueError: before `reset`; a context or a pose where none is taken, or no pose where one
+            is; wrong shape or kind of values; values that are not finite in float32; with
+            `outside='raise'` a frame that is not `ok`. The state stays as it was.
           RuntimeError: another thread uses the stepper.
         """
         with _Held(self._lock):
@@ -227,9 +228,12 @@ class Stepper:
                 flagged = self._last.judgement.status != RolloutStatus.OK
                 in_words = not flagged or self._outside != FLAG
                 judgement = self.judge.given(frame, body, self._pose, in_words)
+            if context is not None:
+                context = self._checked_context(context)
+                judgement = judgement or self.judge.context(frame, context)
             if judgement and self._outside != FLAG:
                 return self._refused(judgement)
-            position, force = self._back_end.propose(body, displacement)
+            position, force = self._back_end.propose(body, displacement, context)
             predicted = self.judge.predicted(frame, position, force)
             now = worse(predicted, judgement) if judgement else predicted
             if self._outside != FLAG and now.status != RolloutStatus.OK:

@@ -15,8 +15,8 @@ import tqdm
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.training_run import training_state
-from learning_to_simulate.training_run.stop_signals import StopSignals
+from learning_to_simulate.training import training_state
+from learning_to_simulate.training.stop_signals import StopSignals
 from pca_tools import folder_lock
 
 LOG_EVERY = 50  # steps between looks at the losses
@@ -28,7 +28,7 @@ class Training:
 
     Attributes:
       model: with `simulator`; stored by `checkpoints.save_config`.
-      trainer: `training.Trainer`, or what answers as it does.
+      trainer: `trainer.Trainer`, or what answers as it does.
       evaluator: its `run(groups, split)` is the validation.
       valid: list of `RunGroup`; may be empty.
       n_rigid: any R the model runs on.

@@ -6,23 +6,13 @@ float64 worth using, so their `step` carries the state itself: float32 offsets f
 float32 velocities. `export.json` beside the model says what every input and output is. What was
 written is loaded again and compared with the source model on recorded runs; beyond round-off the
 export is refused.
-
-Examples:
-  python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
-      --data_path=datasets/excavation --output_path=/tmp/exported
-
-  # small runtimes; need the extra: pip install -e .[deploy]
-  python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
-      --output_path=...
 """
 
 import os
 import time
 
 import numpy as np
-from absl import flags
 
-from learning_to_simulate import command
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import files, subspace
 
@@ -53,7 +43,8 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       ValueError: a scene that the format cannot hold, a model that does not fit the data, an
         absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
     """
-    from learning_to_simulate import checkpoints, export_formats
+    from learning_to_simulate import checkpoints
+    from learning_to_simulate.export import export_formats
     from learning_to_simulate.methods import registry
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
@@ -158,46 +149,3 @@ def _difference(values, expected, part):
     a, b = (np.stack(x).astype(np.float64)[:, part] for x in (values, expected))
     apart, size = np.abs(a - b).max(), np.abs(b).max()
     return float(apart / size) if size > 0 else float(apart)
-
-
-def summary(description: dict, output_path: str) -> str:
-    """What was written and how it compares, for the terminal."""
-    compared = description['compared']
-    differences = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
-    lines = [
-        f'wrote {output_path} ({description["format"]}, signatures '
-        f'{", ".join(description["signatures"])})',
-        f'largest difference to the source over {compared["steps"]} steps: {differences} '
-        f'(allowed {compared["tolerance"]:g})',
-        f'step: first call {compared["first_call_s"]:.3g} s, then '
-        f'{compared["ms_per_step_median"]:.3g} ms',
-    ]
-    if 'particles_difference_m' in compared:
-        lines.append(
-            f'reconstruct: largest difference {compared["particles_difference_m"]:.2g} m, '
-            f'{compared["ms_per_reconstruction"]:.3g} ms'
-        )
-    return '\n'.join(lines)
-
-
-def define_flags() -> None:
-    """Defines the flags of the command."""
-    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
-    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
-    flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
-
-
-def run(values) -> None:
-    """Runs the command with its flags."""
-    command.import_tensorflow()
-    description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
-    )
-    print(summary(description, values.output_path))
-
-
-if __name__ == '__main__':
-    define_flags()
-    command.start(run)
