@@ -9,11 +9,10 @@ import tensorflow as tf
 
 from learning_to_simulate.methods.swept_field import tool_path
 
-# Offsets along the way at which the profile is seen, m: around a particle, ahead of the tool, and
-# around the tool for the force.
+# Offsets along the way at which the profile is seen, m: around a particle, and around the tool for
+# the force.
 AROUND = np.array([-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085,
                    0.13, 0.2])  # fmt: skip
-AHEAD = np.array([-0.06, -0.03, 0.0, 0.03, 0.06, 0.1, 0.16])
 SINCE_AROUND = np.array([-0.1, -0.04, 0.0, 0.04, 0.1])
 AT_EDGE = np.array([-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11,
                     0.16])  # fmt: skip
@@ -106,7 +105,6 @@ class Inputs:
         places = u[..., None] + tf.constant(SINCE_AROUND, tf.float32)
         since = self._at(bins[..., _C.SINCE, None], places)[..., 0]
         bumps = [tf.exp(-(((behind - c) / BUMP_WIDTH) ** 2)) for c in BUMPS]
-        ahead = self._ahead(bins, scalars)
         foremost = _scalar(scalars, 'foremost') - u
         columns = [
             behind / 0.15, tf.tanh(behind / 0.03), *bumps,
@@ -126,7 +124,7 @@ class Inputs:
             ],
             axis=-1,
         )
-        shared = tf.concat([self._of_tool(scalars), ahead], axis=-1)
+        shared = self._of_tool(scalars)
         shape = tf.concat([tf.shape(rest)[:2], [shared.shape[-1]]], axis=0)
         return tf.concat([per_particle, tf.broadcast_to(shared[:, None], shape)], axis=-1)
 
@@ -151,6 +149,7 @@ class Inputs:
         return tf.concat(
             [
                 self._of_tool(scalars),
+                self._rates(scalars),
                 there[..., _C.CUT] / 0.03,
                 (there[..., _C.SURFACE] - height) / 0.05,
                 tf.tanh((low - height) / 0.02),
@@ -162,23 +161,22 @@ class Inputs:
             axis=-1,
         )  # fmt: skip
 
-    def _ahead(self, bins, scalars):
-        there = self._at(bins, _scalar(scalars, 'tip') + tf.constant(AHEAD, tf.float32))
-        height = scalars[:, _S['height']][:, None]
-        return tf.concat(
-            [there[..., _C.CUT] / 0.03, (there[..., _C.SURFACE] - height) / 0.05], axis=-1
-        )
-
     def _of_tool(self, scalars):
-        """Inputs [B, I] that say how the tool stands and moves."""
+        """Inputs [B, I] that say how the tool stands. Its velocity is no input of the particles: soil
+        that moves slowly answers to the path alone, and without it they are learned no worse."""
         s = {name: scalars[:, i] for name, i in _S.items()}
-        rates = {'speed': 0.1, 'rise': 0.1, 'turn': 1.0}
         columns = [
             s['height'] / 0.05, tf.nn.relu(s['height']) / 0.03, s['lean'],
             s['area'] / 0.01, tf.sqrt(tf.nn.relu(s['area']) + 1e-6) / 0.1,
             (s['foremost'] - s['tip']) / 0.1, s['half_width'] / 0.2, s['end'] - s['tip'],
-            tf.tanh(s['speed'] / 0.02), tf.tanh(s['rise'] / 0.02),
         ]  # fmt: skip
+        return tf.stack(columns, axis=-1)
+
+    def _rates(self, scalars):
+        """Inputs [B, I] that say how the tool moves and has moved."""
+        s = {name: scalars[:, i] for name, i in _S.items()}
+        rates = {'speed': 0.1, 'rise': 0.1, 'turn': 1.0}
+        columns = [tf.tanh(s['speed'] / 0.02), tf.tanh(s['rise'] / 0.02)]
         for ending in ('', *(f'_{i}' for i in range(len(tool_path.TIME_SCALES)))):
             columns += [s[name + ending] / scale for name, scale in rates.items()]
         return tf.stack(columns, axis=-1)

@@ -7,10 +7,10 @@ from learning_to_simulate.methods.swept_field import tool_path
 
 # Displacements and forces are of the order of these: m, N, N m.
 DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
-# Of each network, beside three components: the share of the tool's way that a particle goes along,
-# and the logarithm of a gain of the load, which grows a hundredfold where the tool is pressed down.
-OUTPUTS = 4
-CARRIED, GAIN_LIMIT = 0.3, 4.0
+OUTPUTS = 3
+# The load grows a hundredfold where the tool is pressed down: beside its three components the
+# network gives the logarithm of a gain, within these limits.
+GAIN_LIMIT = 4.0
 
 
 class Members(tf.Module):
@@ -68,7 +68,7 @@ class FieldNetwork(tf.Module):
         m = config.members
         self.soil = Members(m, [sizes[0], *hidden, OUTPUTS], 2 * config.seed, 'soil')
         hidden = [config.force_latent_size] * 2
-        self.load = Members(m, [sizes[1], *hidden, OUTPUTS], 2 * config.seed + 1, 'load')
+        self.load = Members(m, [sizes[1], *hidden, OUTPUTS + 1], 2 * config.seed + 1, 'load')
 
     def displacement(self, bins, scalars, rest, members: int | None = None):
         """Displacement [M, B, P, 3] (m; along the way, up, across) of particles; see
@@ -78,11 +78,7 @@ class FieldNetwork(tf.Module):
         flat = tf.reshape(seen, [-1, self.sizes[0]])
         moved = self.soil(flat, members)
         shape = tf.concat([[tf.shape(moved)[0]], tf.shape(rest)], axis=0)
-        moved = tf.reshape(moved, tf.concat([shape[:-1], [OUTPUTS]], axis=0))
-        way = tf.nn.relu(scalars[:, tool_path.SCALARS.index('foremost')][:, None] - rest[..., 0])
-        carried = CARRIED / DISPLACEMENT * moved[..., 3] * way
-        moved = tf.stack([moved[..., 0] + carried, moved[..., 1], moved[..., 2]], axis=-1)
-        moved = moved * gate[None, ..., None]
+        moved = tf.reshape(moved, shape) * gate[None, ..., None]
         # Odd across the middle plane: the network sees the distance from it only.
         across = tf.clip_by_value(rest[..., 2:] / 0.05, -1.0, 1.0)
         return (

@@ -66,8 +66,10 @@ def make_field(members=3, seed=0, **config) -> SweptField:
     field = SweptField(settings, scene, AXES, GRID, BLADE, bed_points(), SPACING, SPACING)
     for part in (field.network.soil, field.network.load):
         weight, bias = part.layers[-1]
-        weight.assign(10.0 * weight)
-        bias.assign(bias + 0.5)
+        # Not the gain of the load.
+        scale = np.where(np.arange(bias.shape[-1]) < 3, 10.0, 1.0)
+        weight.assign(scale * weight)
+        bias.assign(0.5 * (scale > 1) + bias)
     field.ranges = {name: [-10.0, 10.0] for name in tool_path.SCALARS}
     return field
 
