@@ -23,6 +23,7 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods import registry
 from pca_tools import files
 from reports import command, markdown, record
 
@@ -59,19 +60,19 @@ def soil_error(field, bed, width: float, pose, dt: float, frames, rest, truth) -
     return ((rest + moved - truth) ** 2).mean(axis=(1, 2))
 
 
-def steadiness(field, reader, split: str, episode, group) -> dict:
+def steadiness(field, evaluator, split: str, group) -> dict:
     """`resampled` and `restart` of a run, see the module.
 
     Args:
       field: `SweptField`.
-      reader: `episodes.EpisodeReader`.
+      evaluator: `FieldEvaluator` of the split.
       split: of the run.
-      episode: of it, from its start.
       group: one-run `RunGroup` of it.
     """
     from learning_to_simulate.methods.swept_field import beds, tool_path
     from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
 
+    episode = evaluator.episode(int(group.record[0]))
     dt, late, axes = field.scene.dt, episode.frames >= H, field.axes
     truth = episode.rest + episode.moved
 
@@ -93,18 +94,18 @@ def steadiness(field, reader, split: str, episode, group) -> dict:
     found = tool_path.frames(
         field.grid, episode.bed, np.array([episode.width]), episode.pose[: middle + 1, None], dt
     )
-    points = reader.points_of(group, 0)
+    points = evaluator.bed(group)
     origin = np.array([episode.pose[0, 0], episode.level, 0.0])
     ground = Ground(points, axes.points(points), origin, episode.width)
     swept = Swept(
         tool_path.Frame(found.bins[middle], found.scalars[middle]), episode.pose[middle], ground
     )
     predicted = FieldSoil(field).particles(swept).astype(np.float64)
-    own = axes.points(predicted[np.asarray(reader.sample(split).indices)])
+    own = axes.points(predicted[np.asarray(evaluator.reader.sample(split).indices)])
     row['second_half_mm'] = rms(whole[half + 1 :])
     for name, points, rest in (
         ('restart_predicted_mm', predicted, own),
-        ('restart_true_mm', reader.points_of(group, middle), truth[half]),
+        ('restart_true_mm', evaluator.bed(group, middle), truth[half]),
     ):
         _, bed = beds.ground(field, episode.pose[middle], points, episode.width)
         row[name] = rms(error(bed, half, rest)[1:])
@@ -150,25 +151,24 @@ def measure(model, data, split: str) -> dict:
       data: `api.Dataset`.
       split: of it.
     """
-    opened = model.open(data, split)
+    opened = registry.open_model(model.path, data.path, split)
     evaluator, field = opened.evaluator, model.model.field
     _, summary = evaluator.run(opened.groups, split, lambda x: tqdm.tqdm(x, desc='runs'))
     cases = data.metadata.get('cases', {}).get(split, [])
+    groups = {int(g.record[i]): g.select(i) for g in opened.groups for i in range(len(g.record))}
     rows = []
-    of_record = {int(g.record[i]): g.select(i) for g in opened.groups for i in range(len(g.record))}
     for fact in tqdm.tqdm(summary['field'], desc='steadiness', disable=None):
         number = fact.pop('record')
         case = cases[number] if number < len(cases) else {}
-        episode = evaluator.episode(number)
-        extra = steadiness(field, evaluator.reader, split, episode, of_record[number])
-        rows.append({'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
-                    | extra)  # fmt: skip
-    longest = max(rows, key=lambda row: row['cut_litre'])
-    poses = data.metadata and getattr(data, split).records[rows.index(longest)].rigid_pose
+        row = {'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
+        rows.append(row | steadiness(field, evaluator, split, groups[number]))
+    # The run that cuts most leaves the most to a bed that is driven over again.
+    most = int(np.argmax([row['cut_litre'] for row in rows]))
+    poses = getattr(data, split).records[most].rigid_pose.astype(float)
     return {
         'runs': rows,
         'reliability': summary['reliability'],
-        'ten_lengths': {'case': longest['case']} | ten_lengths(model, poses.astype(float)),
+        'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses),
     }
 
 

@@ -41,10 +41,13 @@ class FieldEvaluator:
       metadata: of it.
       split: whose runs these are.
       force_mean: [3] of the training runs, N, for the trivial predictor.
+
+    Attributes:
+      reader: as given.
     """
 
     def __init__(self, field, reader, metadata: dict, split: str, force_mean):
-        self._field, self._reader, self._metadata = field, reader, metadata
+        self._field, self.reader, self._metadata = field, reader, metadata
         self._split = split
         self._mean = force_mean
         self._episodes = None
@@ -52,12 +55,13 @@ class FieldEvaluator:
     def episode(self, record: int):
         """`Episode` of a run from its start."""
         if self._episodes is None:
-            self._episodes = {e.record: e for e in self._reader.read(self._split)}
+            self._episodes = {e.record: e for e in self.reader.read(self._split)}
         return self._episodes[record]
 
-    def bed(self, group) -> np.ndarray:
-        """float64 [N, 3], m, of the first frame of a one-run group."""
-        return self._reader.subspace.decode(group.position[0, :1, group.n_rigid :])[0].astype(float)
+    def bed(self, group, frame: int = 0) -> np.ndarray:
+        """float64 [N, 3], m, of a frame of a one-run group, from its modes."""
+        modes = group.position[0, frame : frame + 1, group.n_rigid :]
+        return self.reader.subspace.decode(modes)[0].astype(float)
 
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""
@@ -66,7 +70,7 @@ class FieldEvaluator:
         episode = self.episode(record)
         (frames,) = frames_of([episode], field.grid, field.scene.dt)
         sampled, n_rigid = episode.frames, group.n_rigid
-        space = self._reader.subspace
+        space = self.reader.subspace
         bed = self.bed(group)
         origin = np.array([episode.pose[0, 0], episode.level, 0.0])
         rest = np.concatenate([axes.points(bed) - origin, episode.local_rest])
@@ -87,7 +91,7 @@ class FieldEvaluator:
             deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
         n_bed = len(bed)
         world = axes.world(points[:, n_bed:] - episode.rest)
-        sample = self._reader.sample(self._split)
+        sample = self.reader.sample(self._split)
         position = group.position[:, H:].copy()
         soil = space.encode(bed + axes.world(points[:, :n_bed] - axes.points(bed)))
         at = np.arange(len(frames.scalars))

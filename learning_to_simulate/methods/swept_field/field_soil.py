@@ -83,7 +83,7 @@ class FieldSoil:
 
     def height_map(self, swept: Swept, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface, m; as `live.soil.Soil.height_map`."""
-        return soil.highest(self.particles(swept), self.extent, self._field.axes.up, nx, nz)
+        return soil.surface(self.particles(swept), self.extent, self._field.axes.up, nx, nz)
 
     def modes(self, swept) -> np.ndarray:
         """float64 [T, r, 3] scores, m, of frames.
