@@ -69,7 +69,8 @@ def values(field) -> dict:
         'start_u': float(points[:, 0].max() + field.spacing / 2 - _from_end(field)),
         'start_height': level,
         'n_bin': len(grid.offsets),
-        'n_pad': 2 + int(np.abs([*inputs_lib.AROUND, *inputs_lib.SINCE_AROUND]).max() / grid.spacing),
+        'n_pad': 2
+        + int(np.abs([*inputs_lib.AROUND, *inputs_lib.SINCE_AROUND]).max() / grid.spacing),
         'n_scale': len(tool_path.TIME_SCALES),
         'first': grid.offsets[0],
         'bin': grid.spacing,
