@@ -15,8 +15,8 @@ from learning_to_simulate.methods.swept_field import episodes, soil_physics, too
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from pca_tools import dataset
 
-# Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7 to
-# 5e-6.
+# Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
+# to 5e-6.
 TOLERANCE = 1e-4
 COMPARED_STEPS = 40
 # Frames of a swept field whose particles are compared.
