@@ -182,6 +182,7 @@ class TrainedModel:
     def _from_rest(self):
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
 
@@ -257,7 +258,7 @@ class TrainedModel:
         return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
 
     def _opened(self, split):
-        return self._method.load_code().open_model(self.path, split.folder, split.name)
+        return registry.open_model(self.path, split.folder, split.name)
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
         """Rolls out every run of a split.
@@ -301,7 +302,16 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(_found(name, 'models', 'config.json', DEFAULT_MODEL))
+    return TrainedModel(find_model(name))
+
+
+def find_model(name: str) -> str:
+    """The folder of a model, named as for `load`, without a look inside.
+
+    Raises:
+      FileNotFoundError: no such model; the message lists those that ship.
+    """
+    return _found(name, 'models', 'config.json', DEFAULT_MODEL)
 
 
 def preset(name: str, **fields):
@@ -323,8 +333,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training.loop.run`.
+      ValueError, OSError, SystemExit: as `registry.train`.
     """
-    code = registry.get(config.model).load_code()
-    code.train(data.path, path, config, save_every=save_every)
+    registry.train(data.path, path, config, save_every=save_every)
     return TrainedModel(path)

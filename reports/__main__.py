@@ -28,6 +28,7 @@ REPORTS = {
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stiffness': ('edges.nri_stiffness', 'springs up to the limit of the integrator'),
     'stability_report': ('stability.report', 'stiff and extreme cases, as experiments'),
+    'scenes': ('scenes.report', 'scenes of every kind: data, error, time, weights, edges'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
 }

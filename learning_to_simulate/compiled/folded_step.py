@@ -112,7 +112,7 @@ class FoldedStep:
     def written_shapes(self, carry: MovingState):
         """Of modes, body and force."""
         force = (
-            [(carry.modes.shape[0], self.simulator.dim)] if self.simulator.scene.has_force else []
+            [(carry.modes.shape[0], self.simulator.force_size)] if self.simulator.force_size else []
         )
         return [carry.modes.shape, carry.body.shape, *force]
 

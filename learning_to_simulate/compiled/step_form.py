@@ -73,7 +73,8 @@ class PlainStep:
     def written_shapes(self, carry: SimulatorState):
         """Of offsets and force."""
         shape = carry.offset.shape
-        force = [(shape[0], shape[2])] if self.simulator.scene.has_force else []
+        size = self.simulator.force_size
+        force = [(shape[0], size)] if size else []
         return [shape, *force]
 
     def results(self, stacked, known):

@@ -10,7 +10,7 @@ from learning_to_simulate.export_c import c_library, project
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import episodes, soil_physics, tool_path
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from pca_tools import dataset
@@ -33,7 +33,7 @@ def graph(model_path, data_path, model, n_rigid, subspace, name, values) -> dict
     Raises:
       ValueError: a difference above the tolerance.
     """
-    opened = subspace_method.open_model(model_path, data_path, 'test')
+    opened = registry.open_model(model_path, data_path, 'test')
     groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n_rigid), None)
     if group is None:

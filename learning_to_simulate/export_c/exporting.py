@@ -128,7 +128,7 @@ def main(_) -> None:
     try:
         description = export(v.model_path, v.data_path, v.output_path, v.format, v.n_rigid)
     except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(description, v.output_path))
 
 
