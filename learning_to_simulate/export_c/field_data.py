@@ -15,7 +15,6 @@ from learning_to_simulate.methods.swept_field import live, network, quality, too
 _PLACES = {
     'around': inputs_lib.AROUND,
     'since': inputs_lib.SINCE_AROUND,
-    'ahead': inputs_lib.AHEAD,
     'edge': inputs_lib.AT_EDGE,
     'contact': inputs_lib.CONTACT_AROUND,
     'bumps': inputs_lib.BUMPS,
@@ -23,7 +22,7 @@ _PLACES = {
 # What the C code was written for; another table of inputs needs another twin.
 _SCALARS = ('tip', 'height', 'lean', 'speed', 'rise', 'turn')
 _LAST_SCALARS = ('area', 'foremost', 'half_width', 'end')
-_OWN, _OF_EDGE = 15, 7  # inputs of a particle and of the force that no list of places counts
+_OWN, _OF_TOOL, _OF_EDGE = 15, 8, 7  # inputs of a particle and of the force that no list of places counts
 _RATES = ('speed', 'rise', 'turn')
 
 
@@ -37,11 +36,11 @@ def values(field) -> dict:
       ValueError: inputs that the C code does not know.
     """
     sizes = {name: len(places) for name, places in _PLACES.items()}
-    n_tool = 10 + 3 * (1 + len(tool_path.TIME_SCALES))
+    n_motion = 2 + 3 * (1 + len(tool_path.TIME_SCALES))
     counts = {
         'n_seen': _OWN + sizes['bumps'] + 2 * sizes['around'] + sizes['since'],
-        'n_shared': n_tool + 2 * sizes['ahead'],
-        'n_force': n_tool + 4 * sizes['edge'] + _OF_EDGE,
+        'n_shared': _OF_TOOL,
+        'n_force': _OF_TOOL + n_motion + 4 * sizes['edge'] + _OF_EDGE,
     }
     _check(field, counts)
     c, n_member = c_header.constants(), field.config.members
@@ -116,8 +115,7 @@ def values(field) -> dict:
         'full_width': network.WIDTH,
         'limits': np.stack([low - margin, high + margin]),
         'bits': np.array([c[_bit(name)] for name in tool_path.SCALARS]),
-        'carried': getattr(network, 'CARRIED', 0.0),
-        'gain_limit': getattr(network, 'GAIN_LIMIT', 0.0),
+        'gain_limit': network.GAIN_LIMIT,
         'bound': _bound(field.calibration.get('force', ())),
         **counts,
         **{name: places for name, places in _PLACES.items()},
