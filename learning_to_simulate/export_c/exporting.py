@@ -1,4 +1,4 @@
-"""Exports a trained model as a C project (`--format=c`) or as an FMU (`--format=fmu`).
+"""Exports a trained model as a C project (`--format=c`) or an FMU (`fmu`: FMI 2.0, `fmu3`: 3.0).
 
 What was written is compiled, run over a recorded test run and compared with the TensorFlow stepper;
 beyond round-off the export is refused.
@@ -27,7 +27,8 @@ from learning_to_simulate.methods.swept_field import model_files
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
-FORMATS = ('c', 'fmu')
+_FMI = {'fmu': 2, 'fmu3': 3}  # versions
+FORMATS = ('c', 'fmu', 'fmu3')
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -37,7 +38,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       model_path: trained model.
       data_path: its dataset; gives starts, the run to compare on and the subspace.
       output_path: folder to write; must be absent or empty.
-      kind: 'c' or 'fmu'.
+      kind: one of `FORMATS`.
       n_rigid: R of the exported graph; None for that of the model's first training run.
 
     Returns:
@@ -64,8 +65,8 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     }
 
     def fill(folder):
-        if kind == 'fmu':
-            fmu.write(os.path.join(folder, f'{name}.fmu'), name, values)
+        if kind in _FMI:
+            fmu.write(os.path.join(folder, f'{name}.fmu'), name, values, _FMI[kind])
         else:
             project.write(folder, name, values)
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)

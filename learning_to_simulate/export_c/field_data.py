@@ -22,7 +22,11 @@ _PLACES = {
 # What the C code was written for; another table of inputs needs another twin.
 _SCALARS = ('tip', 'height', 'lean', 'speed', 'rise', 'turn')
 _LAST_SCALARS = ('area', 'foremost', 'half_width', 'end')
-_OWN, _OF_TOOL, _OF_EDGE = 15, 8, 7  # inputs of a particle and of the force that no list of places counts
+_OWN, _OF_TOOL, _OF_EDGE = (
+    15,
+    8,
+    7,
+)  # inputs of a particle and of the force that no list of places counts
 _RATES = ('speed', 'rise', 'turn')
 
 
@@ -116,7 +120,7 @@ def values(field) -> dict:
         'limits': np.stack([low - margin, high + margin]),
         'bits': np.array([c[_bit(name)] for name in tool_path.SCALARS]),
         'gain_limit': network.GAIN_LIMIT,
-        'bound': _bound(field.calibration.get('force', ())),
+        'bound': np.array(field.calibration.get('force', ())),
         **counts,
         **{name: places for name, places in _PLACES.items()},
         **{f'n_{name.rstrip("s")}': size for name, size in sizes.items()},
@@ -145,12 +149,6 @@ def _check(field, counts):
     expected = {'width', 'radius', 'length'}
     if {f.name for f in dataclasses.fields(field.blade)} != expected:
         raise ValueError(f'the C form knows of a blade {sorted(expected)} only')
-
-
-def _bound(weights):
-    if np.ndim(weights):
-        return np.array(weights)
-    return weights * np.array([quality.FLOORS['force'], 1.0, 0.0])
 
 
 def _from_end(field):
