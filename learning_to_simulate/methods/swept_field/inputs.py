@@ -162,8 +162,8 @@ class Inputs:
         )  # fmt: skip
 
     def _of_tool(self, scalars):
-        """Inputs [B, I] that say how the tool stands; particles do not see how it moves: soil that is
-        moved slowly answers to the path alone."""
+        """Inputs [B, I] that say how the tool stands. Particles do not see how it moves: slow soil
+        answers to the path alone."""
         s = {name: scalars[:, i] for name, i in _S.items()}
         columns = [
             s['height'] / 0.05, tf.nn.relu(s['height']) / 0.03, s['lean'],

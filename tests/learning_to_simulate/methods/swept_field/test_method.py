@@ -18,7 +18,7 @@ from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 SMALL = {
     'members': 2, 'latent_size': 16, 'hidden_layers': 2, 'force_latent_size': 16,
-    'num_steps': 150, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
+    'num_steps': 250, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
 }  # fmt: skip
 
 
@@ -97,7 +97,7 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
     summary = json.loads((tmp_path / 'metrics.json').read_text())
     sample = method._evaluator(
         method.load(model_path).field, data_path, metadata, 'test', np.zeros(3)
-    )._reader.sample('test')  # fmt: skip
+    ).reader.sample('test')  # fmt: skip
     frames = np.arange(8, 61, 4)
     truth = sample[0][frames // 4]
     predicted = prediction.particles(frames, np.asarray(sample.indices))
