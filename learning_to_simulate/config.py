@@ -21,7 +21,7 @@ RANGES = {
     'unroll_length': (2, 10_000), 'unroll_steps': (0, LARGEST), 'unroll_batch_size': (1, 100_000),
     'noise_std': (0, LARGEST), 'rigid_particles': (0, MAX_RIGID), 'rigid_stride': (1, MAX_RIGID),
     'modes': (0, MAX_MODES), 'velocity_inputs': (1, INPUT_SEQUENCE_LENGTH - 1),
-    'mode_order': (1, 2), 'rigid_order': (1, 2), 'weight_average': (0, 1),
+    'mode_order': (0, 2), 'copies': (0, 100), 'rigid_order': (1, 2), 'weight_average': (0, 1),
 }  # fmt: skip
 
 
@@ -62,7 +62,15 @@ class TrainConfig:
         order 1.
       predict_driven_body: predict every particle of a body whose rotation and travel are given, the
         published way, instead of its height alone.
-      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
+      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame; 0
+        (modes only, with `path_inputs`) predicts where they are, counted from the last given frame:
+        then no error is carried from frame to frame but by the inputs.
+      path_inputs: what the tool has done since the start of the run is an input (`path_memory`);
+        needs a body whose whole motion is given.
+      state_inputs: whether the state of the modes is an input; without it (with `path_inputs`, no
+        graph) a frame depends on the path alone.
+      copies: so many shifted or mirrored copies of each training run are trained on as well
+        (`symmetric_copies`).
       noise_std: random-walk noise of the last input step; m/frame, or a fraction of each node's own
         velocity scale if `noise_relative`.
       latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
@@ -98,6 +106,9 @@ class TrainConfig:
     predict_driven_body: bool = False
     mode_order: int = 1
     rigid_order: int = 1
+    path_inputs: bool = False
+    state_inputs: bool = True
+    copies: int = 0
     noise_std: float = 0.5
     noise_relative: bool = True
     latent_size: int = 64
@@ -144,6 +155,7 @@ class TrainConfig:
             raise ValueError(
                 f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
             )
+        self._check_path()
         if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
             raise ValueError(
                 f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
@@ -159,6 +171,20 @@ class TrainConfig:
                 'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
                 'with the rate'
             )
+
+    def _check_path(self):
+        if not self.path_inputs and (self.mode_order == 0 or not self.state_inputs):
+            raise ValueError(
+                f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need '
+                f'path_inputs: a place and soil without a state follow from the path alone'
+            )
+        if not self.state_inputs and self.model != 'mlp':
+            raise ValueError(
+                f'state_inputs is False with model {self.model!r}: only the MLP does without, '
+                f'edges and mixers are made of the state'
+            )
+        if self.path_inputs and not self.conditioned:
+            raise ValueError('path_inputs needs conditioned: the published inputs have no path')
 
     def _check_fields(self):
         """Every field by itself: its type and its range."""

@@ -118,7 +118,7 @@ def _check_statistics(statistics, scene):
     shapes = {
         'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
         'force_mean': (dim,), 'force_std': (dim,), 'height_std': (1,), 'height_velocity_std': (1,),
-        'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
+        'body_speed': (1,), 'path': (5,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
         'position_range': (2, classes, dim), 'given_range': (2, dim),
         'given_velocity_range': (2, dim),

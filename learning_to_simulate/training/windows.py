@@ -5,6 +5,8 @@ import copy
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+
 # The force error of a run is counted in units of the run's own force, because that is how it is
 # judged (relative L2); a run with less than this share of the largest force counts as if it had it.
 FORCE_FLOOR = 0.02
@@ -34,6 +36,12 @@ class GroupTensors:
             self.force_weight = tf.constant(weight, tf.float32)
         if statistics.context_mean is not None:
             self.context = tf.constant(group.context, tf.float32)
+        self.path = self.start = None
+        if layout.memory is not None:
+            path = layout.memory.read(group.position[:, :, : group.n_rigid])
+            self.path = tf.constant(path.reshape(flat[0], -1))
+            start = (group.position - layout.origin)[:, INPUT_SEQUENCE_LENGTH - 1, group.n_rigid :]
+            self.start = tf.constant(start, tf.float32)
 
     def with_layout(self, layout):
         """The same runs on another graph of the same nodes."""
@@ -51,13 +59,18 @@ class GroupTensors:
         return pick // n_start, pick % n_start
 
     def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names."""
+        """Gathers the windows that `picks` names: offsets, velocities, force, context, weights of
+        the force, and (path, start) as of `KnownMotion`."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
+        memory = (None, None)
+        if self.path is not None:
+            memory = tf.gather(self.path, frames), tf.gather(self.start, run)
         return (
             tf.gather(self.offset, frames),
             tf.gather(self.velocity, frames),
             None if self.force is None else tf.gather(self.force, frames),
             None if self.context is None else tf.gather(self.context, run),
             1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
+            memory,
         )
