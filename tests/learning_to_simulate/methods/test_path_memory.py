@@ -86,9 +86,8 @@ def test_speed_fades_as_a_first_order_lag():
 
 
 def test_it_survives_the_model_folder_and_refuses_a_path_beyond_its_bins():
-    again = PathMemory.of_statistics(
-        MEMORY.to_statistics(), type('S', (), {'up_axis': 1, 'dt': DT})
-    )
+    scene = SimpleNamespace(up_axis=1, dt=DT)
+    again = PathMemory.of_statistics(MEMORY.to_statistics(), scene)
     assert again == MEMORY
     x = np.array([[0.7, -0.4]])
     with pytest.raises(ValueError, match='bins'):
