@@ -173,13 +173,9 @@ def compute_statistics(
         if config.statistics_by_class
         else _dataset_wide(metadata, scene, config, origin)
     )
-    if not config.mode_order:
-        since = [p - p[:, INPUT_SEQUENCE_LENGTH - 1 :][:, :1] for p in positions]
-        places = _by_class(since, r)
-        values['place_mean'] = np.stack([p.mean(axis=0) for p in places])
-        values['place_std'] = _floored(np.stack([p.std(axis=0) for p in places]))
     ranges = training_ranges(positions, contexts, scene)
-    return Statistics(**values, **_targets(values, heights, scene, config), **ranges)
+    targets = _targets(values, _places(positions, r), heights, scene, config)
+    return Statistics(**values, **targets, **ranges)
 
 
 def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray | None]:
@@ -287,13 +283,23 @@ def _force_spread(force):
     return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
-def _targets(values, heights, scene, config):
+def _places(positions, n_modes):
+    """Mean and std of where each class is, counted from the last given frame of its run."""
+    since = [p - p[:, INPUT_SEQUENCE_LENGTH - 1 :][:, :1] for p in positions]
+    places = _by_class(since, n_modes)
+    return {
+        'mean': np.stack([p.mean(axis=0) for p in places]),
+        'std': _floored(np.stack([p.std(axis=0) for p in places])),
+    }
+
+
+def _targets(values, places, heights, scene, config):
     """Statistics of what is predicted: place since the start (order 0), displacement (order 1) or
     acceleration (order 2) of each class."""
     target = {}
     for name in ('mean', 'std'):
         by_order = {
-            0: values.pop(f'place_{name}', None),
+            0: places[name],
             1: values[f'velocity_{name}'],
             2: values[f'acceleration_{name}'],
         }
