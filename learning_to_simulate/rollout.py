@@ -69,7 +69,7 @@ class RolloutFunction:
         Args:
           state: after the first H frames.
           known: `KnownMotion` with a leading frame axis [n_frame, B, ...], or None.
-          context: float32 [B, C] or None.
+          context: float32 [B, C], or [n_frame, B, C] where it changes in time, or None.
           n_frame: number of frames.
 
         Returns:
@@ -111,7 +111,10 @@ def rollout_inputs(group, layout: Layout, scene):
         path = layout.memory.read(group.position[:, :, : group.n_rigid])[:, h:]
         start = tf.constant(offset[:, h - 1, group.n_rigid :], tf.float32)
         known = known._replace(path=tf.constant(np.moveaxis(path, 1, 0)), start=start)
-    context = None if group.context is None else tf.constant(group.context, tf.float32)
+    context = group.context
+    if context is not None:
+        by_frame = np.moveaxis(context[:, h:], 1, 0) if group.context_changes else context
+        context = tf.constant(by_frame, tf.float32)
     return state, known, context, group.position.shape[1] - h
 
 

@@ -70,12 +70,13 @@ class CompiledStep:
             for body in history[1:, :n]:
                 self._memory = layout.memory.advance(self._memory, body[None])
 
-    def propose(self, body, displacement):
+    def propose(self, body, displacement, context=None):
         """The next frame; the state stays as it is until `accept`.
 
         Args:
           body: float64 [R, D], m, the body in the coming frame, or None where it is predicted.
           displacement: float64 [R, D], m, of the body into that frame; or None.
+          context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
           float64 [V, D] positions, m, and float32 [D] force, N, or None.
@@ -94,13 +95,16 @@ class CompiledStep:
             self._coming = memory.advance(self._memory, body[None])
             path = tf.constant(memory.values(self._coming))
             known = known._replace(path=path, start=self._start)
-        self._proposed, force = self._call(self._state, known, self._context, self._shape)
-        position = self._proposed.offset.numpy()[0] + self._layout.origin
+        context = self._context if context is None else tf.constant(context[None], tf.float32)
+        after, force = self._call(self._state, known, context, self._shape)
+        self._proposed = after, context
+        position = after.offset.numpy()[0] + self._layout.origin
         return position, None if force is None else force.numpy()[0]
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
-        self._state, self._memory = self._proposed, self._coming
+        self._state, self._context = self._proposed
+        self._memory = self._coming
 
     def _compute(self, state, known, context, shape):
         if self._simulator.config.has_lasting_graph:

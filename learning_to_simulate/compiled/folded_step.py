@@ -15,7 +15,7 @@ import tensorflow as tf
 
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator, Given, MovingState
-from learning_to_simulate.compiled.step_form import PlainStep
+from learning_to_simulate.compiled.step_form import PlainStep, context_in
 from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
 from learning_to_simulate.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.rigid_body import Correction, given_part
@@ -73,7 +73,7 @@ class FoldedStep:
 
         def frame(k):
             at = [None if x is None else x[k] for x in (*given, path)]
-            now = Given(*at[:3], context, at[3], start)
+            now = Given(*at[:3], context_in(context, k), at[3], start)
             return FramePass(results, k), now
 
         return frame
@@ -82,10 +82,16 @@ class FoldedStep:
         """What is computed of all frames at once, by name; `given` is of `given_motion`, path and
         start of `KnownMotion`."""
         ahead = AheadPass(n_frame)
-        given = (*given, path)
-        *rows, paths = [None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given]
-        contexts = None if context is None else tf.tile(context, [n_frame, 1])
+
+        def rows_of(x):
+            return tf.reshape(x, [-1, *x.shape[2:]])
+
+        *rows, paths = [None if x is None else rows_of(x) for x in (*given, path)]
         starts = None if start is None else tf.tile(start, [n_frame, 1, 1])
+        contexts = context
+        if context is not None:
+            by_frame = context.shape.rank == 3
+            contexts = rows_of(context) if by_frame else tf.tile(context, [n_frame, 1])
         nothing = MovingState(None, None, None, None)
         self._folded.predict(ahead, Given(*rows, contexts, paths, starts), nothing)
         return ahead.results
@@ -112,7 +118,7 @@ class FoldedStep:
     def written_shapes(self, carry: MovingState):
         """Of modes, body and force."""
         force = (
-            [(carry.modes.shape[0], self.simulator.dim)] if self.simulator.scene.has_force else []
+            [(carry.modes.shape[0], self.simulator.force_size)] if self.simulator.force_size else []
         )
         return [carry.modes.shape, carry.body.shape, *force]
 

@@ -2,7 +2,8 @@
 
 Rollouts, live steps and the count of products use the same five methods:
 
-  ahead(state, known, context, n_frame) -> frames   what is known of every frame; frames(k) is one
+  ahead(state, known, context, n_frame) -> frames   what is known of every frame; frames(k) is one;
+                                                    context [B, C], or [n_frame, B, C], or None
   begin(state) -> carry                             the part of the state that frames change
   advance(carry, frame) -> carry, written           one frame; written are tensors to be kept
   written_shapes(carry) -> shapes                   of `written`
@@ -15,6 +16,11 @@ import tensorflow as tf
 from learning_to_simulate.learned_simulator import SimulatorState
 from learning_to_simulate.rigid_body import Correction
 from learning_to_simulate.scene import RigidMotion
+
+
+def context_in(context, frame):
+    """The context [B, C] of a frame, of one [B, C] for all or [n_frame, B, C]; None for None."""
+    return context if context is None or context.shape.rank == 2 else context[frame]
 
 
 class PlainStep:
@@ -38,7 +44,7 @@ class PlainStep:
         del state, n_frame
 
         def frame(k):
-            return None if known is None else known.at(k), context
+            return None if known is None else known.at(k), context_in(context, k)
 
         return frame
 
@@ -66,7 +72,8 @@ class PlainStep:
     def written_shapes(self, carry: SimulatorState):
         """Of offsets and force."""
         shape = carry.offset.shape
-        force = [(shape[0], shape[2])] if self.simulator.scene.has_force else []
+        size = self.simulator.force_size
+        force = [(shape[0], size)] if size else []
         return [shape, *force]
 
     def results(self, stacked, known):

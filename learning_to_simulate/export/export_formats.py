@@ -141,13 +141,14 @@ class StepFunctions:
             if known is not None:
                 values['rigid_offset'], values['rigid_velocity'] = (x[0].numpy() for x in known[:2])
         if group.context is not None:
-            values['context'] = group.context[0].astype(np.float32)
+            values['context'] = group.context_at(frame, 0).astype(np.float32)
         return values
 
     def source_step(self, group, frame: int):
         """What the source model says: displacements [V, D] and force [D] or None."""
         state, known = self._recorded(group, frame)
-        context = None if group.context is None else tf.constant(group.context, tf.float32)
+        context = group.context_at(frame)
+        context = None if context is None else tf.constant(context, tf.float32)
         after, force = self.simulator.step(state, known, context, self.layout)
         velocity = after.velocity[0, :, -1].numpy().astype(np.float64)
         if self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:

@@ -20,7 +20,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -82,7 +82,7 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
     Raises:
       ValueError: a difference above the tolerance.
     """
-    opened = subspace_method.open_model(model_path, data_path, 'test')
+    opened = registry.open_model(model_path, data_path, 'test')
     groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n_rigid), None)
     if group is None:
@@ -96,14 +96,15 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
             return {'skipped': str(error)}
         soil = CSoil.open(library, name)
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
-    context = None if group.context is None else group.context[0]
     nodes, forces, particles = ([], []), ([], []), []
     known = model.simulator.scene.rigid_motion.is_known
     for stepper in steppers:
-        stepper.reset(group.position[0, :H], context)
-    for pose in group.position[0, H : H + COMPARED_STEPS, :n_rigid]:
+        stepper.reset(group.position[0, :H], group.context_at(H, 0))
+    poses = group.position[0, H : H + COMPARED_STEPS, :n_rigid]
+    for k, pose in enumerate(poses, H):
+        context = group.context_at(k, 0) if group.context_changes else None
         for stepper, of_nodes, of_force in zip(steppers, nodes, forces):
-            frame = stepper.step(pose if known else None)
+            frame = stepper.step(pose if known else None, context)
             of_nodes.append(np.concatenate([frame.rigid_pose, frame.modes]))
             of_force.append(np.zeros(3) if frame.force is None else frame.force)
         if subspace is not None:
@@ -167,7 +168,7 @@ def main(_) -> None:
     try:
         description = export(v.model_path, v.data_path, v.output_path, v.format, v.n_rigid)
     except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(description, v.output_path))
 
 

@@ -55,7 +55,7 @@ def read(data_path: str, metadata: dict, config, n_rigid: int) -> list[dict]:
             start = {
                 'modes': nodes[n_rigid:],
                 'points': nodes[:n_rigid],
-                'context': np.zeros(0) if group.context is None else group.context[run],
+                'context': np.zeros(0) if group.context is None else group.context_at(0, run),
             }
             if not any(_same(start, other) for other in found):
                 found.append(start)

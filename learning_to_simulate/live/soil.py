@@ -5,6 +5,33 @@ import numpy as np
 from pca_tools.subspace import Subspace
 
 
+def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
+    """Heights of particles on a grid.
+
+    Args:
+      points: [N, 3], m.
+      extent: [2, 2], m, lowest and highest of the two level axes; particles beyond it count in the
+        cells of the rim.
+      up_axis: axis against gravity.
+      nx, nz: cells along the two axes.
+
+    Returns:
+      float32 [nx, nz], m, of the highest particle of each cell; NaN where a cell has none.
+
+    Raises:
+      ValueError: no cells.
+    """
+    if nx < 1 or nz < 1:
+        raise ValueError(f'a height map of {nx} x {nz} cells has none')
+    low, high = np.transpose(extent)
+    plan = np.delete(points, up_axis, axis=1)
+    cell = (plan - low) / (high - low) * (nx, nz)
+    cell = np.clip(np.nan_to_num(cell).astype(int), 0, (nx - 1, nz - 1))
+    heights = np.full(nx * nz, -np.inf, np.float32)
+    np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, up_axis])
+    return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
+
+
 class Soil:
     """Decodes frames of one subspace, in float32.
 
@@ -49,11 +76,4 @@ class Soil:
         Raises:
           ValueError: no cells.
         """
-        if nx < 1 or nz < 1:
-            raise ValueError(f'a height map of {nx} x {nz} cells has none')
-        points = self.particles(modes)
-        cell = (points[:, self._plan] - self._low) / self._size * (nx, nz)
-        cell = np.clip(np.nan_to_num(cell).astype(int), 0, (nx - 1, nz - 1))
-        heights = np.full(nx * nz, -np.inf, np.float32)
-        np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, self._up])
-        return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
+        return surface(self.particles(modes), self.extent, self._up, nx, nz)

@@ -40,7 +40,7 @@ class Frame(NamedTuple):
 
     Attributes:
       modes: float64 [r, D] scores, m.
-      force: float32 [D] on the body, N, or None where the scene has no force.
+      force: float32 [D] on the body, N, or [B, D] on several; None where the scene has no force.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       judgement: how far the rollout can be trusted up to this frame: the worst since the start,
         with the frame in which it began and the reason.
@@ -122,6 +122,8 @@ class Stepper:
         simulator = model.simulator
         self._scene, self._dim, self._outside = simulator.scene, simulator.dim, outside
         self._layout = model.layout(n_rigid)
+        of_each = simulator.force_size > self._dim
+        self._force_shape = (len(self._scene.bodies), self._dim) if of_each else (self._dim,)
         self.soil = (
             None
             if subspace is None
@@ -188,7 +190,7 @@ class Stepper:
         with _Held(self._lock):
             self._back_end.reset(history, context)
             self._pose, self._frame = history[-1, :n], H - 1
-            force = np.zeros(self._dim, np.float32) if self._scene.has_force else None
+            force = np.zeros(self._force_shape, np.float32) if self._scene.has_force else None
             self._last = Frame(
                 history[-1, n:], force, history[-1, :n], judgement, judgement.status, self.soil
             )
@@ -199,17 +201,18 @@ class Stepper:
             raise ValueError(f'the scene takes context {list(names)}, got {context}')
         return numbers('context', context, (len(names),)) if names else None
 
-    def step(self, rigid_pose=None) -> Frame:
+    def step(self, rigid_pose=None, context=None) -> Frame:
         """Predicts the next frame.
 
         Args:
           rigid_pose: [R, D] positions of the body in the coming frame, m, where its motion is given
             (of a driven body the mean height is ignored); None where it is predicted.
+          context: [C] in the coming frame and those after it; None leaves it as it was.
 
         Raises:
-          ValueError: before `reset`; a pose where none is taken or the other way round; wrong shape
-            or kind of values; values that are not finite in float32; with `outside='raise'` a frame
-            that is not `ok`. The state stays as it was.
+          ValueError: before `reset`; a context or a pose where none is taken, or no pose where one
+            is; wrong shape or kind of values; values that are not finite in float32; with
+            `outside='raise'` a frame that is not `ok`. The state stays as it was.
           RuntimeError: another thread uses the stepper.
         """
         with _Held(self._lock):
@@ -224,9 +227,12 @@ class Stepper:
                 flagged = self._last.judgement.status != RolloutStatus.OK
                 in_words = not flagged or self._outside != FLAG
                 judgement = self.judge.given(frame, body, self._pose, in_words)
+            if context is not None:
+                context = self._checked_context(context)
+                judgement = judgement or self.judge.context(frame, context)
             if judgement and self._outside != FLAG:
                 return self._refused(judgement)
-            position, force = self._back_end.propose(body, displacement)
+            position, force = self._back_end.propose(body, displacement, context)
             predicted = self.judge.predicted(frame, position, force)
             now = worse(predicted, judgement) if judgement else predicted
             if self._outside != FLAG and now.status != RolloutStatus.OK:
@@ -235,6 +241,8 @@ class Stepper:
                 if values is not None:
                     values.setflags(write=False)
             so_far = worse(self._last.judgement, now)
+            if force is not None:
+                force = force.reshape(self._force_shape)
             result = Frame(position[n:], force, position[:n], so_far, now.status, self.soil)
             if now.status == RolloutStatus.NON_FINITE:
                 self._last = self._last._replace(judgement=so_far)

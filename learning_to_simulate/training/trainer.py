@@ -225,7 +225,7 @@ class Trainer:
         known = self._known(offset, velocity, memory, layout, h)
         moved = velocity[:, h] if self.config.mode_order else offset[:, h] - state.offset
         target = self.simulator.normalized_target(moved, state, known, layout)
-        predicted, predicted_force = self.simulator.predict(state, known, context, layout)
+        predicted, predicted_force = self.simulator.predict(state, known, context(h), layout)
         true_force = None if force is None else force[:, h]
         values = losses.one_step_loss(
             target, predicted, true_force, predicted_force, layout.loss_weight, force_weight
@@ -244,7 +244,7 @@ class Trainer:
         offsets, forces = [], []
         for k in range(n):
             known = self._known(offset, velocity, memory, layout, h + k)
-            state, predicted_force = self.simulator.step(state, known, context, layout)
+            state, predicted_force = self.simulator.step(state, known, context(h + k), layout)
             offsets.append(state.offset)
             forces.append(predicted_force)
         s = self.simulator.statistics

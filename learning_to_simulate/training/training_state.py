@@ -17,7 +17,7 @@ from pca_tools import files
 
 KEPT = 2
 _NAME = re.compile(r'ckpt-(\d+)\.(json|index|data-\d+-of-\d+)')
-_LEFTOVER = re.compile(r'ckpt-\d+_temp|\..*\.\d+\.tmp')
+_LEFTOVER = re.compile(r'ckpt-\d+_temp|\..*\.tmp')
 
 
 def stored_steps(path: str) -> list[int]:

@@ -35,7 +35,9 @@ class GroupTensors:
                 weight = np.ones(self.n_run)
             self.force_weight = tf.constant(weight, tf.float32)
         if statistics.context_mean is not None:
-            self.context = tf.constant(group.context, tf.float32)
+            self._context_by_frame = group.context_changes
+            rows = group.context.reshape(-1, group.context.shape[-1])
+            self.context = tf.constant(rows, tf.float32)
         self.path = self.start = None
         if layout.memory is not None:
             path = layout.memory.read(group.position[:, :, : group.n_rigid])
@@ -58,9 +60,18 @@ class GroupTensors:
         )
         return pick // n_start, pick % n_start
 
+    def _context_of(self, run, frames):
+        """Context [B, C] or None of windows, called with the number of a frame in the window."""
+        if self.context is None:
+            return lambda k: None
+        if self._context_by_frame:
+            return lambda k: tf.gather(self.context, frames[:, k])
+        constant = tf.gather(self.context, run)
+        return lambda k: constant
+
     def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names: offsets, velocities, force, context, weights of
-        the force, and (path, start) as of `KnownMotion`."""
+        """Gathers the windows that `picks` names: offsets, velocities, force, context as of
+        `_context_of`, weights of the force, and (path, start) as of `KnownMotion`."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
         memory = (None, None)
@@ -70,7 +81,7 @@ class GroupTensors:
             tf.gather(self.offset, frames),
             tf.gather(self.velocity, frames),
             None if self.force is None else tf.gather(self.force, frames),
-            None if self.context is None else tf.gather(self.context, run),
+            self._context_of(run, frames),
             1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
             memory,
         )

@@ -28,7 +28,7 @@ from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.features import EMBEDDING_SIZE
 from learning_to_simulate.learned_simulator import Layout
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import files
@@ -70,7 +70,7 @@ class Explanation:
     """
 
     def __init__(self, model_path: str, data_path: str):
-        opened = subspace_method.open_model(model_path, data_path, 'test')
+        opened = registry.open_model(model_path, data_path, 'test')
         model, metadata, groups = opened.model, opened.metadata, opened.groups
         self._simulator = simulator = model.simulator
         if not simulator.config.has_lasting_graph:

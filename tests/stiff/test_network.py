@@ -187,10 +187,10 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
 
     Order 1 (pcg) and order 2 (pcg_thesis); float32 offsets and velocities, float64 origin.
     """
-    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.methods import registry
 
     folder = str(ROOT / 'datasets' / scene)
-    opened = subspace_method.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')
+    opened = registry.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')
     model, groups = opened.model, opened.groups
     simulator, group = model.simulator, groups[0]
     layout = model.layout(group.n_rigid)

@@ -92,7 +92,7 @@ class ParticleTrainer:
             walk = rng.normal(size=velocity.shape).cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk
-        context = None if group.context is None else group.context[run]
+        context = group.context_at(end + 1, run)
         graph = simulator.inputs(position, velocity, given, context, n)
         base = velocity[-1] if config.mode_order == 2 else 0.0
         std = s.acceleration_std if config.mode_order == 2 else s.velocity_std

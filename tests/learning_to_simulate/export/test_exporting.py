@@ -9,7 +9,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, rollout
 from learning_to_simulate.export import exporting
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -24,9 +24,9 @@ import tensorflow as tf
 model = tf.saved_model.load(sys.argv[1])
 given = np.load(sys.argv[2])
 history, forces = given['history'], []
-for coming in given['coming']:
+for coming, context in zip(given['coming'], given['context']):
     inputs = {'position_history': history, 'next_rigid_position': coming,
-              'context': given['context']}
+              'context': context}
     out = model.signatures['step'](**{k: tf.constant(v) for k, v in inputs.items()})
     history = np.concatenate([history[1:], out['next_position'][None]])
     forces.append(out['force'])
@@ -48,20 +48,20 @@ def make(tmp_path, motion, with_subspace=True, **more):
 
 
 def test_saved_model_rolls_out_without_the_project(tmp_path):
-    model_path, data = make(tmp_path, 'driven', context=True)
+    model_path, data = make(tmp_path, 'driven', context='changing')
     out = str(tmp_path / 'exported')
     description = exporting.export(model_path, data, out, 'savedmodel')
     assert set(description['signatures']) == {'step', 'reconstruct'}
     written = json.loads((tmp_path / 'exported' / 'export.json').read_text())
     assert written == json.loads(json.dumps(description))
-    opened = subspace_method.open_model(model_path, data, 'test')
+    opened = registry.open_model(model_path, data, 'test')
     model, groups = opened.model, opened.groups
     group = groups[0].select(0)
     np.savez(
         tmp_path / 'given.npz',
         history=group.position[0, :6],
         coming=group.position[0, 6 : 6 + N_STEP, :4],
-        context=group.context[0].astype(np.float32),
+        context=group.context[0, 6 : 6 + N_STEP].astype(np.float32),
     )
     arguments = [out, str(tmp_path / 'given.npz'), str(tmp_path / 'result.npz')]
     subprocess.run([sys.executable, '-c', PROGRAM, *arguments], cwd=tmp_path, check=True)

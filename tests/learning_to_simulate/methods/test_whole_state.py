@@ -5,7 +5,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.mixer_model import Excitation
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.training.trainer import Trainer
@@ -177,10 +177,10 @@ def test_training_resumes_and_rolls_out(tmp_path, model):
     folder = synthetic.write_dataset(tmp_path / 'data')
     path = str(tmp_path / 'model')
     config = presets.make_config(model, **SHORT)
-    subspace_method.train(folder, path, config, save_every=7)
+    registry.train(folder, path, config, save_every=7)
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
-    subspace_method.train(folder, path, config, save_every=7)
-    opened = subspace_method.open_model(path, folder, 'test')
+    registry.train(folder, path, config, save_every=7)
+    opened = registry.open_model(path, folder, 'test')
     loaded, metadata, groups = opened.model, opened.metadata, opened.groups
     for variable, stored in zip(loaded.simulator.trainable_variables, before.values()):
         np.testing.assert_array_equal(variable.numpy(), stored)
@@ -189,10 +189,10 @@ def test_training_resumes_and_rolls_out(tmp_path, model):
     assert all(row['edges'] == 0 for row in summary['runs']['model'])
     assert np.isfinite(Trainer(loaded, groups).one_step_errors(2)['loss'])
     with pytest.raises(ValueError, match='model=gns contradicts the model'):
-        subspace_method.open_model(path, folder, 'test', {'model': 'gns'})
+        registry.open_model(path, folder, 'test', {'model': 'gns'})
     other = synthetic.write_dataset(tmp_path / 'other', rigid_counts=(6,))
     with pytest.raises(ValueError, match='made for 4 rigid particles and cannot take 6'):
-        subspace_method.open_model(path, other, 'test', {})
+        registry.open_model(path, other, 'test', {})
 
 
 def test_trained_mlp_beats_the_trivial_predictors(tmp_path):
@@ -201,7 +201,7 @@ def test_trained_mlp_beats_the_trivial_predictors(tmp_path):
     config = presets.make_config(
         'mlp', num_steps=600, unroll_steps=0, latent_size=32, learning_rate=3e-3
     )
-    summary = subspace_method.train(folder, str(tmp_path / 'model'), config, save_every=600)
+    summary = registry.train(folder, str(tmp_path / 'model'), config, save_every=600)
     assert summary['soil_mse_over_best_trivial'] < 0.5
 
 
