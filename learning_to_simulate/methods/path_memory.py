@@ -25,6 +25,7 @@ PLACES, BUMPS = 20, 12
 ABOUT = np.array([-0.3, -0.2, -0.13, -0.085, -0.055, -0.03, -0.015, 0.0, 0.015, 0.03, 0.055, 0.085,
                   0.13, 0.2])  # fmt: skip
 RECENT = 0.15  # m of travel over which a passage fades
+AT_ONCE = 2**20  # bins of all runs whose frames are read together, 50 MB
 MARGIN = 0.1  # m that the places reach beyond the paths of training
 _RATES = np.tile([0.1, 0.1, 1.0], 1 + len(tool_path.TIME_SCALES))  # m/s, m/s, rad/s
 _SCALAR = {name: i for i, name in enumerate(tool_path.SCALARS)}
@@ -129,12 +130,18 @@ class PathMemory:
 
     def read(self, bodies) -> np.ndarray:
         """Values float32 [S, T, WIDTH] of whole runs [S, T, R, D]."""
-        memory = self.start(bodies[:, 0])
-        found = [self.values(memory)]
-        for t in range(1, bodies.shape[1]):
-            memory = self.advance(memory, bodies[:, t])
-            found.append(self.values(memory))
-        return np.stack(found, axis=1)
+        n_run, n_frame = bodies.shape[:2]
+        found = np.empty((n_run, n_frame, WIDTH), np.float32)
+        at_once = max(1, AT_ONCE // (n_run * len(self.grid.offsets)))
+        memory, waiting = self.start(bodies[:, 0]), []
+        for t in range(n_frame):
+            memory = self.advance(memory, bodies[:, t]) if t else memory
+            waiting.append(memory)
+            if len(waiting) == at_once or t == n_frame - 1:
+                values = self.values(_joined(waiting)).reshape(len(waiting), n_run, WIDTH)
+                found[:, t + 1 - len(waiting) : t + 1] = np.moveaxis(values, 0, 1)
+                waiting = []
+        return found
 
     def _bed(self, count):
         return tool_path.Bed(
@@ -154,3 +161,11 @@ class PathMemory:
         low = np.minimum(place.astype(np.int64), bins.shape[1] - 2)
         share, row = (place - low)[..., None], np.arange(len(bins))[:, None]
         return (1.0 - share) * bins[row, low] + share * bins[row, low + 1]
+
+
+def _joined(memories):
+    """Memories of several frames as one of more tools."""
+    states, widths = zip(*memories)
+    swept, *others = (list(parts) for parts in zip(*states))
+    swept = swept_features.SweptBed(*map(np.concatenate, zip(*swept)))
+    return tool_path.ToolState(swept, *map(np.concatenate, others)), np.concatenate(widths)
