@@ -83,17 +83,17 @@ def test_a_place_is_a_function_of_path_and_start_alone(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('fields', 'words'),
+    ('preset', 'fields', 'words'),
     [
-        ({'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
-        ({'state_inputs': False}, 'need path_inputs'),
-        ({'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
-        ({'path_inputs': True, 'conditioned': False}, 'needs conditioned'),
+        ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
+        ('mlp', {'state_inputs': False}, 'need path_inputs'),
+        ('pcg', {'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
+        ('pcg', {'path_inputs': True, 'conditioned': False}, 'needs conditioned'),
     ],
 )
-def test_configs_without_a_path_to_follow_are_refused(fields, words):
+def test_configs_without_a_path_to_follow_are_refused(preset, fields, words):
     with pytest.raises(ValueError, match=words):
-        presets.make_config('pcg', **fields)
+        presets.make_config(preset, **fields)
 
 
 def test_a_body_whose_height_is_predicted_has_no_path_inputs(tmp_path):
