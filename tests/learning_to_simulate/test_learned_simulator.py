@@ -9,7 +9,7 @@ from learning_to_simulate import graph_network, learned_simulator, rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.numpy_twin import Twin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
 
 CASES = {
     'pcg': {'preset': 'pcg'},

@@ -11,7 +11,7 @@ from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inpu
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.whole_state_twin import WholeStateTwin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
 MODELS = ('mlp', 'mixer_se', 'mixer_scse')
 SHORT = {'num_steps': 6, 'unroll_steps': 1, 'unroll_length': 2, 'latent_size': 8, 'batch_size': 4}
