@@ -76,8 +76,9 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
     places = [g.position[:, :, : g.n_rigid, axis] for g in groups]
     low, high = min(p.min() for p in places), max(p.max() for p in places)
     middle = float(np.mean([g.position[:, :, : g.n_rigid, across].mean() for g in groups]))
+    largest = min(LARGEST_SHIFT, high - low)
     shifts = [
-        shift_of(space, axis, across, rng.uniform(-LARGEST_SHIFT, LARGEST_SHIFT), k % 2)
+        shift_of(space, axis, across, rng.uniform(-largest, largest), k % 2)
         for k in range(SHIFTS)
     ]
     rest = space.encode(space.initial)

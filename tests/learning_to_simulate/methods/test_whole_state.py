@@ -5,7 +5,9 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.methods import registry
+from learning_to_simulate.export import export_formats
+from learning_to_simulate.export_c import model_data
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.methods.mixer_model import Excitation
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.training.trainer import Trainer
@@ -94,6 +96,24 @@ def test_a_place_is_a_function_of_path_and_start_alone(tmp_path):
 def test_configs_without_a_path_to_follow_are_refused(preset, fields, words):
     with pytest.raises(ValueError, match=words):
         presets.make_config(preset, **fields)
+
+
+def test_copies_need_a_subspace_and_join_the_training(tmp_path):
+    made, groups, _ = make(tmp_path, 'mlp_driven')
+    with pytest.raises(ValueError, match='subspace.npz'):
+        subspace_method._with_copies(made, groups, str(tmp_path))
+    synthetic.write_subspace(tmp_path)
+    more = subspace_method._with_copies(made, groups, str(tmp_path))
+    assert len(more[0].position) > len(groups[0].position)
+    assert np.isfinite(float(Trainer(made, more).step(0)['loss']))
+
+
+def test_exports_refuse_a_path_by_name(tmp_path):
+    made, (group,), _ = make(tmp_path, 'mlp_driven')
+    with pytest.raises(ValueError, match='no memory of the path'):
+        export_formats.StepFunctions(made.simulator, made.layout(group.n_rigid), None)
+    with pytest.raises(ValueError, match="inputs .*'path', 'start'.* the C form knows"):
+        model_data.refuse(made.simulator)
 
 
 def test_a_body_whose_height_is_predicted_has_no_path_inputs(tmp_path):
