@@ -26,7 +26,7 @@ COMMANDS = {
     'export-c': (
         'learning_to_simulate.export_c.exporting',
         [],
-        'writes a C project or an FMU (--format=c, fmu)',
+        'writes a C project, an FMU or a page (--format=c, fmu, page)',
     ),
     'add-start': ('learning_to_simulate.add_start', [], 'makes an old model folder self-contained'),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),

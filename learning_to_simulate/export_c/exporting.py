@@ -1,4 +1,4 @@
-"""Exports a trained model as a C project (`--format=c`) or as an FMU (`--format=fmu`).
+"""Exports a trained model: as a C project, an FMU, or a page that needs no server (`--format`).
 
 What was written is compiled, run over a recorded test run and compared with the TensorFlow stepper;
 beyond round-off the export is refused.
@@ -15,10 +15,11 @@ import tempfile
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import checkpoints, experiment, stepping
+from learning_to_simulate import api, checkpoints, experiment, stepping
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts
+from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts, web_page
 from learning_to_simulate.export_c.c_soil import CSoil
+from learning_to_simulate.live_page.session import Session
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -26,7 +27,7 @@ DESCRIPTION_FILE = 'export.json'
 # the compared frames. Measured 1e-7 to 3e-6 on the shipped models.
 TOLERANCE = 1e-4
 COMPARED_STEPS = 40
-FORMATS = ('c', 'fmu')
+FORMATS = ('c', 'fmu', 'page')
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -36,7 +37,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       model_path: trained model.
       data_path: its dataset; gives starts, the run to compare on and the subspace.
       output_path: folder to write; must be absent or empty.
-      kind: 'c' or 'fmu'.
+      kind: of `FORMATS`.
       n_rigid: R of the exported graph; None for that of the model's first training run.
 
     Returns:
@@ -66,6 +67,9 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     def fill(folder):
         if kind == 'fmu':
             fmu.write(os.path.join(folder, f'{name}.fmu'), name, values)
+        elif kind == 'page':
+            session = Session(api.load(model_path))
+            web_page.write(os.path.join(folder, f'{name}.html'), name, values, session)
         else:
             project.write(folder, name, values)
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)

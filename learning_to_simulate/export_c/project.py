@@ -17,6 +17,7 @@ _TEMPLATES = {
     'cmake/model.h.in': 'include/@NAME@.h',
     'examples/example.cpp.in': 'examples/example.cpp',
     'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
+    'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
 }
 
 

@@ -60,7 +60,8 @@ class Page:
         self.session: Session = load(name)
         self._filing = threading.Lock()
         self.server = viser.ViserServer(host, port, label=name, verbose=False)
-        self.server.gui.configure_theme(control_layout='fixed', show_share_button=False)
+        self.server.gui.configure_theme(show_share_button=False)
+        self.server.gui.main_panel.dock_right()
         self._dragging, self._paused = False, False
         self._frames, self.rate = 0, lambda: 0.0
         self.panel = Panel(self, self.server.gui, names, name)
