@@ -80,7 +80,7 @@ def settings(session) -> dict:
         raise ValueError('the motion of the body is predicted: there is nothing to steer on a page')
     up, body, rest = scene.up_axis, session.body(), session.rest
     across = 3 - up
-    hull, faces = drawing.hull(body)
+    starts, (hull, faces) = session.model.starts, drawing.hull(body)
     low, high = rest.min(axis=0), rest.max(axis=0)
     half = session.pose_of((0.0, 0.0, np.pi))  # its quaternion has the sign of a turn
     travel = session.travel()
@@ -92,10 +92,12 @@ def settings(session) -> dict:
         'fastest': steering.fastest.tolist(), 'level': session.level,
         'start': session.plane.tolist(), 'low': travel[0], 'high': travel[1],
         'lateral': float(session.moment.pose[across]),
+        # The C library names the middle of the nodes, and their attitude at the start.
+        'reference': starts.body[session.start][starts.kept[session.start]].mean(axis=0).tolist(),
         'plan': body[:, [0, up]].tolist(), 'hull': hull.tolist(), 'faces': faces.tolist(),
         'box': [low.tolist(), high.tolist()],
         'spacing': float((np.prod(high - low) / len(rest)) ** (1 / 3)),
-        'force_limit': session.model.starts.force_limit or 100.0,
+        'force_limit': starts.force_limit or 100.0,
     }  # fmt: skip
 
 
