@@ -49,10 +49,11 @@ def measure(name: str, seconds: float, port: int) -> dict[str, float]:
       FileNotFoundError, ValueError: no such model; a port in use.
     """
     from learning_to_simulate.live_page import session
-    from learning_to_simulate.live_page.__main__ import session_of
+    from learning_to_simulate.live_page.__main__ import free_port, session_of
     from learning_to_simulate.live_page.loop import FrameLoop
     from learning_to_simulate.live_page.page import Page
 
+    free_port('localhost', port)
     page = Page(session_of, [name], name, port=port)
     runs = list(page.session.recorded.runs) if page.session.recorded else [None]
     turn = 0

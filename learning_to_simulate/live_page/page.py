@@ -5,7 +5,6 @@ frames are computed by one thread that calls `Page.frame`. All browsers see and 
 """
 
 import queue
-import socket
 import threading
 
 import numpy as np
@@ -22,21 +21,6 @@ HEIGHTS = 0.08, 0.05  # of its colours, m below and above the bed
 GHOST_COLOUR, FORCE_COLOUR, BODY_COLOUR = (70, 140, 255), (230, 60, 60), (120, 130, 145)
 
 
-def free_port(host: str, port: int) -> None:
-    """Sees that a port can be listened at; viser would take the next one in silence.
-
-    Raises:
-      ValueError: it cannot, with what to do.
-    """
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except (OSError, OverflowError) as error:
-        raise ValueError(
-            f'port {port} of {host} cannot be listened at ({error}); name another: --port=8081'
-        ) from error
-
-
 class Page:
     """The page and its server.
 
@@ -51,11 +35,10 @@ class Page:
       session: the session that is shown.
 
     Raises:
-      ValueError, FileNotFoundError: as `load`; a port that is in use.
+      ValueError, FileNotFoundError: as `load`.
     """
 
     def __init__(self, load, names, name: str, host: str = 'localhost', port: int = 8080):
-        free_port(host, port)
         self._load, self._commands = load, queue.SimpleQueue()
         self.session: Session = load(name)
         self._filing = threading.Lock()
