@@ -21,6 +21,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from storage import parent
+
 RETRIES = 2
 # Batch jobs end themselves before the batch system ends them, a little apart from each other.
 SLURM_WALLTIME = '01:00:00'
@@ -131,7 +133,7 @@ def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
     count = count or os.cpu_count() or 1
     if not where:
         context = multiprocessing.get_context('spawn')
-        with concurrent.futures.ProcessPoolExecutor(count, context) as pool:
+        with concurrent.futures.ProcessPoolExecutor(count, context, parent.end_with_parent) as pool:
             yield Workers(pool=pool)
         return
     if kind not in ('local', 'slurm', 'tcp', 'tls'):
@@ -140,6 +142,13 @@ def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
         )
     with contextlib.ExitStack() as stack:
         yield Workers(client=_client(stack, kind, where, count))
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[Workers]:
+    """Threads of this process, for functions that wait for processes of their own."""
+    with concurrent.futures.ThreadPoolExecutor(count) as pool:
+        yield Workers(pool=pool)
 
 
 def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):

@@ -182,6 +182,7 @@ class TrainedModel:
     def _from_rest(self):
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
 
@@ -215,8 +216,9 @@ class TrainedModel:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
             first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
             of such paths, which are one batch; or a `Run` of a dataset.
-          velocity, case, context: of `LiveSoil.start`, for all paths; the velocity is by default
-            that of the first two poses.
+          velocity, case: of `LiveSoil.start`, for all paths; the velocity is by default that of
+            the first two poses.
+          context: likewise, or [T, C] where it changes in time.
 
         Returns:
           `path_rollout.SoilRollout`, or a list of them.
@@ -231,11 +233,11 @@ class TrainedModel:
 
             self._roller = PathRoller(self.model, self.starts, self._soil())
         several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        pairs = [
+        begun = [
             self._roller.beginning(p, velocity, case, context)
             for p in (path if several else [path])
         ]
-        results = self._roller.roll_out(pairs)
+        results = self._roller.roll_out(begun)
         return results if several else results[0]
 
     def _soil(self):
@@ -256,7 +258,7 @@ class TrainedModel:
         return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
 
     def _opened(self, split):
-        return self._method.load_code().open_model(self.path, split.folder, split.name)
+        return registry.open_model(self.path, split.folder, split.name)
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
         """Rolls out every run of a split.
@@ -283,11 +285,11 @@ class TrainedModel:
           the description that is also in `export.json`.
 
         Raises:
-          ValueError, OSError: as `export.export`.
+          ValueError, OSError: as `exporting.export`.
         """
-        from learning_to_simulate import export
+        from learning_to_simulate.export import exporting
 
-        return export.export(self.path, data.path, path, kind)
+        return exporting.export(self.path, data.path, path, kind)
 
 
 def load(name: str) -> TrainedModel:
@@ -331,8 +333,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training_run.loop.run`.
+      ValueError, OSError, SystemExit: as `registry.train`.
     """
-    code = registry.get(config.model).load_code()
-    code.train(data.path, path, config, save_every=save_every)
+    registry.train(data.path, path, config, save_every=save_every)
     return TrainedModel(path)

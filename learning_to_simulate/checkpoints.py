@@ -10,13 +10,15 @@ A folder that ships with the project holds no checkpoints.
 """
 
 import dataclasses
+import hashlib
 import importlib.metadata
 import os
+from collections.abc import Callable
 
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import model_config
+from learning_to_simulate import known_shapes, model_config
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.learned_simulator import (
@@ -202,25 +204,40 @@ def load_model(path: str) -> Model:
     """Loads a model for evaluation from config.json and weights.npz.
 
     Raises:
-      FileNotFoundError, ValueError: no model there, or weights that are not those of the config.
+      FileNotFoundError, ValueError: no model there, or weights that are not those of the config;
+        no variable is made that the weights do not hold.
     """
     parts = model_config.parse(read_config(path), os.path.join(path, CONFIG_FILE))
-    method = registry.get(parts.config.model)
-    simulator = method.make_simulator(
-        parts.scene, parts.config, parts.statistics, parts.particle_types
-    )
-    model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
-    model.create_variables(parts.n_rigid)
-    load_weights(path, simulator)
-    return model
+
+    def make():
+        simulator = registry.get(parts.config.model).make_simulator(
+            parts.scene, parts.config, parts.statistics, parts.particle_types
+        )
+        model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
+        model.create_variables(parts.n_rigid)
+        return model
+
+    return filled(path, make)
 
 
-def load_weights(path: str, simulator) -> None:
-    """Puts the weights of weights.npz into a simulator's variables; raises as `read_weights`."""
-    variables = _weights(simulator)
-    stored = read_weights(path, {n: tuple(v.shape) for n, v in variables.items()})
+def filled(path: str, make: Callable):
+    """A model with the weights of weights.npz.
+
+    Args:
+      path: model folder.
+      make: makes the model with all variables of its `simulator`.
+
+    Raises:
+      as `read_weights`; no variable is made that the file does not hold.
+    """
+    stored = stored_weights(path)
+    with known_shapes.only((w.shape for w in stored.values()), os.path.join(path, WEIGHTS_FILE)):
+        model = make()
+    variables = _weights(model.simulator)
+    check_weights(path, stored, {n: tuple(v.shape) for n, v in variables.items()})
     for name, variable in variables.items():
         variable.assign(stored[name])
+    return model
 
 
 def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
@@ -234,12 +251,28 @@ def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
       FileNotFoundError, ValueError: no weights there, other weights, or weights that are not
         finite.
     """
+    stored = stored_weights(path)
+    check_weights(path, stored, shapes)
+    return stored
+
+
+def stored_weights(path: str) -> dict[str, np.ndarray]:
+    """The finite arrays of weights.npz, whatever they are of; raises as `read_weights`."""
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
         raise FileNotFoundError(
             f'{weights_path}: no such file; the training of {path} has not saved any weights yet'
         )
     stored = files.read_npz(weights_path)
+    for name, value in stored.items():
+        if value.dtype.kind != 'f' or not np.isfinite(value).all():
+            raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
+    return stored
+
+
+def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tuple]) -> None:
+    """Raises ValueError if arrays have other names or shapes."""
+    weights_path = os.path.join(path, WEIGHTS_FILE)
     found = {n: v.shape for n, v in stored.items()}
     if shapes != found:
         differing = sorted(n for n in shapes.keys() | found.keys() if shapes.get(n) != found.get(n))
@@ -247,10 +280,13 @@ def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
             f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
             f'{differing[:4]}'
         )
-    for name, value in stored.items():
-        if value.dtype.kind != 'f' or not np.isfinite(value).all():
-            raise ValueError(f'{weights_path}: {name} is not finite ({value.dtype})')
-    return stored
+
+
+def folder_digest(path: str) -> str:
+    """sha256 of what a model folder says a model is: config.json and its arrays."""
+    names = sorted(n for n in os.listdir(path) if n == CONFIG_FILE or n.endswith('.npz'))
+    parts = [f'{n} {files.sha256_of_file(os.path.join(path, n))}' for n in names]
+    return hashlib.sha256('\n'.join(parts).encode()).hexdigest()
 
 
 def refuse_contradictions(model_path, config, overrides):

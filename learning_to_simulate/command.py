@@ -1,5 +1,7 @@
-"""How the commands of the package start: help at once, errors in one line, a quiet TensorFlow."""
+"""How the commands of the package start: help at once, errors in one line, outputs tried before the
+work, a quiet TensorFlow."""
 
+import contextlib
 import os
 import sys
 import tempfile
@@ -28,8 +30,10 @@ def start(run: Callable, n_argument: int = 0) -> None:
         try:
             return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
         except (ValueError, OSError) as error:
+            from pca_tools import files  # loads numpy, and help does not wait for it
+
             logging.debug('stack', exc_info=True)
-            sys.exit(f'error: {error}')
+            sys.exit(f'error: {files.printable(error)}')
 
     asked = any(argument.split('=')[0] in HELP for argument in sys.argv[1:])
     try:
@@ -40,8 +44,34 @@ def start(run: Callable, n_argument: int = 0) -> None:
         raise
 
 
+def writable_folder(path: str) -> None:
+    """Tries whether results can be written into a folder, and leaves nothing behind.
+
+    Args:
+      path: folder; it need not exist.
+
+    Raises:
+      OSError: nothing can be written there.
+    """
+    missing, above = [], os.path.abspath(path)
+    while not os.path.exists(above):
+        missing.append(above)
+        above = os.path.dirname(above)
+    try:
+        os.makedirs(path, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+        for folder in missing:
+            os.rmdir(folder)
+    except OSError as error:
+        raise OSError(f'{path}: cannot be written to ({error.strerror})') from error
+
+
 def import_tensorflow(num_threads: int | None = None) -> None:
-    """Imports TensorFlow without the lines that it writes while it starts.
+    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it would.
+
+    Its Keras loads scikit-learn and matplotlib for wrappers that nothing here uses, which is a
+    third of the whole import; it goes without them where they are absent, so they are, meanwhile.
 
     Args:
       num_threads: its CPU threads; None for its own choice.
@@ -50,22 +80,37 @@ def import_tensorflow(num_threads: int | None = None) -> None:
       ValueError: it is not installed.
     """
     os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
-    # Its C++ part writes to the descriptor itself, before any log level holds.
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as aside:
-        terminal = os.dup(2)
-        os.dup2(aside.fileno(), 2)
+    if 'tensorflow' not in sys.modules:
+        absent = [name for name in ('sklearn', 'matplotlib') if name not in sys.modules]
+        sys.modules.update(dict.fromkeys(absent))
         try:
-            import tensorflow as tf
-
-            if num_threads:
-                tf.config.threading.set_intra_op_parallelism_threads(num_threads)
-                tf.config.threading.set_inter_op_parallelism_threads(1)
+            with _quiet_stderr():
+                import tensorflow  # noqa: F401
         except ModuleNotFoundError as error:
             raise ValueError(
                 f'this needs {error.name}, which is not installed: pip install -c constraints.txt '
                 f'-e .[cpu]'
             ) from error
+        finally:
+            for name in absent:
+                sys.modules.pop(name, None)
+    if num_threads:
+        import tensorflow as tf
+
+        tf.config.threading.set_intra_op_parallelism_threads(num_threads)
+        tf.config.threading.set_inter_op_parallelism_threads(1)
+
+
+@contextlib.contextmanager
+def _quiet_stderr():
+    """Keeps what is written to the error stream back, and shows it where an exception ends the
+    block. TensorFlow's C++ part writes to the descriptor itself, before any log level holds."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as aside:
+        terminal = os.dup(2)
+        os.dup2(aside.fileno(), 2)
+        try:
+            yield
         except BaseException:
             aside.seek(0)
             os.write(terminal, aside.read())

@@ -6,6 +6,7 @@ rigid particles and warmed up before it is timed.
 
 import json
 import os
+import re
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
-from pca_tools import files
+from pca_tools import files, folder_lock
+
+METRICS_FILE = 'metrics.json'
 
 
 def roll_out_all(roll_out, groups, progress=iter) -> list:
@@ -51,7 +54,7 @@ class Evaluator:
 
     def roll_out(self, group):
         """`Rollout` of one `RunGroup` (its runs as one batch)."""
-        key = group.position.shape
+        key = group.position.shape, group.context_changes
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
             self._functions[key] = rollout_function(self._model.simulator, layout, self._correct)
@@ -152,39 +155,71 @@ def _summary(methods, floors, scene):
     )  # JSON has no NaN: a failed run shows null
 
 
-def save_rollouts(path: str, split: str, results, summary: dict, metadata: dict) -> list[str]:
+def total_force(force):
+    """The force [T, 3] on all bodies together, of one [T, 3 B] on each; None for None."""
+    return None if force is None else force.reshape(len(force), -1, 3).sum(axis=1)
+
+
+def save_rollouts(
+    path: str, split: str, results, summary: dict, metadata: dict, model_digest: str | None = None
+) -> list[str]:
     """Writes `rollout_{split}_{i}.npz` (DeepMind's key names) and `metrics.json`; returns the file
     names.
 
-    Every file is written whole or not at all.
+    The files of an older evaluation of the split go when all new ones are complete. `metrics.json`
+    goes first and comes last: where it lies, all rollouts beside it are of its evaluation.
+
+    Args:
+      path: folder, made if absent; what else lies there stays.
+      split: of the runs.
+      results: of `roll_out_all`.
+      summary: of `summarise`.
+      metadata: of the dataset.
+      model_digest: of `checkpoints.folder_digest`, kept in every file; None where there is none.
     """
-    os.makedirs(path, exist_ok=True)
-    written = []
-    for record, group, rollout in results:
-        truth = group.all_particles(group.position, as_recorded=True)[0]
-        arrays = {
-            'initial_positions': truth[:H].astype(np.float32),
-            'predicted_rollout': group.all_particles(rollout.position)[0].astype(np.float32),
-            'ground_truth_rollout': truth[H:].astype(np.float32),
-            'particle_types': group.all_particle_types(),
-            'metadata': np.array(json.dumps(metadata)),
+    names = [f'rollout_{split}_{record}.npz' for record, _, _ in results]
+
+    def fill(folder):
+        for name, (_, group, rollout) in zip(names, results, strict=True):
+            arrays = _arrays(group, rollout) | {'metadata': np.array(json.dumps(metadata))}
+            arrays |= {k: np.array(v) for k, v in digest.items()}
+            files.write_npz(os.path.join(folder, name), **arrays)
+        files.write_json(os.path.join(folder, METRICS_FILE), summary | digest)
+
+    digest = {} if model_digest is None else {'model_digest': model_digest}
+    old = re.compile(rf'rollout_{split}_\d+\.npz')
+    with folder_lock.locked(path):
+        files.replace_files(path, fill, lambda name: bool(old.fullmatch(name)), METRICS_FILE)
+    return [os.path.join(path, name) for name in (*names, METRICS_FILE)]
+
+
+def _arrays(group, rollout) -> dict:
+    """The arrays of one run's file."""
+    truth = group.all_particles(group.position, as_recorded=True)[0]
+    arrays = {
+        'initial_positions': truth[:H].astype(np.float32),
+        'predicted_rollout': group.all_particles(rollout.position)[0].astype(np.float32),
+        'ground_truth_rollout': truth[H:].astype(np.float32),
+        'particle_types': group.all_particle_types(),
+    }
+    arrays |= {key: np.array(value) for key, value in _status_fields(rollout).items()}
+    if group.context is not None:
+        arrays['global_context'] = group.context.astype(np.float32)
+    if rollout.force is not None:
+        known, predicted = total_force(group.force[0]), total_force(rollout.force[0])
+        arrays |= {
+            'initial_forces': known[:H].astype(np.float32),
+            'predicted_forces': predicted,
+            'ground_truth_forces': known[H:].astype(np.float32),
         }
-        arrays |= {key: np.array(value) for key, value in _status_fields(rollout).items()}
-        if group.context is not None:
-            arrays['global_context'] = group.context.astype(np.float32)
-        if rollout.force is not None:
-            arrays |= {
-                'initial_forces': group.force[0, :H].astype(np.float32),
-                'predicted_forces': rollout.force[0],
-                'ground_truth_forces': group.force[0, H:].astype(np.float32),
-            }
-        # What a method says beyond modes, e.g. the particles of one that has none.
-        arrays |= getattr(rollout, 'arrays', {})
-        written.append(os.path.join(path, f'rollout_{split}_{record}.npz'))
-        files.write_npz(written[-1], **arrays)
-    written.append(os.path.join(path, 'metrics.json'))
-    files.write_json(written[-1], summary)
-    return written
+        if predicted.shape != rollout.force[0].shape:  # of each of several bodies
+            each = (len(predicted), -1, predicted.shape[1])
+            arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
+            arrays['ground_truth_body_forces'] = (
+                group.force[0, H:].reshape(each).astype(np.float32)
+            )
+    # What a method says beyond modes, e.g. the particles of one that has none.
+    return arrays | getattr(rollout, 'arrays', {})
 
 
 def table(summary: dict) -> str:

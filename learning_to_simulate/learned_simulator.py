@@ -60,6 +60,13 @@ class Layout:
         self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
         self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
         self.origin = statistics.origin[self.node_class]
+        counts = [count for _, count in scene.bodies] or [n_rigid]
+        if sum(counts) != n_rigid:
+            raise ValueError(f'the bodies {scene.bodies} have {sum(counts)} nodes, not {n_rigid}')
+        # Rows of an embedding by class: further bodies have theirs behind those of the modes.
+        further = np.where(np.arange(len(counts)) > 0, np.arange(len(counts)) + scene.n_modes, 0)
+        self.embedded = self.node_class.copy()
+        self.embedded[:n_rigid] = np.repeat(further, counts)
         s = statistics
         pair = (self.node_class[self.receivers], self.node_class[self.senders])
         edge_std = s.displacement_std[pair]
@@ -112,6 +119,8 @@ class LearnedSimulator(snt.Module):
         self.particle_types = particle_types
         dim = statistics.origin.shape[1]
         self.dim = dim
+        mean = statistics.force_mean
+        self.force_size = 0 if mean is None else len(mean)  # D of each body
         self._make_network()
 
     def _make_network(self):
@@ -120,10 +129,14 @@ class LearnedSimulator(snt.Module):
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            output_size=self.dim * (2 if scene.has_force else 1),
+            output_size=self.dim + self.force_size,
             mean_aggregation=config.mean_aggregation,
         )
-        n_embedding = scene.n_modes + 1 if config.embedding_by_class else NUM_PARTICLE_TYPES
+        n_embedding = (
+            scene.n_modes + max(len(scene.bodies), 1)
+            if config.embedding_by_class
+            else NUM_PARTICLE_TYPES
+        )
         initial = tf.random.stateless_normal(
             [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
         )
@@ -175,9 +188,9 @@ class LearnedSimulator(snt.Module):
 
     def node_embedding(self, layout: Layout):
         """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
-        classes = layout.node_class
+        classes = layout.embedded
         if not self.config.embedding_by_class:
-            classes = np.where(classes == 0, *self.particle_types)
+            classes = np.where(layout.node_class == 0, *self.particle_types)
         return tf.gather(self._embedding, classes)
 
     def context_features(self, context):

@@ -119,7 +119,7 @@ def compute_statistics(
     Args:
       positions: list of float64 [S, T, V, D], one per rigid node count; the last r nodes are modes.
       forces: list of [S, T, D], or None.
-      contexts: list of [S, T, C], or None.
+      contexts: list of [S, C] or [S, T, C], or None; all of one kind.
       metadata: validated metadata; the published presets take their statistics from it.
       scene: the scene.
       config: decides the family.
@@ -169,7 +169,7 @@ def compute_statistics(
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
         if config.statistics_by_class
-        else _dataset_wide(metadata, scene, config, origin)
+        else _dataset_wide(metadata, force, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
     return Statistics(**values, **_targets(values, heights, scene, config), **ranges)
@@ -299,7 +299,7 @@ def _targets(values, heights, scene, config):
     return target
 
 
-def _dataset_wide(metadata, scene, config, origin):
+def _dataset_wide(metadata, force, scene, config, origin):
     """Published family: metadata statistics, noise added in quadrature (SG 2020), displacement /
     radius."""
     n_class = len(origin)
@@ -317,11 +317,18 @@ def _dataset_wide(metadata, scene, config, origin):
         # The published feature is the absolute displacement: offsets get the origins back.
         'displacement_mean': np.zeros(shape),
         'displacement_std': np.full(shape, scene.connectivity_radius),
-        'force_mean': np.asarray(metadata['rigid_body_force_mean']) if scene.has_force else None,
-        'force_std': _floored(np.asarray(metadata['rigid_body_force_std']))
-        if scene.has_force
-        else None,
+        **_force_wide(metadata, force, scene),
     }
+
+
+def _force_wide(metadata, force, scene):
+    """Statistics of the force by component, from the metadata; of several bodies from the runs."""
+    if force is None:
+        return {'force_mean': None, 'force_std': None}
+    mean, std = (np.asarray(metadata[f'rigid_body_force_{x}']) for x in ('mean', 'std'))
+    if scene.bodies:
+        mean, std = force.mean(axis=0), force.std(axis=0)
+    return {'force_mean': mean, 'force_std': _floored(std)}
 
 
 def _displacements(positions, origin, n_modes):

@@ -28,7 +28,7 @@ import numpy as np
 import tqdm
 from absl import flags
 
-from learning_to_simulate import checks, command
+from learning_to_simulate import command
 from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
 from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
@@ -185,7 +185,7 @@ def define_flags() -> None:
 
 def run(values) -> None:
     """Runs the command with its flags."""
-    checks.writable_folder(values.output_path)
+    command.writable_folder(values.output_path)
     started = time.perf_counter()
     frames, written = render(
         values.rollout_path,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import (
     Layout,
@@ -15,7 +16,6 @@ from learning_to_simulate.learned_simulator import (
 )
 from learning_to_simulate.rigid_body import KnownMotion, known_motion
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
-from learning_to_simulate.step_form import PlainStep
 
 
 class Rollout(NamedTuple):
@@ -69,7 +69,7 @@ class RolloutFunction:
         Args:
           state: after the first H frames.
           known: `KnownMotion` with a leading frame axis [n_frame, B, R, D], or None.
-          context: float32 [B, C] or None.
+          context: float32 [B, C], or [n_frame, B, C] where it changes in time, or None.
           n_frame: number of frames.
 
         Returns:
@@ -107,7 +107,10 @@ def rollout_inputs(group, layout: Layout, scene):
     known = known_motion(*body, scene)
     if known is not None:
         known = KnownMotion(*(tf.cast(x, tf.float32) for x in known))
-    context = None if group.context is None else tf.constant(group.context, tf.float32)
+    context = group.context
+    if context is not None:
+        by_frame = np.moveaxis(context[:, h:], 1, 0) if group.context_changes else context
+        context = tf.constant(by_frame, tf.float32)
     return state, known, context, group.position.shape[1] - h
 
 

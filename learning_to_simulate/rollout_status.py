@@ -143,15 +143,20 @@ def _outside_training(group, run, given, statistics, scene):
     return min(found, key=lambda judgement: judgement.frame, default=None)
 
 
-def outside_context(context, statistics, scene) -> Judgement | None:
-    """The first value of a context [C] that the training runs did not cover, or None."""
+def outside_context(context, statistics, scene, first_frame: int = 0) -> Judgement | None:
+    """The first value of a context [C] or [T, C] that the training runs did not cover, or None."""
     if statistics.context_range is None or context is None:
         return None
-    for name, value, low, high in zip(scene.context_names, context, *statistics.context_range):
-        if not low - RANGE_MARGIN * abs(low) <= value <= high + RANGE_MARGIN * abs(high):
-            reason = f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training'
-            return Judgement(RolloutStatus.EXTRAPOLATING, 0, -1, reason)
-    return None
+    low, high = statistics.context_range
+    context = np.atleast_2d(context)
+    margins = RANGE_MARGIN * np.abs(low), RANGE_MARGIN * np.abs(high)
+    inside = (context >= low - margins[0]) & (context <= high + margins[1])
+    if inside.all():
+        return None
+    frame, i = (int(k) for k in np.argwhere(~inside)[0])
+    reason = f'{scene.context_names[i]} {context[frame, i]:.4g} is outside '
+    reason += f'[{low[i]:.4g}, {high[i]:.4g}] of training'
+    return Judgement(RolloutStatus.EXTRAPOLATING, first_frame + frame, -1, reason)
 
 
 def first_outside(status, values, low, high, first_frame=0, first_node=0, name='coordinate'):

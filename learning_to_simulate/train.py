@@ -30,7 +30,7 @@ import re
 import tqdm
 from absl import flags
 
-from learning_to_simulate import checks, command, presets
+from learning_to_simulate import command, presets
 from learning_to_simulate.methods import registry
 
 _MODE = flags.DEFINE_enum(
@@ -85,12 +85,13 @@ flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: i
 
 
 def _meanings(settings: type) -> dict[str, str]:
-    """Field -> what the docstring of a class of settings says of it."""
-    text = inspect.getdoc(settings).split('Attributes:')[-1]
-    entries = re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M)
-    return {
-        name: ' '.join(meaning.split()) for names, meaning in entries for name in names.split(', ')
-    }
+    """Field -> what the docstrings of a class of settings and of its parts say of it."""
+    found = {}
+    for part in settings.__mro__:
+        text = (inspect.cleandoc(part.__doc__ or '')).split('Attributes:')[-1]
+        for names, meaning in re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M):
+            found |= {name: ' '.join(meaning.split()) for name in names.split(', ')}
+    return found
 
 
 # Flags that override single fields of the preset's config; DeepMind's spelling where it has one.
@@ -118,17 +119,13 @@ def _overrides() -> dict:
 
 def _open(overrides) -> registry.OpenedModel:
     """The trained model and the runs of the split."""
-    return (
-        registry.of_folder(_MODEL_PATH.value)
-        .load_code()
-        .open_model(
-            _MODEL_PATH.value,
-            _DATA_PATH.value,
-            _EVAL_SPLIT.value,
-            overrides,
-            raw_path=_RAW_PATH.value,
-            rigid_correction=_RIGID_CORRECTION.value,
-        )
+    return registry.open_model(
+        _MODEL_PATH.value,
+        _DATA_PATH.value,
+        _EVAL_SPLIT.value,
+        overrides,
+        raw_path=_RAW_PATH.value,
+        rigid_correction=_RIGID_CORRECTION.value,
     )
 
 
@@ -136,7 +133,7 @@ def _train(overrides):
     config = presets.make_config(
         _PRESET.value or presets.preset_of_model(_MODEL.value), **overrides
     )
-    registry.get(config.model).load_code().train(
+    registry.train(
         _DATA_PATH.value,
         _MODEL_PATH.value,
         config,
@@ -155,17 +152,20 @@ def _evaluate_one_step(overrides):
 
 
 def _evaluate_rollouts(overrides):
-    from learning_to_simulate import evaluation
+    from learning_to_simulate import checkpoints, evaluation
 
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    checks.writable_folder(_OUTPUT_PATH.value)
+    command.writable_folder(_OUTPUT_PATH.value)
     opened = _open(overrides)
     results, summary = opened.evaluator.run(
         opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
     )
-    written = evaluation.save_rollouts(_OUTPUT_PATH.value, split, results, summary, opened.metadata)
+    written = evaluation.save_rollouts(
+        _OUTPUT_PATH.value, split, results, summary, opened.metadata,
+        checkpoints.folder_digest(_MODEL_PATH.value),
+    )  # fmt: skip
     print(evaluation.table(summary))
     print(f'wrote {len(written)} files to {_OUTPUT_PATH.value}')
 

@@ -13,6 +13,7 @@ from mpm.files import one_writer, remove_temporary
 from mpm.motions.catalogue import motion_of
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
+from storage import parent
 
 
 def generate(
@@ -171,6 +172,7 @@ _kept: tuple | None = None
 
 def _keep(scene, settings, output_path) -> None:
     global _kept
+    parent.end_with_parent()
     _kept = (scene, _packed(scene, settings, output_path), settings, output_path)
 
 

@@ -216,7 +216,7 @@ def main(argv):
         )
         names = export(edges, v.data_path, v.output_path)
     except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     r = edges.report
     print(
         f'{edges.n_edge} of {edges.mask.size} edges between {len(edges.node_names)} nodes; '

@@ -11,6 +11,7 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
+from learning_to_simulate import known_shapes
 from nri import gumbel, losses
 from nri.decoder import DECODERS, unroll
 from nri.encoder import ENCODERS
@@ -21,6 +22,14 @@ SCHEMA_VERSION = 1
 MIN_CNN_FRAMES = 14
 # Eight random streams per seed in int32.
 MAX_SEED = 2**28
+_LARGEST = 2**31 - 1
+# Field -> its least and largest value; the largest are beyond any graph of the project, so that a
+# damaged number does not ask for its memory.
+_RANGES = {
+    'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
+    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000),
+}  # fmt: skip
+MAX_NODES, MAX_FEATURES = 300, 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,15 +88,20 @@ class NriConfig:
         for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f'{name} is {getattr(self, name)!r}, not one of {list(choices)}')
-        lowest = {'edge_types': 2, 'window': 2, 'decay_start': 0}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.type is int and field.name != 'seed' and value < lowest.get(field.name, 1):
-                raise ValueError(
-                    f'{field.name} is {value}, must be at least {lowest.get(field.name, 1)}'
-                )
-            if field.type is float and not (np.isfinite(value) and value > 0):
-                raise ValueError(f'{field.name} is {value}, must be positive and finite')
+            if field.type is int and field.name != 'seed':
+                low, high = _RANGES.get(field.name, (1, _LARGEST))
+                if type(value) is not int or not low <= value <= high:
+                    raise ValueError(
+                        f'{field.name} is {value!r}, must be at least {low} and at most {high}'
+                    )
+            if field.type is float and not (
+                isinstance(value, (int, float)) and np.isfinite(value) and value > 0
+            ):
+                raise ValueError(f'{field.name} is {value!r}, must be positive and finite')
+            if field.type is bool and type(value) is not bool:
+                raise ValueError(f'{field.name} is {value!r}, must be true or false')
         if not 0 <= self.seed < MAX_SEED:
             raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
         gumbel.check_temperature(self.temperature)
@@ -119,6 +133,9 @@ class NriModel(snt.Module):
 
     Attributes:
       digest: sha256 of the weights file it was loaded from or saved to; None before.
+
+    Raises:
+      ValueError: too few or too many nodes, or a normalisation that is not one of them.
     """
 
     def __init__(self, config: NriConfig, node_names, offset, scale, data_digest, name='nri'):
@@ -129,6 +146,7 @@ class NriModel(snt.Module):
         self.digest = None
         self.offset = np.asarray(offset, np.float32)
         self.scale = np.asarray(scale, np.float32)
+        self._check()
         n_features = self.offset.shape[1]
         tf.random.set_seed(config.seed)
         self.encode = ENCODERS[config.encoder](
@@ -147,6 +165,25 @@ class NriModel(snt.Module):
             ),
             jit_compile=True,
         )
+
+    def _check(self):
+        """Refuses nodes and a normalisation that no data have."""
+        names = self.node_names
+        if not 2 <= len(names) <= MAX_NODES or not all(isinstance(n, str) for n in names):
+            raise ValueError(f'{len(names)} node names, 2 to {MAX_NODES} texts were expected')
+        shape = self.offset.shape
+        if (
+            len(shape) != 2
+            or shape[0] not in (1, len(names))
+            or not 1 <= shape[1] <= MAX_FEATURES
+            or self.scale.shape != shape
+            or not np.isfinite([self.offset, self.scale]).all()
+            or not (self.scale > 0).all()
+        ):
+            raise ValueError(
+                f'offset {shape} and scale {self.scale.shape} are no finite normalisation of '
+                f'{len(names)} nodes'
+            )
 
     def normalized(self, features):
         """[B, V, T, F] in the units of the files -> about [-1, 1]."""
@@ -270,8 +307,10 @@ class NriModel(snt.Module):
         Raises:
           ValueError: weights of another model, or that are not finite.
         """
-        name = os.path.join(path, WEIGHTS_FILE)
-        stored, variables = files.read_npz(name), self._weights()
+        self._take(os.path.join(path, WEIGHTS_FILE), _stored_weights(path))
+
+    def _take(self, name, stored):
+        variables = self._weights()
         wanted = {n: tuple(v.shape) for n, v in variables.items()}
         found = {n: w.shape for n, w in stored.items()}
         if wanted != found:
@@ -281,8 +320,6 @@ class NriModel(snt.Module):
             raise ValueError(
                 f'{name}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
             )
-        if bad := [n for n in stored if not np.isfinite(stored[n]).all()]:
-            raise ValueError(f'{name}: weights are not finite: {bad[:3]}')
         for key, variable in variables.items():
             variable.assign(stored[key])
         self.digest = files.sha256_of_file(name)
@@ -323,15 +360,28 @@ def load_model(path: str) -> NriModel:
         raise ValueError(
             f'{names[0]}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
         )
+    stored = _stored_weights(path)
     try:
-        model = NriModel(
-            NriConfig(**values['config']),
-            values['node_names'],
-            values['offset'],
-            values['scale'],
-            values['data_digest'],
-        )
-    except (KeyError, TypeError) as error:
-        raise ValueError(f'{names[0]}: a field is missing or unknown ({error})') from error
-    model.load_weights(path)
+        with known_shapes.only((w.shape for w in stored.values()), names[1]):
+            model = NriModel(
+                NriConfig(**values['config']),
+                values['node_names'],
+                values['offset'],
+                values['scale'],
+                values['data_digest'],
+            )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f'{names[0]}: a field is missing, unknown or wrong ({error})') from error
+    model._take(names[1], stored)
     return model
+
+
+def _stored_weights(path):
+    """The finite arrays of weights.npz, whatever they are of."""
+    name = os.path.join(path, WEIGHTS_FILE)
+    stored = files.read_npz(name)
+    # Integers too: the batch normalisations count their steps.
+    bad = [n for n, w in stored.items() if w.dtype.kind not in 'fiu' or not np.isfinite(w).all()]
+    if bad:
+        raise ValueError(f'{name}: weights are not finite: {bad[:3]}')
+    return stored

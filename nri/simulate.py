@@ -152,7 +152,7 @@ def main(argv):
             given.output_path,
         )
     except (ValueError, OSError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(
         f'{given.system}, {given.n_objects} objects: {sum(counts.values())} runs of '
         f'{given.length // given.sample_freq - 1} frames in {given.output_path}; '

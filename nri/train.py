@@ -29,6 +29,7 @@ from absl import app, flags
 
 from nri import data, experiment
 from nri.model import NriConfig
+from pca_tools import files
 
 _DEFINE = {
     int: flags.DEFINE_integer,
@@ -71,7 +72,7 @@ def main(argv):
             given.take_over_lock,
         )
     except (ValueError, OSError, tf.errors.OpError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
 
 
 if __name__ == '__main__':

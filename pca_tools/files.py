@@ -17,18 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from storage import whole_files
+from storage import messages, whole_files
 
 write_atomically = whole_files.write_file
 write_folder_atomically = whole_files.write_folder
+replace_files = whole_files.replace_files
+printable = messages.printable
 
 MANIFEST_NAME = 'manifest.json'
 # A raw run of 321 frames x 5000 particles is 19 MB; a file we read is never near this.
 MAX_BYTES = 2**30
 # The metadata of 10,000 runs; 60 MB of `[]` would take minutes and gigabytes to parse.
 MAX_JSON_BYTES = 2**25
-# Of a message, which may quote what a file holds.
-_MAX_MESSAGE = 4000
 _LFS_PREFIX = b'version https://git-lfs'
 
 
@@ -213,19 +213,6 @@ def refuse_git_lfs_pointer(path: str) -> None:
             f'{path}: is a git-lfs pointer, not the file itself (the object has {size} bytes); '
             'run `git lfs pull` where it came from, or make the file again'
         )
-
-
-def printable(text: object) -> str:
-    """Returns a message as it may be printed: what files and names hold cannot control a terminal.
-
-    Control characters become escapes, line breaks and tabs stay; what is longer than a few
-    thousand characters is cut.
-    """
-    shown = ''.join(
-        character if character.isprintable() or character in '\n\t' else repr(character)[1:-1]
-        for character in str(text)[: _MAX_MESSAGE + 1]
-    )
-    return shown if len(str(text)) <= _MAX_MESSAGE else f'{shown[:_MAX_MESSAGE]} ... (cut)'
 
 
 def sha256_of_file(path: str) -> str:

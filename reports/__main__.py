@@ -16,6 +16,7 @@ REPORTS = {
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
     'solver_sweeps': ('solver_sweeps', "what the solver's own parameters change"),
     'solver_pictures': ('solver_pictures', 'leak and force spectrum of two raw runs, drawn'),
+    'film_strips': ('film_strips', 'one raw run of each kind as a strip of frames'),
     'error_vs_runtime': ('work_precision.report', 'error against run time: table, pictures'),
     'coarse_solver': ('work_precision.coarse_solver', 'the solver itself on coarser grids'),
     'rollout_time': ('speed.rollout_time', 'milliseconds per step of whole rollouts'),
@@ -27,6 +28,7 @@ REPORTS = {
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stiffness': ('edges.nri_stiffness', 'springs up to the limit of the integrator'),
     'stability_report': ('stability.report', 'stiff and extreme cases, as experiments'),
+    'scenes': ('scenes.report', 'scenes of every kind: data, error, time, weights, edges'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
 }

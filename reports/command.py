@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+from absl import flags
+
 from learning_to_simulate import command
 
 
@@ -16,10 +18,20 @@ def start(define_flags: Callable[[], None], run: Callable, n_argument: int = 0) 
 
     def main(values, arguments=()):
         if 'num_threads' in values:
-            import tensorflow as tf
-
-            tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
+            command.import_tensorflow(values.num_threads)
         return run(values, list(arguments))
 
     define_flags()
     command.start(main, n_argument)
+
+
+def define_workers(what: str) -> None:
+    """Defines --cluster and --num_processes.
+
+    Args:
+      what: is done side by side, for the help.
+    """
+    flags.DEFINE_integer('num_processes', 1, f'{what[:-1]}, where no cluster is named.', 1)
+    flags.DEFINE_string(
+        'cluster', '', "Where that is done: '' here, local:4, slurm:64 or tcp://... with Dask."
+    )

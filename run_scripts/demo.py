@@ -24,6 +24,7 @@ from absl import app, flags
 
 from mpm import raw_run, scenes, versions
 from reports import markdown
+from storage import messages
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 MODELS = ('fcg_original', 'pcg')
@@ -75,15 +76,15 @@ def evaluate(name: str, raw: str, data: str, out: str) -> list[dict]:
     Returns:
         One dict per row of the table.
     """
-    from learning_to_simulate import evaluation, experiment
+    from learning_to_simulate import evaluation
+    from learning_to_simulate.methods import registry
 
     (run,) = raw_run.read_manifest(raw)['runs']
     solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
     for preset in MODELS:
-        model, metadata, groups = experiment.load_for_evaluation(
-            os.path.join(ROOT, 'models', name, preset), data, 'test', {}
-        )
+        opened = registry.open_model(os.path.join(ROOT, 'models', name, preset), data, 'test')
+        model, metadata, groups = opened.model, opened.metadata, opened.groups
         evaluator = evaluation.Evaluator(model, metadata)
         results, summary = evaluator.run(groups, 'test')
         evaluation.save_rollouts(os.path.join(out, preset), 'test', results, summary, metadata)
@@ -160,7 +161,7 @@ def main(_) -> None:
                 scenes.select_cases(scene, case)[0] for scene, case in zip(chosen, values.cases)
             ]
     except ValueError as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {messages.printable(error)}')
     raw = [os.path.join(out, s.name, f'raw_{case}') for s, case in zip(chosen, cases)]
     print('solver: ' + ', '.join(f'{s.name} case {c}' for s, c in zip(chosen, cases)))
     running = [

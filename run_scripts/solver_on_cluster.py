@@ -35,6 +35,7 @@ from cluster import workers
 from mpm import files, packing, raw_run, run, scenes, versions
 from mpm.constitutive import make_soil
 from mpm.simulation import Settings
+from storage import messages
 
 
 def simulate(job: tuple) -> dict[str, Any]:
@@ -172,10 +173,10 @@ def main(_: Sequence[str]) -> None:
             scene, cases, values.output_path, Settings(), values.cluster, values.num_processes
         )
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {messages.printable(error)}')
     print(f'{scene.name}: {len(new)} runs in {values.output_path}')
     for reason in failed:
-        print(f'failed: {reason}', file=sys.stderr)
+        print(f'failed: {messages.printable(reason)}', file=sys.stderr)
     sys.exit(1 if failed else 0)
 
 

@@ -111,6 +111,43 @@ def write_folder(path: str, fill: Callable[[str], None], replace: bool = True) -
         sync_folder(os.path.dirname(path))
 
 
+def replace_files(
+    folder: str, fill: Callable[[str], None], is_old: Callable[[str], bool], last: str
+) -> None:
+    """Replaces a set of files in a folder that keeps its other ones; the folder's one writer calls.
+
+    Nothing changes before all new files are complete. From then on `last` is absent until the set
+    is whole again, so a set with it is never mixed.
+
+    Args:
+        folder: present.
+        fill: called with a temporary folder, which it fills with files.
+        is_old: whether a name belongs to the set.
+        last: the file of the set that says that the others are there.
+
+    Raises:
+        OSError: a file could not be written; the old set stays.
+    """
+    for name in os.listdir(folder):  # of writers that were killed
+        if name.startswith(_stem(last)) and name.endswith(TEMPORARY):
+            shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
+    temporary = temporary_beside(os.path.join(folder, last))
+    os.mkdir(temporary)
+    try:
+        fill(temporary)
+        names = sorted(os.listdir(temporary), key=lambda name: (name == last, name))
+        with contextlib.suppress(FileNotFoundError):
+            os.remove(os.path.join(folder, last))
+        for name in os.listdir(folder):
+            if is_old(name) and name not in names:
+                os.remove(os.path.join(folder, name))
+        for name in names:
+            os.replace(os.path.join(temporary, name), os.path.join(folder, name))
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        sync_folder(folder)
+
+
 def recover_folder(path: str) -> str | None:
     """Gives a folder its name back where a writer was killed while it replaced it.
 

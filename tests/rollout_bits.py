@@ -18,9 +18,10 @@ import sys
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.evaluation import Evaluator
-from learning_to_simulate.training import Trainer
+from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
 
 
@@ -34,7 +35,8 @@ def _digest(*arrays):
 def of_rollouts(path: str) -> str:
     """Digest of all test rollouts of the model in a folder `models/<dataset>/<preset>`."""
     data_path = 'datasets/' + path.split('/')[1]
-    model, metadata, groups = experiment.load_for_evaluation(path, data_path, 'test', {})
+    opened = registry.open_model(path, data_path, 'test')
+    model, metadata, groups = opened.model, opened.metadata, opened.groups
     evaluator = Evaluator(model, metadata)
     rollouts = [evaluator.roll_out(group) for group in groups]
     return _digest(*(a for r in rollouts for a in (r.position, r.force)))
@@ -46,7 +48,7 @@ def of_training(data_path: str, steps: int = 3) -> str:
     config = presets.make_config('pcg', latent_size=16, num_steps=steps, **unrolled)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
-    model = experiment.make_model(data_path, metadata, groups, config)
+    model = subspace_method.make_model(data_path, metadata, groups, config)
     trainer = Trainer(model, groups)
     for step in range(2 * steps):
         trainer.step(step)

@@ -27,7 +27,7 @@ MAX_LINES = 400
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
     'storage': (),
-    'cluster': (),
+    'cluster': ('storage',),
     'mpm': ('storage',),
     'pca_tools': ('storage', 'cluster'),
     'learning_to_simulate': ('pca_tools',),
@@ -36,9 +36,10 @@ MAY_IMPORT = {
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.edges.edge_lists',
         'learning_to_simulate.edges.edge_picture',
+        'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
-    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
+    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'storage', 'cluster'),
 }
 # Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {
@@ -62,7 +63,10 @@ ONLY_IN = {
 # Modules -> packages that they must import without. (Keras loads scikit-learn and matplotlib where
 # they are installed, so a look at what is loaded afterwards would blame the wrong one.)
 IMPORTS_WITHOUT = [
-    (('storage.whole_files', 'storage.folder_lock'), ('numpy', 'pca_tools', 'mpm')),
+    (
+        ('storage.whole_files', 'storage.folder_lock', 'storage.parent', 'storage.messages'),
+        ('numpy', 'pca_tools', 'mpm'),
+    ),
     (
         ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
         ('tensorflow', 'matplotlib'),

@@ -8,11 +8,11 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.compiled.folded_step import FoldedStep
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import SimulatorState
 from learning_to_simulate.rigid_body import Correction, KnownMotion
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.step_form import PlainStep
 
 
 class CompiledStep:
@@ -58,12 +58,13 @@ class CompiledStep:
             n = layout.n_rigid
             self._shape = Correction(self._state.offset[:, :n], layout.origin[:n]).shape
 
-    def propose(self, body, displacement):
+    def propose(self, body, displacement, context=None):
         """The next frame; the state stays as it is until `accept`.
 
         Args:
           body: float64 [R, D], m, the body in the coming frame, or None where it is predicted.
           displacement: float64 [R, D], m, of the body into that frame; or None.
+          context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
           float64 [V, D] positions, m, and float32 [D] force, N, or None.
@@ -74,13 +75,15 @@ class CompiledStep:
             if self._scene.rigid_motion == RigidMotion.DRIVEN:
                 motion = [without_height(x, self._scene.up_axis) for x in motion]
             known = KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion))
-        self._proposed, force = self._call(self._state, known, self._context, self._shape)
-        position = self._proposed.offset.numpy()[0] + self._layout.origin
+        context = self._context if context is None else tf.constant(context[None], tf.float32)
+        after, force = self._call(self._state, known, context, self._shape)
+        self._proposed = after, context
+        position = after.offset.numpy()[0] + self._layout.origin
         return position, None if force is None else force.numpy()[0]
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
-        self._state = self._proposed
+        self._state, self._context = self._proposed
 
     def _compute(self, state, known, context, shape):
         if self._simulator.config.has_lasting_graph:

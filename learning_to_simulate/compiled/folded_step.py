@@ -15,12 +15,12 @@ import tensorflow as tf
 
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator, Given, MovingState
+from learning_to_simulate.compiled.step_form import PlainStep, context_in
 from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
 from learning_to_simulate.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.rigid_body import Correction, given_part
 from learning_to_simulate.rollout import RolloutFunction
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.step_form import PlainStep
 
 
 def step_of(simulator, layout, rigid_correction: bool = True):
@@ -69,7 +69,7 @@ class FoldedStep:
         results = self.first_pass(given, context, n_frame) if self._ahead else {}
 
         def frame(k):
-            now = Given(*(None if x is None else x[k] for x in given), context)
+            now = Given(*(None if x is None else x[k] for x in given), context_in(context, k))
             return FramePass(results, k), now
 
         return frame
@@ -77,8 +77,15 @@ class FoldedStep:
     def first_pass(self, given, context, n_frame: int) -> dict:
         """What is computed of all frames at once, by name; `given` is of `given_motion`."""
         ahead = AheadPass(n_frame)
-        rows = [None if x is None else tf.reshape(x, [-1, *x.shape[2:]]) for x in given]
-        contexts = None if context is None else tf.tile(context, [n_frame, 1])
+
+        def rows_of(x):
+            return tf.reshape(x, [-1, *x.shape[2:]])
+
+        rows = [None if x is None else rows_of(x) for x in given]
+        contexts = context
+        if context is not None:
+            by_frame = context.shape.rank == 3
+            contexts = rows_of(context) if by_frame else tf.tile(context, [n_frame, 1])
         nothing = MovingState(None, None, None, None)
         self._folded.predict(ahead, Given(*rows, contexts), nothing)
         return ahead.results
@@ -105,7 +112,7 @@ class FoldedStep:
     def written_shapes(self, carry: MovingState):
         """Of modes, body and force."""
         force = (
-            [(carry.modes.shape[0], self.simulator.dim)] if self.simulator.scene.has_force else []
+            [(carry.modes.shape[0], self.simulator.force_size)] if self.simulator.force_size else []
         )
         return [carry.modes.shape, carry.body.shape, *force]
 

@@ -16,10 +16,11 @@ import time
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import experiment, stepping
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_header, c_library, c_stepper, starts
 from learning_to_simulate.export_c.c_soil import CSoil
+from learning_to_simulate.live import stepping
+from learning_to_simulate.methods import registry
 from pca_tools import files
 
 PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
@@ -42,13 +43,14 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
       c_library.NoCompiler: there is no C compiler.
     """
     model, n, subspace, found = starts.read_model(model_path, data_path)
-    _, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    opened = registry.open_model(model_path, data_path, 'test')
+    groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n), None)
     if group is None:
         raise ValueError(f'{data_path}: no test run has {n} rigid nodes')
     known = model.simulator.scene.rigid_motion.is_known
     history = group.position[0, :H]
-    context = None if group.context is None else group.context[0]
+    context = group.context_at(H, 0)
     poses = np.ascontiguousarray(group.position[0, H:, :n])
     timed, library = _timed_library()
     data = c_stepper.CStepper(model, n, subspace, starts=found)
@@ -166,7 +168,7 @@ def main(_) -> None:
             print(f'measuring {path} ...', flush=True)
             results[path] = measure(path, folder, v.calls)
     except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(table(results))
     if v.output:
         files.write_json(v.output, results)

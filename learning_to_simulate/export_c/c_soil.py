@@ -11,7 +11,7 @@ from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 
-KERNELS = ('scalar', 'vector4', 'avx2')
+KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
 _CHECKS = {
     'LTS_OUTSIDE_START': 'coordinate',
@@ -48,7 +48,7 @@ class CSoil:
     Args:
       library: `c_library.declared` of a shared library.
       model: address of its `lts_model`.
-      kernel: 'best', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
+      kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
 
     Raises:
       ValueError: a model of another ABI version, a kernel that this machine lacks.
@@ -125,7 +125,7 @@ class CSoil:
 
     @property
     def kernel(self) -> str:
-        """Which arithmetic runs: 'avx2', 'vector4' (SSE2, NEON) or 'scalar'."""
+        """Which arithmetic runs, one of `KERNELS`."""
         return KERNELS[self._c.lts_kernel(self._soil)]
 
     def reset(self, history, context=None) -> None:
@@ -178,7 +178,15 @@ class CSoil:
         self._require_start('prepare')
         self._done(self._c.lts_prepare(self._soil))
 
-    def step(self, rigid_pose=None) -> Frame:
+    def set_context(self, context) -> None:
+        """Gives the context [C] of the coming frame and those after it."""
+        self._require_start('set_context')
+        context = self._checked_context(context)
+        if context is None:
+            raise ValueError('the scene takes no context')
+        self._done(self._c.lts_set_context(self._soil, context.ctypes.data))
+
+    def step(self, rigid_pose=None, context=None) -> Frame:
         """Predicts the next frame; as `stepping.Stepper.step`."""
         self._require_start('step')
         if self._motion.is_known != (rigid_pose is not None):
@@ -188,6 +196,8 @@ class CSoil:
         if rigid_pose is not None:
             self._pose[:] = _checked('rigid_pose', rigid_pose, self._pose.shape)
             at = self._at_pose
+        if context is not None:
+            self.set_context(context)
         self._done(self._c.lts_frame(self._soil, at, self._at_result))
         return self._newest()
 

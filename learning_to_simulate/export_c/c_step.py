@@ -43,12 +43,13 @@ class CStep:
         if not self._is_proposed:
             self._soil.prepare()
 
-    def propose(self, body, displacement):
+    def propose(self, body, displacement, context=None):
         """The next frame; the state stays as it is until `accept`.
 
         Args:
           body: float64 [R, 3], m, the body in the coming frame, or None where it is predicted.
           displacement: not needed: the library knows the body of before.
+          context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
           float64 [V, 3] positions, m, and float32 [3] force, N, or None.
@@ -59,7 +60,7 @@ class CStep:
         else:
             self._before.copy_state(self._soil)
         self._is_proposed = True
-        frame = self._soil.step(body)
+        frame = self._soil.step(body, context)
         return np.concatenate([frame.rigid_pose, frame.modes]), frame.force
 
     def accept(self) -> None:

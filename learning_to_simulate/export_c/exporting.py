@@ -1,4 +1,4 @@
-"""Exports a trained model: as a C project, an FMU, or a page that needs no server (`--format`).
+"""Exports a trained model as a C project (`--format=c`) or as an FMU (`--format=fmu`).
 
 What was written is compiled, run over a recorded test run and compared with the TensorFlow stepper;
 beyond round-off the export is refused.
@@ -15,11 +15,12 @@ import tempfile
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import api, checkpoints, experiment, stepping
+from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts, web_page
+from learning_to_simulate.export_c import c_library, fmu, model_data, project, starts
 from learning_to_simulate.export_c.c_soil import CSoil
-from learning_to_simulate.live_page.session import Session
+from learning_to_simulate.live import stepping
+from learning_to_simulate.methods import registry
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -27,7 +28,7 @@ DESCRIPTION_FILE = 'export.json'
 # the compared frames. Measured 1e-7 to 3e-6 on the shipped models.
 TOLERANCE = 1e-4
 COMPARED_STEPS = 40
-FORMATS = ('c', 'fmu', 'page')
+FORMATS = ('c', 'fmu')
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -37,7 +38,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       model_path: trained model.
       data_path: its dataset; gives starts, the run to compare on and the subspace.
       output_path: folder to write; must be absent or empty.
-      kind: of `FORMATS`.
+      kind: 'c' or 'fmu'.
       n_rigid: R of the exported graph; None for that of the model's first training run.
 
     Returns:
@@ -67,9 +68,6 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     def fill(folder):
         if kind == 'fmu':
             fmu.write(os.path.join(folder, f'{name}.fmu'), name, values)
-        elif kind == 'page':
-            session = Session(api.load(model_path))
-            web_page.write(os.path.join(folder, f'{name}.html'), name, values, session)
         else:
             project.write(folder, name, values)
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
@@ -84,7 +82,8 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
     Raises:
       ValueError: a difference above the tolerance.
     """
-    _, _, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+    opened = registry.open_model(model_path, data_path, 'test')
+    groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n_rigid), None)
     if group is None:
         return {'skipped': f'no test run has {n_rigid} rigid nodes'}
@@ -97,14 +96,15 @@ def _compare(model_path, data_path, model, n_rigid, subspace, name, values):
             return {'skipped': str(error)}
         soil = CSoil.open(library, name)
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
-    context = None if group.context is None else group.context[0]
     nodes, forces, particles = ([], []), ([], []), []
     known = model.simulator.scene.rigid_motion.is_known
     for stepper in steppers:
-        stepper.reset(group.position[0, :H], context)
-    for pose in group.position[0, H : H + COMPARED_STEPS, :n_rigid]:
+        stepper.reset(group.position[0, :H], group.context_at(H, 0))
+    poses = group.position[0, H : H + COMPARED_STEPS, :n_rigid]
+    for k, pose in enumerate(poses, H):
+        context = group.context_at(k, 0) if group.context_changes else None
         for stepper, of_nodes, of_force in zip(steppers, nodes, forces):
-            frame = stepper.step(pose if known else None)
+            frame = stepper.step(pose if known else None, context)
             of_nodes.append(np.concatenate([frame.rigid_pose, frame.modes]))
             of_force.append(np.zeros(3) if frame.force is None else frame.force)
         if subspace is not None:
@@ -168,7 +168,7 @@ def main(_) -> None:
     try:
         description = export(v.model_path, v.data_path, v.output_path, v.format, v.n_rigid)
     except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {files.printable(error)}')
     print(summary(description, v.output_path))
 
 

@@ -32,11 +32,17 @@ def refuse(simulator) -> None:
         raise ValueError(
             f'model {config.model!r} has no C form; exported are {", ".join(EXPORTED_MODELS)}'
         )
+    simulator.scene.check_one_body('the C form')
     if simulator.dim != 3:
         raise ValueError(f'the model has {simulator.dim} axes, the C form has 3')
     names = [feature.name for feature in features.of(simulator)]
     if names != [name for name in _FEATURES if name in names]:
         raise ValueError(f'the model has inputs {names}, the C form knows {list(_FEATURES)}')
+
+
+def motion_of(scene) -> int:
+    """The number that `lts.h` has for the motion of a scene's body."""
+    return c_header.constants()[_MOTIONS[scene.rigid_motion]]
 
 
 def values(
@@ -66,7 +72,7 @@ def values(
         raise ValueError('surface_height needs a graph')
     result = {
         'abi': c_header.constants()['LTS_ABI'],
-        'motion': c_header.constants()[_MOTIONS[scene.rigid_motion]],
+        'motion': motion_of(scene),
         'name': scene.name,
         'context_names': ','.join(scene.context_names),
         'n_rigid': n_rigid,

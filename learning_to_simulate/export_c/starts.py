@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, experiment, reading_utils
+from learning_to_simulate import checkpoints, reading_utils
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 
@@ -28,7 +28,7 @@ def read_model(model_path: str, data_path: str, n_rigid: int | None = None):
     """
     model = checkpoints.load_model(model_path)
     metadata = read_metadata(data_path)
-    experiment.check_dataset(model_path, model, data_path, metadata)
+    checkpoints.check_dataset(model_path, model, data_path, metadata)
     path = os.path.join(data_path, 'subspace.npz')
     subspace = Subspace.load(path) if os.path.exists(path) else None
     n_rigid = checkpoints.read_config(model_path)['n_rigid'] if n_rigid is None else n_rigid
@@ -55,7 +55,7 @@ def read(data_path: str, metadata: dict, config, n_rigid: int) -> list[dict]:
             start = {
                 'modes': nodes[n_rigid:],
                 'points': nodes[:n_rigid],
-                'context': np.zeros(0) if group.context is None else group.context[run],
+                'context': np.zeros(0) if group.context is None else group.context_at(0, run),
             }
             if not any(_same(start, other) for other in found):
                 found.append(start)

@@ -1,4 +1,8 @@
-"""`--format=page`: a page that needs no server, with the C library as WebAssembly inside.
+"""Writes a page that needs no server: one HTML file with the C library as WebAssembly inside.
+
+Example:
+  python -m learning_to_simulate.export_c.web_page --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=soil.html
 
 Needs clang with lld and the C library of WASI (Debian: apt install clang lld wasi-libc
 libclang-rt-dev-wasm32). The kernels' vectors of four become those of WebAssembly.
@@ -13,8 +17,11 @@ import subprocess
 import tempfile
 
 import numpy as np
+from absl import flags
 
+from learning_to_simulate import command
 from learning_to_simulate.export_c import project
+from pca_tools import files
 
 TARGET = ('--target=wasm32-wasi', '--sysroot={root}', '-O3', '-msimd128', '-nostartfiles',
           '-Wl,--no-entry', '-Wl,--strip-all')  # fmt: skip
@@ -42,7 +49,7 @@ def compile_model(name: str, values: dict) -> bytes:
     clang, root = shutil.which('clang'), sysroot()
     if clang is None or root is None:
         lacks = 'clang' if clang is None else 'the C library of WASI'
-        raise ValueError(f'{lacks} is not there, which --format=page needs: {MISSING}')
+        raise ValueError(f'{lacks} is not there, which a page needs: {MISSING}')
     if not values.get('n_soil'):
         raise ValueError('a page draws particles: the model has no subspace')
     with tempfile.TemporaryDirectory() as folder:
@@ -59,7 +66,7 @@ def compile_model(name: str, values: dict) -> bytes:
             capture_output=True, text=True,
         )  # fmt: skip
         if done.returncode:
-            raise ValueError(f'clang cannot compile the model for --format=page: {done.stderr}')
+            raise ValueError(f'clang cannot compile the model for a page: {done.stderr}')
         with open(wasm, 'rb') as file:
             return file.read()
 
@@ -115,5 +122,38 @@ def write(path: str, name: str, values: dict, session) -> None:
         'CONFIG': json.dumps(settings(session), separators=(',', ':')),
         'WASM': base64.b64encode(compile_model(name, values)).decode('ascii'),
     }
-    project.write_template('page/page.html.in', path, words)
+    files.write_atomically(path, lambda part: project.write_template('page/page.html.in', part, words))
+
+
+def run(values) -> None:
+    """Runs the command with its flags."""
+    folder = os.path.dirname(os.path.abspath(values.output_path))
+    command.writable_folder(folder)
+    if shutil.which('clang') is None or sysroot() is None:
+        raise ValueError(f'clang for WebAssembly is not there: {MISSING}')
+    command.import_tensorflow()
+    from learning_to_simulate import api
+    from learning_to_simulate.export_c import model_data, starts
+    from learning_to_simulate.live_page import recorded
+    from learning_to_simulate.live_page.session import Session
+
+    path = api.find_model(values.model_path)
+    trained, n_rigid, subspace, found = starts.read_model(path, values.data_path)
+    model = api.load(path)
+    os.makedirs(folder, exist_ok=True)
+    session = Session(model, recorded.of_model(model, values.data_path))
+    write(
+        values.output_path,
+        project.symbol(path),
+        model_data.values(trained, n_rigid, subspace, starts=found),
+        session,
+    )
+    print(f'wrote {values.output_path} ({os.path.getsize(values.output_path) / 1e6:.2g} MB)')
+
+
+if __name__ == '__main__':
+    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
+    flags.DEFINE_string('output_path', None, 'HTML file to write.', required=True)
+    command.start(run)
 

@@ -75,6 +75,10 @@ class FrameJudge:
         found.append(self.given(0, body, before))
         return next((judgement for judgement in found if judgement), OK)
 
+    def context(self, frame: int, context) -> Judgement | None:
+        """What is unlike the training runs in the context [C] of a frame, or None."""
+        return outside_context(context, self._statistics, self._scene, frame)
+
     def given(self, frame: int, body, before, in_words: bool = True) -> Judgement | None:
         """What is unlike the training runs in the given motion of a frame, or None.
 

@@ -13,9 +13,9 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.live.resting_start import Starts
+from learning_to_simulate.live.stepping import FLAG, Frame, Stepper
 from learning_to_simulate.rollout_status import Judgement
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.stepping import FLAG, Frame, Stepper
 from pca_tools import rigid_fit
 
 
@@ -48,13 +48,7 @@ class Beginning:
         starts, names = self._starts, self._scene.context_names
         index = starts.index(case)
         if context is not None:
-            if not names:
-                raise ValueError(f'the scene {self._scene.name} takes no context')
-            if isinstance(context, dict):
-                if set(context) != set(names):
-                    raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
-                context = [context[name] for name in names]
-            context = poses.numbers('context', context, (len(names),))
+            context = self.read_context(context)
             if case is None:  # the bed of the most similar case
                 spread = starts.context.std(axis=0)
                 far = (starts.context - context) / np.where(spread > 0, spread, 1.0)
@@ -76,6 +70,21 @@ class Beginning:
     def read(self, pose) -> np.ndarray:
         """float64 [7] of a pose of the path; raises as `poses.PoseReader.read`."""
         return self._reader(self.index or 0).read(pose)
+
+    def read_context(self, context) -> np.ndarray:
+        """float64 [C] of a context [C] or {name: value}.
+
+        Raises:
+          ValueError: a scene without one, other names, not numbers.
+        """
+        names = self._scene.context_names
+        if not names:
+            raise ValueError(f'the scene {self._scene.name} takes no context')
+        if isinstance(context, dict):
+            if set(context) != set(names):
+                raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
+            context = [context[name] for name in names]
+        return poses.numbers('context', context, (len(names),))
 
     def nodes(self, pose) -> np.ndarray:
         """float64 [R, 3], m, of the body's nodes at a pose."""
@@ -161,12 +170,14 @@ class LiveSoil:
         self._stepper, self._beginning = stepper, chosen
         return judgement
 
-    def step(self, pose=None) -> Frame:
+    def step(self, pose=None, context=None) -> Frame:
         """Predicts the frame in which the body reaches a pose.
 
         Args:
           pose: of the body in the coming frame (see `poses`), where its motion is given; of a
             driven body the height is ignored. None where the body is predicted.
+          context: [C] or {name: value} in the coming frame and those after it, where it changes;
+            None leaves it as it was.
 
         Raises:
           ValueError: before `start`; not a pose, or one where none is taken; with `outside='raise'`
@@ -175,11 +186,13 @@ class LiveSoil:
         """
         if self._stepper is None:
             raise ValueError('call start() before step()')
+        if context is not None:
+            context = self._beginning.read_context(context)
         if pose is None:
-            frame = self._stepper.step()
+            frame = self._stepper.step(None, context)
             return frame._replace(pose=self._fitted(frame.rigid_pose))
         pose = self._beginning.read(pose)
-        frame = self._stepper.step(self._beginning.nodes(pose))
+        frame = self._stepper.step(self._beginning.nodes(pose), context)
         if self._scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
             up = self._scene.up_axis
             pose[up] += (frame.rigid_pose - self._beginning.nodes(pose))[:, up].mean()

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from learning_to_simulate import reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.evaluation import total_force
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.live_soil import Beginning
@@ -173,10 +174,11 @@ class PathRoller:
         Args:
           path: [T, 7] or [T, 3] poses (see `poses`), T >= 2.
           velocity: at its beginning; None for that of its first two poses.
-          case, context: as `LiveSoil.start`.
+          case: as `LiveSoil.start`.
+          context: likewise, or [T, C] where it changes in time.
 
         Returns:
-          `Beginning`, float64 [T, 7].
+          `Beginning`, float64 [T, 7], and the context [T, C] or None where it is that of the start.
 
         Raises:
           ValueError: not such a path.
@@ -184,38 +186,49 @@ class PathRoller:
         values = poses.numbers('path', path, (None, 7), (None, 3))
         if len(values) < 2:
             raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
+        contexts = None
+        if np.ndim(context) == 2 and self._scene.context_names:
+            shape = (len(values), len(self._scene.context_names))
+            contexts = poses.numbers('context', context, shape)
+            context = contexts[0]
         chosen = Beginning(self._scene, self._starts, self._scene.n_modes)
         chosen.choose(case=case, context=context)
         values = np.stack([chosen.read(pose) for pose in values])
         if velocity is None:
             velocity = velocity_between(values[0], values[1], self._scene.dt)
-        return chosen.choose(values[0], velocity, case, context), values
+        return chosen.choose(values[0], velocity, case, context), values, contexts
 
-    def roll_out(self, pairs) -> list[SoilRollout]:
+    def roll_out(self, begun) -> list[SoilRollout]:
         """Rolls out paths as one batch, those of equal bodies at a time.
 
         Args:
-          pairs: of `beginning`.
+          begun: of `beginning`.
         """
-        results: list = [None] * len(pairs)
-        sizes = [len(chosen.kept) for chosen, _ in pairs]
+        results: list = [None] * len(begun)
+        sizes = [len(chosen.kept) for chosen, *_ in begun]
         for n_rigid in sorted(set(sizes)):
             mine = [i for i, size in enumerate(sizes) if size == n_rigid]
-            for i, result in zip(mine, self._batch(n_rigid, [pairs[i] for i in mine])):
+            for i, result in zip(mine, self._batch(n_rigid, [begun[i] for i in mine])):
                 results[i] = result
         return results
 
-    def _batch(self, n_rigid, pairs):
-        longest = max(len(path) for _, path in pairs) - 1
+    def _batch(self, n_rigid, begun):
+        longest = max(len(path) for _, path, _ in begun) - 1
         n_frame = -(-longest // FRAME_BLOCK) * FRAME_BLOCK
-        position = np.zeros((len(pairs), H + n_frame, n_rigid + self._scene.n_modes, 3))
-        for row, (chosen, path) in zip(position, pairs):
+        position = np.zeros((len(begun), H + n_frame, n_rigid + self._scene.n_modes, 3))
+        for row, (chosen, path, _) in zip(position, begun):
             row[:H] = chosen.history()
             row[H:, :n_rigid] = chosen.nodes(path[-1])  # a body that has arrived stays
             row[H : H + len(path) - 1, :n_rigid] = [chosen.nodes(pose) for pose in path[1:]]
         contexts = None
         if self._scene.context_names:
-            contexts = np.stack([chosen.context for chosen, _ in pairs])
+            contexts = np.stack([chosen.context for chosen, *_ in begun])
+            if any(by_frame is not None for *_, by_frame in begun):
+                contexts = np.repeat(contexts[:, None], H + n_frame, axis=1)
+            for row, (*_, by_frame) in zip(contexts, begun):
+                if by_frame is not None:
+                    row[H:] = by_frame[-1]
+                    row[H : H + len(by_frame) - 1] = by_frame[1:]
         group = RunGroup(n_rigid, np.zeros(0, int), position, None, contexts, np.zeros(0, int))
         function = self._functions(n_rigid)
         offsets, forces = function(*rollout_inputs(group, function.layout, self._scene))
@@ -223,17 +236,21 @@ class PathRoller:
         forces = None if forces is None else np.moveaxis(forces.numpy(), 0, 1)
         statistics = self._model.simulator.statistics
         judge = FrameJudge(n_rigid, statistics, self._scene, self._starts.force_limit)
-        for s, (chosen, path) in enumerate(pairs):
+        for s, (chosen, path, by_frame) in enumerate(begun):
             count = len(path) - 1
             force = None if forces is None else forces[s, :count]
-            yield self._result(judge, chosen, path, position[s], predicted[s, :count], force)
+            yield self._result(
+                judge, chosen, path, by_frame, position[s], predicted[s, :count], force
+            )
 
-    def _result(self, judge, chosen, path, given, predicted, force):
+    def _result(self, judge, chosen, path, by_frame, given, predicted, force):
         n, count = len(chosen.kept), len(predicted)
         judgement, statuses = chosen.judged(judge), []
         for k in range(count):
             now = judge.predicted(H + k, predicted[k], None if force is None else force[k])
             outside = judge.given(H + k, given[H + k, :n], given[H + k - 1, :n])
+            if by_frame is not None:
+                outside = outside or judge.context(H + k, by_frame[k + 1])
             now = worse(now, outside or now)
             judgement = worse(judgement, now)
             statuses.append(now.status)
@@ -274,14 +291,18 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
     return SoilRollout(
         history=history,
         modes=rollout.position[0, :, n:],
-        force=None if rollout.force is None else rollout.force[0],
+        force=None if rollout.force is None else total_force(rollout.force[0]),
         rigid_nodes=rollout.position[0, :, :n],
         judgement=judgement,
         frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
         body=predicted[:, :n_body],
         scene=scene,
         soil=soil,
-        truth=(true[:, modes], true[:, :n_body], None if group.force is None else group.force[0]),
+        truth=(
+            true[:, modes],
+            true[:, :n_body],
+            None if group.force is None else total_force(group.force[0]),
+        ),
         name=name,
     )
 

@@ -36,7 +36,7 @@ class Starts:
       kept: int [K][R], which of them are nodes.
       pose: float64 [K, 7], where the body is in the record's first frame.
       modes: float64 [K, r', D], all modes of the dataset, m; the bed at rest.
-      context: float64 [K, C], or None.
+      context: float64 [K, C] of the first frame, or None.
       force_limit: N, the largest force of the training runs; None where there is no force.
     """
 
@@ -122,7 +122,7 @@ def _add(found, case, group, run, pose):
         pose = np.concatenate([centre, [1.0, 0.0, 0.0, 0.0]])
     body = (points - pose[:3]) @ poses.rotation_matrix(pose[3:])  # R^T (x - p), row by row
     modes = group.position[run, 0, n:]
-    context = None if group.context is None else group.context[run]
+    context = group.context_at(0, run)
     for _, other, other_kept, _, other_modes, other_context in found:
         if (
             other.shape == body.shape
@@ -179,7 +179,7 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(
             f'{model_path}: holds no {START_FILE}, the model was trained before models carried '
-            f'their start; add it: python -m learning_to_simulate.add_start '
+            f'their start; add it: lts add-start '
             f'--model_path={model_path} --data_path=<its dataset>'
         )
     for name in (START_FILE, SUBSPACE_FILE):

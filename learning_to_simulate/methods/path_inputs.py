@@ -80,7 +80,9 @@ class PathInputs:
             hidden = tool_motion.hidden_height(body, self.scene, H)
             parts = [self._wheel(hidden)]
         if group.context is not None:
-            parts.append(np.repeat(_context(group.context)[:, None], body.shape[1], axis=1))
+            by_frame = group.context if group.context.ndim == 3 else group.context[:, None]
+            shape = (*body.shape[:2], by_frame.shape[-1])
+            parts.append(np.broadcast_to(_context(by_frame), shape))
         return np.concatenate(parts, axis=-1)
 
     def _blade(self, body):
@@ -147,6 +149,6 @@ class PathInputs:
 
 
 def _context(context):
-    """Context [S, C], as logarithms where it is positive: loads and gravities span decades."""
+    """Context [..., C], as logarithms where it is positive: loads and gravities span decades."""
     positive = context > 0
     return np.where(positive, np.log(np.where(positive, context, 1.0)), context)

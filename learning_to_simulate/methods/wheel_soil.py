@@ -60,7 +60,7 @@ class Wheels(NamedTuple):
 
     Attributes:
       radius, width: [S], m.
-      load: [S], N.
+      load: [S] or [S, T], N.
       gravity: [S], m/s2.
       soil_friction: [S] tan(phi) of the soil.
       rim_friction: [S] Coulomb coefficient between soil and rim.
@@ -168,6 +168,7 @@ def drive(
     count = int(np.ceil(((np.ptp(travel, axis=1) + 2 * radius[:, 0]) / spacing[:, 0]).max())) + 1
     places = start + spacing * np.arange(count)  # [S, n]
     deepest, shear = np.zeros_like(places), np.zeros_like(places)
+    loads = np.broadcast_to(np.reshape(wheels.load, (len(travel), -1)), travel.shape)
     rows = []
     for t in range(travel.shape[1]):
         # Only bins under the wheel are looked at: a frame costs the same on every path.
@@ -194,7 +195,7 @@ def drive(
         low, high = np.zeros(len(radius)), radius[:, 0].copy()
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            bears = contact.forces(middle, parameters)[1] >= wheels.load
+            bears = contact.forces(middle, parameters)[1] >= loads[:, t]
             low, high = np.where(bears, low, middle), np.where(bears, middle, high)
         forward, upward, moment = contact.forces(high, parameters)
         rows.append((high, forward, upward, radius[:, 0] * moment))

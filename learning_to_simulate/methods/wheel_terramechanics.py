@@ -53,8 +53,10 @@ class WheelTerramechanics:
         body = tool_motion.hidden_height(group.position[:, :, : group.n_rigid], self.scene, H)
         centre, turned, radius, width = tool_motion.wheel_pose(body, self.frame)
         gravity, angle, load = (
-            group.context[:, self.scene.context_names.index(name)] for name in CONTEXT
+            group.context[..., self.scene.context_names.index(name)] for name in CONTEXT
         )
+        if load.ndim == 2:  # soil and planet stay, the load may change
+            gravity, angle, load = gravity[:, 0], angle[:, 0], load[:, ::stride]
         rim = [(c or {}).get('body_friction', RIM_FRICTION) for c in cases or [None] * len(load)]
         wheels = Wheels(radius, width, load, gravity, np.tan(np.radians(angle)), np.array(rim))
         travel = centre[..., 0] - centre[:, :1, 0]

@@ -28,7 +28,11 @@ MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 MAX_LEAN, BUCKET_LEAN = 45.0, bodies.MAX_LEAN_DEG
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
-FRONT_ROOM = 0.12  # m that stay in front of the blade for the heap
+# Soil that is squeezed against a wall answers with ten times the force of the open field. So much
+# stays free in front of the blade, for its heap, and behind it wherever its back pushes soil (as it
+# also does when a leaning blade sinks faster than it travels), the depth of the edge added.
+FRONT_ROOM, BACK_ROOM = 0.20, 0.12  # m
+BACK_DEPTH, BACK_SPEED = 0.02, 0.02  # m, m/s: less is no push
 SECOND_CUT_FRAMES = 45
 LEAST_REVERSE = 0.02  # m
 STEPS_CHECKED = 8  # a frame, of a path that has just been drawn
@@ -154,16 +158,26 @@ def _fits(drive, box, plot) -> bool:
         checks.check_drive(drive, box, _FRAMES - 1, STEPS_CHECKED)
     except ValueError:
         return False
-    x, y, _ = drive.pose(np.arange(_FRAMES + drive.lead_in) / scenes.FRAME_RATE).T
-    if x.min() < scenes.CORNER + FRONT_ROOM:
+    x, y, angle = drive.pose(np.arange(_FRAMES + drive.lead_in) / scenes.FRAME_RATE).T
+    depth = box.surface + drive.body.radius - y
+    if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
         return False
-    x, is_below = x[drive.lead_in :], (y - drive.body.radius < box.surface)[drive.lead_in :]
+    x, is_below = x[drive.lead_in :], depth[drive.lead_in :] > 0.0
     if plot == 'lift':  # back in the soil for a while
         out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)
         return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES
     if plot == 'reverse':
         return float((x - np.minimum.accumulate(x)).max()) >= LEAST_REVERSE
     return True
+
+
+def _is_squeezing(x, y, angle, depth, box) -> bool:
+    """Whether the back of the blade pushes soil against the wall behind it; all [T]."""
+    vx, vy = np.gradient(x) * scenes.FRAME_RATE, np.gradient(y) * scenes.FRAME_RATE
+    backwards = vx * np.cos(angle) + vy * np.sin(angle)  # speed along the normal of the back
+    room = scenes.CORNER + box.size[0] - x
+    pushes = (depth > BACK_DEPTH) & (backwards > BACK_SPEED)
+    return bool((pushes & (room < BACK_ROOM + depth)).any())
 
 
 def _cut_depth(rng) -> float:

@@ -17,6 +17,7 @@ from absl import app, flags
 from mpm import scenes
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
+from storage import messages
 
 OUTLINE_EVERY = 0.5  # s
 
@@ -109,7 +110,7 @@ def main(_) -> None:
             raise ValueError('nothing to draw: give --cases, --operator_seeds or --path')
         draw(scene, cases, values.output_path)
     except (ValueError, OSError, ImportError) as error:
-        sys.exit(f'error: {error}')
+        sys.exit(f'error: {messages.printable(error)}')
     print(f'wrote {values.output_path}: {len(cases)} runs')
 
 

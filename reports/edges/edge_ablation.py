@@ -35,11 +35,12 @@ import tensorflow as tf
 import tqdm
 from absl import flags
 
-from learning_to_simulate import connectivity_utils, evaluation, experiment, presets, reading_utils
+from learning_to_simulate import connectivity_utils, evaluation, presets, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.methods import subspace_method
 from learning_to_simulate.rollout import rollout_inputs
-from learning_to_simulate.training import Trainer
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from reports import command, record, timing
 from reports.edges import edge_ablation_report
@@ -110,7 +111,7 @@ class Bench:
         self.config, self._data_path = config, data_path
         self._metadata = dataset.read_metadata(data_path)
         self._groups = self._read('train')
-        self.model = experiment.make_model(data_path, self._metadata, self._groups, config)
+        self.model = subspace_method.make_model(data_path, self._metadata, self._groups, config)
         self._layouts = {}
         if config.gate_weight:
             for group in self._groups:
@@ -211,7 +212,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
     for name, mask in masks.items():
         kind = 'fully_connected' if mask is None else 'correlation'
         config = presets.make_config('pcg', adjacency=kind, mode_edges=0)
-        model = experiment.make_model(data_path, metadata, groups, config)
+        model = subspace_method.make_model(data_path, metadata, groups, config)
         if mask is not None:
             model.fix_mode_edges(np.array(mask, bool))
         layout = model.layout(one.n_rigid)

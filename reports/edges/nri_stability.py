@@ -12,16 +12,16 @@ import itertools
 import os
 
 import numpy as np
-import tensorflow as tf
 from absl import flags
 
+from cluster import workers
 from learning_to_simulate.edges import edge_lists, edge_picture
 from nri import data as nri_data
 from nri import experiment
 from nri.export_edges import edge_posterior, spread
 from nri.model import NriConfig, load_model
 from pca_tools import files
-from reports import command, record
+from reports import command, isolated, record
 
 
 def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
@@ -53,6 +53,11 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
         **spread(posterior, threshold),
         'probabilities': [[None if np.isnan(x) else round(float(x), 5) for x in r] for r in p],
     }
+
+
+def train_job(job: tuple) -> dict:
+    """`train_seed` as a task of a worker, in a process of its own and on one thread."""
+    return isolated.call(train_seed, *job, threads=1)
 
 
 def matrices(rows: list[dict]) -> np.ndarray:
@@ -133,6 +138,7 @@ def define_flags() -> None:
     flags.DEFINE_string('work_path', None, 'Folder for the models.', required=True)
     flags.DEFINE_string('output_path', None, 'JSON file of the result.', required=True)
     flags.DEFINE_integer('seeds', 5, 'Trainings to compare.', 2)
+    command.define_workers('Seeds trained at a time.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_enum('nodes', 'modes', nri_data.NODE_KINDS, 'Nodes of the graph.')
     flags.DEFINE_integer('epochs', 8, 'Epochs of each training.', 1)
@@ -145,14 +151,18 @@ def define_flags() -> None:
 
 def main(v, _) -> None:
     """Runs the command."""
-    tf.config.threading.set_intra_op_parallelism_threads(1)
     names = ('nodes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate')
     settings = {name: getattr(v, name) for name in names}
-    rows = []
+    jobs = []
     for seed in range(v.seeds):
         config = NriConfig(**settings, seed=seed, decay_start=v.epochs, decay_epochs=v.epochs)
-        model_path = os.path.join(v.work_path, f'seed_{seed}')
-        rows.append(train_seed(v.data_path, model_path, config, v.threshold))
+        model_path = os.path.abspath(os.path.join(v.work_path, f'seed_{seed}'))
+        jobs.append((os.path.abspath(v.data_path), model_path, config, v.threshold))
+    with workers.start(v.cluster, v.num_processes) as crew:
+        outcomes = sorted(crew.run(train_job, jobs), key=lambda outcome: outcome.index)
+    if failed := [f'seed {o.index}: {o.error}' for o in outcomes if o.error is not None]:
+        raise ValueError('; '.join(failed))
+    rows = [outcome.value for outcome in outcomes]
     result = record.provenance(1) | {
         'digests': edge_lists.data_digests(v.data_path),
         'settings': settings | {'threshold': v.threshold},

@@ -8,17 +8,15 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, model_config
-from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.training_run import training_state
+from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data
 from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace
 from reports.fuzz.import_targets import IMPORT_TARGETS
+from reports.fuzz.model_targets import MODEL_TARGETS
 from reports.fuzz.target import Promise, Target
 
 R, MODES, FRAMES, N_SOIL = 2, 2, 9, 6
@@ -28,7 +26,6 @@ _PICKLE = (
     'cQOHcQRScQUoSwFLA4VxBmNudW1weQpkdHlwZQpxB1gCAAAAZjhxCImIh3EJUnEKKEsDWAEAAAA8cQtOTk5K////'
     '/0r/////SwB0cQxiiUMYAAAAAAAACEAAAAAAAAAAQAAAAAAAAPA/cQ10cQ5iLg=='
 )
-WEIGHT_SHAPES = {'000.layer/w': (3, 4), '001.layer/b': (4,)}
 
 
 def _rng():
@@ -160,55 +157,6 @@ def _possible_rollout(frames):
     )
 
 
-def _write_config(folder):
-    """Of a conditioned model with a driven body, all parts present."""
-    classes, scene = MODES + 1, Scene.from_metadata(_metadata(), rigid_particle_type=0)
-    pair, axes = (classes, classes, 3), (3,)
-    shapes = {
-        'displacement_mean': pair, 'displacement_std': pair, 'force_mean': axes, 'force_std': axes,
-        'position_range': (2, classes, 3), 'given_range': (2, 3), 'body_extent_range': (2, 3),
-        'given_velocity_range': (2, 3),
-        'body_speed_range': (2, 1), 'context_range': (2, 1),
-    }  # fmt: skip
-    ones = ('height', 'body_speed', 'context', 'log')
-    arrays = {}
-    for field in dataclasses.fields(Statistics):
-        default = (1,) if field.name.startswith(ones) else (classes, 3)
-        arrays[field.name] = np.full(shapes.get(field.name, default), 0.25)
-    values = {
-        'schema_version': checkpoints.SCHEMA_VERSION,
-        'config': dataclasses.asdict(TrainConfig('pcg')), 'scene': scene.to_json(),
-        'particle_types': [0, 6], 'n_rigid': R, 'edges': {'2': 8},
-        'mode_mask': [[1, 0], [1, 1]], 'loaded_mask': None,
-        'statistics': Statistics(**arrays).to_json(), 'data': {'path': 'x', 'sha256': {}},
-        'packages': {},
-    }  # fmt: skip
-    files.write_json(f'{folder}/{checkpoints.CONFIG_FILE}', values)
-
-
-def _read_config(folder):
-    return model_config.parse(checkpoints.read_config(folder), f'{folder}/config.json')
-
-
-def _possible_config(parts):
-    masks = [m for m in (parts.mode_mask, parts.loaded_mask) if m is not None]
-    arrays = [a for a in dataclasses.asdict(parts.statistics).values() if a is not None]
-    small = parts.config.latent_size <= 4096 and parts.n_rigid <= 1000
-    return small and all(np.isfinite(a).all() for a in arrays) and all(map(_possible_mask, masks))
-
-
-def _write_weights(folder):
-    rng = _rng()
-    arrays = {name: rng.random(shape, np.float32) for name, shape in WEIGHT_SHAPES.items()}
-    files.write_npz(f'{folder}/{checkpoints.WEIGHTS_FILE}', **arrays)
-
-
-def _possible_weights(weights):
-    return {n: w.shape for n, w in weights.items()} == WEIGHT_SHAPES and all(
-        np.isfinite(w).all() for w in weights.values()
-    )
-
-
 def _write_raw(folder):
     rng, entries = _rng(), []
     for case in (1, 2):
@@ -323,10 +271,6 @@ TARGETS = (
     Target('rollout npz', Promise.CHECKSUM, _write_rollout, ('rollout_test_0.npz',),
            lambda folder: rollout_frames.load(f'{folder}/rollout_test_0.npz', None),
            _possible_rollout),
-    Target('model config.json', Promise.OPEN, _write_config, ('config.json',), _read_config,
-           _possible_config),
-    Target('model weights.npz', Promise.CHECKSUM, _write_weights, ('weights.npz',),
-           lambda folder: checkpoints.read_weights(folder, WEIGHT_SHAPES), _possible_weights),
     Target('raw runs', Promise.SEALED, _write_raw, ('run_001.npz', 'run_002.npz'),
            lambda folder: list(raw_runs.RawRuns(folder))),
     Target('raw manifest', Promise.OPEN, _write_raw, ('manifest.json',),
@@ -347,4 +291,5 @@ TARGETS = (
            _newest_whole_checkpoint, _possible_checkpoint),
     Target('folder lock', Promise.OPEN, _write_lock, (folder_lock.LOCK_NAME,), _take_lock),
     *IMPORT_TARGETS,
+    *MODEL_TARGETS,
 )  # fmt: skip

@@ -11,6 +11,10 @@ Examples:
     python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/tmp/protocol \\
         --output_path=docs/protocol
 
+    # the same on 8 processes, or on a cluster (docs/cluster.md)
+    python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/shared/protocol \\
+        --output_path=docs/protocol --cluster=local:8
+
     # other models: folders under one name are seeds of one method
     python -m reports.protocol --data_path=datasets/wheel --model=mine=/tmp/a --model=mine=/tmp/b \\
         --work_path=/tmp/protocol --output_path=/tmp/judged
@@ -26,6 +30,7 @@ import numpy as np
 import tqdm
 from absl import flags
 
+from cluster import workers
 from pca_tools import dataset, files
 from reports import command, record
 from reports.protocol import rollouts, run_errors, tables
@@ -142,22 +147,46 @@ def _models_of(scene, values):
     return found
 
 
-def _model_method(name, paths, data_path, reader, values, scene):
-    """A method of the seeds of one model; those of --train are trained first."""
+def _make_models(found, data_path, values, scene) -> str:
+    """Trains the models of --train and rolls all out, side by side; returns the rollouts' folder.
+
+    Raises:
+      ValueError: some failed; the others are made, and the same call goes on.
+    """
+    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', scene))
+    jobs = []
+    for name, paths in found.items():
+        for seed, path in enumerate(map(os.path.abspath, paths)):
+            own = [f'--preset={name}', f'--seed={seed}', '--num_threads=1']
+            flags_ = own if name in values.train else None
+            jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
+    failed = []
+    with (
+        workers.start(values.cluster, values.num_processes) as crew,
+        tqdm.tqdm(total=len(jobs), unit='model', desc='training, rolling out', disable=None) as bar,
+    ):
+        for outcome in crew.run(rollouts.make, jobs):
+            if outcome.error is not None:
+                failed.append(f'{jobs[outcome.index][1]}: {outcome.error}')
+            bar.update()
+    if failed:
+        raise ValueError(
+            f'{len(failed)} of {len(jobs)} models failed, the others are made:\n'
+            + '\n'.join(failed)
+        )
+    return folder
+
+
+def _model_method(name, paths, data_path, reader, folder):
+    """A method of the seeds of one model, which are trained and rolled out."""
     seeds = []
-    for i, path in enumerate(paths):
-        if name in values.train:
-            print(f'training {name}, seed {i}: {path}', flush=True)
-            rollouts.train(data_path, path, [f'--preset={name}', f'--seed={i}', '--num_threads=1'])
+    for path in paths:
         config = files.read_json(os.path.join(path, 'config.json'))
         predictions = {}
         for split in SPLITS:
-            print(f'rolling out {name}, {os.path.basename(path)}, {split}', flush=True)
-            folder = rollouts.roll_out(
-                data_path, path, split, os.path.join(values.work_path, 'rollouts', scene)
-            )
+            rolled = rollouts.roll_out(data_path, path, split, folder)
             count = len(dataset.read_split(data_path, split))
-            predictions[split] = rollouts.read(folder, split, count, reader.metadata)
+            predictions[split] = rollouts.read(rolled, split, count, reader.metadata)
         shipped = os.path.abspath(path).startswith(record.ROOT + os.sep)
         seeds.append(
             {
@@ -192,8 +221,10 @@ def protocol(data_path: str, values) -> dict:
         }
         for b in baselines.fit_all(reader)
     ]
-    for name, paths in _models_of(scene, values).items():
-        methods.append(_model_method(name, paths, data_path, reader, values, scene))
+    found = _models_of(scene, values)
+    folder = _make_models(found, data_path, values, scene)
+    for name, paths in found.items():
+        methods.append(_model_method(name, paths, data_path, reader, folder))
 
     def progress(runs):
         return tqdm.tqdm(runs, unit='run', desc='judging', disable=None)
@@ -218,6 +249,7 @@ def define_flags() -> None:
     )  # fmt: skip
     flags.DEFINE_list('train', [], 'Presets that are trained here, with several seeds.')
     flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
+    command.define_workers('Models trained and rolled out at a time.')
     flags.DEFINE_string(
         'work_path', None, 'Folder for trainings and rollouts; calls resume.', required=True
     )

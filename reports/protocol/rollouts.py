@@ -11,7 +11,24 @@ from pca_tools import dataset, files
 from reports.protocol.run_errors import RunPrediction
 from reports.record import ROOT
 
-_TRAIN = [sys.executable, '-m', 'learning_to_simulate.train']
+_TRAIN = 'learning_to_simulate.train'
+
+
+def make(job: tuple) -> None:
+    """Trains a model and rolls it out over splits, or finds that done: one task of a worker.
+
+    Args:
+      job: (dataset folder, model folder, flags of its training or None where it is trained,
+        splits, folder of the rollouts); all on a disk that this process sees.
+
+    Raises:
+      ValueError: see `_run`.
+    """
+    data_path, model_path, flags, splits, folder = job
+    if flags is not None:
+        train(data_path, model_path, flags)
+    for split in splits:
+        roll_out(data_path, model_path, split, folder)
 
 
 def train(data_path: str, model_path: str, flags: list[str]) -> None:
@@ -60,7 +77,9 @@ def _run(flags):
     Raises:
       ValueError: it failed; the message holds its last lines.
     """
-    done = subprocess.run([*_TRAIN, *flags], cwd=ROOT, capture_output=True, text=True, check=False)
+    # Ends with this process: a worker that is killed leaves no training behind.
+    command = [sys.executable, '-m', 'storage.parent', str(os.getpid()), _TRAIN, *flags]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         tail = '\n'.join((done.stdout + done.stderr).strip().splitlines()[-5:])
         raise ValueError(f'learning_to_simulate.train {" ".join(flags)} failed:\n{tail}')

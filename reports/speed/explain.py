@@ -22,14 +22,15 @@ import numpy as np
 import tensorflow as tf
 from absl import flags
 
-from learning_to_simulate import connectivity_utils, experiment, reading_utils
+from learning_to_simulate import connectivity_utils, reading_utils
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.compiled.folded_step import FoldedStep
+from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.features import EMBEDDING_SIZE
 from learning_to_simulate.learned_simulator import Layout
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.step_form import PlainStep
 from pca_tools import files
 from reports import command, markdown, record, timing
 from reports.speed import product_count
@@ -69,7 +70,8 @@ class Explanation:
     """
 
     def __init__(self, model_path: str, data_path: str):
-        model, metadata, groups = experiment.load_for_evaluation(model_path, data_path, 'test', {})
+        opened = registry.open_model(model_path, data_path, 'test')
+        model, metadata, groups = opened.model, opened.metadata, opened.groups
         self._simulator = simulator = model.simulator
         if not simulator.config.has_lasting_graph:
             raise ValueError(
@@ -148,7 +150,7 @@ class Explanation:
             for split in ('train', 'test')
         )
         motion = str(model.simulator.scene.rigid_motion)
-        more = experiment.make_model(data_path, metadata, train, config, motion)
+        more = subspace_method.make_model(data_path, metadata, train, config, motion)
         whole = next(g for g in test if g.n_rigid == group.n_rigid).select(0)
         layout = more.layout(whole.n_rigid)
         yield self._on_top(f'modes that are no nodes ({left_out})', 'modes', more, whole, layout)

@@ -18,9 +18,10 @@ Examples:
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods import subspace_method
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
@@ -67,7 +68,7 @@ def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> 
         reading_utils.read_groups(data_path, split, metadata, **config.nodes)
         for split in ('train', 'test')
     )
-    model = experiment.make_model(data_path, metadata, groups, config)
+    model = subspace_method.make_model(data_path, metadata, groups, config)
     group = runs[0].take(np.arange(batch) % len(runs[0].position))
     layout = model.layout(group.n_rigid)
     function = (RolloutFunction if plain else rollout_function)(model.simulator, layout)

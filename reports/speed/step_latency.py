@@ -23,7 +23,7 @@ from absl import flags
 from learning_to_simulate import checkpoints, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.stepping import Stepper
+from learning_to_simulate.live.stepping import Stepper
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
 
@@ -71,16 +71,16 @@ class Timed:
         group, n = self._group, self._group.n_rigid
         self._run = run = (self._run + 1) % len(group.position)
         seconds = []
-        context = None if group.context is None else group.context[run]
-        self._stepper.reset(group.position[run, :H], context)
+        self._stepper.reset(group.position[run, :H], group.context_at(H, run))
         tick = time.perf_counter()
-        for frame in group.position[run, H:]:
+        for k, frame in enumerate(group.position[run, H:], H):
             pose = frame[:n] if self._given else None
             if self._pause:
                 time.sleep(max(tick - time.perf_counter(), 0.0))
+            context = group.context_at(k, run) if group.context_changes else None
             start = time.perf_counter()
             tick = start + self._pause
-            self._stepper.step(pose)
+            self._stepper.step(pose, context)
             self._stepper.particles()
             seconds.append(time.perf_counter() - start)
         return seconds

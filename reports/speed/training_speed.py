@@ -26,9 +26,11 @@ import tensorflow as tf
 import tqdm
 from absl import flags
 
-from learning_to_simulate import evaluation, experiment, noise_utils, presets, reading_utils
+from learning_to_simulate import evaluation, presets, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.training import Trainer
+from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.training import noise_utils
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
 from reports.speed.original_style import OriginalNetwork, appended_pairs, numpy_pairs
@@ -50,7 +52,7 @@ def our_step(data_path: str, preset: str, batch_size: int, **overrides):
     """A function that runs the next training step of a preset and returns its loss."""
     config = presets.make_config(preset, batch_size=batch_size, **overrides)
     metadata, groups = _read(data_path, 'train', config)
-    model = experiment.make_model(data_path, metadata, groups, config)
+    model = subspace_method.make_model(data_path, metadata, groups, config)
     trainer, count = Trainer(model, groups), iter(range(config.num_steps))
     return lambda: float(trainer.step(next(count))['loss'])
 
@@ -177,7 +179,7 @@ def time_to_error(data_path: str, preset: str, target: float, budget: float, **o
     config = presets.make_config(preset, **overrides)
     metadata, groups = _read(data_path, 'train', config)
     _, valid = _read(data_path, 'valid', config)
-    model = experiment.make_model(data_path, metadata, groups, config)
+    model = subspace_method.make_model(data_path, metadata, groups, config)
     trainer, evaluator = Trainer(model, groups), evaluation.Evaluator(model, metadata)
     spent, step, curve, reached = 0.0, 0, [], None
     with tqdm.tqdm(total=round(budget), unit='s', desc=preset, disable=None) as bar:

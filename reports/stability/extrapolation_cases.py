@@ -84,7 +84,7 @@ def wheel_group(model, travel=1.0, load=1.0):
     position = group.position.copy()
     position[0, :, : group.n_rigid] = points
     context = group.context.copy()
-    context[:, model.model.simulator.scene.context_names.index('load')] *= load
+    context[..., model.model.simulator.scene.context_names.index('load')] *= load
     return dataclasses.replace(group, position=position, context=context, body=None, kept=None)
 
 

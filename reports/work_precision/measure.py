@@ -5,12 +5,10 @@ own and a row that dies takes nothing with it. Times are taken in one process, a
 so that a drift of the machine's speed meets them all.
 """
 
-import concurrent.futures
 import dataclasses
 import hashlib
 import json
 import math
-import multiprocessing
 import os
 import resource
 import time
@@ -38,44 +36,6 @@ ERRORS = (
     'soil_mse', 'soil_rms_mm', 'soil_mse_full', 'soil_rms_mm_full', 'rigid_mse',
     'force_relative_l2', 'force_mpe',
 )  # fmt: skip
-
-
-def isolated(function, *arguments, limit_s: float | None = None, threads: int | None = None):
-    """Calls a function of a module in a fresh process and returns what it returns.
-
-    Args:
-      function, arguments: what to call.
-      limit_s: seconds that it may take; None for any.
-      threads: CPU threads of TensorFlow in that process; None leaves them alone.
-
-    Raises:
-      TimeoutError: it ran longer than `limit_s`; the process was ended.
-      RuntimeError: the process died without an answer.
-      Exception: whatever the function raises.
-    """
-    pool = concurrent.futures.ProcessPoolExecutor(
-        1,
-        multiprocessing.get_context('spawn'),
-        initializer=partial(use_threads, threads) if threads else None,
-    )
-    try:
-        return pool.submit(function, *arguments).result(limit_s)
-    except TimeoutError as error:
-        for process in pool._processes.values():
-            process.terminate()
-        raise TimeoutError(f'not done within {limit_s:g} s') from error
-    except concurrent.futures.process.BrokenProcessPool as error:
-        raise RuntimeError('its process was ended from outside (out of memory?)') from error
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def use_threads(count: int) -> None:
-    """Gives TensorFlow `count` CPU threads; must come before its first operation."""
-    import tensorflow as tf
-
-    tf.config.threading.set_intra_op_parallelism_threads(count)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
 
 
 def digest(config: TrainConfig, data_sha256: dict, files_used: Sequence[str] = ()) -> str:
@@ -113,13 +73,13 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
 def train(data_path: str, model_path: str, config) -> float:
     """Trains, or finishes, a row's model; returns the seconds that this call took."""
     start = time.perf_counter()
-    registry.get(config.model).load_code().train(data_path, model_path, config)
+    registry.train(data_path, model_path, config)
     return time.perf_counter() - start
 
 
 def open_model(data_path: str, model_path: str, split: str):
     """The evaluator of a trained model, the model, and the runs of a split."""
-    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, split)
+    opened = registry.open_model(model_path, data_path, split)
     return opened.evaluator, opened.model, opened.groups
 
 

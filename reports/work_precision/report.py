@@ -27,7 +27,7 @@ import os
 from absl import flags
 
 from pca_tools import files
-from reports import command
+from reports import command, isolated
 from reports.record import ROOT
 from reports.work_precision import families, measure, pictures, survey, tables
 from reports.work_precision.points import choose
@@ -97,7 +97,7 @@ def make_settings(values) -> survey.Settings:
         )
     return survey.Settings(
         whole, sweeps, training, values.models_path, seeds, sweep_seeds, values.rounds,
-        threads=values.num_threads, num_processes=values.num_processes,
+        threads=values.num_threads, num_processes=values.num_processes, cluster=values.cluster,
         row_limit_s=60.0 * values.row_minutes, time_again=values.time_again,
         solver_json=values.solver_json,
     )  # fmt: skip
@@ -124,7 +124,7 @@ def define_flags() -> None:
     flags.DEFINE_integer('sweep_unroll_length', 8, 'Frames per unrolled step there.', 2)
     flags.DEFINE_integer('rounds', 30, 'Timed rollouts of each model.', 1)
     flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
-    flags.DEFINE_integer('num_processes', 1, 'Rows trained at a time.', 1)
+    command.define_workers('Rows trained at a time.')
     flags.DEFINE_float('row_minutes', 30.0, 'A row that trains longer has failed.', 0.0)
     flags.DEFINE_float('budget_ms', None, 'Name the best model for so many ms per step.')
 
@@ -143,7 +143,7 @@ def main(values, _) -> None:
         solver_json = os.path.join(ROOT, 'docs', f'coarse_solver_{scene}.json')
         if values.solver_json is None and os.path.exists(solver_json):
             values.solver_json = solver_json
-        measure.use_threads(values.num_threads)
+        isolated.use_threads(values.num_threads)
         document = survey.Survey(
             values.data_path, values.work_path, values.output_path, make_settings(values)
         ).run()

@@ -1,17 +1,17 @@
 """Measures all rows of a report and keeps what is finished in one JSON document."""
 
-import concurrent.futures
 import dataclasses
 import os
 import re
-import threading
 
 import tqdm
 
-from learning_to_simulate import checkpoints, experiment, reading_utils
+from cluster import workers
+from learning_to_simulate import checkpoints, reading_utils
 from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset
-from reports import markdown, record
+from reports import isolated, markdown, record
 from reports.work_precision import families, measure, solver_rows
 from reports.work_precision.points import (
     DOCUMENT,
@@ -36,7 +36,8 @@ class Settings:
       rounds: timed rollouts of each model.
       live_runs: test runs that each model is stepped through live.
       threads: CPU threads of TensorFlow.
-      num_processes: rows trained at a time.
+      num_processes: rows trained at a time, here.
+      cluster: where they are trained instead, see `cluster.workers`.
       row_limit_s: a row that trains longer has failed.
       time_again: whether all rows are timed again, those of an earlier call too: after a call on a
         busy machine.
@@ -54,6 +55,7 @@ class Settings:
     live_runs: int = 3
     threads: int = 1
     num_processes: int = 1
+    cluster: str = ''
     row_limit_s: float = 1800.0
     time_again: bool = False
     isolate: bool = True
@@ -78,7 +80,7 @@ class Survey:
         metadata = dataset.read_metadata(data_path)
         groups = reading_utils.read_groups(data_path, 'test', metadata)
         scene = reading_utils.read_scene(data_path, metadata, groups, None)
-        self._sha256 = experiment.data_digests(data_path)
+        self._sha256 = model_folder.data_digests(data_path)
         self._rows = families.rows(
             settings.whole, settings.sweeps, settings.training, scene, settings.seeds,
             settings.sweep_seeds,
@@ -96,7 +98,6 @@ class Survey:
             'points': [],
         }
         self._old = self._finished()
-        self._lock = threading.Lock()
         self._points: dict[str, WorkPrecisionPoint] = {}
         self._references: list[WorkPrecisionPoint] = []
         path = settings.solver_json
@@ -124,15 +125,40 @@ class Survey:
 
     def run(self) -> dict:
         """Measures what is missing; returns the document, written after every row."""
-        missing = self._keep_finished()
-        with concurrent.futures.ThreadPoolExecutor(self._settings.num_processes) as pool:
-            jobs = [pool.submit(self._measure, *job) for job in missing]
-            done = concurrent.futures.as_completed(jobs)
-            for job in tqdm.tqdm(done, 'rows', len(jobs), unit='row', disable=None):
-                job.result()
+        missing, settings = self._keep_finished(), self._settings
+        limits = (settings.isolate, settings.row_limit_s, settings.threads)
+        jobs = [(os.path.abspath(self._data), *job, limits) for job in missing]
+        with (
+            self._workers() as crew,
+            tqdm.tqdm(desc='rows', total=len(jobs), unit='row', disable=None) as bar,
+        ):
+            for outcome in crew.run(measure_row, jobs):
+                self._take(missing[outcome.index], outcome)
+                bar.update()
         self._time()
         self._write()
         return self.document
+
+    def _workers(self):
+        settings = self._settings
+        if settings.cluster:
+            return workers.start(settings.cluster, settings.num_processes)
+        # A row has a process of its own: threads wait for them.
+        return workers.threads(settings.num_processes)
+
+    def _take(self, job, outcome):
+        row, _, digest, _ = job
+        values, references = outcome.value or (
+            {'status': 'not_trained', 'note': ' '.join(outcome.error.split())[:300]}, None
+        )  # fmt: skip
+        # Of a network on thinned particles they would be those of the particles it has.
+        if references and not self._references and row.config.model != 'full_space':
+            self._references = self._reference_points(references)
+        self._points[digest] = WorkPrecisionPoint(
+            label=row.label, families=row.families, seed=row.config.seed, digest=digest,
+            overrides=row.overrides, **values,
+        )  # fmt: skip
+        self._write()
 
     def _keep_finished(self) -> list:
         """Takes over finished points; returns the arguments of `_measure` for the others."""
@@ -155,7 +181,7 @@ class Survey:
                     point, label=row.label, families=row.families
                 )
             else:
-                missing.append((row, path, digest, train))
+                missing.append((row, os.path.abspath(path), digest, train))
         return missing
 
     def _files_used(self, row, shipped):
@@ -168,40 +194,6 @@ class Survey:
     def _needs_time(point):
         """Rollouts that fail take their time too; only models that do not exist take none."""
         return point.runs and point.seed == 0 and point.rollout is None
-
-    def _measure(self, row: families.Row, path: str, digest: str, train: bool) -> None:
-        point = self._train_and_evaluate(row, path, digest, train)
-        with self._lock:
-            self._points[digest] = point
-            self._write()
-
-    def _train_and_evaluate(self, row, path, digest, train):
-        values = {'label': row.label, 'families': row.families, 'seed': row.config.seed,
-                  'digest': digest, 'overrides': row.overrides}  # fmt: skip
-        failure = 'not_trained'
-        try:
-            if train:
-                values['training_s'] = self._call(
-                    measure.train, self._data, path, row.config, limit_s=self._settings.row_limit_s
-                )
-            failure = 'not_measured'
-            measured = self._call(measure.evaluate, self._data, path)
-        except (ValueError, OSError, RuntimeError) as error:  # TimeoutError is an OSError.
-            text = ' '.join(str(error).split())[:300]
-            return WorkPrecisionPoint(**values, status=failure, note=text)
-        references = measured.pop('references')
-        with self._lock:
-            # Of a network on thinned particles they would be those of the particles it has.
-            if not self._references and row.config.model != 'full_space':
-                self._references = self._reference_points(references)
-        return WorkPrecisionPoint(**values, **measured)
-
-    def _call(self, function, *arguments, limit_s=None):
-        if not self._settings.isolate:
-            return function(*arguments)
-        return measure.isolated(
-            function, *arguments, limit_s=limit_s, threads=self._settings.threads
-        )
 
     def _reference_points(self, references):
         decoding = measure.time_decoding(self._data, self._settings.rounds)
@@ -238,3 +230,32 @@ class Survey:
         rows = sorted(self._points.values(), key=lambda p: (order[p.label], p.seed))
         self.document['points'] = [*self._references, *self._solver, *rows]
         write_document(self.path, self.document)
+
+
+def measure_row(job: tuple) -> tuple[dict, dict | None]:
+    """Trains and evaluates one row, on any machine that sees the folders.
+
+    Args:
+      job: (dataset folder, row, model folder, digest, whether it is to be trained, (whether in
+        processes of its own, seconds that training may take, threads)).
+
+    Returns:
+      fields of `WorkPrecisionPoint`, and the references of `measure.evaluate` or None.
+    """
+    data, row, path, _, train, (isolate, limit_s, threads) = job
+
+    def call(function, *arguments, limit_s=None):
+        if not isolate:
+            return function(*arguments)
+        return isolated.call(function, *arguments, limit_s=limit_s, threads=threads)
+
+    values, failure = {}, 'not_trained'
+    try:
+        if train:
+            values['training_s'] = call(measure.train, data, path, row.config, limit_s=limit_s)
+        failure = 'not_measured'
+        measured = call(measure.evaluate, data, path)
+    except (ValueError, OSError, RuntimeError) as error:  # TimeoutError is an OSError.
+        return values | {'status': failure, 'note': ' '.join(str(error).split())[:300]}, None
+    references = measured.pop('references')
+    return values | measured, references

@@ -2,9 +2,14 @@
 
 import os
 import signal
+import subprocess
 import time
 
 import numpy as np
+
+from mpm import experiments, scenes
+from mpm.simulation import Settings
+from run_scripts import solver_on_cluster
 
 
 def square(number):
@@ -62,3 +67,41 @@ class Runs(list):
     def part(self, start, stop):
         """As `SoilPositions.part`."""
         return Runs(self[start:stop])
+
+
+def short_run(job):
+    """A real run of the solver, coarse and of a few frames: (content digest, CPU seconds).
+
+    Kills its own worker in the middle of input `fatal`, the first time.
+    """
+    case, folder, frames, fatal = job
+    scenes.FRAMES = frames
+    scenes.SCENES = {'excavation': experiments.coarse(scenes.EXCAVATION)}
+    marker = os.path.join(folder, 'died')
+    if case == fatal and not os.path.exists(marker):
+        with open(marker, 'w', encoding='utf-8') as file:
+            file.write(str(os.getpid()))
+        subprocess.Popen(['sh', '-c', f'sleep 0.2; kill -9 {os.getpid()}'])
+    start = time.process_time()
+    entry = solver_on_cluster.simulate(('excavation', case, Settings(), folder))
+    return entry['content'], time.process_time() - start
+
+
+class FatalRuns(Runs):
+    """As `Runs`, but the worker that gets the third part is killed, once."""
+
+    def __init__(self, runs, folder, first=0):
+        super().__init__(runs)
+        self.folder, self.first = folder, first
+
+    def part(self, start, stop):
+        """As `SoilPositions.part`."""
+        return FatalRuns(self[start:stop], self.folder, start)
+
+    def __iter__(self):
+        marker = os.path.join(self.folder, 'died')
+        if self.first == 4 and not os.path.exists(marker):
+            with open(marker, 'w', encoding='utf-8') as file:
+                file.write(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().__iter__()

@@ -74,6 +74,40 @@ def test_a_killed_worker_costs_its_task_only(tmp_path):
     assert (tmp_path / 'died').exists()
 
 
+@pytest.mark.slow
+def test_a_worker_killed_in_the_middle_of_the_svd(monkeypatch, tmp_path):
+    pytest.importorskip('distributed')
+    rng = np.random.default_rng(0)
+    runs = [rng.normal(size=(20, 60, 3)) + 1.0 for _ in range(9)]
+    monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
+    memory = 2.5 * 8 * 60**2 / 2**20
+    plain = subspace.fit(jobs.Runs(runs), 6, max_memory_mb=memory)
+    with workers.start('local:2') as crew:
+        fatal = jobs.FatalRuns(runs, str(tmp_path))
+        found = subspace.fit(fatal, 6, max_memory_mb=memory, crew=crew)
+    assert (tmp_path / 'died').exists()
+    np.testing.assert_allclose(found.singular_values, plain.singular_values, rtol=1e-12)
+    np.testing.assert_allclose(found.components, plain.components, atol=1e-12)
+    np.testing.assert_allclose(found.mean, plain.mean, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_forty_solver_runs_with_a_killed_worker_are_those_of_one_process(tmp_path):
+    pytest.importorskip('distributed')
+    folders = [tmp_path / 'pool', tmp_path / 'dask']
+    found = []
+    for folder, where, fatal in zip(folders, ('', 'local:2'), (None, 7)):
+        folder.mkdir()
+        jobs.short_run((1, str(folder), 3, None))  # the packing, and the first run
+        with workers.start(where, 1) as crew:
+            inputs = [(case, str(folder), 3, fatal) for case in range(1, 41)]
+            found.append([o.value[0] for o in values(crew, jobs.short_run, inputs)])
+    assert (folders[1] / 'died').exists() and not (folders[0] / 'died').exists()
+    assert found[0] == found[1] and len(set(found[0])) == 40
+    names = [sorted(p.name for p in folder.glob('run_*.npz')) for folder in folders]
+    assert names[0] == names[1] and len(names[0]) == 40
+
+
 def test_a_pool_that_loses_a_process_says_so(tmp_path):
     with (
         pytest.raises(OSError, match='killed from outside'),
@@ -123,6 +157,8 @@ def test_the_slurm_script_asks_for_one_thread_and_a_lifetime():
         script = batch.job_script()
     assert '#SBATCH -t 01:00:00' in script and '--lifetime 55m' in script
     assert '--nthreads 1' in script
+    assert '-m distributed.cli.dask_worker tcp://' in script and '--memory-limit 3.73GiB' in script
+    assert '--nworkers' not in script and script.startswith('#!/usr/bin/env bash')
 
 
 @pytest.mark.parametrize('where', ['clowd', 'local:x', 'slurm:0'])

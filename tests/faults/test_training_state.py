@@ -17,8 +17,11 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import experiment, presets, reading_utils, training
-from learning_to_simulate.training_run import training_state
+from learning_to_simulate import presets, reading_utils
+from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate.training import trainer as trainer_module
+from learning_to_simulate.training import training_state
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic
 
@@ -49,10 +52,10 @@ def data(tmp_path_factory):
 
 @pytest.fixture
 def train(data, monkeypatch):
-    monkeypatch.setattr(training.Trainer, 'step', cheap_step)
+    monkeypatch.setattr(Trainer, 'step', cheap_step)
 
     def run(path, **overrides):
-        return experiment.train(data, str(path), config(**overrides), save_every=4)
+        return registry.train(data, str(path), config(**overrides), save_every=4)
 
     return run
 
@@ -62,8 +65,8 @@ def whole(data, tmp_path_factory):
     """A model folder after training, with the checkpoints of steps 8 and 12. Not to be changed."""
     path = tmp_path_factory.mktemp('whole') / 'model'
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training.Trainer, 'step', cheap_step)
-        experiment.train(data, str(path), config(), save_every=4)
+        patch.setattr(Trainer, 'step', cheap_step)
+        registry.train(data, str(path), config(), save_every=4)
     return path
 
 
@@ -85,7 +88,7 @@ def weights(path):
 def make_trainer(data):
     metadata = dataset.read_metadata(data)
     groups = reading_utils.read_groups(data, 'train', metadata, config().rigid_particles)
-    return training.Trainer(experiment.make_model(data, metadata, groups, config()), groups)
+    return Trainer(subspace_method.make_model(data, metadata, groups, config()), groups)
 
 
 def assert_same_weights(first, second):
@@ -162,7 +165,7 @@ def test_stop_signals_save_and_release(whole, tmp_path, train, monkeypatch, numb
 
     before = signal.getsignal(number)
     with monkeypatch.context() as patch:
-        patch.setattr(training.Trainer, 'step', step)
+        patch.setattr(Trainer, 'step', step)
         with pytest.raises(SystemExit) as stopped:
             train(tmp_path / 'model')
     assert stopped.value.code == code
@@ -181,7 +184,7 @@ def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):
             signal.raise_signal(signal.SIGINT)
         return cheap_step(self, i)
 
-    monkeypatch.setattr(training.Trainer, 'step', step)
+    monkeypatch.setattr(Trainer, 'step', step)
     # A shell starts background jobs with Ctrl-C ignored; 'as usual' is what a terminal has.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -203,7 +206,7 @@ def test_full_disk_stops_training_and_keeps_the_checkpoint(tmp_path, train, monk
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
         return cheap_step(self, i)
 
-    monkeypatch.setattr(training.Trainer, 'step', step)
+    monkeypatch.setattr(Trainer, 'step', step)
     try:
         with pytest.raises(OSError, match='model'):
             train(tmp_path / 'model')
@@ -250,7 +253,7 @@ def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, 
             return {'loss': tf.constant(np.nan)}
         return values
 
-    monkeypatch.setattr(training.Trainer, 'step', step)
+    monkeypatch.setattr(Trainer, 'step', step)
     path = tmp_path / 'model'
     with pytest.raises(ValueError, match=r'loss is nan at step 6, batch .* \[\(\d+, \d+\), \('):
         train(path)
@@ -263,7 +266,7 @@ def test_named_batch_is_the_one_of_the_step(data):
     trainer = make_trainer(data)
     tensors = trainer._tensors[0]
     named = trainer.batch_of(7)
-    seed = [trainer.config.seed * 8 + training._WINDOW_STREAM, 7]
+    seed = [trainer.config.seed * 8 + trainer_module._WINDOW_STREAM, 7]
 
     @tf.function(jit_compile=True)
     def gather(seed):
@@ -313,7 +316,7 @@ def test_inputs_are_opened_for_reading_only(whole, data, tmp_path, train):
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
     for path in (*folder.iterdir(), folder):
         path.chmod(0o555 if path.is_dir() else 0o444)
-    experiment.train(str(folder), str(tmp_path / 'model'), config(), save_every=12)
+    registry.train(str(folder), str(tmp_path / 'model'), config(), save_every=12)
     assert_same_weights(whole, tmp_path / 'model')
     folder.chmod(0o755)
     assert before == {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}

@@ -1,6 +1,7 @@
 """Models on synthetic data, shared by the tests of the simulator."""
 
-from learning_to_simulate import experiment, presets, reading_utils
+from learning_to_simulate import presets, reading_utils
+from learning_to_simulate.methods import subspace_method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
@@ -15,7 +16,7 @@ def make(folder, preset='pcg', motion='prescribed', rigid_motion=None, overrides
     metadata = dataset.read_metadata(str(folder))
     groups = reading_utils.read_groups(str(folder), 'train', metadata, **config.nodes)
     return (
-        experiment.make_model(str(folder), metadata, groups, config, rigid_motion),
+        subspace_method.make_model(str(folder), metadata, groups, config, rigid_motion),
         groups,
         metadata,
     )

@@ -32,7 +32,8 @@ def _body(rng, n_rigid, motion):
 
 
 def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=True):
-    """One run: modes move in proportion to the body, the force follows its depth and speed."""
+    """One run: modes move in proportion to the body, the force follows its depth and speed; a
+    `context` of True is constant, one of 'changing' is not."""
     rng = np.random.default_rng(seed)
     body = _body(rng, n_rigid, motion)
     step = np.diff(body.mean(axis=1), axis=0, prepend=body[:1].mean(axis=1))
@@ -42,13 +43,17 @@ def make_trajectory(seed, n_rigid=4, motion='prescribed', context=False, force=T
     forces = np.stack([100 * (depth + 0.01) * 50, 40 * depth, 0 * depth], axis=-1)
     forces += rng.normal(0, 0.1, forces.shape)
     types = np.array([3 if motion == 'prescribed' else 0] * n_rigid + [6] * N_MODES)
-    values = np.array([9.81, 30.0 + seed]) if context else None
+    values = None
+    if context:
+        values = np.tile([9.81, 30.0 + seed], (N_FRAMES, 1)).astype(np.float32)
+    if context == 'changing':
+        values[:, 1] += 5 * np.sin(np.arange(N_FRAMES) / 4 + seed)
     return dataset.Trajectory(
         key=seed,
         particle_type=types,
         position=np.concatenate([body, modes], axis=1).astype(np.float32),
         force=forces.astype(np.float32) if force else None,
-        step_context=np.tile(values, (N_FRAMES, 1)).astype(np.float32) if context else None,
+        step_context=values,
     )
 
 

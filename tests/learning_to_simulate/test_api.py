@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import add_start
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live import poses, resting_start
+from learning_to_simulate.live import add_start, poses, resting_start
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -111,7 +110,7 @@ def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
     later = live.step(away)
     assert later.status != RolloutStatus.OK
     # A whole history of zeros is no bed.
-    from learning_to_simulate.stepping import Stepper
+    from learning_to_simulate.live.stepping import Stepper
 
     stepper = Stepper(model.model, 10)
     assert stepper.reset(np.zeros((H, 18, 3))).status == RolloutStatus.EXTRAPOLATING
@@ -289,7 +288,7 @@ def test_trained_model_is_self_contained_and_an_old_folder_says_what_to_do(tmp_p
     assert rollout.particles().shape == (4, synthetic.N_SOIL, 3) and rollout.body.shape[1] == 4
     values = files.read_json(f'{path}/config.json')
     files.write_json(f'{path}/config.json', {k: v for k, v in values.items() if k != 'files'})
-    with pytest.raises(FileNotFoundError, match='learning_to_simulate.add_start'):
+    with pytest.raises(FileNotFoundError, match='lts add-start'):
         lts.load(path).stepper()
     add_start.add_start(path, str(backup))
     assert files.read_json(f'{path}/config.json') == values

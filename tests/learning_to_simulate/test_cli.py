@@ -7,7 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from learning_to_simulate import cli, roll_out_path
+from learning_to_simulate import cli
+from learning_to_simulate.live import roll_out_path
 from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]

@@ -10,15 +10,15 @@ from learning_to_simulate import (
     checkpoints,
     connectivity_utils,
     evaluation,
-    experiment,
     presets,
     reading_utils,
     rollout,
-    stepping,
 )
 from learning_to_simulate.compiled import folded_step
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.learned_simulator import Layout
+from learning_to_simulate.live import stepping
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
@@ -76,12 +76,11 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
     folder.mkdir()
     checkpoints.save_config(str(folder), model, group.n_rigid, {})
     checkpoints.save_weights(str(folder), model.simulator)
-    again, _, (test, *_) = experiment.load_for_evaluation(
-        str(folder), str(tmp_path / 'data'), 'test', {}
-    )
+    opened = registry.open_model(str(folder), str(tmp_path / 'data'), 'test')
+    again, (test, *_) = opened.model, opened.groups
     assert again.simulator.scene.n_modes == 2 and test.position.shape[2] == group.position.shape[2]
     with pytest.raises(ValueError, match='has 1 modes, the model in .* the first 2'):
-        experiment.check_dataset(str(folder), again, 'other', metadata | {'mode_number': 1})
+        checkpoints.check_dataset(str(folder), again, 'other', metadata | {'mode_number': 1})
     with pytest.raises(ValueError, match='has 3 modes, 4 were asked for'):
         reading_utils.read_groups(str(tmp_path / 'data'), 'test', metadata, modes=4)
 

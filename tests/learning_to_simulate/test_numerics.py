@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import (
-    losses,
-    noise_utils,
-    normalization,
-    presets,
-    reading_utils,
-    training,
-)
+from learning_to_simulate import normalization, presets, reading_utils
+from learning_to_simulate.training import losses, noise_utils
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
 from tests.learning_to_simulate import models, synthetic
 
@@ -152,5 +147,5 @@ def test_force_that_never_changes_divides_by_no_round_off(tmp_path, monkeypatch,
     monkeypatch.setattr(synthetic, 'make_trajectory', still)
     model, groups, _ = models.make(tmp_path)
     np.testing.assert_array_equal(model.simulator.statistics.force_std, 1.0)
-    tensors = training.Trainer(model, groups)._tensors[0]
+    tensors = Trainer(model, groups)._tensors[0]
     assert np.isfinite(tensors.force_weight).all() and not tensors.force.numpy().any()

@@ -108,7 +108,7 @@ def test_damaged_and_foreign_model_folders_are_refused(tmp_path):
 
     refused({'schema_version': 1}, 'not the config of an NRI model')
     refused(good | {'schema_version': 2}, 'schema version 2')
-    refused(good | {'config': good['config'] | {'new': 1}}, 'missing or unknown')
+    refused(good | {'config': good['config'] | {'new': 1}}, 'missing, unknown')
     refused(good | {'config': good['config'] | {'hidden': 9}}, 'not the weights of config.json')
     refused(good | {'config': good['config'] | {'temperature': 0}}, 'temperature')
     files.write_json(str(tmp_path / 'config.json'), good)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, experiment, presets, reading_utils, rollout
+from learning_to_simulate import checkpoints, presets, reading_utils, rollout
+from learning_to_simulate.methods import registry, subspace_method
 from pca_tools import dataset
 from reports.speed import explain, product_count
 from tests.learning_to_simulate import models, synthetic
@@ -50,7 +51,7 @@ def trained(tmp_path_factory):
                                                          'mode_edges': 3})  # fmt: skip
     metadata = dataset.read_metadata(data)
     groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
-    model = experiment.make_model(data, metadata, groups, config)
+    model = subspace_method.make_model(data, metadata, groups, config)
     path = folder / 'model'
     path.mkdir()
     checkpoints.save_config(str(path), model, 2, {})
@@ -86,8 +87,8 @@ def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
 
 def test_model_without_a_graph_is_refused(trained, monkeypatch):
     path, data = trained
-    model, metadata, groups = experiment.load_for_evaluation(path, data, 'test', {})
-    object.__setattr__(model.simulator.config, 'model', 'mlp')
-    monkeypatch.setattr(experiment, 'load_for_evaluation', lambda *_: (model, metadata, groups))
+    opened = registry.open_model(path, data, 'test')
+    object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
+    monkeypatch.setattr(subspace_method, 'open_model', lambda *_: opened)
     with pytest.raises(ValueError, match="'mlp' has no graph"):
         explain.Explanation(path, data)

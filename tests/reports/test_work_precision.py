@@ -12,9 +12,11 @@ import time
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, experiment, presets, reading_utils
+from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset
+from reports import isolated
 from reports.timing import Timing
 from reports.work_precision import (
     families,
@@ -300,7 +302,7 @@ def test_trivial_predictors_are_not_those_of_thinned_particles(tmp_path, monkeyp
 
 def test_model_of_the_same_config_and_data_is_loaded_not_trained(tmp_path):
     model, groups, _ = models.make(tmp_path / 'data')
-    digests = experiment.data_digests(str(tmp_path / 'data'))
+    digests = model_folder.data_digests(str(tmp_path / 'data'))
     path = tmp_path / 'models' / 'mine'
     path.mkdir(parents=True)
     checkpoints.save_config(str(path), model, groups[0].n_rigid, {'sha256': digests})
@@ -334,9 +336,9 @@ def test_rows_of_the_coarse_solver_are_read(tmp_path):
 
 def test_row_that_dies_or_hangs_is_an_error_of_its_own():
     with pytest.raises(RuntimeError, match='ended from outside'):
-        measure.isolated(os._exit, 9)
+        isolated.call(os._exit, 9)
     with pytest.raises(TimeoutError, match='not done within 0.1 s'):
-        measure.isolated(time.sleep, 60, limit_s=0.1)
+        isolated.call(time.sleep, 60, limit_s=0.1)
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,11 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import (
-    graph_network,
-    learned_simulator,
-    reading_utils,
-    rigid_body,
-    training,
-)
+from learning_to_simulate import graph_network, learned_simulator, reading_utils, rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
+from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
 from tests.learning_to_simulate import models
 from tests.test_shipped import ROOT
@@ -154,11 +149,12 @@ def test_noise_arrives_as_it_was_drawn(scene):
 
 
 def _trainer(folder, metadata, groups, config):
-    from learning_to_simulate import experiment, presets
+    from learning_to_simulate import presets
+    from learning_to_simulate.methods import subspace_method
 
     config = presets.make_config(config['preset'], **config['overrides'])
-    model = experiment.make_model(folder, metadata, groups, config)
-    return model, training.Trainer(model, groups)
+    model = subspace_method.make_model(folder, metadata, groups, config)
+    return model, Trainer(model, groups)
 
 
 def test_rollout_is_traced_once_per_size(tmp_path):
@@ -191,12 +187,11 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
 
     Order 1 (pcg) and order 2 (pcg_thesis); float32 offsets and velocities, float64 origin.
     """
-    from learning_to_simulate import experiment
+    from learning_to_simulate.methods import registry
 
     folder = str(ROOT / 'datasets' / scene)
-    model, _, groups = experiment.load_for_evaluation(
-        str(ROOT / 'models' / scene / preset), folder, 'test', {}
-    )
+    opened = registry.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')
+    model, groups = opened.model, opened.groups
     simulator, group = model.simulator, groups[0]
     layout = model.layout(group.n_rigid)
     state, known, context, n_frame = rollout_inputs(group, layout, simulator.scene)

@@ -188,3 +188,41 @@ def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
         whole_files.write_folder(str(path), fill_with('new'), replace=False)
     assert (path / 'a').read_text() == 'old'  # back under its name, and not replaced
     assert (tmp_path / '.set.mine.old').is_dir()
+
+
+@pytest.mark.parametrize('point', range(1, 9))
+def test_kill_while_results_are_replaced_never_mixes_them(tmp_path, point):
+    """SIGKILL before each change of a name: `last` lies beside one whole set, or is absent."""
+    code = """
+import os, signal, sys
+from storage import whole_files
+folder, point = sys.argv[1], int(sys.argv[2])
+count = 0
+def counted(real):
+    def call(*arguments, **options):
+        global count
+        count += 1
+        if count == point:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(*arguments, **options)
+    return call
+for name in ('mkdir', 'remove', 'replace'):
+    setattr(whole_files.os, name, counted(getattr(os, name)))
+def fill(fresh):
+    for name in ('run_0', 'run_1', 'metrics'):
+        open(f'{fresh}/{name}', 'w').write('new')
+whole_files.replace_files(folder, fill, lambda name: name.startswith('run_'), 'metrics')
+"""
+    command = [sys.executable, '-c', code, str(tmp_path)]
+    for name in ('run_0', 'run_1', 'run_2', 'metrics'):
+        (tmp_path / name).write_text('old')
+    (tmp_path / 'picture').write_text('mine')
+    done = subprocess.run([*command, str(point)], cwd=ROOT, check=False)
+    assert done.returncode == (-signal.SIGKILL if point <= 6 else 0)
+    if (tmp_path / 'metrics').exists():
+        kept = {p.name: p.read_text() for p in tmp_path.glob('[rm]*')}
+        assert set(kept.values()) == {kept['metrics']}
+        assert len(kept) == (4 if kept['metrics'] == 'old' else 3)
+    subprocess.run([*command, '0'], cwd=ROOT, check=True)
+    assert sorted(os.listdir(tmp_path)) == ['metrics', 'picture', 'run_0', 'run_1']
+    assert (tmp_path / 'run_1').read_text() == 'new'

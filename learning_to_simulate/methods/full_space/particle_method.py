@@ -17,7 +17,7 @@ from learning_to_simulate.methods.full_space.particle_simulator import (
 )
 from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.training_run import loop
+from learning_to_simulate.training import loop
 from pca_tools import dataset, files
 
 
@@ -48,6 +48,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
       ValueError: a scene that the model cannot simulate.
     """
     scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
+    scene.check_one_body('the method full_space')
     n_particle = group.position.shape[2] - group.n_rigid
     scene = dataclasses.replace(
         scene,
@@ -64,28 +65,16 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
     return ParticleModel(simulator)
 
 
-def train(
-    data_path,
-    model_path,
-    config,
-    rigid_motion=None,
-    save_every=None,
-    take_over_lock=False,
-    raw_path=None,
-) -> dict:
-    """Trains to the end, or resumes; returns the metrics of the last validation rollout.
-
-    Args:
-      raw_path: folder of the raw runs, or None to decode the dataset's records.
-      others: as `subspace_method.train`, with its errors.
-    """
+def train(data_path, model_path, config, options) -> dict:
+    """Trains to the end, or resumes; see `registry.train`."""
+    raw_path = options.raw_path
     metadata = dataset.read_metadata(data_path)
     read = [
         runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
         for split in ('train', 'valid')
         if os.path.exists(dataset.split_path(data_path, split))
     ]
-    model = make_model(data_path, metadata, read[0], config, rigid_motion)
+    model = make_model(data_path, metadata, read[0], config, options.rigid_motion)
     source, scene = runs.RAW if raw_path else runs.DECODED, model.simulator.scene
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
@@ -103,7 +92,7 @@ def train(
         f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
     )
-    return loop.run(training, model_path, save_every, take_over_lock)
+    return loop.run(training, model_path, options)
 
 
 def load(path: str) -> ParticleModel:
@@ -117,14 +106,17 @@ def load(path: str) -> ParticleModel:
         config, scene, types = model_config.config_and_scene(values)
         statistics = ParticleStatistics.from_json(values['statistics'])
         statistics.check(scene)
-        simulator = ParticleSimulator(scene, config, statistics, types)
     except model_config.WRONG_FIELD as error:
         raise ValueError(
             f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
         ) from error
-    simulator.create_variables()
-    checkpoints.load_weights(path, simulator)
-    return ParticleModel(simulator)
+
+    def make():
+        simulator = ParticleSimulator(scene, config, statistics, types)
+        simulator.create_variables()
+        return ParticleModel(simulator)
+
+    return checkpoints.filled(path, make)
 
 
 def open_model(

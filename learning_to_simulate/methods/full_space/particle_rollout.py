@@ -28,9 +28,8 @@ class ParticleEvaluator:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
         simulator = self._model.simulator
         n, n_frame = group.n_rigid, group.position.shape[1]
-        context = None if group.context is None else group.context[0]
         position, velocity = history_of(group, 0, H - 1)
-        simulator.step(position, velocity, np.zeros((n, 3)), context, n)  # warm-up
+        simulator.step(position, velocity, np.zeros((n, 3)), group.context_at(H, 0), n)  # warm-up
         positions = np.full((1, n_frame - H, *position.shape), np.nan)
         forces = (
             np.full((1, n_frame - H, 3), np.nan, np.float32) if group.force is not None else None
@@ -39,7 +38,9 @@ class ParticleEvaluator:
         start = time.perf_counter()
         for k in range(n_frame - H):
             body = group.position[0, H + k, :n] - group.position[0, H + k - 1, :n]
-            displacement, force, n_edge = simulator.step(position, velocity, body, context, n)
+            displacement, force, n_edge = simulator.step(
+                position, velocity, body, group.context_at(H + k, 0), n
+            )
             position = position + displacement
             velocity = np.concatenate([velocity[1:], displacement[None]])
             if not (np.isfinite(position).all() and (force is None or np.isfinite(force).all())):

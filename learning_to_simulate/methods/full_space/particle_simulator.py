@@ -105,6 +105,8 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
 
     soil = group.position[:, 0, n:]
     force, context = group.force, group.context
+    if context is not None:
+        context = context.reshape(-1, context.shape[-1])
     return ParticleStatistics(
         body_speed=np.array([body_speed]),
         velocity_std=std_of_rows(velocity),

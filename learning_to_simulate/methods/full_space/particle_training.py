@@ -6,7 +6,7 @@ import tensorflow as tf
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods.full_space.particle_simulator import history_of
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import TwoStageSchedule, WeightAverages
+from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
 
 _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
@@ -92,7 +92,7 @@ class ParticleTrainer:
             walk = rng.normal(size=velocity.shape).cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk
-        context = None if group.context is None else group.context[run]
+        context = group.context_at(end + 1, run)
         graph = simulator.inputs(position, velocity, given, context, n)
         base = velocity[-1] if config.mode_order == 2 else 0.0
         std = s.acceleration_std if config.mode_order == 2 else s.velocity_std

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate.reading_utils import RunGroup
+from learning_to_simulate.reading_utils import RunGroup, context_of
 from pca_tools import dataset
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
@@ -59,9 +59,7 @@ def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
         particle_type=np.append(first.particle_type[: first.n_rigid], [SOIL_TYPE] * n_soil),
         position=np.stack(positions),
         force=None if first.force is None else np.stack([r.force for r in records]).astype(float),
-        context=None
-        if first.step_context is None
-        else np.stack([r.step_context[0] for r in records]).astype(float),
+        context=context_of(records),
         record=np.arange(len(records)),
     )
 

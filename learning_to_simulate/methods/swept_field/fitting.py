@@ -23,6 +23,7 @@ def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
     """
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, None)
+    scene.check_one_body('the method swept_field')
     if scene.rigid_motion != RigidMotion.PRESCRIBED:
         raise ValueError(
             f'swept_field needs a tool whose whole motion is given (prescribed); that of '

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints
+from learning_to_simulate import checkpoints, known_shapes
 from learning_to_simulate.methods.swept_features import SweptGrid
 from learning_to_simulate.methods.swept_field.axes import Axes
 from learning_to_simulate.methods.swept_field.field import SweptField
@@ -88,20 +88,19 @@ def load(path: str) -> SweptField:
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error
-    field = SweptField(config, scene, rest=np.zeros((0, 3)), **parts)
+    arrays = checkpoints.stored_weights(path)
+    with known_shapes.only((w.shape for w in arrays.values()), weights_path):
+        field = SweptField(config, scene, rest=np.zeros((0, 3)), **parts)
     variables = _weights(field)
     shapes = {name: tuple(v.shape) for name, v in variables.items()}
-    n_rest = _rest_shape(weights_path)
-    arrays = checkpoints.read_weights(path, shapes | {_REST: n_rest})
+    checkpoints.check_weights(path, arrays, shapes | {_REST: _rest_shape(arrays)})
     for name, variable in variables.items():
         variable.assign(arrays[name])
     field.rest = arrays[_REST].astype(np.float64)
     return field
 
 
-def _rest_shape(path):
+def _rest_shape(arrays):
     """[N, 3] of the stored bed; any N fits."""
-    if not os.path.isfile(path):
-        return 0, 3  # `read_weights` says that the file is missing
-    shape = files.read_npz(path).get(_REST, np.zeros((0, 3))).shape
+    shape = arrays.get(_REST, np.zeros((0, 3))).shape
     return shape if len(shape) == 2 and shape[1] == 3 else (0, 3)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import experiment, rollout, rollout_status, stepping
+from learning_to_simulate import rollout, rollout_status
 from learning_to_simulate.export_c import c_library, c_step, c_stepper, starts
+from learning_to_simulate.live import stepping
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
@@ -147,7 +149,8 @@ def test_shipped_models_over_whole_test_rollouts(path):
     step from the frames of the twin."""
     data = os.path.join('datasets', path.split('/')[1])
     model, n, space, found = starts.read_model(path, data)
-    _, _, (group,) = experiment.load_for_evaluation(path, data, 'test', {})
+    opened = registry.open_model(path, data, 'test')
+    (group,) = opened.groups
     scene = model.simulator.scene
     known = scene.rigid_motion.is_known
     mine = c_stepper.CStepper(model, n, space, starts=found)

@@ -77,8 +77,8 @@ def test_the_page_of_the_documents_is_of_the_shipped_model():
     text = (ROOT / SHOWN).read_text(encoding='utf-8')
     digest = re.search(r'digest ([0-9a-f]{12})\.', text)
     assert digest[1] == values_of('excavation')['digest'][:12], (
-        f'{SHOWN} is of another model; again: lts export-c --format=page '
-        '--model_path=models/excavation/pcg --data_path=datasets/excavation --output_path=...'
+        f'{SHOWN} is of another model; again: lts export-page '
+        f'--model_path=models/excavation/pcg --data_path=datasets/excavation --output_path={SHOWN}'
     )
 
 

@@ -41,12 +41,31 @@ def test_limits_are_kept(paths):
         rates = np.abs(np.diff(whole, axis=0)) / dt
         assert rates[:, 1].max() <= operator_paths.MAX_RISE * (1 + 1e-9)
         assert np.degrees(rates[:, 2]).max() <= operator_paths.MAX_TURN * (1 + 1e-9)
-        # 12 cm in front of the edge are left for the heap.
-        assert whole[:, 0].min() > scenes.CORNER + 0.12
+        # 20 cm in front of the edge are left for the heap.
+        assert whole[:, 0].min() > scenes.CORNER + 0.20 - 1e-3
         assert parameters['depth_max_m'] == pytest.approx(
             SCENE.bin.surface + drive.body.radius - poses[:, 1].min(), abs=1e-4
         )
         assert 2 * drive.body.half_width == pytest.approx(parameters['blade_width_m'])
+
+
+def test_no_soil_is_squeezed_against_the_wall_behind(paths):
+    """A point on the back of the blade, followed in small steps, never nears the wall in deep soil.
+
+    The generator looks at whole frames and at central differences, hence the margins.
+    """
+    _, made = paths
+    wall = scenes.CORNER + SCENE.bin.size[0]
+    pushes = 0
+    for drive, _, _ in made:
+        x, y, angle = drive.pose(np.arange((320 + drive.lead_in) * STEPS + 1) * TIMES[1]).T
+        depth = SCENE.bin.surface - (y - drive.body.radius)
+        back = np.stack([np.cos(angle), np.sin(angle)])
+        way = np.diff([x, y], axis=1) / TIMES[1]
+        pushing = (np.sum(way * back[:, 1:], axis=0) > 0.025) & (depth[1:] > 0.022)
+        pushes += pushing.any()
+        assert (wall - x[1:] - depth[1:])[pushing].min(initial=1.0) > 0.12 - 3e-3
+    assert pushes > 10  # backs do push, away from the wall
 
 
 def test_velocity_and_acceleration_are_continuous(paths):
@@ -55,11 +74,12 @@ def test_velocity_and_acceleration_are_continuous(paths):
     for _, _, poses in made[:40]:
         velocity = np.diff(poses, axis=0) / dt
         acceleration = np.diff(velocity, axis=0) / dt
-        # From rest, and no jump beside the largest value: a step of a millisecond changes little.
+        # From rest, and no jump beside the largest value (of a piece that the end cuts, of what is
+        # seen of it): a step of a millisecond changes little, where a jump would be all of it.
         assert np.abs(velocity[0]).max() < 1e-3
         for values in (velocity, acceleration):
             jump = np.abs(np.diff(values, axis=0)).max(axis=0)
-            assert (jump <= 0.1 * np.abs(values).max(axis=0) + 1e-9).all()
+            assert (jump <= 0.2 * np.abs(values).max(axis=0) + 1e-9).all()
 
 
 def test_each_kind_shows_what_it_is_for(paths):

@@ -2,6 +2,7 @@
 #ifndef LTS_INTERNAL_H
 #define LTS_INTERNAL_H
 
+#include "lts_common.h"
 #include "lts_kernels.h"
 
 #define LTS_MAGIC 0x4c545331u /* of an instance */
@@ -81,15 +82,12 @@ void lts_node_offset(const lts_instance *soil, int node, float out[3]);
 
 /* lts_status.c: checks of one frame of the start or of the rollout; return bits, and keep the first
  * frame of each kind. `before` is null for the first frame of all. */
-int lts_check_context(lts_instance *soil);
+int lts_check_context(lts_instance *soil, int frame);
 int lts_check_start(lts_instance *soil, int frame, const double *nodes);
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points);
 int lts_check_predicted(lts_instance *soil, int frame);
 
 /* lts_rigid.c */
 void lts_place_rigid(int n, const double *shape, const double *predicted, double *placed);
-void lts_rotate(const double q[4], const double v[3], double out[3]);
-int lts_unit_quaternion(const double q[4], double out[4]);
-void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out);
 
 #endif

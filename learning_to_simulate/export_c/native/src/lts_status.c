@@ -22,11 +22,11 @@ static int not_finite(lts_instance *soil, int frame, int node, int axis, double 
   return note(soil, LTS_WORSE_NON_FINITE, found);
 }
 
-int lts_check_context(lts_instance *soil) {
+int lts_check_context(lts_instance *soil, int frame) {
   const lts_model *m = soil->model;
   int bits = 0;
   for (int i = 0; i < m->n_context; ++i) {
-    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_CONTEXT, 0, -1, i,
+    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_CONTEXT, frame, -1, i,
                     soil->state.context[i], m->context_range[i],
                     m->context_range[m->n_context + i]);
   }

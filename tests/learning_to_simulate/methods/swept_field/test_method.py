@@ -65,7 +65,7 @@ def data_path(tmp_path_factory):
 def model_path(data_path, tmp_path_factory):
     path = str(tmp_path_factory.mktemp('model') / 'field')
     config = settings.SweptFieldConfig('swept_field', **SMALL)
-    method.train(data_path, path, config)
+    registry.train(data_path, path, config)
     return path
 
 
@@ -113,11 +113,11 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
 def test_a_second_call_finds_it_done_and_other_settings_are_refused(data_path, model_path):
     before = files.sha256_of_file(os.path.join(model_path, 'weights.npz'))
     config = settings.SweptFieldConfig('swept_field', **SMALL)
-    method.train(data_path, model_path, config)
+    registry.train(data_path, model_path, config)
     assert files.sha256_of_file(os.path.join(model_path, 'weights.npz')) == before
     other = settings.SweptFieldConfig('swept_field', **(SMALL | {'num_steps': 7}))
     with pytest.raises(ValueError, match='another config'):
-        method.train(data_path, model_path, other)
+        registry.train(data_path, model_path, other)
     with pytest.raises(ValueError, match='contradicts'):
         method.open_model(model_path, data_path, 'test', {'members': 1})
 

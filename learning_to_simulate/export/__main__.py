@@ -1,0 +1,58 @@
+"""Writes a trained simulator as SavedModel, LiteRT or ONNX; see `exporting`.
+
+Examples:
+  python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=/tmp/exported
+
+  # small runtimes; need the extra: pip install -e .[deploy]
+  python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
+      --output_path=...
+"""
+
+from absl import flags
+
+from learning_to_simulate import command
+from learning_to_simulate.export.exporting import FORMATS, export
+
+
+def summary(description: dict, output_path: str) -> str:
+    """What was written and how it compares, for the terminal."""
+    compared = description['compared']
+    differences = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
+    lines = [
+        f'wrote {output_path} ({description["format"]}, signatures '
+        f'{", ".join(description["signatures"])})',
+        f'largest difference to the source over {compared["steps"]} steps: {differences} '
+        f'(allowed {compared["tolerance"]:g})',
+        f'step: first call {compared["first_call_s"]:.3g} s, then '
+        f'{compared["ms_per_step_median"]:.3g} ms',
+    ]
+    if 'particles_difference_m' in compared:
+        lines.append(
+            f'reconstruct: largest difference {compared["particles_difference_m"]:.2g} m, '
+            f'{compared["ms_per_reconstruction"]:.3g} ms'
+        )
+    return '\n'.join(lines)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
+    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
+    flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
+
+
+def run(values) -> None:
+    """Runs the command with its flags."""
+    command.import_tensorflow()
+    description = export(
+        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
+    )
+    print(summary(description, values.output_path))
+
+
+if __name__ == '__main__':
+    define_flags()
+    command.start(run)

@@ -1,0 +1,184 @@
+"""One training run on disk, whatever is trained: claim the folder, resume, step, save.
+
+What is trained comes as a `Training` from a method of `methods.registry`; this loop knows none.
+"""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import tensorflow as tf
+import tqdm
+
+from learning_to_simulate import checkpoints
+from learning_to_simulate.methods.registry import TrainOptions
+from learning_to_simulate.training import model_folder, training_state
+from learning_to_simulate.training.stop_signals import StopSignals
+from pca_tools import folder_lock
+
+LOG_EVERY = 50  # steps between looks at the losses
+
+
+@dataclasses.dataclass
+class Training:
+    """What a method hands over to be trained.
+
+    Attributes:
+      model: with `simulator`; stored by `checkpoints.save_config`.
+      trainer: `trainer.Trainer`, or what answers as it does.
+      evaluator: its `run(groups, split)` is the validation.
+      valid: list of `RunGroup`; may be empty.
+      n_rigid: any R the model runs on.
+      data: where the training data came from, for config.json.
+      title: what is trained, one line for the terminal.
+      write_files: called with the model folder it writes what else the model needs, and returns
+        name -> sha256; None where there is nothing.
+      close_gates: called with the model folder when the edges have been learned; says what they
+        are. None where none are learned.
+    """
+
+    model: Any
+    trainer: Any
+    evaluator: Any
+    valid: list
+    n_rigid: int
+    data: dict
+    title: str
+    write_files: Callable[[str], dict[str, str]] | None = None
+    close_gates: Callable[[str], str] | None = None
+
+
+def run(training: Training, model_path: str, options: TrainOptions) -> dict:
+    """Trains to the end of both stages, or resumes; arguments, result and errors as of
+    `registry.train`.
+
+    Ctrl-C or SIGTERM end it after the step at hand, with a checkpoint of that step.
+    """
+    with folder_lock.locked(model_path, options.take_over_lock), StopSignals() as stop:
+        open_model_path(model_path, training)
+        state = training_state.TrainingState(model_path, training.trainer)
+        state.remove_leftovers()
+        start = state.restore()
+        if start:
+            print(f'resumed {model_path} at step {start}')
+        print(f'{training.title}, {training.trainer.total_steps} steps')
+        if training.close_gates and start > training.trainer.config.gate_steps:
+            print(training.close_gates(model_path))
+        return _train_steps(training, model_path, state, start, options.save_every, stop)
+
+
+def open_model_path(path: str, training: Training) -> None:
+    """Claims a model folder: writes config.json into a new one, compares with the config of an old
+    one.
+
+    Raises:
+      ValueError: a folder of something else; nothing was written.
+    """
+    model = training.model
+    fresh = {
+        'config': dataclasses.asdict(model.simulator.config),
+        'scene': model.simulator.scene.to_json(),
+        'data': training.data,
+    }
+    if not model_folder.holds_model(path, fresh):
+        written = training.write_files(path) if training.write_files else None
+        checkpoints.save_config(path, model, training.n_rigid, training.data, written)
+        return
+    stored = checkpoints.read_config(path)
+    if not model.simulator.config.gate_weight:  # learned edges change on the way, by themselves
+        masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
+        for name, mask in masks.items():
+            if stored[name] != (None if mask is None else mask.astype(int).tolist()):
+                raise ValueError(
+                    f'{path}: holds a model with other edges ({stored.get("edge_source")} there, '
+                    f'{model.edge_source} now); nothing was written, give another --model_path'
+                )
+    if not training_state.stored_steps(path) and os.path.exists(
+        os.path.join(path, checkpoints.WEIGHTS_FILE)
+    ):
+        raise ValueError(
+            f'{path}: holds weights without training state, so training cannot resume; give '
+            f'another --model_path'
+        )
+
+
+def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
+    """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
+    trainer, close_gates = training.trainer, training.close_gates
+    summary = {}
+    total = trainer.total_steps
+    save_every = save_every or max(total // 10, 1)
+    losses = []  # since the last look at them
+    with (
+        tqdm.tqdm(total=total, initial=start, unit='step', disable=None, smoothing=0.05) as bar,
+        tf.summary.create_file_writer(model_path).as_default(),
+    ):
+        bar.write('compiling the first step, up to a minute ...')
+        clock = time.perf_counter()
+        for i in range(start, total):
+            if close_gates and i == trainer.config.gate_steps:
+                bar.write(close_gates(model_path))
+            values = trainer.step(i)
+            losses.append(values['loss'])
+            bar.update()
+            last = i + 1 == total
+            save = (i + 1) % save_every == 0 or last
+            if (i + 1) % LOG_EVERY == 0 or save or stop.number:
+                _refuse_non_finite(losses, i + 1, trainer, model_path)
+                losses = []
+            if (i + 1) % LOG_EVERY == 0 or last:
+                scalars = {k: float(v) for k, v in values.items()}
+                bar.set_postfix({k: f'{v:.3g}' for k, v in scalars.items()})
+                rate = (i + 1 - start) / (time.perf_counter() - clock)
+                for name, value in (
+                    scalars.items()
+                    | {'steps_per_sec': rate, 'lr': float(trainer.learning_rate(i))}.items()
+                ):
+                    tf.summary.scalar(name, value, step=i)
+            # While the edges are being learned there is no graph yet that weights belong to.
+            learns_edges = close_gates and i < trainer.config.gate_steps
+            if save and (last or not stop.number) and not learns_edges:
+                with trainer.averaging.in_place():
+                    if training.valid:
+                        _, summary = training.evaluator.run(training.valid, 'valid')
+                        _log_rollout(summary, i, bar)
+                    checkpoints.save_weights(model_path, trainer.simulator)
+            if save or stop.number:
+                state.save(i + 1)
+            if stop.number and not last:
+                bar.write(f'stopped; step {i + 1} is saved in {model_path}, go on by the same call')
+                raise SystemExit(stop.exit_code)
+    if start >= total:
+        print(f'{model_path}: already trained to step {total}')
+    print(f'trained {total} steps: {model_path}')
+    return summary
+
+
+def _refuse_non_finite(losses, end, trainer, model_path):
+    """Raises if one of the losses of the steps before step `end` is NaN or infinite."""
+    finite = np.isfinite([float(loss) for loss in losses])
+    if finite.all():
+        return
+    at = int(np.argmin(finite))
+    step = end - len(losses) + at
+    raise ValueError(
+        f'loss is {float(losses[at])} at step {step}, batch of (record, first frame) '
+        f'{trainer.batch_of(step)}; training stopped, the checkpoint of before stays in '
+        f'{model_path}'
+    )
+
+
+def _log_rollout(summary, step, bar):
+    # A rollout that blew up has no number (null in metrics.json); training goes on and says so.
+    mean = {k: float('nan') if v is None else v for k, v in summary['mean']['model'].items()}
+    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)
+    ratio = summary['soil_mse_over_best_trivial'] or float('nan')
+    text = f'step {step + 1}: valid rollout soil MSE {mean["soil_mse"] * 1e4:.4g}e-4 m2'
+    text += f' (x {ratio:.3g} of the best trivial)'
+    if 'force_relative_l2' in mean:
+        tf.summary.scalar('force_error_mse', mean['force_rmse'] ** 2, step=step)
+        text += f', force rel. L2 {mean["force_relative_l2"]:.3g}'
+    bar.write(text)

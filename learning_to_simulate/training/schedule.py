@@ -1,0 +1,71 @@
+"""Learning rate and averages of the weights over the steps of a training."""
+
+import contextlib
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.config import TrainConfig
+
+
+class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
+    """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
+    stage.
+
+    The unrolled stage starts from a fraction of the first rate and decays to the floor by a cosine.
+    """
+
+    def __init__(self, config: TrainConfig):
+        self._config = config
+
+    def __call__(self, step):
+        c = self._config
+        step = tf.cast(step, tf.float32)
+        single = (c.learning_rate - c.learning_rate_floor) * 0.1 ** (
+            step / c.decay_steps
+        ) + c.learning_rate_floor
+        progress = tf.clip_by_value((step - c.num_steps) / max(c.unroll_steps, 1), 0.0, 1.0)
+        start = c.unroll_learning_rate
+        unrolled = c.learning_rate_floor + (start - c.learning_rate_floor) * 0.5 * (
+            1.0 + tf.cos(np.pi * progress)
+        )
+        return tf.where(step < c.num_steps, single, unrolled)
+
+    def get_config(self):
+        """Keras asks for it; the config is stored beside the checkpoint instead."""
+        return {}
+
+
+class WeightAverages:
+    """Moving averages of the weights, which are what is evaluated and saved.
+
+    Args:
+      variables: the trained ones.
+      decay: of the averages; 0 for none.
+    """
+
+    def __init__(self, variables, decay: float):
+        self._trained, self._decay = variables, decay
+        self.variables = [tf.Variable(v, name='average') for v in variables]
+
+    def update(self, step) -> None:
+        """Takes in the weights after training step `step` (counted from 0)."""
+        count = tf.cast(step, tf.float32)
+        keep = tf.minimum(self._decay, (1.0 + count) / (10.0 + count))  # forgets the start sooner
+        for average, variable in zip(self.variables, self._trained, strict=True):
+            average.assign_sub((1.0 - keep) * (average - variable))
+
+    @contextlib.contextmanager
+    def in_place(self):
+        """Puts the averages in place of the weights, and the trained ones back after."""
+        if not self._decay:
+            yield
+            return
+        trained = [v.numpy() for v in self._trained]
+        for variable, average in zip(self._trained, self.variables, strict=True):
+            variable.assign(average)
+        try:
+            yield
+        finally:
+            for variable, value in zip(self._trained, trained, strict=True):
+                variable.assign(value)

@@ -1,0 +1,74 @@
+"""Training windows, cut by index out of runs that are held in memory."""
+
+import copy
+
+import numpy as np
+import tensorflow as tf
+
+# The force error of a run is counted in units of the run's own force, because that is how it is
+# judged (relative L2); a run with less than this share of the largest force counts as if it had it.
+FORCE_FLOOR = 0.02
+
+
+class GroupTensors:
+    """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
+
+    def __init__(self, group, layout, statistics, relative_force):
+        self.layout = layout
+        self.n_run, self.n_frame = group.position.shape[:2]
+        self.record = group.record
+        flat = (self.n_run * self.n_frame, *group.position.shape[2:])
+        # Differences in float64 before the cast: see the note on state in `learned_simulator`.
+        self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
+        self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
+        self.force = self.context = self.force_weight = None
+        if statistics.force_mean is not None:
+            normalised = (group.force - statistics.force_mean) / statistics.force_std
+            self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
+            if relative_force:
+                size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
+                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
+                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
+            else:
+                weight = np.ones(self.n_run)
+            self.force_weight = tf.constant(weight, tf.float32)
+        if statistics.context_mean is not None:
+            self._context_by_frame = group.context_changes
+            rows = group.context.reshape(-1, group.context.shape[-1])
+            self.context = tf.constant(rows, tf.float32)
+
+    def with_layout(self, layout):
+        """The same runs on another graph of the same nodes."""
+        other = copy.copy(self)
+        other.layout = layout
+        return other
+
+    def picks(self, batch_size, length, seed):
+        """Run and first frame of `batch_size` windows of `length` frames, a function of `seed`
+        int32 [2]."""
+        n_start = self.n_frame - length + 1
+        pick = tf.random.stateless_uniform(
+            [batch_size], seed, maxval=self.n_run * n_start, dtype=tf.int32
+        )
+        return pick // n_start, pick % n_start
+
+    def _context_of(self, run, frames):
+        """Context [B, C] or None of windows, called with the number of a frame in the window."""
+        if self.context is None:
+            return lambda k: None
+        if self._context_by_frame:
+            return lambda k: tf.gather(self.context, frames[:, k])
+        constant = tf.gather(self.context, run)
+        return lambda k: constant
+
+    def windows(self, batch_size, length, seed):
+        """Gathers the windows that `picks` names; the context as of `_context_of`."""
+        run, start = self.picks(batch_size, length, seed)
+        frames = (run * self.n_frame + start)[:, None] + tf.range(length)
+        return (
+            tf.gather(self.offset, frames),
+            tf.gather(self.velocity, frames),
+            None if self.force is None else tf.gather(self.force, frames),
+            self._context_of(run, frames),
+            1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
+        )

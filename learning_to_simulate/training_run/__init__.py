@@ -1,1 +1,0 @@
-"""A training run on disk: one loop for every method, its state, its end by a signal."""

@@ -1,0 +1,126 @@
+"""Exported models: without the project's code they say what the source model says."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from learning_to_simulate import checkpoints, rollout
+from learning_to_simulate.export import exporting
+from learning_to_simulate.methods import registry
+from pca_tools import subspace
+from tests.learning_to_simulate import models, synthetic
+
+N_STEP = 10
+# Follows a recorded start by its own predictions, as a user without this project would.
+PROGRAM = """
+import sys
+sys.modules.update(dict.fromkeys(
+    ['learning_to_simulate', 'pca_tools', 'sonnet', 'graph_nets', 'tests']))
+import numpy as np
+import tensorflow as tf
+model = tf.saved_model.load(sys.argv[1])
+given = np.load(sys.argv[2])
+history, forces = given['history'], []
+for coming, context in zip(given['coming'], given['context']):
+    inputs = {'position_history': history, 'next_rigid_position': coming,
+              'context': context}
+    out = model.signatures['step'](**{k: tf.constant(v) for k, v in inputs.items()})
+    history = np.concatenate([history[1:], out['next_position'][None]])
+    forces.append(out['force'])
+particles = model.signatures['reconstruct'](modes=out['modes'])['particles']
+np.savez(sys.argv[3], position=history[-1], forces=forces, particles=particles)
+"""
+
+
+def make(tmp_path, motion, with_subspace=True, **more):
+    """A dataset and an untrained model of it on disk; returns their paths."""
+    data, path = tmp_path / 'data', tmp_path / 'model'
+    path.mkdir(parents=True)
+    model, groups, _ = models.make(data, motion=motion, **more)
+    checkpoints.save_config(str(path), model, groups[0].n_rigid, {})
+    checkpoints.save_weights(str(path), model.simulator)
+    if with_subspace:
+        synthetic.write_subspace(data)
+    return str(path), str(data)
+
+
+def test_saved_model_rolls_out_without_the_project(tmp_path):
+    model_path, data = make(tmp_path, 'driven', context='changing')
+    out = str(tmp_path / 'exported')
+    description = exporting.export(model_path, data, out, 'savedmodel')
+    assert set(description['signatures']) == {'step', 'reconstruct'}
+    written = json.loads((tmp_path / 'exported' / 'export.json').read_text())
+    assert written == json.loads(json.dumps(description))
+    opened = registry.open_model(model_path, data, 'test')
+    model, groups = opened.model, opened.groups
+    group = groups[0].select(0)
+    np.savez(
+        tmp_path / 'given.npz',
+        history=group.position[0, :6],
+        coming=group.position[0, 6 : 6 + N_STEP, :4],
+        context=group.context[0, 6 : 6 + N_STEP].astype(np.float32),
+    )
+    arguments = [out, str(tmp_path / 'given.npz'), str(tmp_path / 'result.npz')]
+    subprocess.run([sys.executable, '-c', PROGRAM, *arguments], cwd=tmp_path, check=True)
+    result = np.load(tmp_path / 'result.npz')
+    expected = rollout.roll_out(rollout.RolloutFunction(model.simulator, model.layout(4)), group)
+    # Float32 round-off over ten steps: 2e-8 of the modes' range measured, and 1e-6 of the force.
+    scale = np.ptp(group.position[:, :, 4:])
+    last = expected.position[0, N_STEP - 1]
+    np.testing.assert_allclose(result['position'], last, atol=1e-6 * scale)
+    force = expected.force[0, :N_STEP]
+    np.testing.assert_allclose(result['forces'], force, atol=1e-4 * np.abs(force).max())
+    space = subspace.Subspace.load(f'{data}/subspace.npz')
+    np.testing.assert_allclose(result['particles'], space.decode(last[4:]), atol=3e-6)
+
+
+def test_predicted_body_is_kept_rigid_in_a_saved_model_and_refused_elsewhere(tmp_path):
+    model_path, data = make(
+        tmp_path, 'predicted', with_subspace=False, preset='pcg_thesis', rigid_counts=(6,)
+    )
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'savedmodel')
+    assert set(description['signatures']) == {'step'}
+    assert 'next_rigid_position' not in description['signatures']['step']
+    for kind in ('tflite', 'onnx'):
+        with pytest.raises(ValueError, match='no eigenvalue solver'):
+            exporting.export(model_path, data, str(tmp_path / kind), kind)
+        assert not (tmp_path / kind).exists()
+
+
+def test_litert_says_the_same(tmp_path):
+    model_path, data = make(tmp_path, 'driven')
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'tflite')
+    assert (tmp_path / 'exported' / 'step.tflite').stat().st_size > 1000
+    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
+    assert len(description['origin']) == 4 + synthetic.N_MODES
+    assert 'mean height' in description['state']
+
+
+def test_onnx_says_the_same(tmp_path):
+    pytest.importorskip('tf2onnx', reason='extra deploy')
+    pytest.importorskip('onnxruntime', reason='extra deploy')
+    model_path, data = make(tmp_path, 'prescribed')
+    description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'onnx')
+    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
+
+
+def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
+    model_path, data = make(tmp_path, 'prescribed')
+    out = tmp_path / 'exported'
+    with pytest.raises(ValueError, match=r'no test run has 7 rigid nodes, there are \[4\]'):
+        exporting.export(model_path, data, str(out), 'savedmodel', n_rigid=7)
+    monkeypatch.setitem(sys.modules, 'tf2onnx', None)
+    with pytest.raises(ValueError, match='comes with the extra'):
+        exporting.export(model_path, data, str(out), 'onnx')
+    monkeypatch.setattr(exporting, 'RECONSTRUCT_TOLERANCE', 0.0)
+    monkeypatch.setattr(exporting, 'TOLERANCE', 0.0)
+    with pytest.raises(ValueError, match='differs from its source.*nothing was written'):
+        exporting.export(model_path, data, str(out), 'tflite')
+    assert not [p for p in tmp_path.iterdir() if 'exported' in p.name]
+    out.mkdir()
+    (out / 'mine').write_text('keep')
+    with pytest.raises(ValueError, match='not empty'):
+        exporting.export(model_path, data, str(out), 'tflite')
