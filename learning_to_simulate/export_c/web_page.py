@@ -20,7 +20,7 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import command
-from learning_to_simulate.export_c import project
+from learning_to_simulate.export_c import c_header, project
 from pca_tools import files
 
 TARGET = ('--target=wasm32-wasi', '--sysroot={root}', '-O3', '-msimd128', '-nostartfiles',
@@ -54,8 +54,9 @@ def compile_model(name: str, values: dict) -> bytes:
         raise ValueError('a page draws particles: the model has no subspace')
     with tempfile.TemporaryDirectory() as folder:
         project.write_sources(folder, name, values)
-        for part in ('include/lts.h', 'page/page.c'):
-            project.copy(part, folder)
+        project.copy('page/page.c', folder)
+        for part in os.listdir(os.path.join(c_header.NATIVE, 'include')):
+            project.copy(f'include/{part}', folder)
         with open(os.path.join(folder, f'{name}.h'), 'w', encoding='utf-8') as file:
             file.write(f'#include "lts.h"\nextern const lts_model {name};\n')
         wasm = os.path.join(folder, 'soil.wasm')
@@ -122,7 +123,8 @@ def write(path: str, name: str, values: dict, session) -> None:
         'CONFIG': json.dumps(settings(session), separators=(',', ':')),
         'WASM': base64.b64encode(compile_model(name, values)).decode('ascii'),
     }
-    files.write_atomically(path, lambda part: project.write_template('page/page.html.in', part, words))
+    template = 'page/page.html.in'
+    files.write_atomically(path, lambda part: project.write_template(template, part, words))
 
 
 def run(values) -> None:
@@ -156,4 +158,3 @@ if __name__ == '__main__':
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_string('output_path', None, 'HTML file to write.', required=True)
     command.start(run)
-

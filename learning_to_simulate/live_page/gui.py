@@ -185,9 +185,7 @@ class Panel:
 
     def restarted(self, session) -> None:
         """After a reset."""
-        self._rows: collections.deque = collections.deque(
-            maxlen=round(SHOWN / session.scene.dt)
-        )
+        self._rows: collections.deque = collections.deque(maxlen=round(SHOWN / session.scene.dt))
         if self._start is not None:
             self._start.value = start_names(session.model.starts)[session.start]
         for name, value in (session.context or {}).items():

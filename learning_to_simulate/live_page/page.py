@@ -118,9 +118,9 @@ class Page:
         spacing = (np.prod(high - low) / len(session.rest)) ** (1 / 3)
         size = float((high - low).max())
         cloud = {'point_size': 0.45 * spacing, 'point_shape': 'circle', 'position': self._middle}
-        self._soil = scene.add_point_cloud(
-            '/soil', session.rest - self._middle, drawing.SOIL[0].astype(np.uint8)[None].repeat(len(session.rest), 0), **cloud
-        )
+        self._shade = drawing.shades(len(session.rest))
+        colours = drawing.soil_colours(session.rest, session.rest, self._shade)
+        self._soil = scene.add_point_cloud('/soil', session.rest - self._middle, colours, **cloud)
         self._ghost = scene.add_point_cloud(
             '/solver', session.rest - self._middle, GHOST_COLOUR,
             **cloud | {'point_size': 0.22 * spacing}, visible=False,
@@ -150,7 +150,6 @@ class Page:
         level = np.delete(high - low, session.scene.up_axis)
         self._cells = np.maximum(1, level / (CELL * spacing)).astype(int)
         self._heights = session.level - HEIGHTS[0], session.level + HEIGHTS[1]
-        self._shade = drawing.shades(len(session.rest))
         self.panel.build(session)
         self._restart()
 
@@ -208,7 +207,8 @@ class Page:
                 truth = session.run.particles(min(moment.frame, len(session.run) - 1))
                 self._ghost.points = truth - self._middle
             if n % CHART_EVERY == 0:
-                self._soil.colors = drawing.soil_colours(moment.particles, session.rest, self._shade)
+                colours = drawing.soil_colours(moment.particles, session.rest, self._shade)
+                self._soil.colors = colours
             if n % HEIGHT_EVERY == 0:
                 self.panel.heights.image = self.height_picture()
         self.panel.record(session)

@@ -1,8 +1,8 @@
 """`Session`: a model, its soil and a tool that is steered; no browser, no clock.
 
-    session = Session(lts.load('excavation'))
-    session.steering.set('depth', 20)
-    moment = session.advance()          # once a frame
+session = Session(lts.load('excavation'))
+session.steering.set('depth', 20)
+moment = session.advance()          # once a frame
 """
 
 import os

@@ -107,9 +107,9 @@ def test_the_page_digs_in_a_browser(tmp_path):
         tab.goto((ROOT / SHOWN).as_uri())
         tab.wait_for_function('window.soil && window.soil.state().frame > 2')
         first = tab.evaluate('window.soil.state()')
-        depth, speed = tab.locator('input[type=range]').nth(0), tab.locator('input[type=range]').nth(1)
-        depth.fill('20')
-        speed.fill('100')
+        sliders = tab.locator('input[type=range]')
+        sliders.nth(0).fill('20')  # depth
+        sliders.nth(1).fill('100')  # speed
         tab.wait_for_function(f'window.soil.state().frame > {first["frame"]} + 90')
         tab.click('#pause')
         now = tab.evaluate('window.soil.state()')

@@ -1,4 +1,4 @@
-"""The page: on the wire, where the packages are there, and in a real browser, where one is there."""
+"""The page: on the wire with the extra `live`, and in a real browser where one is there."""
 
 import shutil
 import socket
@@ -35,7 +35,9 @@ class Running:
 
     def __init__(self, name='excavation'):
         self.port = free_port()
-        self.page = page.Page(sessions.make, ['excavation', 'wheel', 'nothing'], name, port=self.port)
+        self.page = page.Page(
+            sessions.make, ['excavation', 'wheel', 'nothing'], name, port=self.port
+        )
         self.loop = loop.FrameLoop(self.page.frame, self.page.session.scene.dt)
         self.loop.start()
 
@@ -207,7 +209,9 @@ def test_in_a_browser_sliders_keys_handle_and_reset(running, browser, tmp_path):
     for _ in range(8):
         tab.keyboard.press('i')
     wait(lambda: session.steering.sliders['speed'].value > 20.0)
-    wait(lambda: session.plane[0] * session.forwards > 0.1 + session.path()[0, 0] * session.forwards)
+    wait(
+        lambda: session.plane[0] * session.forwards > 0.1 + session.path()[0, 0] * session.forwards
+    )
     running.page.pause()
     tab.wait_for_timeout(2000)
     after = picture(tab, tmp_path / 'after.png')
