@@ -24,7 +24,7 @@ from reports import command, markdown, record, timing
 from reports.scenes import runs
 
 # What `write_raw` and `convert` must know of each scene, and what it shows.
-SCENES = {
+SCENES: dict[str, dict] = {
     'column': {'dt': 1 / 120, 'modes': 8},
     'column_2d': {'dt': 1 / 90, 'modes': 6},
     'lengths': {'dt': 1 / 120, 'modes': 8},
