@@ -19,6 +19,7 @@ _GRAPH_TEMPLATES = _TEMPLATES | {
     'cmake/README.md.in': 'README.md',
     'examples/example.cpp.in': 'examples/example.cpp',
     'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
+    'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
 }
 _FIELD_TEMPLATES = _TEMPLATES | {
     'cmake/README_field.md.in': 'README.md',
