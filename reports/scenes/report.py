@@ -117,9 +117,9 @@ def times(folder: str, names, rounds: int) -> dict[str, float]:
 
 
 def table(path: str) -> str:
-    """The table of `docs/scenes.md` from the report's JSON."""
+    """The table of the report from its JSON."""
     rows = files.read_json(path)['rows']
-    base = rows[BASE].get('ms_per_step')
+    base = rows.get(BASE, {}).get('ms_per_step')
 
     def plain(values):
         return ', '.join(map(str, values)) or 'no'
