@@ -187,12 +187,13 @@ class TrainedModel:
             from learning_to_simulate.live import resting_start
 
             starts, space = resting_start.read(self.path)
-            space = None if space is None else self.model.fitting_subspace(space)
+            if not self._method.live:
+                space = None if space is None else self.model.fitting_subspace(space)
             self._at_rest = starts, space
         return self._at_rest
 
     def stepper(self, outside: str = 'flag'):
-        """A `live.LiveSoil`; `start` and `step` it with poses.
+        """A `live.LiveSoil`, or what a method has of its own; `start` and `step` it with poses.
 
         Frames come from the C library where there is a C compiler and the model has a C form, else
         from TensorFlow: the same to round-off.
@@ -203,6 +204,8 @@ class TrainedModel:
         Raises:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
         """
+        if own := self._method.load_live():
+            return own.stepper(self.path, self.model, outside)
         from learning_to_simulate.export_c.c_step import best_step
         from learning_to_simulate.live.live_soil import LiveSoil
 
@@ -228,17 +231,25 @@ class TrainedModel:
         """
         if isinstance(path, Run):
             return self._of_run(path)
+        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
+        roller = self._path_roller()
+        pairs = [
+            roller.beginning(p, velocity, case, context) for p in (path if several else [path])
+        ]
+        results = roller.roll_out(pairs)
+        return results if several else results[0]
+
+    def _path_roller(self):
         if self._roller is None:
             from learning_to_simulate.live.path_rollout import PathRoller
 
-            self._roller = PathRoller(self.model, self.starts, self._soil())
-        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        begun = [
-            self._roller.beginning(p, velocity, case, context)
-            for p in (path if several else [path])
-        ]
-        results = self._roller.roll_out(begun)
-        return results if several else results[0]
+            own = self._method.load_live()
+            self._roller = (
+                own.roller(self.path, self.model)
+                if own
+                else PathRoller(self.model, self.starts, self._soil())
+            )
+        return self._roller
 
     def _soil(self):
         from learning_to_simulate.live.soil import Soil
@@ -254,8 +265,11 @@ class TrainedModel:
             g.take(np.flatnonzero(g.record == run.index)) for g in opened.groups
             if run.index in g.record
         )  # fmt: skip
+        name = f'rollout_{run.name}'
+        if self._method.live:
+            return self._path_roller().recorded(opened.evaluator, group, name)
         rollout = opened.evaluator.roll_out(group)
-        return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
+        return of_recorded_run(group, rollout, self.scene, self._soil(), name)
 
     def _opened(self, split):
         return registry.open_model(self.path, split.folder, split.name)

@@ -68,7 +68,7 @@ def writable_folder(path: str) -> None:
 
 
 def import_tensorflow(num_threads: int | None = None) -> None:
-    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it would.
+    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it does.
 
     Its Keras loads scikit-learn and matplotlib for wrappers that nothing here uses, which is a
     third of the whole import; it goes without them where they are absent, so they are, meanwhile.

@@ -123,18 +123,33 @@ class Inputs(Settings):
         order 1.
       predict_driven_body: predict every particle of a body whose rotation and travel are given, the
         published way, instead of its height alone.
-      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
+      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame; 0
+        (modes only, with `path_inputs`) predicts where they are, counted from the last given frame:
+        then no error is carried from frame to frame but by the inputs.
+      path_inputs: what the tool has done since the start of the run is an input (`path_memory`);
+        needs a body whose whole motion is given.
+      state_inputs: whether the state of the modes is an input; without it (with `path_inputs`, no
+        graph) a frame depends on the path alone.
     """
 
     conditioned: bool = True
     velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
     rate_scaled: bool = True
     predict_driven_body: bool = False
-    mode_order: int = number(1, 1, 2)
+    mode_order: int = number(1, 0, 2)
     rigid_order: int = number(1, 1, 2)
+    path_inputs: bool = False
+    state_inputs: bool = True
 
     def rules(self):
-        """Raises where an acceleration would be scaled with the rate."""
+        """Raises where an acceleration would be scaled with the rate, or a path is missing."""
+        if not self.path_inputs and (self.mode_order == 0 or not self.state_inputs):
+            raise ValueError(
+                f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need '
+                f'path_inputs: a place and soil without a state follow from the path alone'
+            )
+        if self.path_inputs and not self.conditioned:
+            raise ValueError('path_inputs needs conditioned: the published inputs have no path')
         if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
             raise ValueError(
                 'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
@@ -217,6 +232,8 @@ class SingleSteps(Settings):
 
     Attributes:
       batch_size, num_steps: of this stage.
+      copies: so many shifted or mirrored copies of each training run are trained on as well
+        (`symmetric_copies`), in both stages.
       noise_std: random-walk noise of the last input step, m/frame or a fraction.
       noise_relative: whether the noise is a fraction of each node's own velocity scale.
       learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
@@ -225,6 +242,7 @@ class SingleSteps(Settings):
 
     batch_size: int = number(16, 1, 100_000)
     num_steps: int = number(3000, 0)
+    copies: int = number(0, 0, 100)
     noise_std: float = number(0.5, 0)
     noise_relative: bool = True
     learning_rate: float = 1e-3
@@ -273,6 +291,11 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
             raise ValueError(
                 f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
                 f'edges between modes and body'
+            )
+        if not self.state_inputs and self.model != 'mlp':
+            raise ValueError(
+                f'state_inputs is False with model {self.model!r}: only the MLP does without, '
+                f'edges and mixers are made of the state'
             )
         if (self.soil_particles > 0) != method.on_particles:
             raise ValueError(

@@ -215,9 +215,7 @@ def _arrays(group, rollout) -> dict:
         if predicted.shape != rollout.force[0].shape:  # of each of several bodies
             each = (len(predicted), -1, predicted.shape[1])
             arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
-            arrays['ground_truth_body_forces'] = (
-                group.force[0, H:].reshape(each).astype(np.float32)
-            )
+            arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
     # What a method says beyond modes, e.g. the particles of one that has none.
     return arrays | getattr(rollout, 'arrays', {})
 
@@ -244,7 +242,7 @@ def table(summary: dict) -> str:
         lines.append('  '.join([f'{name:18s}', *cells]))
     if summary['projection_mse'] is not None:
         lines.append(
-            f'projection floor (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
+            f'truncation error (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
             f'to the soil MSE'
         )
     lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')

@@ -123,7 +123,7 @@ def _check_statistics(statistics, scene):
     shapes = {
         'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
         'force_mean': (force,), 'force_std': (force,),
-        'height_std': (1,), 'height_velocity_std': (1,),
+        'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,),
         'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
         'position_range': (2, classes, dim), 'given_range': (2, dim),

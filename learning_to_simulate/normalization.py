@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate.body_height import height_of, without_height
-from learning_to_simulate.config import TrainConfig
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
@@ -51,6 +51,7 @@ class Statistics:
       body_extent_range: [2, D] of the extent of the given body in a frame, m.
       body_speed_range: [2, 1] of the given body's RMS displacement, m/frame.
       context_range: [2, C]; None without a context.
+      path: [5] of `path_memory.PathMemory.of_statistics`; None where the path is no input.
     """
 
     origin: np.ndarray
@@ -78,6 +79,7 @@ class Statistics:
     context_std: np.ndarray | None
     log_context_mean: np.ndarray | None
     log_context_std: np.ndarray | None
+    path: np.ndarray | None = None
 
     def to_json(self) -> dict:
         """Nested lists of float64, exact under `from_json`."""
@@ -172,7 +174,8 @@ def compute_statistics(
         else _dataset_wide(metadata, force, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
-    return Statistics(**values, **_targets(values, heights, scene, config), **ranges)
+    targets = _targets(values, _places(positions, r), heights, scene, config)
+    return Statistics(**values, **targets, **ranges)
 
 
 def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray | None]:
@@ -280,12 +283,26 @@ def _force_spread(force):
     return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
-def _targets(values, heights, scene, config):
-    """Statistics of what is predicted: displacement (order 1) or acceleration (order 2) of each
-    class."""
+def _places(positions, n_modes):
+    """Mean and std of where each class is, counted from the last given frame of its run."""
+    since = [p - p[:, INPUT_SEQUENCE_LENGTH - 1 :][:, :1] for p in positions]
+    places = _by_class(since, n_modes)
+    return {
+        'mean': np.stack([p.mean(axis=0) for p in places]),
+        'std': _floored(np.stack([p.std(axis=0) for p in places])),
+    }
+
+
+def _targets(values, places, heights, scene, config):
+    """Statistics of what is predicted: place since the start (order 0), displacement (order 1) or
+    acceleration (order 2) of each class."""
     target = {}
     for name in ('mean', 'std'):
-        by_order = {1: values[f'velocity_{name}'], 2: values[f'acceleration_{name}']}
+        by_order = {
+            0: places[name],
+            1: values[f'velocity_{name}'],
+            2: values[f'acceleration_{name}'],
+        }
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )

@@ -22,6 +22,8 @@ REPORTS = {
     'rollout_time': ('speed.rollout_time', 'milliseconds per step of whole rollouts'),
     'step_latency': ('speed.step_latency', 'milliseconds of one live step'),
     'training_speed': ('speed.training_speed', 'samples per second, seconds to an error'),
+    'swept_field': ('swept_field', 'a swept field per run: errors, rates, restarts, ten lengths'),
+    'driving': ('driving', 'free driving: what the modes allow, errors by kind of path'),
     'explain': ('speed.explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edge_ablation': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),

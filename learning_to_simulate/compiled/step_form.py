@@ -14,7 +14,7 @@ Rollouts, live steps and the count of products use the same five methods:
 import tensorflow as tf
 
 from learning_to_simulate.learned_simulator import SimulatorState
-from learning_to_simulate.rigid_body import Correction, KnownMotion
+from learning_to_simulate.rigid_body import Correction
 from learning_to_simulate.scene import RigidMotion
 
 
@@ -44,8 +44,7 @@ class PlainStep:
         del state, n_frame
 
         def frame(k):
-            coming = None if known is None else KnownMotion(known.offset[k], known.velocity[k])
-            return coming, context_in(context, k)
+            return None if known is None else known.at(k), context_in(context, k)
 
         return frame
 

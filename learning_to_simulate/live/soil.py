@@ -41,6 +41,7 @@ class Soil:
 
     Attributes:
       subspace: as given.
+      extent: float64 [2, 2], m: of the bed at rest, see `plan_extent`; what a height map spans.
     """
 
     def __init__(self, subspace: Subspace, up_axis: int):
@@ -48,15 +49,7 @@ class Soil:
         self._components = np.ascontiguousarray(subspace.components, np.float32)
         self._mean = np.asarray(subspace.mean, np.float32)
         self._up = up_axis
-        self._plan = [axis for axis in range(subspace.initial.shape[1]) if axis != up_axis]
-        self._low = subspace.initial[:, self._plan].min(axis=0)
-        self._size = np.ptp(subspace.initial[:, self._plan], axis=0)
-
-    @property
-    def extent(self) -> np.ndarray:
-        """float64 [2, 2], m: of the bed at rest seen from above, lowest and highest of each axis;
-        what a height map spans."""
-        return np.stack([self._low, self._low + self._size], axis=1)
+        self.extent = plan_extent(subspace.initial, up_axis)
 
     def particles(self, modes) -> np.ndarray:
         """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
@@ -77,3 +70,9 @@ class Soil:
           ValueError: no cells.
         """
         return surface(self.particles(modes), self.extent, self._up, nx, nz)
+
+
+def plan_extent(points, up: int) -> np.ndarray:
+    """float64 [2, 2], m: lowest and highest of each axis of a bed [N, D] seen from above."""
+    plan = np.delete(np.asarray(points, np.float64), up, axis=1)
+    return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)

@@ -39,7 +39,7 @@ class Frame(NamedTuple):
     """One predicted frame; its arrays cannot be written to.
 
     Attributes:
-      modes: float64 [r, D] scores, m.
+      modes: float64 [r, D] scores, m; of a method without modes, what `soil` takes in their place.
       force: float32 [D] on the body, N, or [B, D] on several; None where the scene has no force.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       judgement: how far the rollout can be trusted up to this frame: the worst since the start,
@@ -48,6 +48,8 @@ class Frame(NamedTuple):
       soil: turns modes into particles; None without a subspace.
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None from `Stepper`.
       torque: [D] on the body about its reference point, N m, where the model predicts one.
+      bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
+        None where the model was not calibrated.
     """
 
     modes: np.ndarray
@@ -58,6 +60,7 @@ class Frame(NamedTuple):
     soil: Soil | None = None
     pose: np.ndarray | None = None
     torque: np.ndarray | None = None
+    bound: float | None = None
 
     @property
     def status(self) -> RolloutStatus:

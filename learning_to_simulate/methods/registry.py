@@ -37,6 +37,8 @@ class Method:
         types), for methods whose code is `subspace_method`.
       has_graph: whether it takes edges between modes and body (`adjacency`).
       on_particles: whether its nodes are soil particles and not modes.
+      live: module with `stepper(path, model, outside)` and `roller(path, model)`, as the API wants
+        them; None: those of models in the subspace.
       default_preset: where only the method is named; None: the preset of its own name.
     """
 
@@ -46,12 +48,17 @@ class Method:
     network: str | None = None
     has_graph: bool = False
     on_particles: bool = False
+    live: str | None = None
     default_preset: str | None = None
 
     def load_code(self) -> ModuleType:
         """The module with its functions; TensorFlow is imported without its start-up lines."""
         command.import_tensorflow()
         return importlib.import_module(self.code)
+
+    def load_live(self) -> ModuleType | None:
+        """The module of its live use, where it has one of its own."""
+        return importlib.import_module(self.live) if self.live else None
 
     def make_simulator(self, scene, config, statistics, particle_types=(0, 6)):
         """A simulator in the subspace with fresh weights; arguments as of `LearnedSimulator`.
@@ -144,6 +151,7 @@ METHODS = {
         'neural field over what the tool has swept: no modes, no time stepping',
         'learning_to_simulate.methods.swept_field.method',
         'learning_to_simulate.methods.swept_field.settings',
+        live='learning_to_simulate.methods.swept_field.path_rollout',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
     'earthmoving': Method(

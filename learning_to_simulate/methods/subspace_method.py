@@ -3,6 +3,7 @@
 The `code` of gns, the MLP and the mixers in `registry`; which network they are, is the registry's.
 """
 
+import dataclasses
 import os
 
 import numpy as np
@@ -11,12 +12,14 @@ from learning_to_simulate import checkpoints, evaluation, normalization, reading
 from learning_to_simulate.checkpoints import load_model as load
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import registry
+from learning_to_simulate.methods import registry, resting_bed
+from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import loop, model_folder
+from learning_to_simulate.training import loop, model_folder, symmetric_copies
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
+from pca_tools.subspace import Subspace
 
 __all__ = ['load', 'make_model', 'open_model', 'train']
 
@@ -50,6 +53,10 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         config,
     )
     velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    if config.path_inputs:
+        statistics = dataclasses.replace(
+            statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
+        )
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
     simulator = registry.get(config.model).make_simulator(
@@ -64,6 +71,33 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     return model
 
 
+def _path_memory(data_path, metadata, groups, scene):
+    if scene.rigid_motion != RigidMotion.PRESCRIBED or scene.bodies:
+        raise ValueError(
+            f'path_inputs needs one body whose whole motion is given (prescribed); in {data_path} '
+            f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
+        )
+    bodies = [g.position[:, :, : g.n_rigid] for g in groups]
+    frame = PathMemory.of_runs(bodies, scene).frame
+    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    return PathMemory.of_runs(bodies, scene, surface)
+
+
+def _with_copies(model, groups, data_path):
+    """The runs that a config trains on: with copies of them where it asks for some."""
+    config, scene = model.simulator.config, model.simulator.scene
+    if not config.copies:
+        return groups
+    path = os.path.join(data_path, 'subspace.npz')
+    if not scene.rigid_motion.is_known or scene.bodies or not os.path.exists(path):
+        raise ValueError(
+            f'copies is {config.copies}: shifted runs need one body whose motion is known and a '
+            f'subspace.npz in {data_path}'
+        )
+    space = model.fitting_subspace(Subspace.load(path))
+    return symmetric_copies.with_copies(groups, space, scene.up_axis, config.copies, config.seed)
+
+
 def train(data_path, model_path, config, options) -> dict:
     """Trains to the end of both stages, or resumes; see `registry.train`."""
     registry.refuse_raw_path(options.raw_path)
@@ -74,7 +108,7 @@ def train(data_path, model_path, config, options) -> dict:
         reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
     )
     model = make_model(data_path, metadata, groups, config, options.rigid_motion)
-    trainer = Trainer(model, groups)
+    trainer = Trainer(model, _with_copies(model, groups, data_path))
     layouts = [model.layout(g.n_rigid) for g in groups]
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(

@@ -121,7 +121,7 @@ class Explanation:
         if layout.n_edge == layout.n_node**2:
             return
         full = connectivity_utils.fully_connected(layout.n_node)
-        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.loss_by_motion)
+        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config)
         yield self._on_top('edges that the graph does not have', 'full', model, group, full)
 
     def _rigid_particles(self, model, data_path, metadata, group):

@@ -88,7 +88,7 @@ def evaluate(data_path: str, model_path: str) -> dict:
 
     Returns:
       fields of `WorkPrecisionPoint`, and 'references': method -> split -> error -> values, for
-      staying still, constant velocity and the projection floor.
+      staying still, constant velocity and the truncation error.
     """
     base = _peak_memory_mb()
     start = time.perf_counter()

@@ -161,7 +161,7 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
         mask = np.zeros((layout.n_node, layout.n_node), bool)
         mask[layout.receivers[kept], layout.senders[kept]] = True
         adjacency = connectivity_utils.Adjacency.from_mask(mask)
-        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting.loss_by_motion)
+        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting)
         expected, force = simulator.step(state, known, None, fewer)
         simulator.config = dataclasses.replace(lasting, surface_height=surface)
         got, same = simulator.step(state, known, None, layout)

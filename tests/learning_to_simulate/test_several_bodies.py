@@ -19,7 +19,7 @@ from learning_to_simulate.scene import Scene
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.numpy_twin import Twin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
 
 H = 6
 POINTS = {'blade': 4, 'wheel': 3}

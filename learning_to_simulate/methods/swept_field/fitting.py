@@ -61,7 +61,9 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
     reader = reader_of(field, data_path, metadata)
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.grid, field.scene.dt)
-    facts = training.Trainer(field.network, config, training.TrainingData(episodes, frames)).run()
+    facts = training.Trainer(
+        field.network, config, training.TrainingData(episodes, frames, field.network)
+    ).run()
     scalars = np.concatenate([f.scalars for f in frames])
     field.ranges = {
         name: [float(scalars[:, i].min()), float(scalars[:, i].max())]

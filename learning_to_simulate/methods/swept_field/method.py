@@ -8,6 +8,7 @@ import tqdm
 
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.swept_field import episodes, fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
@@ -39,16 +40,16 @@ def train(data_path, model_path, config, options) -> dict:
                 reading_utils.read_groups(data_path, 'valid', metadata), 'valid', _bar
             )
             field.calibration = {
-                kind: row['factor_of_this_split'] for kind, row in summary['reliability'].items()
+                kind: row['weights_of_this_split'] for kind, row in summary['reliability'].items()
             }
             summary['training'] = facts
             files.write_json(os.path.join(model_path, METRICS), summary)
             cases = metadata.get('cases', {}).get('train', [])
             chosen = episodes.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
-            model_files.save(
-                model_path, field, data | {'force_mean': facts['force_mean'], 'runs': runs}
-            )
+            written = resting_start.write(model_path, data_path, {})
+            data |= {'force_mean': facts['force_mean'], 'runs': runs}
+            model_files.save(model_path, field, data, written)
     summary = files.read_json(os.path.join(model_path, METRICS))
     print(evaluation.table(summary))
     print(f'trained {config.preset}: {model_path}')

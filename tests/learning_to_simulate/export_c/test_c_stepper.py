@@ -14,8 +14,8 @@ from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.numpy_twin import Twin
-from tests.learning_to_simulate.whole_state_twin import WholeStateTwin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
 H = 6
 SECOND_ORDER = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
