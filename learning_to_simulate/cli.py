@@ -28,6 +28,11 @@ COMMANDS = {
         [],
         'writes a C project or an FMU (--format=c, fmu)',
     ),
+    'export-page': (
+        'learning_to_simulate.export_c.web_page',
+        [],
+        'writes a page that needs no server: the model as WebAssembly',
+    ),
     'add-start': (
         'learning_to_simulate.live.add_start',
         [],

@@ -149,9 +149,7 @@ class CField:
         given = None if bed is None else self._bed(bed)
         at_twist = None if twist is None else twist.ctypes.data
         at_bed = None if bed is None else ctypes.addressof(given)
-        self._done(
-            self._c.lts_field_start(self._soil, self._at_pose, at_twist, at_bed, width)
-        )
+        self._done(self._c.lts_field_start(self._soil, self._at_pose, at_twist, at_bed, width))
         return self.judgement
 
     def renew(self) -> None:

@@ -1,7 +1,7 @@
 """Structures and constants of the C headers, read from the headers themselves.
 
-Python fills `struct lts_model` (lts_model.h) or `struct lts_field_model` (lts_field_model.h) and calls
-the functions of lts.h and lts_field.h. These headers are the only place where their fields are listed.
+Python fills `struct lts_model` or `struct lts_field_model` and calls the functions of lts.h and
+lts_field.h. The headers are the only place where their fields are listed.
 """
 
 import ctypes

@@ -15,7 +15,6 @@ from learning_to_simulate.methods.swept_field import live, network, quality, too
 _PLACES = {
     'around': inputs_lib.AROUND,
     'since': inputs_lib.SINCE_AROUND,
-    'ahead': inputs_lib.AHEAD,
     'edge': inputs_lib.AT_EDGE,
     'contact': inputs_lib.CONTACT_AROUND,
     'bumps': inputs_lib.BUMPS,
@@ -23,7 +22,11 @@ _PLACES = {
 # What the C code was written for; another table of inputs needs another twin.
 _SCALARS = ('tip', 'height', 'lean', 'speed', 'rise', 'turn')
 _LAST_SCALARS = ('area', 'foremost', 'half_width', 'end')
-_OWN, _OF_EDGE = 15, 7  # inputs of a particle and of the force that no list of places counts
+_OWN, _OF_TOOL, _OF_EDGE = (
+    15,
+    8,
+    7,
+)  # inputs of a particle and of the force that no list of places counts
 _RATES = ('speed', 'rise', 'turn')
 
 
@@ -37,11 +40,11 @@ def values(field) -> dict:
       ValueError: inputs that the C code does not know.
     """
     sizes = {name: len(places) for name, places in _PLACES.items()}
-    n_tool = 10 + 3 * (1 + len(tool_path.TIME_SCALES))
+    n_motion = 2 + 3 * (1 + len(tool_path.TIME_SCALES))
     counts = {
         'n_seen': _OWN + sizes['bumps'] + 2 * sizes['around'] + sizes['since'],
-        'n_shared': n_tool + 2 * sizes['ahead'],
-        'n_force': n_tool + 4 * sizes['edge'] + _OF_EDGE,
+        'n_shared': _OF_TOOL,
+        'n_force': _OF_TOOL + n_motion + 4 * sizes['edge'] + _OF_EDGE,
     }
     _check(field, counts)
     c, n_member = c_header.constants(), field.config.members
@@ -69,7 +72,8 @@ def values(field) -> dict:
         'start_u': float(points[:, 0].max() + field.spacing / 2 - _from_end(field)),
         'start_height': level,
         'n_bin': len(grid.offsets),
-        'n_pad': 2 + int(np.abs([*inputs_lib.AROUND, *inputs_lib.SINCE_AROUND]).max() / grid.spacing),
+        'n_pad': 2
+        + int(np.abs([*inputs_lib.AROUND, *inputs_lib.SINCE_AROUND]).max() / grid.spacing),
         'n_scale': len(tool_path.TIME_SCALES),
         'first': grid.offsets[0],
         'bin': grid.spacing,
@@ -115,9 +119,8 @@ def values(field) -> dict:
         'full_width': network.WIDTH,
         'limits': np.stack([low - margin, high + margin]),
         'bits': np.array([c[_bit(name)] for name in tool_path.SCALARS]),
-        'carried': getattr(network, 'CARRIED', 0.0),
-        'gain_limit': getattr(network, 'GAIN_LIMIT', 0.0),
-        'bound': _bound(field.calibration.get('force', ())),
+        'gain_limit': network.GAIN_LIMIT,
+        'bound': np.array(field.calibration.get('force', ())),
         **counts,
         **{name: places for name, places in _PLACES.items()},
         **{f'n_{name.rstrip("s")}': size for name, size in sizes.items()},
@@ -146,12 +149,6 @@ def _check(field, counts):
     expected = {'width', 'radius', 'length'}
     if {f.name for f in dataclasses.fields(field.blade)} != expected:
         raise ValueError(f'the C form knows of a blade {sorted(expected)} only')
-
-
-def _bound(weights):
-    if np.ndim(weights):
-        return np.array(weights)
-    return weights * np.array([quality.FLOORS['force'], 1.0, 0.0])
 
 
 def _from_end(field):

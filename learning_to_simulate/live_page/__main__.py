@@ -8,11 +8,28 @@ Examples:
 Then open http://localhost:8080. Needs the extra `live`: pip install -c constraints.txt -e .[live]
 """
 
+import importlib.util
 import os
+import socket
 
 from absl import flags
 
 from learning_to_simulate import command
+
+
+def free_port(host: str, port: int) -> None:
+    """Sees that a port can be listened at; viser would take the next one in silence.
+
+    Raises:
+      ValueError: it cannot, with what to do.
+    """
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except (OSError, OverflowError) as error:
+        raise ValueError(
+            f'port {port} of {host} cannot be listened at ({error}); name another: --port=8081'
+        ) from error
 
 
 def model_names() -> list[str]:
@@ -43,20 +60,17 @@ def session_of(name: str, data_path: str | None = None):
 
 def run(values) -> None:
     """Runs the command with its flags."""
-    try:
-        from learning_to_simulate.live_page.page import Page, free_port
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f'this needs {error.name}, which is not installed: pip install -c constraints.txt '
-            f'-e .[live]'
-        ) from error
+    if importlib.util.find_spec('viser') is None:
+        raise ValueError('viser is not installed: pip install -c constraints.txt -e .[live]')
     from learning_to_simulate import api
-    from learning_to_simulate.live_page.loop import FrameLoop
 
     # A shipped model goes by its place in models/, whichever way it was named.
     path = os.path.relpath(api.find_model(values.model), os.path.join(api.ROOT, 'models'))
     free_port(values.host, values.port)
     command.import_tensorflow(num_threads=1)
+    from learning_to_simulate.live_page.loop import FrameLoop
+    from learning_to_simulate.live_page.page import Page
+
     names = model_names()
     first = path if path in names else values.model
     page = Page(

@@ -1,9 +1,9 @@
 """Measures the live page on the server's side: frames per second and CPU time of a frame.
 
-Server, frame loop and model share one core; a client in another process reads what a browser would.
-The recorded runs of the scene are followed, one after the other, with the solver's soil beside them.
-CPU time is that of all threads of the server; it says what a quiet core can do, and the frames per
-second what this machine did.
+Server, frame loop and model share one core; a client in another process reads what a browser
+would. The recorded runs of the scene are followed, one after the other, with the solver's soil
+beside them. CPU time is that of all threads of the server; it says what a quiet core can do, and
+the frames per second what this machine did.
 
 Example:
   python -m learning_to_simulate.live_page.benchmark --models=excavation,wheel --seconds=20
@@ -22,7 +22,7 @@ WARM_UP = 1.0  # s
 
 
 def watch(port: int, counts) -> None:
-    """The client's process: writes frames and bytes that came to `counts` [2], until it is ended."""
+    """The client's process: `counts` [2] are the frames and bytes that came so far."""
     from learning_to_simulate.live_page.client import Client
 
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
@@ -49,10 +49,11 @@ def measure(name: str, seconds: float, port: int) -> dict[str, float]:
       FileNotFoundError, ValueError: no such model; a port in use.
     """
     from learning_to_simulate.live_page import session
-    from learning_to_simulate.live_page.__main__ import session_of
+    from learning_to_simulate.live_page.__main__ import free_port, session_of
     from learning_to_simulate.live_page.loop import FrameLoop
     from learning_to_simulate.live_page.page import Page
 
+    free_port('localhost', port)
     page = Page(session_of, [name], name, port=port)
     runs = list(page.session.recorded.runs) if page.session.recorded else [None]
     turn = 0
@@ -92,8 +93,13 @@ def measure(name: str, seconds: float, port: int) -> dict[str, float]:
     }
 
 
-def table(results: dict[str, dict[str, float]]) -> str:
-    """The figures as a table of Markdown."""
+def table(path: str) -> str:
+    """The figures of a JSON file of this command as a table of Markdown."""
+    return rows(files.read_json(path))
+
+
+def rows(results: dict[str, dict[str, float]]) -> str:
+    """The figures of `measure` by model as a table of Markdown."""
     lines = [
         '| model | frames/s | of real time | received/s | kB a frame | CPU ms a frame | possible |',
         '|---|---|---|---|---|---|---|',
@@ -115,7 +121,7 @@ def run(values) -> None:
     for name in values.models:
         print(f'measuring {name} for {values.seconds:g} s ...', flush=True)
         results[name] = measure(name, values.seconds, values.port)
-    print(table(results))
+    print(rows(results))
     if values.output:
         files.write_json(values.output, results)
 

@@ -51,7 +51,8 @@ class Client:
 
     def slide(self, label: str, value: float) -> None:
         """Moves a slider; raises KeyError where there is none of that label."""
-        self.send({'type': 'GuiUpdateMessage', 'uuid': self.gui[label], 'updates': {'value': value}})
+        update = {'uuid': self.gui[label], 'updates': {'value': value}}
+        self.send({'type': 'GuiUpdateMessage', **update})
 
     def drag(self, position, wxyz=(1.0, 0.0, 0.0, 0.0)) -> None:
         """Holds the handle at a place; it is not let go."""

@@ -11,6 +11,13 @@ MOVED = 0.08  # m, of the last colour
 EMPTY = 90  # grey of a cell without particles
 LAMPS = {'ok': '#2e9e4f', 'limited': '#2f7fd0', 'outside': '#e39a1f', 'stopped': '#cf3b36'}
 
+WORDS = {
+    'ok': 'within the training runs',
+    'limited': 'held to the training runs',
+    'outside': 'outside of the training runs',
+    'stopped': 'stopped',
+}
+
 
 def blended(colours, share) -> np.ndarray:
     """uint8 [..., 3] between colours [K, 3], at shares [...] of the way from 0 to 1."""
@@ -69,7 +76,7 @@ def hull(body) -> tuple[np.ndarray, np.ndarray]:
 
 def lamp(kind: str, reason: str, rate: float) -> str:
     """HTML of the status lamp: its colour is also said in words."""
-    text = {'ok': 'within the training runs', 'limited': 'held to the training runs'}.get(kind, kind)
+    text = WORDS[kind]
     reason = reason.replace('&', '&amp;').replace('<', '&lt;')
     return (
         f'<div role="status" style="padding:4px 12px;font-size:13px;line-height:1.35">'

@@ -42,12 +42,16 @@ class Panel:
         self.model = gui.add_dropdown('scene / model', tuple(names), initial_value=name)
         self.model.on_update(self._by_user(lambda value: page.choose_model(value)))
         self._made: list = []
+        self._shown: dict[str, float] = {}
         self._said = ''
 
     def _by_user(self, act):
-        """A callback that has `act(value)` called between two frames; not for values of ours."""
+        """A callback that has `act(value)` called between two frames; not for values of ours.
 
-        def changed(event):
+        It is a coroutine, so that it reads the value before another one comes.
+        """
+
+        async def changed(event):
             if event.client_id is not None:
                 value = event.target.value
                 self._page.do(lambda: act(value))
@@ -142,12 +146,15 @@ class Panel:
 
     def _steer(self, name, value):
         self._page.take_over()
-        self._page.session.steering.set(name, value)
+        steering = self._page.session.steering
+        steering.set(name, value)
+        self._shown[name] = steering.sliders[name].value
 
     def _nudge(self, name, sign):
         slider = self._page.session.steering.sliders[name]
         coarse = max(COARSE * slider.step, (slider.high - slider.low) / 40)
-        self._steer(name, slider.value + sign * coarse)
+        self._page.take_over()
+        self._page.session.steering.set(name, slider.value + sign * coarse)
 
     def _context(self, name, value):
         session = self._page.session
@@ -178,9 +185,7 @@ class Panel:
 
     def restarted(self, session) -> None:
         """After a reset."""
-        self._rows: collections.deque = collections.deque(
-            maxlen=round(SHOWN / session.scene.dt)
-        )
+        self._rows: collections.deque = collections.deque(maxlen=round(SHOWN / session.scene.dt))
         if self._start is not None:
             self._start.value = start_names(session.model.starts)[session.start]
         for name, value in (session.context or {}).items():
@@ -197,7 +202,8 @@ class Panel:
             handle = self._sliders[name]
             if ranges:
                 handle.min, handle.max = slider.low, slider.high
-            handle.value = slider.value
+            if ranges or self._shown.get(name) != slider.value:  # else a drag would jump back
+                self._shown[name] = handle.value = slider.value
 
     def record(self, session) -> None:
         """Keeps the forces of the newest frame."""

@@ -5,7 +5,6 @@ frames are computed by one thread that calls `Page.frame`. All browsers see and 
 """
 
 import queue
-import socket
 import threading
 
 import numpy as np
@@ -22,21 +21,6 @@ HEIGHTS = 0.08, 0.05  # of its colours, m below and above the bed
 GHOST_COLOUR, FORCE_COLOUR, BODY_COLOUR = (70, 140, 255), (230, 60, 60), (120, 130, 145)
 
 
-def free_port(host: str, port: int) -> None:
-    """Sees that a port can be listened at; viser would take the next one in silence.
-
-    Raises:
-      ValueError: it cannot, with what to do.
-    """
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except (OSError, OverflowError) as error:
-        raise ValueError(
-            f'port {port} of {host} cannot be listened at ({error}); name another: --port=8081'
-        ) from error
-
-
 class Page:
     """The page and its server.
 
@@ -51,16 +35,16 @@ class Page:
       session: the session that is shown.
 
     Raises:
-      ValueError, FileNotFoundError: as `load`; a port that is in use.
+      ValueError, FileNotFoundError: as `load`.
     """
 
     def __init__(self, load, names, name: str, host: str = 'localhost', port: int = 8080):
-        free_port(host, port)
         self._load, self._commands = load, queue.SimpleQueue()
         self.session: Session = load(name)
         self._filing = threading.Lock()
         self.server = viser.ViserServer(host, port, label=name, verbose=False)
-        self.server.gui.configure_theme(control_layout='fixed', show_share_button=False)
+        self.server.gui.configure_theme(show_share_button=False)
+        self.server.gui.main_panel.dock_right()
         self._dragging, self._paused = False, False
         self._frames, self.rate = 0, lambda: 0.0
         self.panel = Panel(self, self.server.gui, names, name)
@@ -134,9 +118,9 @@ class Page:
         spacing = (np.prod(high - low) / len(session.rest)) ** (1 / 3)
         size = float((high - low).max())
         cloud = {'point_size': 0.45 * spacing, 'point_shape': 'circle', 'position': self._middle}
-        self._soil = scene.add_point_cloud(
-            '/soil', session.rest - self._middle, drawing.SOIL[0].astype(np.uint8)[None].repeat(len(session.rest), 0), **cloud
-        )
+        self._shade = drawing.shades(len(session.rest))
+        colours = drawing.soil_colours(session.rest, session.rest, self._shade)
+        self._soil = scene.add_point_cloud('/soil', session.rest - self._middle, colours, **cloud)
         self._ghost = scene.add_point_cloud(
             '/solver', session.rest - self._middle, GHOST_COLOUR,
             **cloud | {'point_size': 0.22 * spacing}, visible=False,
@@ -166,7 +150,6 @@ class Page:
         level = np.delete(high - low, session.scene.up_axis)
         self._cells = np.maximum(1, level / (CELL * spacing)).astype(int)
         self._heights = session.level - HEIGHTS[0], session.level + HEIGHTS[1]
-        self._shade = drawing.shades(len(session.rest))
         self.panel.build(session)
         self._restart()
 
@@ -224,7 +207,8 @@ class Page:
                 truth = session.run.particles(min(moment.frame, len(session.run) - 1))
                 self._ghost.points = truth - self._middle
             if n % CHART_EVERY == 0:
-                self._soil.colors = drawing.soil_colours(moment.particles, session.rest, self._shade)
+                colours = drawing.soil_colours(moment.particles, session.rest, self._shade)
+                self._soil.colors = colours
             if n % HEIGHT_EVERY == 0:
                 self.panel.heights.image = self.height_picture()
         self.panel.record(session)

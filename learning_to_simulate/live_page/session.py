@@ -1,8 +1,8 @@
 """`Session`: a model, its soil and a tool that is steered; no browser, no clock.
 
-    session = Session(lts.load('excavation'))
-    session.steering.set('depth', 20)
-    moment = session.advance()          # once a frame
+session = Session(lts.load('excavation'))
+session.steering.set('depth', 20)
+moment = session.advance()          # once a frame
 """
 
 import os
@@ -144,6 +144,14 @@ class Session:
     def plane(self) -> np.ndarray:
         """(x, height, angle) of the body; of a driven one without its height."""
         return self._plane.copy()
+
+    def travel(self) -> tuple[float, float]:
+        """Lowest and highest x of the body, m: of the training runs, else of the bed."""
+        if self._limits is None:
+            return float(self.rest[:, 0].min()), float(self.rest[:, 0].max())
+        apart = self._limits.nodes(self._plane)[:, 0] - self._plane[0]
+        low, high = self._limits.low[0] - apart.min(), self._limits.high[0] - apart.max()
+        return float(low), float(high)
 
     def take_over(self) -> None:
         """The body is steered from where it is; a recorded run is followed no farther."""

@@ -54,6 +54,7 @@ class BladeSteering:
     Attributes:
       sliders: by name.
       target: (x, height, angle) that the body is on its way to.
+      fastest: float64 [3], of each in a frame, m and rad.
     """
 
     handle = (True, True)  # along the drive, and up: then it can be turned as well
@@ -62,22 +63,23 @@ class BladeSteering:
         self._dt, self._up, self._level = scene.dt, scene.up_axis, level
         self._plan = body[:, [0, scene.up_axis]]
         lowest, lift = level - DEPTH, DEPTH / 2
-        self.forwards, self._fastest = -1.0, np.array([SPEED, SPEED]) * scene.dt
+        self.forwards, fastest = -1.0, np.array([SPEED, SPEED]) * scene.dt
         if limits is not None:
             lowest = limits.low[self._up]
             lift = limits.high[self._up] - np.ptp(body[:, self._up]) - level
             along = limits.speed[0][0], limits.speed[1][0]
             self.forwards = 1.0 if along[1] > -along[0] else -1.0
             speeds = np.abs([s[[0, self._up]] for s in limits.speed])
-            self._fastest = SPARE * speeds.max(axis=0)
+            fastest = SPARE * speeds.max(axis=0)
             # A slider that jumps shall not throw the blade, whatever the fastest run does.
-            self._fastest[1] = self._fastest.min()
+            fastest[1] = fastest.min()
             angles = limits.angles() if angles is None else angles
+        self.fastest = np.array([*fastest, TURN * scene.dt])
         self.target = np.array(start, np.float64)
         low, high = np.rad2deg((-ANGLE, ANGLE) if angles is None else angles)
         self.sliders = {
             'depth': Slider('depth, mm', -1e3 * lift, 1e3 * (level - lowest), 1.0, 0.0),
-            'speed': Slider('speed, mm/s', 0.0, 1e3 * self._fastest[0] / self._dt, 1.0, 0.0),
+            'speed': Slider('speed, mm/s', 0.0, 1e3 * fastest[0] / self._dt, 1.0, 0.0),
             'angle': Slider('angle, degrees', low, high, 1.0, np.rad2deg(start[2])),
         }
         self._show()
@@ -110,12 +112,7 @@ class BladeSteering:
         ahead = 1e-3 * self.sliders['speed'].value * self._dt
         if ahead:
             self.target[0] = now[0] + self.forwards * ahead
-        step = np.clip(
-            self.target - now,
-            [*-self._fastest, -TURN * self._dt],
-            [*self._fastest, TURN * self._dt],
-        )
-        return now + step
+        return now + np.clip(self.target - now, -self.fastest, self.fastest)
 
 
 class WheelSteering:
@@ -141,6 +138,7 @@ class WheelSteering:
             rim = SPARE * limits.speed[1][scene.up_axis] / self._dt
             self.forwards = 1.0 if limits.speed[1][0] > -limits.speed[0][0] else -1.0
         self.target = np.array([np.nan, *start[1:]])
+        self.fastest = np.full(3, np.inf)  # what the sliders say is taken
         fastest = rim / self.radius
         self.sliders = {
             'rotation': Slider('rotation, rad/s', 0.0, 1.5 * fastest, 1e-3, fastest),

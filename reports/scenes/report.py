@@ -10,11 +10,13 @@ Examples:
     python -m reports scenes --output_path=/tmp/scenes --scenes=column,pair  # goes on
 """
 
+import functools
 import os
 
 from absl import flags
 
 import learning_to_simulate as lts
+from learning_to_simulate import evaluation, render_rollout
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.methods import subspace_method
 from pca_tools import convert, files, write_raw
@@ -34,10 +36,10 @@ SCENES = {
     ]},
 }  # fmt: skip
 RECIPE = {
-    'latent_size': 32, 'rigid_particles': 0, 'num_steps': 2000, 'decay_steps': 1000,
-    'unroll_steps': 200, 'unroll_length': 5, 'unroll_batch_size': 16,
+    'latent_size': 32, 'rigid_particles': 0, 'num_steps': 1500, 'decay_steps': 750,
+    'unroll_steps': 200, 'unroll_length': 4, 'unroll_batch_size': 16,
 }  # fmt: skip
-PARTS = 'model', 'exported', 'rollout'
+PARTS = 'model', 'exported', 'rollouts'
 BASE = 'widths'  # the scene of one blade, whose time is 1
 
 
@@ -61,17 +63,17 @@ def judge(folder: str, name: str) -> dict:
       ValueError, OSError: of the parts.
     """
     data = make(folder, name)
-    path, exported, picture = (os.path.join(folder, name, x) for x in PARTS)
+    path, exported, pictures = (os.path.join(folder, name, x) for x in PARTS)
     model = lts.train(lts.preset('pcg', **RECIPE), data, path)
-    summary = model.evaluate(data.test).summary
-    rollout = model.rollout(data.test[0])
-    rollout.save(picture + '.npz')
-    rollout.render(picture + '.png')
+    opened = _opened(path, data.path)
+    results, summary = opened.evaluator.run(opened.groups, 'test')
+    written = evaluation.save_rollouts(pictures, 'test', results, summary, data.metadata)
+    render_rollout.render(written[0], data.path, pictures, ['png'])
     if not os.path.exists(os.path.join(exported, 'export.json')):
         model.export(exported, data)
     scene, rows = model.scene, summary['runs']
     counts = {run.n_rigid for run in data.train.records}
-    layouts = [model.model.layout(n) for n in sorted(_nodes(model, data))]
+    layouts = [model.model.layout(n) for n in sorted({g.n_rigid for g in opened.groups})]
     return {
         'bodies': len(scene.bodies) or int(counts != {0}),
         'rigid_points': sorted(counts),
@@ -94,21 +96,17 @@ def judge(folder: str, name: str) -> dict:
     }
 
 
-def _opened(model, data):
-    return subspace_method.open_model(model.path, data.path, 'test')
-
-
-def _nodes(model, data):
-    """Numbers of rigid nodes of the test runs."""
-    return {group.n_rigid for group in _opened(model, data).groups}
+@functools.cache
+def _opened(model_path, data_path):
+    """The model with its test runs; its rollouts are compiled once."""
+    return subspace_method.open_model(model_path, data_path, 'test')
 
 
 def times(folder: str, names, rounds: int) -> dict[str, float]:
     """Median ms a step of one test run of each scene, rolled out in turns."""
     jobs = {}
     for name in names:
-        data = lts.Dataset(os.path.join(folder, name, 'data'))
-        opened = _opened(lts.load(os.path.join(folder, name, PARTS[0])), data)
+        opened = _opened(*(os.path.join(folder, name, part) for part in ('model', 'data')))
         group = opened.groups[0].select(0)
 
         def call(evaluator=opened.evaluator, group=group):

@@ -29,7 +29,7 @@ class SweptFieldConfig:
     preset: str
     model: str = 'swept_field'
     members: int = 5
-    latent_size: int = 64
+    latent_size: int = 96
     hidden_layers: int = 3
     force_latent_size: int = 64
     num_steps: int = 3000

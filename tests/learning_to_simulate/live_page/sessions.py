@@ -20,4 +20,3 @@ def runs(name):
 
 def make(name):
     return session.Session(model(name), runs(name))
-

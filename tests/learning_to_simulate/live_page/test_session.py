@@ -89,7 +89,7 @@ def test_limits_hold_a_body_to_places_speeds_and_angles():
         for _ in range(300):
             after, reason = limits.step(now, wanted)
             moved = limits.nodes(after) - limits.nodes(now)
-            assert (moved >= limits.speed[0] - 1e-9).all() and (moved <= limits.speed[1] + 1e-9).all()
+            assert np.clip(moved, *limits.speed) == pytest.approx(moved, abs=1e-9)
             points = limits.nodes(after)
             assert (points >= limits.low - 1e-9).all() and (points <= limits.high + 1e-9).all()
             reasons.append(reason)

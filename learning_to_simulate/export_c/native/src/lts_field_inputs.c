@@ -43,10 +43,9 @@ float lts_field_contact(const lts_field *soil) {
   return share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
 }
 
-/* How the tool stands and moves. */
+/* How the tool stands. */
 static float *of_tool(const lts_field *soil, float *x) {
   const named s = named_of(soil);
-  const float *rate = soil->scalars + LTS_SPEED;
   *x++ = s.height / 0.05f;
   *x++ = relu(s.height) / 0.03f;
   *x++ = s.lean;
@@ -55,6 +54,12 @@ static float *of_tool(const lts_field *soil, float *x) {
   *x++ = (s.foremost - s.tip) / 0.1f;
   *x++ = s.half_width / 0.2f;
   *x++ = s.end - s.tip;
+  return x;
+}
+
+/* How it moves. */
+static float *of_motion(const lts_field *soil, float *x) {
+  const float *rate = soil->scalars + LTS_SPEED;
   *x++ = tanhf(rate[0] / 0.02f);
   *x++ = tanhf(rate[1] / 0.02f);
   for (int i = 0; i < 3 * (1 + soil->model->n_scale); ++i) {
@@ -67,7 +72,7 @@ void lts_field_force_inputs(const lts_field *soil, float *x) {
   const lts_field_model *m = soil->model;
   const named s = named_of(soil);
   const int n = m->n_edge;
-  float *cut = of_tool(soil, x), *surface = cut + n, *low = surface + n, *since = low + n;
+  float *cut = of_motion(soil, of_tool(soil, x)), *surface = cut + n, *low = surface + n, *since = low + n;
   float depth = 0.0f;
   for (int k = 0; k < n; ++k) {
     const lts_place at = lts_field_place(m, s.tip + m->edge[k]);
@@ -90,16 +95,7 @@ void lts_field_force_inputs(const lts_field *soil, float *x) {
   *x = tanhf((s.end - s.tip) / 0.1f);
 }
 
-void lts_field_shared_inputs(const lts_field *soil, float *x) {
-  const lts_field_model *m = soil->model;
-  const named s = named_of(soil);
-  x = of_tool(soil, x);
-  for (int k = 0; k < m->n_ahead; ++k) {
-    const lts_place at = lts_field_place(m, s.tip + m->ahead[k]);
-    x[k] = between(soil->bins[LTS_CUT], at) / 0.03f;
-    x[m->n_ahead + k] = (between(soil->bins[LTS_SURFACE], at) - s.height) / 0.05f;
-  }
-}
+void lts_field_shared_inputs(const lts_field *soil, float *x) { of_tool(soil, x); }
 
 /* Columns of `lts_field_own_inputs` that are a tanh, and those that are an exp, which follow from it:
  * exp(-x) = (1 - t) / (1 + t), t = tanh(x / 2). Their arguments are kept side by side. */

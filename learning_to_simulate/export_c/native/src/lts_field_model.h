@@ -24,21 +24,21 @@ struct lts_field_model {
   double kept_spacing, spacing, fastest, fastest_turn;
   const float *rest; /* [N][3] m */
   /* Inputs: places along the way, [n] m, and widths, m. */
-  int32_t n_around, n_since, n_ahead, n_edge, n_contact, n_bump;
-  const float *around, *since, *ahead, *edge, *contact, *bumps;
+  int32_t n_around, n_since, n_edge, n_contact, n_bump, unused_places;
+  const float *around, *since, *edge, *contact, *bumps;
   float bump_width, recent, below, below_ramp, beside, beside_ramp;
   float heap_height, contact_above, contact_ramp, first_bin, bin_width;
   /* Networks. The inputs of a particle are its own [n_seen], then those that all share [n_shared]. */
   int32_t n_seen, n_shared, n_force, n_soil_hidden, n_load_hidden, latent, load_latent, unused;
   const lts_dense *soil_first;  /* [M] n_seen -> latent; biases come from soil_shared */
   const lts_dense *soil_hidden; /* [M][n_soil_hidden] */
-  const lts_dense *soil_last;   /* [M] -> 3, and the share of the tool's way that a particle goes */
+  const lts_dense *soil_last;   /* [M] -> 3 */
   lts_dense soil_shared;        /* n_shared -> M latents side by side */
   lts_dense load_first;         /* n_force -> M latents side by side */
   const lts_dense *load_hidden; /* [M][n_load_hidden] */
   const lts_dense *load_last;   /* [M] -> 3, and the logarithm of their gain */
   float displacement, force, torque, full_width; /* units of what they say; of the width */
-  float carried, gain_limit;
+  float gain_limit, unused_limit;
   /* Status: limits [2][n_scalar] and the bit of each; weights of the bound: constant, of the spread over
    * members and of the size of the force, or null. */
   const double *limits;

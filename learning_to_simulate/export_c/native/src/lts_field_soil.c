@@ -56,13 +56,13 @@ static int find_moving(lts_field *soil) {
   return n;
 }
 
-/* What the networks say of at most LTS_FIELD_ROWS particles, [n][4], mean over members. */
-static void say(lts_field *soil, const int32_t *which, int n, float *mean) {
+/* Mean displacement [n][3] over members of at most LTS_FIELD_ROWS particles, without units. */
+static void displacement(lts_field *soil, const int32_t *which, int n, float *mean) {
   const lts_field_model *m = soil->model;
   const lts_kernels *run = soil->run;
   const int ld = LTS_PADDED(m->n_seen), latent = LTS_PADDED(m->latent);
   lts_field_own_inputs(soil, which, n, soil->seen, ld);
-  for (int i = 0; i < 4 * n; ++i) mean[i] = 0.0f;
+  for (int i = 0; i < 3 * n; ++i) mean[i] = 0.0f;
   for (int member = 0; member < soil->of_particles; ++member) {
     float *a = soil->a, *b = soil->b;
     lts_dense first = m->soil_first[member];
@@ -77,10 +77,10 @@ static void say(lts_field *soil, const int32_t *which, int n, float *mean) {
     }
     run->dense(&m->soil_last[member], a, latent, n, soil->out, LTS_PANEL, LTS_NORMED, NULL, NULL);
     for (int i = 0; i < n; ++i) {
-      for (int k = 0; k < 4; ++k) mean[4 * i + k] += soil->out[i * LTS_PANEL + k];
+      for (int k = 0; k < 3; ++k) mean[3 * i + k] += soil->out[i * LTS_PANEL + k];
     }
   }
-  for (int i = 0; i < 4 * n; ++i) mean[i] /= (float)soil->of_particles;
+  for (int i = 0; i < 3 * n; ++i) mean[i] /= (float)soil->of_particles;
 }
 
 /* Out of the blade, by the shortest way; twin of `soil_physics.inside`. `axis`: from the middle of its
@@ -115,7 +115,7 @@ static void place(lts_field *soil) {
   const float *rest = h->has_bed ? soil->bed : m->rest;
   const int across = 3 - m->axis - m->up, n = find_moving(soil);
   const double axis[2] = {-m->length * sin(h->lean), m->length * cos(h->lean)};
-  float mean[4 * LTS_FIELD_ROWS];
+  float mean[3 * LTS_FIELD_ROWS];
   memcpy(soil->points, rest, 3 * (size_t)m->n_soil * sizeof *rest);
   if (n) {
     lts_dense shared = m->soil_shared;
@@ -124,20 +124,17 @@ static void place(lts_field *soil) {
     soil->run->dense(&shared, soil->shared, m->n_shared, 1, soil->bias, shared.columns, LTS_NORMED,
                      NULL, NULL);
   }
-  const float foremost = soil->scalars[m->n_scalar - 3];
   for (int done = 0; done < n; done += LTS_FIELD_ROWS) {
     const int rows = n - done < LTS_FIELD_ROWS ? n - done : LTS_FIELD_ROWS;
-    say(soil, soil->moving + done, rows, mean);
+    displacement(soil, soil->moving + done, rows, mean);
     for (int row = 0; row < rows; ++row) {
       const int i = soil->moving[done + row];
       const float size = m->displacement * soil->gate[done + row], z = soil->z[i] / 0.05f;
       const float odd = z < -1.0f ? -1.0f : z > 1.0f ? 1.0f : z;
-      float *said = mean + 4 * row;
       double old[3], now[3];
       lts_field_plane(m, rest + 3 * i, old);
-      said[0] += m->carried / m->displacement * said[3] * fmaxf(foremost - soil->u[i], 0.0f);
       for (int k = 0; k < 3; ++k) {
-        now[k] = old[k] + (double)(size * said[k] * (k == 2 ? odd : 1.0f));
+        now[k] = old[k] + (double)(size * mean[3 * row + k] * (k == 2 ? odd : 1.0f));
       }
       push_out(soil, axis, now);
       float *point = soil->points + 3 * i;

@@ -185,7 +185,7 @@ int lts_field_load(lts_field *soil, const void *bytes, size_t size) {
 int lts_field_clone(lts_field *to, const lts_field *from) {
   const int error = lts_field_check(to) ? lts_field_check(to) : lts_field_check(from);
   if (error) return error;
-  if (to->model != from->model) return LTS_ERROR_STATE;
+  if (strcmp(to->model->digest, from->model->digest)) return LTS_ERROR_STATE;
   if (to == from) return LTS_OK;
   memcpy(to->head, from->head, lts_field_bytes(to->model, from->head->has_bed));
   to->placed = 0;

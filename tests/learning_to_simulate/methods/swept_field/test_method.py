@@ -13,6 +13,7 @@ from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import fitting, method, settings
 from pca_tools import convert, dataset, files, raw_writer
+from reports import swept_field as report
 from reports.protocol import rollouts
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
@@ -163,6 +164,30 @@ def test_rollouts_of_runs_and_paths_can_be_saved(data_path, model_path, tmp_path
         rollout.save(str(tmp_path / f'{i}.npz'))
         arrays = files.read_npz(str(tmp_path / f'{i}.npz'))
         assert len(arrays['predicted_rollout']) == len(rollout.modes)
+
+
+def test_the_report_measures_rates_restarts_and_ten_lengths(data_path, model_path, tmp_path):
+    model, data = lts.load(model_path), lts.Dataset(data_path)
+    found = report.measure(model, data, 'test')
+    (row,) = found['runs']
+    assert row['soil_mm'] == pytest.approx(
+        model.evaluate(data.test).summary['field'][0]['soil_mm'], rel=1e-6
+    )
+    for rate in ('half_rate', 'double_rate'):
+        assert row[rate] == pytest.approx(1.0, abs=0.05)
+    assert row['second_half_mm'] < row['still_mm']
+    assert row['restart_predicted_mm'] < 3 * row['second_half_mm']
+    ten = found['ten_lengths']
+    assert ten['frames'] == 10 * 60 and ten['largest_force_N'] > 0
+    files.write_json(str(tmp_path / 'report.json'), found)
+    assert '| made_up | 1 |' in report.by_kind(str(tmp_path / 'report.json'))
+    assert report.steady(str(tmp_path / 'report.json')).count('\n') == 6
+
+
+def test_a_path_at_twice_its_rate_goes_through_its_own_poses():
+    pose = world.path()[:, 0]
+    np.testing.assert_array_equal(report.resampled(pose, 2.0)[::2], pose)
+    np.testing.assert_array_equal(report.resampled(pose, 0.5), pose[::2])
 
 
 def test_settings_are_checked():

@@ -1,6 +1,7 @@
 """Bounds on made-up errors, and the status of single frames."""
 
 import numpy as np
+import pytest
 
 from learning_to_simulate.methods.swept_field import quality, tool_path
 from learning_to_simulate.rollout_status import RolloutStatus
@@ -17,25 +18,31 @@ def made_up_runs(rng, count):
     return runs
 
 
-def test_bounds_hold_for_95_percent_of_the_frames_of_new_runs():
+def kept(runs, weights):
+    """Share [n] of the frames of each run within their bound."""
+    return np.array([(e <= quality.bound(s, z, weights)).mean() for e, s, z in runs])
+
+
+@pytest.mark.parametrize('count', [11, 30])
+def test_nine_of_ten_new_runs_have_95_percent_of_their_frames_within(count):
     rng = np.random.default_rng(0)
-    within, ratio = [], []
-    for _ in range(40):
-        weights = quality.calibrate(made_up_runs(rng, 25), 'soil')
+    held, ratio = [], []
+    for _ in range(150):
+        weights = quality.calibrate(made_up_runs(rng, count), 'soil')
         fresh = made_up_runs(rng, 20)
-        within.append([(e <= quality.bound(s, z, weights)).mean() for e, s, z in fresh])
+        held.append((kept(fresh, weights) >= 0.95).mean())
         ratio.append([quality.bound(s, z, weights).mean() / e.mean() for e, s, z in fresh])
-    assert 0.95 <= np.mean(within) < 0.985
+    assert 0.88 < np.mean(held) < 0.96
     assert np.median(ratio) < 3  # no bound that says nothing
 
 
-def test_the_bound_of_few_runs_holds_for_all_their_frames():
+def test_few_runs_give_the_bound_of_the_worst_of_them():
     runs = made_up_runs(np.random.default_rng(1), 5)
     weights = quality.calibrate(runs, 'soil')
-    ratio = np.concatenate([e / quality.bound(s, z, weights) for e, s, z in runs])
-    np.testing.assert_allclose(ratio.max(), 1.0)
+    shares = kept(runs, weights)
+    assert shares.min() >= 0.95 and (shares < 1.0).any()
     groups = quality.reliability(runs, weights)
-    assert len(groups) == 5 and all(g['within'] == 1.0 for g in groups)
+    assert len(groups) == 5 and min(g['within'] for g in groups) > 0.9
     bounds = [g['bound'] for g in groups]
     assert bounds == sorted(bounds)
 
