@@ -131,7 +131,7 @@ def main(values, _) -> None:
         **record.provenance(values.num_threads),
         'data': {
             'path': os.path.basename(os.path.normpath(values.data_path)),
-            'version': metadata.get('data_version', 1),
+            'version': int(metadata['cases']['test'][0].get('data_version', 1)),
             'runs': {split: len(metadata['cases'][split]) for split in dataset.SPLITS},
             'subspace': metadata['pca']['digest'],
         },
