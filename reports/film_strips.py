@@ -14,7 +14,7 @@ import numpy as np
 from absl import flags
 from matplotlib import pyplot as plt
 
-from mpm import raw_run
+from mpm import raw_run, scenes
 from reports import command
 
 FRAMES = 6
@@ -54,7 +54,9 @@ def draw(runs: dict[str, raw_run.RawRun], path: str) -> None:
                 *x[shown][:, :2].T, c=1e3 * moved[shown], s=2.0, cmap='viridis', vmin=0, vmax=100
             )
             axis.plot(*body[:, :2].T, '.', color='tab:red', markersize=1.5)
-            axis.set_title(f'{frame / 60:.1f} s, {run.force[frame, 0]:.0f} N', fontsize=8)
+            axis.set_title(
+                f'{frame / scenes.FRAME_RATE:.1f} s, {run.force[frame, 0]:.0f} N', fontsize=8
+            )
             axis.set(aspect='equal', xlim=(low[0], high[0]), ylim=(low[1], 2 * high[1] - low[1]))
             axis.tick_params(labelsize=6)
         row[0].set_ylabel(f'{kind}\n{run.parameters["case"]}', fontsize=8)

@@ -94,6 +94,7 @@ IMPORTS_WITHOUT = [
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_c_faults.py',
+    'learning_to_simulate/export_c/test_fmu_field.py',
     'learning_to_simulate/test_changing_context.py', 'learning_to_simulate/test_several_bodies.py',
     'learning_to_simulate/test_left_out.py', 'learning_to_simulate/test_numerics.py',
     'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py',
