@@ -26,7 +26,7 @@ COMMANDS = {
     'export-c': (
         'learning_to_simulate.export_c.exporting',
         [],
-        'writes a C project or an FMU (--format=c, fmu)',
+        'writes a C project or an FMU (--format=c, fmu, fmu3)',
     ),
     'export-page': (
         'learning_to_simulate.export_c.web_page',

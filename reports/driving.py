@@ -38,7 +38,7 @@ def truncation_of(trajectories, projection_mse, n_soil: int) -> dict[int, np.nda
       n_soil: N.
     """
     counts = sorted({c for c in COUNTS if c < trajectories[0].n_modes} | {trajectories[0].n_modes})
-    found = {count: [] for count in counts}
+    found: dict[int, list] = {count: [] for count in counts}
     for run, floor in zip(trajectories, projection_mse, strict=True):
         scores = run.position[H:, run.n_rigid :].astype(np.float64)
         square = (scores**2).sum(axis=2).mean(axis=0) / (scores.shape[2] * n_soil)

@@ -12,7 +12,9 @@ static lts_description described(void) {
 size_t fmu_soil_size(void) { return lts_size(&FMU_MODEL); }
 
 const char *fmu_soil_make(void *memory, size_t size, void **soil) {
-  const int code = lts_init(&FMU_MODEL, memory, size, LTS_BEST, (lts_instance **)soil);
+  lts_instance *made = NULL;
+  const int code = lts_init(&FMU_MODEL, memory, size, LTS_BEST, &made);
+  *soil = made;
   return code < 0 ? lts_error_text(code) : NULL;
 }
 
