@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import presets
+from learning_to_simulate import command, presets
 from learning_to_simulate.methods import registry
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
@@ -72,6 +72,7 @@ class Split(Sequence):
     def records(self) -> list[dataset.Trajectory]:
         """The recorded runs, in file order; raises as `pca_tools.dataset.read_split`."""
         if self._records is None:
+            command.import_tensorflow()
             self._records = dataset.read_split(self.folder, self.name)
         return self._records
 

@@ -82,7 +82,8 @@ def import_tensorflow(num_threads: int | None = None) -> None:
     os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
     if 'tensorflow' not in sys.modules:
         absent = [name for name in ('sklearn', 'matplotlib') if name not in sys.modules]
-        sys.modules.update(dict.fromkeys(absent))
+        for name in absent:
+            sys.modules[name] = None  # type: ignore[assignment]
         try:
             with _quiet_stderr():
                 import tensorflow  # noqa: F401

@@ -38,7 +38,7 @@ def truncation_of(trajectories, projection_mse, n_soil: int) -> dict[int, np.nda
       n_soil: N.
     """
     counts = sorted({c for c in COUNTS if c < trajectories[0].n_modes} | {trajectories[0].n_modes})
-    found = {count: [] for count in counts}
+    found: dict[int, list] = {count: [] for count in counts}
     for run, floor in zip(trajectories, projection_mse, strict=True):
         scores = run.position[H:, run.n_rigid :].astype(np.float64)
         square = (scores**2).sum(axis=2).mean(axis=0) / (scores.shape[2] * n_soil)
@@ -98,6 +98,19 @@ def methods(path: str, split: str) -> str:
     return markdown.table(['soil, mm', *counts, 'all', 'better than still', 'force'], rows)
 
 
+def trials(path: str, part: str) -> str:
+    """What was tried on the valid runs, as a table; `part` is `first` or `trials`."""
+    found = files.read_json(path)[part]
+    if part == 'first':
+        rows = [[t['what'], t['in_modes_mm'], t['full_mm']] for t in found]
+        return markdown.table(['trial', 'within the modes, mm', 'full space, mm'], rows)
+    rows = [
+        [t['what'], t['modes'], 1e3 * t['soil_mse'] ** 0.5, t['force_l2'], t['cpu_s']]
+        for t in found
+    ]
+    return markdown.table(['trial', 'modes', 'within the modes, mm', 'force', 'CPU s'], rows)
+
+
 def _row(title, seeds, still, kinds, names):
     """Means over runs, of each seed; spans over seeds."""
 
@@ -118,7 +131,7 @@ def main(values, _) -> None:
         **record.provenance(values.num_threads),
         'data': {
             'path': os.path.basename(os.path.normpath(values.data_path)),
-            'version': metadata.get('data_version', 1),
+            'version': int(metadata['cases']['test'][0].get('data_version', 1)),
             'runs': {split: len(metadata['cases'][split]) for split in dataset.SPLITS},
             'subspace': metadata['pca']['digest'],
         },

@@ -172,6 +172,12 @@ def measure(model, data, split: str) -> dict:
     }
 
 
+def _data_version(data):
+    """Of the first case that states one, or None."""
+    cases = (case for split in data.metadata.get('cases', {}).values() for case in split)
+    return next((case['data_version'] for case in cases if 'data_version' in case), None)
+
+
 def by_kind(path: str) -> str:
     """A table of the errors by kind of path, from the JSON of this report."""
     rows = files.read_json(path)['runs']
@@ -230,7 +236,7 @@ def main(values, _) -> None:
         'split': values.split,
         'config': stored['config'],
         'training': files.read_json(os.path.join(values.model_path, 'metrics.json'))['training'],
-        'data_version': data.metadata.get('data_version', 1),
+        'data_version': _data_version(data),
         **measure(model, data, values.split),
     }
     files.write_json(values.output_path, document)

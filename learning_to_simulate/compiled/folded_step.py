@@ -11,6 +11,8 @@ It computes what `step_form.PlainStep` computes, to float32 round-off:
     only what it decides: the modes, and of the body nothing, its height, or its particles.
 """
 
+from typing import Any
+
 import tensorflow as tf
 
 from learning_to_simulate.body_height import up_vector
@@ -60,7 +62,8 @@ class FoldedStep:
         self.simulator, self.layout = simulator, layout
         self._motion = simulator.scene.rigid_motion
         self._correct = rigid_correction and self._motion == RigidMotion.PREDICTED
-        self._ahead, self._shape, self._correction = ahead, shape, None
+        self._ahead, self._shape = ahead, shape
+        self._correction: Any = None
         self._folded = FoldedSimulator(simulator, layout, dense, frozen)
 
     def ahead(self, state, known, context, n_frame):

@@ -11,6 +11,8 @@ Rollouts, live steps and the count of products use the same five methods:
   state_after(before, known, carry) -> state        a whole `SimulatorState` after one frame
 """
 
+from typing import Any
+
 import tensorflow as tf
 
 from learning_to_simulate.learned_simulator import SimulatorState
@@ -37,7 +39,8 @@ class PlainStep:
     def __init__(self, simulator, layout, rigid_correction: bool = True, shape=None):
         self.simulator, self.layout = simulator, layout
         self._correct = rigid_correction and simulator.scene.rigid_motion == RigidMotion.PREDICTED
-        self._shape, self._correction = shape, None
+        self._shape = shape
+        self._correction: Any = None
 
     def ahead(self, state, known, context, n_frame):
         """The known motion by frame, and the context."""

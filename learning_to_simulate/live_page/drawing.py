@@ -5,7 +5,7 @@ from scipy.spatial import ConvexHull
 
 THICKNESS = 0.01  # of a flat body, m
 # Colours of the soil from unmoved to moved far, and of heights from low to high.
-SOIL = np.array([[104, 74, 46], [170, 112, 52], [225, 160, 56], [240, 90, 40]], float)
+SOIL = np.array([[70, 42, 20], [140, 82, 26], [210, 132, 24], [235, 72, 18]], float)
 HEIGHT = np.array([[38, 50, 96], [58, 120, 138], [140, 180, 110], [245, 225, 130]], float)
 MOVED = 0.08  # m, of the last colour
 EMPTY = 90  # grey of a cell without particles
@@ -22,7 +22,7 @@ WORDS = {
 def blended(colours, share) -> np.ndarray:
     """uint8 [..., 3] between colours [K, 3], at shares [...] of the way from 0 to 1."""
     places = np.linspace(0.0, 1.0, len(colours))
-    channels = [np.interp(share, places, channel) for channel in colours.T]
+    channels = [np.interp(np.nan_to_num(share), places, channel) for channel in colours.T]
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 

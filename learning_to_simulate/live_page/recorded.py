@@ -1,6 +1,7 @@
 """`RecordedRuns`: the solver's runs of a dataset, to follow and to show beside the model."""
 
 import functools
+import os
 
 import numpy as np
 
@@ -88,7 +89,7 @@ class RecordedRuns:
         scene, metadata = model.scene, data.metadata
         if metadata['scene']['name'] != scene.name:
             raise ValueError(f'{data.path} is of the scene {metadata["scene"]["name"]}')
-        if hasattr(model.model, 'simulator'):
+        if hasattr(model.config, 'modes'):  # a model in the subspace
             checkpoints.check_dataset(model.path, model.model, data.path, metadata)
         if data.subspace is None:
             raise ValueError(f'{data.path} has no subspace')
@@ -126,9 +127,12 @@ def of_model(model, data_path: str | None = None) -> RecordedRuns | None:
     Raises:
       FileNotFoundError, ValueError: a dataset was named that is not there or does not fit.
     """
-    try:
-        return RecordedRuns(model, api.Dataset(data_path or model.scene.name))
-    except (FileNotFoundError, ValueError):
-        if data_path:
-            raise
-        return None
+    if data_path:
+        return RecordedRuns(model, api.Dataset(data_path))
+    # A shipped model lies in a folder of its dataset's name.
+    for name in (os.path.basename(os.path.dirname(os.path.abspath(model.path))), model.scene.name):
+        try:
+            return RecordedRuns(model, api.Dataset(name))
+        except (FileNotFoundError, ValueError):
+            continue
+    return None

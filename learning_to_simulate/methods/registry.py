@@ -117,7 +117,7 @@ def refuse_raw_path(raw_path: str | None) -> None:
 
 _SUBSPACE = 'learning_to_simulate.methods.subspace_method'
 _MIXER = 'learning_to_simulate.methods.mixer_model'
-_OPEN_LOOP = {
+_OPEN_LOOP: dict[str, Any] = {
     'code': 'learning_to_simulate.methods.open_loop_method',
     'settings': 'learning_to_simulate.methods.open_loop_settings',
 }
@@ -181,7 +181,7 @@ def all_presets() -> dict[str, Any]:
     return {k: v for m in modules for k, v in importlib.import_module(m).PRESETS.items()}
 
 
-def setting_fields() -> dict[str, tuple[type, type]]:
+def setting_fields() -> dict[str, tuple[Any, type]]:
     """Name of a setting -> its type and the class that has it, of all methods; for flags.
 
     Where two methods have a setting of one name, it must be of one type.

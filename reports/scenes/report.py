@@ -24,7 +24,7 @@ from reports import command, markdown, record, timing
 from reports.scenes import runs
 
 # What `write_raw` and `convert` must know of each scene, and what it shows.
-SCENES = {
+SCENES: dict[str, dict] = {
     'column': {'dt': 1 / 120, 'modes': 8},
     'column_2d': {'dt': 1 / 90, 'modes': 6},
     'lengths': {'dt': 1 / 120, 'modes': 8},
@@ -117,9 +117,9 @@ def times(folder: str, names, rounds: int) -> dict[str, float]:
 
 
 def table(path: str) -> str:
-    """The table of `docs/scenes.md` from the report's JSON."""
+    """The table of the report from its JSON."""
     rows = files.read_json(path)['rows']
-    base = rows[BASE].get('ms_per_step')
+    base = rows.get(BASE, {}).get('ms_per_step')
 
     def plain(values):
         return ', '.join(map(str, values)) or 'no'

@@ -64,8 +64,11 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
     if ahead:
         given = given_motion(simulator, layout, state, known, n_frame)
         run = (None, None) if known is None else (known.path, known.start)
-        before = mflop(lambda *x: step.first_pass(*x[:2], n_frame, *x[2:]), given, context, *run)
-        before /= n_frame
+
+        def first(given, context, path, start):
+            return step.first_pass(given, context, n_frame, path, start)
+
+        before = mflop(first, given, context, *run) / n_frame
     one, now = step.ahead(state, known, context, n_frame)(0)
     frame = mflop(lambda now, carry: step.advance(carry, (one, now)), now, step.begin(state))
     return frame, before

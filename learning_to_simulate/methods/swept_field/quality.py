@@ -16,7 +16,7 @@ FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
 # Share of its training range by which a scalar may leave it.
 MARGIN = 0.05
 # What any frame may be wrong by, however small all that is predicted: mm of soil, N of force.
-FLOORS = {'soil': 0.05, 'force': 1.0}
+FLOORS = {'soil': 0.3, 'force': 3.0}
 
 
 def spread(values) -> np.ndarray:

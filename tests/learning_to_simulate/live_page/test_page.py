@@ -105,8 +105,8 @@ def test_another_model_and_one_that_is_not_there(running):
     tab.slide('path', next(iter(running.page.session.recorded.runs)))
     tab.wait(lambda: running.page.session.run is not None, PATIENCE)
     tab.slide('slip, %', 30.0)  # whoever touches the tool takes it over
-    tab.wait(lambda: running.page.session.run is None, PATIENCE)
-    assert running.page.panel.run.value == page.BY_HAND
+    tab.wait(lambda: running.page.panel.run.value == page.BY_HAND, PATIENCE)
+    assert running.page.session.run is None
     tab.close()
 
 
@@ -199,26 +199,30 @@ def test_in_a_browser_sliders_keys_handle_and_reset(running, browser, tmp_path):
     running.page.pause()
     before = picture(tab, tmp_path / 'before.png')
     assert before.std() > 10  # soil and blade are drawn
-    # A slider by its field, and one by a key.
-    field = tab.locator('input[type=text]').filter(visible=True).nth(2)
+    # A slider by the arrow keys, another by the keys of the page.
     running.page.pause()
-    field.fill('20')
-    field.press('Enter')
-    wait(lambda: session.steering.sliders['depth'].value == 20.0)
-    tab.locator('canvas').first.click(position={'x': 30, 'y': 700})  # off the field
-    for _ in range(8):
+    deeper = session.steering.sliders['depth']
+    at = deeper.value
+    tab.get_by_role('slider').first.focus()
+    for _ in range(3):
+        tab.keyboard.press('ArrowRight')
+    wait(lambda: deeper.value > at + 0.5)
+    tab.evaluate('document.activeElement.blur()')
+    for _ in range(9):
+        tab.keyboard.press('u')
+    wait(lambda: deeper.value > 5.0)
+    for _ in range(9):
         tab.keyboard.press('i')
-    wait(lambda: session.steering.sliders['speed'].value > 20.0)
-    wait(
-        lambda: session.plane[0] * session.forwards > 0.1 + session.path()[0, 0] * session.forwards
-    )
+    wait(lambda: session.steering.sliders['speed'].value > 15.0)
+    start = session.path()[0, 0]
+    wait(lambda: (session.plane[0] - start) * session.forwards > 0.06)
     running.page.pause()
     tab.wait_for_timeout(2000)
     after = picture(tab, tmp_path / 'after.png')
-    assert np.abs(after - before).max(axis=2).mean() > 2.0  # the blade has moved through the soil
+    assert np.abs(after - before).max(axis=2).mean() > 1.0  # the blade has moved
     running.page.pause()
     reset.click()
-    wait(lambda: session.moment.frame < 200 and session.steering.sliders['speed'].value == 0.0)
+    wait(lambda: session.steering.sliders['speed'].value == 0.0)
     # The arrow of the handle that points along the drive: where it is on the screen, from a sweep.
     at = session.plane
     drag(tab, running, wait)
