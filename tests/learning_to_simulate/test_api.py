@@ -302,7 +302,7 @@ def test_names_that_are_not_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileNotFoundError, match='shipped are .*excavation/pcg'):
         lts.load('moon')
-    with pytest.raises(FileNotFoundError, match='shipped are excavation, wheel'):
+    with pytest.raises(FileNotFoundError, match='shipped are excavation, excavation_v2, wheel'):
         lts.Dataset('moon')
     assert lts.Dataset('wheel').test.folder.endswith('wheel')
     with pytest.raises(AttributeError, match='no attribute'):
