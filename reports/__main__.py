@@ -30,6 +30,7 @@ REPORTS = {
     'stability_report': ('stability.report', 'stiff and extreme cases, as experiments'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
+    'kills': ('fuzz.kills', 'SIGKILL at every point where something is written'),
 }
 
 

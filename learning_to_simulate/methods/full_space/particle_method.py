@@ -17,7 +17,7 @@ from learning_to_simulate.methods.full_space.particle_simulator import (
 )
 from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.training import loop
+from learning_to_simulate.training import data_parallel, loop
 from pca_tools import dataset, files
 
 
@@ -79,6 +79,7 @@ def train(
       raw_path: folder of the raw runs, or None to decode the dataset's records.
       others: as `subspace_method.train`, with its errors.
     """
+    share = data_parallel.Share()
     metadata = dataset.read_metadata(data_path)
     read = [
         runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
@@ -90,7 +91,7 @@ def train(
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
-        trainer=ParticleTrainer(model, read[:1]),
+        trainer=ParticleTrainer(model, read[:1], share if share.count > 1 else None),
         evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
         valid=read[1:],
         n_rigid=read[0].n_rigid,
@@ -103,7 +104,8 @@ def train(
         f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
     )
-    return loop.run(training, model_path, save_every, take_over_lock)
+    training.agree_on = share.refuse_other_step
+    return loop.run(training, share.folder(model_path), save_every, take_over_lock)
 
 
 def load(path: str) -> ParticleModel:
