@@ -42,9 +42,9 @@ class Share:
 
     def folder(self, model_path: str) -> str:
         """The model folder of this process: the first one has the name, others a copy beside it."""
-        return (
-            model_path if self.index == 0 else f'{os.path.normpath(model_path)}.worker{self.index}'
-        )
+        if self.index == 0:
+            return model_path
+        return f'{os.path.normpath(model_path)}.worker{self.index}'
 
     def refuse_batch(self, size: int) -> None:
         """Raises ValueError if batches of that size cannot be dealt evenly."""

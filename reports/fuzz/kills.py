@@ -1,8 +1,8 @@
 """SIGKILL in training, conversion, export and results: the same command again gives the same files.
 
 Named points are all moments before a file of the work folder is opened for writing, renamed,
-removed or made, as Python's audit events name them; beside them lie random moments. After every kill the
-task is given again, without one, and must end with the bytes of an undisturbed run.
+removed or made, as Python's audit events name them; beside them lie random moments. After every
+kill the task is given again, without one, and must end with the bytes of an undisturbed run.
 
 Examples:
     python -m reports kills --count=200 --output_path=docs
