@@ -280,6 +280,12 @@ def _force_spread(force):
     return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
+def _stated_force_spread(metadata):
+    """[D] standard deviations of the force as the metadata say; round-off is no spread."""
+    mean, std = (np.asarray(metadata[f'rigid_body_force_{end}']) for end in ('mean', 'std'))
+    return _floored(np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0))
+
+
 def _targets(values, heights, scene, config):
     """Statistics of what is predicted: displacement (order 1) or acceleration (order 2) of each
     class."""
@@ -318,9 +324,7 @@ def _dataset_wide(metadata, scene, config, origin):
         'displacement_mean': np.zeros(shape),
         'displacement_std': np.full(shape, scene.connectivity_radius),
         'force_mean': np.asarray(metadata['rigid_body_force_mean']) if scene.has_force else None,
-        'force_std': _floored(np.asarray(metadata['rigid_body_force_std']))
-        if scene.has_force
-        else None,
+        'force_std': _stated_force_spread(metadata) if scene.has_force else None,
     }
 
 
