@@ -65,11 +65,13 @@ class Workers:
             OSError: the pool lost a process (Dask does not mind), or the scheduler is gone.
         """
         yield from (
-            self._run_dask(function, inputs) if self.client else self._run_pool(function, inputs)
+            self._run_pool(self._pool, function, inputs)
+            if self._pool
+            else self._run_dask(function, inputs)
         )
 
-    def _run_pool(self, function, inputs) -> Iterator[Outcome]:
-        waiting = {self._pool.submit(function, item): (i, 0) for i, item in enumerate(inputs)}
+    def _run_pool(self, pool: concurrent.futures.Executor, function, inputs) -> Iterator[Outcome]:
+        waiting = {pool.submit(function, item): (i, 0) for i, item in enumerate(inputs)}
         try:
             while waiting:
                 done, _ = concurrent.futures.wait(
@@ -86,7 +88,7 @@ class Workers:
                     if error is None:
                         yield Outcome(index, future.result())
                     elif tries < RETRIES:
-                        again = self._pool.submit(function, inputs[index])
+                        again = pool.submit(function, inputs[index])
                         waiting[again] = (index, tries + 1)
                     else:
                         yield Outcome(index, None, f'{type(error).__name__}: {error}')

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import presets
+from learning_to_simulate import command, presets
 from learning_to_simulate.methods import registry
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
@@ -72,6 +72,7 @@ class Split(Sequence):
     def records(self) -> list[dataset.Trajectory]:
         """The recorded runs, in file order; raises as `pca_tools.dataset.read_split`."""
         if self._records is None:
+            command.import_tensorflow()
             self._records = dataset.read_split(self.folder, self.name)
         return self._records
 
@@ -182,16 +183,18 @@ class TrainedModel:
     def _from_rest(self):
         if self._method.on_particles:
             raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
 
             starts, space = resting_start.read(self.path)
-            space = None if space is None else self.model.fitting_subspace(space)
+            if not self._method.live:
+                space = None if space is None else self.model.fitting_subspace(space)
             self._at_rest = starts, space
         return self._at_rest
 
     def stepper(self, outside: str = 'flag'):
-        """A `live.LiveSoil`; `start` and `step` it with poses.
+        """A `live.LiveSoil`, or what a method has of its own; `start` and `step` it with poses.
 
         Frames come from the C library where there is a C compiler and the model has a C form, else
         from TensorFlow: the same to round-off.
@@ -202,6 +205,8 @@ class TrainedModel:
         Raises:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
         """
+        if own := self._method.load_live():
+            return own.stepper(self.path, self.model, outside)
         from learning_to_simulate.export_c.c_step import best_step
         from learning_to_simulate.live.live_soil import LiveSoil
 
@@ -227,17 +232,25 @@ class TrainedModel:
         """
         if isinstance(path, Run):
             return self._of_run(path)
+        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
+        roller = self._path_roller()
+        pairs = [
+            roller.beginning(p, velocity, case, context) for p in (path if several else [path])
+        ]
+        results = roller.roll_out(pairs)
+        return results if several else results[0]
+
+    def _path_roller(self):
         if self._roller is None:
             from learning_to_simulate.live.path_rollout import PathRoller
 
-            self._roller = PathRoller(self.model, self.starts, self._soil())
-        several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        begun = [
-            self._roller.beginning(p, velocity, case, context)
-            for p in (path if several else [path])
-        ]
-        results = self._roller.roll_out(begun)
-        return results if several else results[0]
+            own = self._method.load_live()
+            self._roller = (
+                own.roller(self.path, self.model)
+                if own
+                else PathRoller(self.model, self.starts, self._soil())
+            )
+        return self._roller
 
     def _soil(self):
         from learning_to_simulate.live.soil import Soil
@@ -253,11 +266,14 @@ class TrainedModel:
             g.take(np.flatnonzero(g.record == run.index)) for g in opened.groups
             if run.index in g.record
         )  # fmt: skip
+        name = f'rollout_{run.name}'
+        if self._method.live:
+            return self._path_roller().recorded(opened.evaluator, group, name)
         rollout = opened.evaluator.roll_out(group)
-        return of_recorded_run(group, rollout, self.scene, self._soil(), f'rollout_{run.name}')
+        return of_recorded_run(group, rollout, self.scene, self._soil(), name)
 
     def _opened(self, split):
-        return self._method.load_code().open_model(self.path, split.folder, split.name)
+        return registry.open_model(self.path, split.folder, split.name)
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
         """Rolls out every run of a split.
@@ -301,7 +317,16 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(_found(name, 'models', 'config.json', DEFAULT_MODEL))
+    return TrainedModel(find_model(name))
+
+
+def find_model(name: str) -> str:
+    """The folder of a model, named as for `load`, without a look inside.
+
+    Raises:
+      FileNotFoundError: no such model; the message lists those that ship.
+    """
+    return _found(name, 'models', 'config.json', DEFAULT_MODEL)
 
 
 def preset(name: str, **fields):
@@ -323,8 +348,7 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       save_every: steps between checkpoints; None for a tenth of all.
 
     Raises:
-      ValueError, OSError, SystemExit: as `training.loop.run`.
+      ValueError, OSError, SystemExit: as `registry.train`.
     """
-    code = registry.get(config.model).load_code()
-    code.train(data.path, path, config, save_every=save_every)
+    registry.train(data.path, path, config, save_every=save_every)
     return TrainedModel(path)

@@ -26,7 +26,7 @@ from learning_to_simulate.learned_simulator import (
     LearnedSimulator,
     SimulatorState,
 )
-from learning_to_simulate.methods import registry
+from learning_to_simulate.methods import path_memory, registry
 from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
@@ -66,9 +66,7 @@ class Model:
             adjacency = build(
                 s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
             )
-            self._layouts[n_rigid] = Layout(
-                adjacency, n_rigid, s.scene, s.statistics, s.config.loss_by_motion
-            )
+            self._layouts[n_rigid] = Layout(adjacency, n_rigid, s.scene, s.statistics, s.config)
         return self._layouts[n_rigid]
 
     def edge_counts(self) -> dict[str, int]:
@@ -114,7 +112,11 @@ class Model:
             tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),
         )
         body = tf.zeros([1, n_rigid, s.dim])
-        s.predict(state, KnownMotion(body, body), tf.zeros([1, len(s.scene.context_names)]), layout)
+        known = KnownMotion(body, body)
+        if layout.memory is not None:
+            start = tf.zeros([1, s.scene.n_modes, s.dim])
+            known = KnownMotion(body, body, tf.zeros([1, path_memory.WIDTH]), start)
+        s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
 def save_config(path: str, model: Model, n_rigid: int, data: dict, files_beside=None) -> None:

@@ -1,6 +1,7 @@
 """How the commands of the package start: help at once, errors in one line, outputs tried before the
 work, a quiet TensorFlow."""
 
+import contextlib
 import os
 import sys
 import tempfile
@@ -67,7 +68,10 @@ def writable_folder(path: str) -> None:
 
 
 def import_tensorflow(num_threads: int | None = None) -> None:
-    """Imports TensorFlow without the lines that it writes while it starts.
+    """Imports TensorFlow without the lines that it writes while it starts, and sooner than it does.
+
+    Its Keras loads scikit-learn and matplotlib for wrappers that nothing here uses, which is a
+    third of the whole import; it goes without them where they are absent, so they are, meanwhile.
 
     Args:
       num_threads: its CPU threads; None for its own choice.
@@ -76,22 +80,38 @@ def import_tensorflow(num_threads: int | None = None) -> None:
       ValueError: it is not installed.
     """
     os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '2')
-    # Its C++ part writes to the descriptor itself, before any log level holds.
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as aside:
-        terminal = os.dup(2)
-        os.dup2(aside.fileno(), 2)
+    if 'tensorflow' not in sys.modules:
+        absent = [name for name in ('sklearn', 'matplotlib') if name not in sys.modules]
+        for name in absent:
+            sys.modules[name] = None  # type: ignore[assignment]
         try:
-            import tensorflow as tf
-
-            if num_threads:
-                tf.config.threading.set_intra_op_parallelism_threads(num_threads)
-                tf.config.threading.set_inter_op_parallelism_threads(1)
+            with _quiet_stderr():
+                import tensorflow  # noqa: F401
         except ModuleNotFoundError as error:
             raise ValueError(
                 f'this needs {error.name}, which is not installed: pip install -c constraints.txt '
                 f'-e .[cpu]'
             ) from error
+        finally:
+            for name in absent:
+                sys.modules.pop(name, None)
+    if num_threads:
+        import tensorflow as tf
+
+        tf.config.threading.set_intra_op_parallelism_threads(num_threads)
+        tf.config.threading.set_inter_op_parallelism_threads(1)
+
+
+@contextlib.contextmanager
+def _quiet_stderr():
+    """Keeps what is written to the error stream back, and shows it where an exception ends the
+    block. TensorFlow's C++ part writes to the descriptor itself, before any log level holds."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as aside:
+        terminal = os.dup(2)
+        os.dup2(aside.fileno(), 2)
+        try:
+            yield
         except BaseException:
             aside.seek(0)
             os.write(terminal, aside.read())

@@ -1,7 +1,8 @@
-"""`TrainConfig`: everything that decides what a trained simulator is.
+"""`TrainConfig`: everything that decides what a trained simulator is, in parts.
 
-A frozen value; the whole of it is stored as JSON beside the weights, so that no flag can change
-their meaning.
+Each part is a frozen value that checks itself; the whole is all of them at once. So names are flat
+on command lines and in `config.json`, and what needs one part only, takes that part. The whole is
+stored beside the weights, so that no flag can change their meaning.
 """
 
 import dataclasses
@@ -13,155 +14,22 @@ LARGEST = 2**62
 # No body of the project has more than 20 particles; a damaged number must not ask for the memory
 # of a graph of millions.
 MAX_RIGID, MAX_MODES = 1000, 10_000
-# Field -> its least and largest value; the largest ones are beyond any network of the project.
-RANGES = {
-    'mode_edges': (0, MAX_MODES**2), 'gate_weight': (0, LARGEST), 'gate_steps': (1, LARGEST),
-    'gate_keep': (0, MAX_MODES**2), 'latent_size': (1, 4096), 'hidden_layers': (1, 32),
-    'message_passing_steps': (1, 100), 'batch_size': (1, 100_000), 'num_steps': (0, LARGEST),
-    'unroll_length': (2, 10_000), 'unroll_steps': (0, LARGEST), 'unroll_batch_size': (1, 100_000),
-    'noise_std': (0, LARGEST), 'rigid_particles': (0, MAX_RIGID), 'rigid_stride': (1, MAX_RIGID),
-    'modes': (0, MAX_MODES), 'velocity_inputs': (1, INPUT_SEQUENCE_LENGTH - 1),
-    'mode_order': (1, 2), 'rigid_order': (1, 2), 'weight_average': (0, 1),
-}  # fmt: skip
+
+
+def number(default, low=-LARGEST, high=LARGEST):
+    """A setting with its least and largest value; the largest ones of parts are beyond any network
+    of the project."""
+    return dataclasses.field(default=default, metadata={'range': (low, high)})
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainConfig:
-    """Everything that decides what a model is and how it is trained.
+class Settings:
+    """Settings that check their types, their ranges and the rules of their parts.
 
-    Attributes:
-      preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
-      adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
-        where there is one, else ranked by correlation); 'correlation' (always ranked); the edge
-        file that was loaded; 'none' for a model without a graph, and for full_space, whose
-        radius graph is made in every step.
-      soil_particles: about how many soil particles the full-space model keeps; else 0.
-      mode_edges: mode -> mode edges that are kept when they are ranked by correlation.
-      gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
-        hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
-      gate_steps: after so many steps the gates close for good and the edge list is fixed.
-      gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
-        open than not.
-      rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
-        keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
-        rest follows from it.
-      rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
-        body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
-        height of the kept ones must be that of all.
-      surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
-        edges that last.
-      modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
-        and count in every error; 0 keeps all.
-      conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
-        aggregation; otherwise the published inputs with dataset-wide statistics and sum
-        aggregation.
-      velocity_inputs: how many of the H - 1 last velocities are inputs.
-      rate_scaled: velocities in and displacements out are counted per displacement of the body in
-        the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
-        order 1.
-      predict_driven_body: predict every particle of a body whose rotation and travel are given, the
-        published way, instead of its height alone.
-      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame.
-      noise_std: random-walk noise of the last input step; m/frame, or a fraction of each node's own
-        velocity scale if `noise_relative`.
-      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
-      batch_size, num_steps: single-step stage.
-      unroll_length, unroll_steps, unroll_batch_size: N-step stage with gradients through the
-        rollout.
-      unroll_noise: noise of the unrolled stage, as a share of `noise_std`.
-      unroll_learning_rate: rate that the unrolled stage starts from.
-      learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
-        floor.
-      weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
-        none.
-      zero_decoder: the decoder starts from zero, so that training starts from the mean prediction:
-        constant velocity in order 2.
-      seed: of weights, batches and noise.
+    A part has a method `rules`, which raises where its fields do not fit each other.
     """
 
-    preset: str
-    model: str = 'gns'
-    adjacency: str = 'algorithm2'
-    soil_particles: int = 0
-    mode_edges: int = 28
-    gate_weight: float = 0.0
-    gate_steps: int = 1000
-    gate_keep: int = 0
-    rigid_particles: int = 10
-    rigid_stride: int = 1
-    surface_height: float = 0.0
-    modes: int = 0
-    conditioned: bool = True
-    velocity_inputs: int = 1
-    rate_scaled: bool = True
-    predict_driven_body: bool = False
-    mode_order: int = 1
-    rigid_order: int = 1
-    noise_std: float = 0.5
-    noise_relative: bool = True
-    latent_size: int = 64
-    hidden_layers: int = 2
-    message_passing_steps: int = 1
-    batch_size: int = 16
-    num_steps: int = 3000
-    unroll_length: int = 16
-    unroll_steps: int = 2000
-    unroll_batch_size: int = 8
-    unroll_noise: float = 0.0
-    unroll_learning_rate: float = 3e-4
-    learning_rate: float = 1e-3
-    learning_rate_floor: float = 1e-5
-    decay_steps: float = 3000.0
-    weight_average: float = 0.998
-    zero_decoder: bool = False
-    seed: int = 0
-
     def __post_init__(self):
-        self._check_fields()
-        method = registry.get(self.model)
-        if (self.adjacency == 'none') == method.has_graph:
-            raise ValueError(
-                f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
-                f'others take none'
-            )
-        if self.surface_height and not method.has_graph:
-            raise ValueError(
-                f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
-                f'edges between modes and body'
-            )
-        if (self.soil_particles > 0) != method.on_particles:
-            raise ValueError(
-                f'soil_particles is {self.soil_particles} with model {self.model!r}: full_space '
-                f'needs some, the others take 0'
-            )
-        if method.on_particles and self.unroll_steps:
-            raise ValueError(
-                f'unroll_steps is {self.unroll_steps}, but {self.model} is trained in single '
-                f'steps: 0'
-            )
-        if method.on_particles and (self.modes or self.rigid_stride > 1):
-            raise ValueError(
-                f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
-            )
-        if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
-            raise ValueError(
-                f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
-                f'single-step stage of {self.num_steps} steps'
-            )
-        if self.gate_weight > 0 and self.adjacency != 'algorithm2':
-            raise ValueError(
-                f'gate_weight {self.gate_weight} learns the edges, but adjacency '
-                f'{self.adjacency!r} gives them: leave one of them out'
-            )
-        if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
-            raise ValueError(
-                'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
-                'with the rate'
-            )
-
-    def _check_fields(self):
-        """Every field by itself: its type and its range."""
         for field in dataclasses.fields(self):
             value, kind = getattr(self, field.name), field.type
             # JSON and command lines may write a whole number for a float.
@@ -169,15 +37,124 @@ class TrainConfig:
             is_truth = isinstance(value, bool)
             if not isinstance(value, kinds) or is_truth != (kind is bool):
                 raise ValueError(f'{field.name} is {value!r}, must be of type {kind.__name__}')
-            if kind in (bool, str):
-                continue
-            low, high = RANGES.get(field.name, (-LARGEST, LARGEST))
-            if not low <= value <= high:  # false for NaN as well
+            low, high = field.metadata.get('range', (-LARGEST, LARGEST))
+            if kind in (int, float) and not low <= value <= high:  # false for NaN as well
                 raise ValueError(
                     f'{field.name} is {value!r}, must be at least {low:g} and at most {high:g}'
                 )
-        if self.weight_average == 1:
-            raise ValueError('weight_average is 1, must lie in [0, 1): it would keep the start')
+        for part in type(self).__mro__:
+            if 'rules' in vars(part):
+                part.rules(self)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Nodes(Settings):
+    """What of the records is a node.
+
+    Attributes:
+      rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
+        keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
+        rest follows from it.
+      rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
+        body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
+        height of the kept ones must be that of all.
+      modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
+        and count in every error; 0 keeps all.
+      soil_particles: about how many soil particles the full-space model keeps; else 0.
+    """
+
+    rigid_particles: int = number(10, 0, MAX_RIGID)
+    rigid_stride: int = number(1, 1, MAX_RIGID)
+    modes: int = number(0, 0, MAX_MODES)
+    soil_particles: int = 0
+
+    @property
+    def nodes(self) -> dict[str, int]:
+        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
+        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Edges(Settings):
+    """Which node acts on which.
+
+    Attributes:
+      adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
+        where there is one, else ranked by correlation); 'correlation' (always ranked); the edge
+        file that was loaded; 'none' for a model without a graph, and for full_space, whose
+        radius graph is made in every step.
+      mode_edges: mode -> mode edges that are kept when they are ranked by correlation.
+      surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
+        edges that last.
+      gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
+        hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
+      gate_steps: after so many steps the gates close for good and the edge list is fixed.
+      gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
+        open than not.
+    """
+
+    adjacency: str = 'algorithm2'
+    mode_edges: int = number(28, 0, MAX_MODES**2)
+    surface_height: float = 0.0
+    gate_weight: float = number(0.0, 0)
+    gate_steps: int = number(1000, 1)
+    gate_keep: int = number(0, 0, MAX_MODES**2)
+
+    def rules(self):
+        """Raises where edges are both learned and given."""
+        if self.gate_weight > 0 and self.adjacency != 'algorithm2':
+            raise ValueError(
+                f'gate_weight {self.gate_weight} learns the edges, but adjacency '
+                f'{self.adjacency!r} gives them: leave one of them out'
+            )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Inputs(Settings):
+    """What a node sees, and what of it is predicted.
+
+    Attributes:
+      conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
+        aggregation; otherwise the published inputs with dataset-wide statistics and sum
+        aggregation. Code asks for one of its meanings, which are properties.
+      velocity_inputs: how many of the H - 1 last velocities are inputs.
+      rate_scaled: velocities in and displacements out are counted per displacement of the body in
+        the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
+        order 1.
+      predict_driven_body: predict every particle of a body whose rotation and travel are given, the
+        published way, instead of its height alone.
+      mode_order, rigid_order: 2 predicts acceleration, 1 predicts the displacement of the frame; 0
+        (modes only, with `path_inputs`) predicts where they are, counted from the last given frame:
+        then no error is carried from frame to frame but by the inputs.
+      path_inputs: what the tool has done since the start of the run is an input (`path_memory`);
+        needs a body whose whole motion is given.
+      state_inputs: whether the state of the modes is an input; without it (with `path_inputs`, no
+        graph) a frame depends on the path alone.
+    """
+
+    conditioned: bool = True
+    velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
+    rate_scaled: bool = True
+    predict_driven_body: bool = False
+    mode_order: int = number(1, 0, 2)
+    rigid_order: int = number(1, 1, 2)
+    path_inputs: bool = False
+    state_inputs: bool = True
+
+    def rules(self):
+        """Raises where an acceleration would be scaled with the rate, or a path is missing."""
+        if not self.path_inputs and (self.mode_order == 0 or not self.state_inputs):
+            raise ValueError(
+                f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need '
+                f'path_inputs: a place and soil without a state follow from the path alone'
+            )
+        if self.path_inputs and not self.conditioned:
+            raise ValueError('path_inputs needs conditioned: the published inputs have no path')
+        if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
+            raise ValueError(
+                'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
+                'with the rate'
+            )
 
     # What `conditioned` stands for, by meaning: code asks for these.
 
@@ -222,13 +199,126 @@ class TrainConfig:
         """Largest norm of the gradient of all weights; None for any."""
         return 1.0 if self.conditioned else None
 
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Network(Settings):
+    """The size of the network, and where it starts.
+
+    Attributes:
+      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
+      zero_decoder: the decoder starts from zero, so that training starts from the mean prediction:
+        constant velocity in order 2.
+      weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
+        none.
+      seed: of weights, batches and noise.
+    """
+
+    latent_size: int = number(64, 1, 4096)
+    hidden_layers: int = number(2, 1, 32)
+    message_passing_steps: int = number(1, 1, 100)
+    zero_decoder: bool = False
+    weight_average: float = number(0.998, 0, 1)
+    seed: int = 0
+
+    def rules(self):
+        """Raises where the average would keep the first weights for ever."""
+        if self.weight_average == 1:
+            raise ValueError('weight_average is 1, must lie in [0, 1): it would keep the start')
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SingleSteps(Settings):
+    """The first stage of training: single steps from noisy histories.
+
+    Attributes:
+      batch_size, num_steps: of this stage.
+      copies: so many shifted or mirrored copies of each training run are trained on as well
+        (`symmetric_copies`), in both stages.
+      noise_std: random-walk noise of the last input step, m/frame or a fraction.
+      noise_relative: whether the noise is a fraction of each node's own velocity scale.
+      learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
+        floor.
+    """
+
+    batch_size: int = number(16, 1, 100_000)
+    num_steps: int = number(3000, 0)
+    copies: int = number(0, 0, 100)
+    noise_std: float = number(0.5, 0)
+    noise_relative: bool = True
+    learning_rate: float = 1e-3
+    learning_rate_floor: float = 1e-5
+    decay_steps: float = 3000.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Unrolled(Settings):
+    """The second stage of training: N steps, with gradients through the rollout.
+
+    Attributes:
+      unroll_length, unroll_steps, unroll_batch_size: N, steps and batch of this stage.
+      unroll_noise: its noise, as a share of `noise_std`.
+      unroll_learning_rate: rate that it starts from.
+    """
+
+    unroll_length: int = number(16, 2, 10_000)
+    unroll_steps: int = number(2000, 0)
+    unroll_batch_size: int = number(8, 1, 100_000)
+    unroll_noise: float = 0.0
+    unroll_learning_rate: float = 3e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
+    """Everything that decides what a model is and how it is trained.
+
+    Attributes:
+      preset: name of the preset the config started from.
+      model: the method, a name of `methods.registry`.
+    """
+
+    preset: str
+    model: str = 'gns'
+
+    def rules(self):
+        """Raises where parts do not fit each other or the method."""
+        method = registry.get(self.model)
+        if (self.adjacency == 'none') == method.has_graph:
+            raise ValueError(
+                f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
+                f'others take none'
+            )
+        if self.surface_height and not method.has_graph:
+            raise ValueError(
+                f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
+                f'edges between modes and body'
+            )
+        if not self.state_inputs and self.model != 'mlp':
+            raise ValueError(
+                f'state_inputs is False with model {self.model!r}: only the MLP does without, '
+                f'edges and mixers are made of the state'
+            )
+        if (self.soil_particles > 0) != method.on_particles:
+            raise ValueError(
+                f'soil_particles is {self.soil_particles} with model {self.model!r}: full_space '
+                f'needs some, the others take 0'
+            )
+        if method.on_particles and self.unroll_steps:
+            raise ValueError(
+                f'unroll_steps is {self.unroll_steps}, but {self.model} is trained in single '
+                f'steps: 0'
+            )
+        if method.on_particles and (self.modes or self.rigid_stride > 1):
+            raise ValueError(
+                f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
+            )
+        if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
+            raise ValueError(
+                f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
+                f'single-step stage of {self.num_steps} steps'
+            )
+
     @property
     def has_lasting_graph(self) -> bool:
         """Whether the model is a graph network with the same edges in every frame: only then
         rollouts are specialised for them."""
         return registry.get(self.model).has_graph and not self.surface_height
-
-    @property
-    def nodes(self) -> dict[str, int]:
-        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
-        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}

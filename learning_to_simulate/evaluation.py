@@ -155,6 +155,11 @@ def _summary(methods, floors, scene):
     )  # JSON has no NaN: a failed run shows null
 
 
+def total_force(force):
+    """The force [T, 3] on all bodies together, of one [T, 3 B] on each; None for None."""
+    return None if force is None else force.reshape(len(force), -1, 3).sum(axis=1)
+
+
 def save_rollouts(
     path: str, split: str, results, summary: dict, metadata: dict, model_digest: str | None = None
 ) -> list[str]:
@@ -201,11 +206,16 @@ def _arrays(group, rollout) -> dict:
     if group.context is not None:
         arrays['global_context'] = group.context.astype(np.float32)
     if rollout.force is not None:
+        known, predicted = total_force(group.force[0]), total_force(rollout.force[0])
         arrays |= {
-            'initial_forces': group.force[0, :H].astype(np.float32),
-            'predicted_forces': rollout.force[0],
-            'ground_truth_forces': group.force[0, H:].astype(np.float32),
+            'initial_forces': known[:H].astype(np.float32),
+            'predicted_forces': predicted,
+            'ground_truth_forces': known[H:].astype(np.float32),
         }
+        if predicted.shape != rollout.force[0].shape:  # of each of several bodies
+            each = (len(predicted), -1, predicted.shape[1])
+            arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
+            arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
     # What a method says beyond modes, e.g. the particles of one that has none.
     return arrays | getattr(rollout, 'arrays', {})
 
@@ -232,7 +242,7 @@ def table(summary: dict) -> str:
         lines.append('  '.join([f'{name:18s}', *cells]))
     if summary['projection_mse'] is not None:
         lines.append(
-            f'projection floor (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
+            f'truncation error (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
             f'to the soil MSE'
         )
     lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')

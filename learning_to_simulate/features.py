@@ -13,9 +13,11 @@ from typing import NamedTuple
 import tensorflow as tf
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.methods import path_memory
 from learning_to_simulate.scene import RigidMotion
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
+START_MODES = 8  # of the bed at the start of a run: more would be learned by heart
 # AutoGraph cannot read the source of a lambda, and there is nothing here to convert.
 plain = tf.autograph.experimental.do_not_convert
 # Who has a feature: every node, the rigid particles (a value each, or one for all), or the scene.
@@ -95,13 +97,24 @@ def _height(view):
     return tf.concat([height / scales[0], change / scales[1]], axis=-1)[:, None]
 
 
+def _start(view):
+    """Offsets of the first modes at the start of the run, [B, 1, F]."""
+    n = view.layout.n_rigid
+    start = view.known.start / view.layout.position_std[n:]
+    return tf.reshape(start[:, :START_MODES], [start.shape[0], 1, -1])
+
+
+def _has_state(simulator):
+    return simulator.config.state_inputs
+
+
 def _has_positions(simulator):
-    return simulator.config.position_inputs
+    return simulator.config.position_inputs and simulator.config.state_inputs
 
 
 TABLE = (
     Feature(
-        'velocity', NODES, lambda s: True, lambda s: s.config.velocity_inputs * s.dim, _velocity
+        'velocity', NODES, _has_state, lambda s: s.config.velocity_inputs * s.dim, _velocity
     ),
     Feature(
         'offset', NODES, _has_positions, lambda s: s.dim,
@@ -109,7 +122,7 @@ TABLE = (
     ),
     Feature(
         'acceleration', NODES,
-        lambda s: s.config.position_inputs and s.config.velocity_inputs > 1,
+        lambda s: _has_positions(s) and s.config.velocity_inputs > 1,
         lambda s: (s.config.velocity_inputs - 1) * s.dim, _acceleration,
     ),
     Feature('rate', SCENE, lambda s: s.rate_scaled, lambda s: 2, _rate),
@@ -118,6 +131,14 @@ TABLE = (
         'height', RIGID,
         lambda s: s.config.position_inputs and s.scene.rigid_motion == RigidMotion.DRIVEN,
         lambda s: INPUT_SEQUENCE_LENGTH, _height,
+    ),
+    Feature(
+        'path', SCENE, lambda s: s.config.path_inputs, lambda s: path_memory.WIDTH,
+        lambda view: view.known.path[:, None],
+    ),
+    Feature(
+        'start', SCENE, lambda s: s.config.path_inputs,
+        lambda s: s.dim * min(START_MODES, s.scene.n_modes), _start,
     ),
     Feature(
         'embedding', NODES, lambda s: True, lambda s: EMBEDDING_SIZE,

@@ -16,6 +16,7 @@ from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.edges import tool_depth
+from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.scene import RigidMotion, Scene
 
 NUM_PARTICLE_TYPES = 9
@@ -43,7 +44,7 @@ class Layout:
       n_rigid: R.
       scene: the scene.
       statistics: by node class.
-      loss_by_motion: whether losses are weighted by each component's motion.
+      config: decides how losses are weighted.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Layout:
         n_rigid: int,
         scene: Scene,
         statistics: normalization.Statistics,
-        loss_by_motion: bool,
+        config: TrainConfig,
     ):
         self.n_rigid = n_rigid
         self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
@@ -60,6 +61,16 @@ class Layout:
         self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
         self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
         self.origin = statistics.origin[self.node_class]
+        self.memory = None  # reads the path, where that is an input
+        if statistics.path is not None:
+            self.memory = PathMemory.of_statistics(statistics.path, scene)
+        counts = [count for _, count in scene.bodies] or [n_rigid]
+        if sum(counts) != n_rigid:
+            raise ValueError(f'the bodies {scene.bodies} have {sum(counts)} nodes, not {n_rigid}')
+        # Rows of an embedding by class: further bodies have theirs behind those of the modes.
+        further = np.where(np.arange(len(counts)) > 0, np.arange(len(counts)) + scene.n_modes, 0)
+        self.embedded = self.node_class.copy()
+        self.embedded[:n_rigid] = np.repeat(further, counts)
         s = statistics
         pair = (self.node_class[self.receivers], self.node_class[self.senders])
         edge_std = s.displacement_std[pair]
@@ -84,7 +95,11 @@ class Layout:
             moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
         self.moving = moving
         self.loss_weight = moving.copy()
-        if loss_by_motion:
+        if config.loss_by_motion and config.mode_order == 0:
+            # Places: an error counts as it does in the particles.
+            weight = (s.target_std[1:] / s.target_std[1:].max()) ** 2
+            self.loss_weight[n_rigid:] *= weight.astype(np.float32)
+        elif config.loss_by_motion:
             # Quiet components cost less: an error counts by its share of the loudest component's
             # motion. Lateral scores are mostly noise, and equal weights would spend the network on
             # them.
@@ -112,6 +127,8 @@ class LearnedSimulator(snt.Module):
         self.particle_types = particle_types
         dim = statistics.origin.shape[1]
         self.dim = dim
+        mean = statistics.force_mean
+        self.force_size = 0 if mean is None else len(mean)  # D of each body
         self._make_network()
 
     def _make_network(self):
@@ -120,10 +137,14 @@ class LearnedSimulator(snt.Module):
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            output_size=self.dim * (2 if scene.has_force else 1),
+            output_size=self.dim + self.force_size,
             mean_aggregation=config.mean_aggregation,
         )
-        n_embedding = scene.n_modes + 1 if config.embedding_by_class else NUM_PARTICLE_TYPES
+        n_embedding = (
+            scene.n_modes + max(len(scene.bodies), 1)
+            if config.embedding_by_class
+            else NUM_PARTICLE_TYPES
+        )
         initial = tf.random.stateless_normal(
             [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
         )
@@ -175,9 +196,9 @@ class LearnedSimulator(snt.Module):
 
     def node_embedding(self, layout: Layout):
         """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
-        classes = layout.node_class
+        classes = layout.embedded
         if not self.config.embedding_by_class:
-            classes = np.where(classes == 0, *self.particle_types)
+            classes = np.where(layout.node_class == 0, *self.particle_types)
         return tf.gather(self._embedding, classes)
 
     def context_features(self, context):
@@ -230,9 +251,10 @@ class LearnedSimulator(snt.Module):
         """What `predict` should have said, [B, V, D], for the true next velocity [B, V, D].
 
         The velocities of `state` may carry noise: an acceleration target then corrects it, as in
-        Sanchez-Gonzalez et al. 2020.
+        Sanchez-Gonzalez et al. 2020. Where places are predicted, `next_velocity` is what leads from
+        the offset of `state`, noise and all, to the true one.
         """
-        target = self._of_height(next_velocity, layout) - self._base_velocity(state, layout)
+        target = self._of_height(next_velocity, layout) - self._base_velocity(state, known, layout)
         return (target / self.rate(known) - layout.target_mean) / layout.target_std
 
     def step(self, state: SimulatorState, known, context, layout: Layout):
@@ -251,10 +273,11 @@ class LearnedSimulator(snt.Module):
         target, force = self.predict(
             state, known if self.knows_next_frame else None, context, layout
         )
-        # v' = rate (std y + mean), plus v where an acceleration is predicted; x' = x + v'.
+        # v' = rate (std y + mean), plus v where an acceleration is predicted, and start - x where a
+        # place is; x' = x + v'.
         velocity = (target * layout.target_std + layout.target_mean) * self.rate(
             known
-        ) + self._base_velocity(state, layout)
+        ) + self._base_velocity(state, known, layout)
         offset = state.offset + velocity
         if self.scene.rigid_motion.is_known:
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
@@ -264,12 +287,16 @@ class LearnedSimulator(snt.Module):
             force = force * s.force_std.astype(np.float32) + s.force_mean.astype(np.float32)
         return SimulatorState(offset, history), force
 
-    def _base_velocity(self, state, layout):
-        """The velocity that the prediction is added to: none (order 1) or the last one (order
-        2)."""
+    def _base_velocity(self, state, known, layout):
+        """The velocity that the prediction is added to: none (order 1), the last one (order 2), or
+        what leads back to the start of the run (order 0)."""
         last = self._of_height(state.velocity[:, :, -1], layout)
         order = np.where(layout.node_class == 0, self.config.rigid_order, self.config.mode_order)
-        return last * (order == 2).astype(np.float32)[:, None]
+        base = last * (order == 2).astype(np.float32)[:, None]
+        if self.config.mode_order:
+            return base
+        n = layout.n_rigid
+        return tf.concat([base[:, :n], known.start - state.offset[:, n:]], axis=1)
 
     def _of_height(self, velocity, layout):
         """Replaces each rigid particle's velocity by the body's mean where only the height is
@@ -290,7 +317,7 @@ class LearnedSimulator(snt.Module):
             body_offset = known.offset + (height + change) * up
             body_velocity = known.velocity + change * up
         else:
-            body_offset, body_velocity = known
+            body_offset, body_velocity = known.offset, known.velocity
         return (
             tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
             tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),

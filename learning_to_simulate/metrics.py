@@ -1,4 +1,4 @@
-"""Every error that the reports print, with the trivial predictors and the projection floor.
+"""Every error that the reports print, with the trivial predictors and the truncation error.
 
 The modes are orthonormal, so squared errors of particles are those of scores plus what the subspace
 cut off, the truncation error: MSE_full = sum of squared score errors / (D N) + truncation error.

@@ -107,6 +107,8 @@ def _check_scene(scene):
     radius = scene.connectivity_radius
     _require(_is_finite(radius) and radius > 0, 'scene.connectivity_radius', radius)
     _require(all(isinstance(n, str) for n in scene.context_names), 'context_names', '...')
+    for name, count in scene.bodies:
+        _require(isinstance(name, str) and _is_int(count, 1, MAX_RIGID), 'body', (name, count))
     for edge in scene.rigid_edges:
         _require(len(edge) == 2 and all(_is_int(end, 0, MAX_RIGID) for end in edge), 'edge', edge)
 
@@ -115,9 +117,13 @@ def _check_statistics(statistics, scene):
     classes, context = scene.n_modes + 1, len(scene.context_names)
     dim = statistics.origin.shape[-1] if statistics.origin.ndim else 0
     _require(dim in (2, 3), 'statistics.origin of shape', statistics.origin.shape)
+    force = dim  # of one body, or of all together, or of each
+    if scene.bodies and statistics.force_mean is not None and statistics.force_mean.size > dim:
+        force = dim * len(scene.bodies)
     shapes = {
         'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
-        'force_mean': (dim,), 'force_std': (dim,), 'height_std': (1,), 'height_velocity_std': (1,),
+        'force_mean': (force,), 'force_std': (force,),
+        'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,),
         'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
         'position_range': (2, classes, dim), 'given_range': (2, dim),

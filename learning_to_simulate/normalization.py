@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate.body_height import height_of, without_height
-from learning_to_simulate.config import TrainConfig
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.scene import RigidMotion, Scene
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
@@ -51,6 +51,7 @@ class Statistics:
       body_extent_range: [2, D] of the extent of the given body in a frame, m.
       body_speed_range: [2, 1] of the given body's RMS displacement, m/frame.
       context_range: [2, C]; None without a context.
+      path: [5] of `path_memory.PathMemory.of_statistics`; None where the path is no input.
     """
 
     origin: np.ndarray
@@ -78,6 +79,7 @@ class Statistics:
     context_std: np.ndarray | None
     log_context_mean: np.ndarray | None
     log_context_std: np.ndarray | None
+    path: np.ndarray | None = None
 
     def to_json(self) -> dict:
         """Nested lists of float64, exact under `from_json`."""
@@ -169,10 +171,11 @@ def compute_statistics(
     values |= (
         _by_node_class(positions, velocities, force, origin, r)
         if config.statistics_by_class
-        else _dataset_wide(metadata, scene, config, origin)
+        else _dataset_wide(metadata, force, scene, config, origin)
     )
     ranges = training_ranges(positions, contexts, scene)
-    return Statistics(**values, **_targets(values, heights, scene, config), **ranges)
+    targets = _targets(values, _places(positions, r), heights, scene, config)
+    return Statistics(**values, **targets, **ranges)
 
 
 def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray | None]:
@@ -280,18 +283,26 @@ def _force_spread(force):
     return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
 
 
-def _stated_force_spread(metadata):
-    """[D] standard deviations of the force as the metadata say; round-off is no spread."""
-    mean, std = (np.asarray(metadata[f'rigid_body_force_{end}']) for end in ('mean', 'std'))
-    return _floored(np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0))
+def _places(positions, n_modes):
+    """Mean and std of where each class is, counted from the last given frame of its run."""
+    since = [p - p[:, INPUT_SEQUENCE_LENGTH - 1 :][:, :1] for p in positions]
+    places = _by_class(since, n_modes)
+    return {
+        'mean': np.stack([p.mean(axis=0) for p in places]),
+        'std': _floored(np.stack([p.std(axis=0) for p in places])),
+    }
 
 
-def _targets(values, heights, scene, config):
-    """Statistics of what is predicted: displacement (order 1) or acceleration (order 2) of each
-    class."""
+def _targets(values, places, heights, scene, config):
+    """Statistics of what is predicted: place since the start (order 0), displacement (order 1) or
+    acceleration (order 2) of each class."""
     target = {}
     for name in ('mean', 'std'):
-        by_order = {1: values[f'velocity_{name}'], 2: values[f'acceleration_{name}']}
+        by_order = {
+            0: places[name],
+            1: values[f'velocity_{name}'],
+            2: values[f'acceleration_{name}'],
+        }
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
@@ -305,7 +316,7 @@ def _targets(values, heights, scene, config):
     return target
 
 
-def _dataset_wide(metadata, scene, config, origin):
+def _dataset_wide(metadata, force, scene, config, origin):
     """Published family: metadata statistics, noise added in quadrature (SG 2020), displacement /
     radius."""
     n_class = len(origin)
@@ -323,9 +334,19 @@ def _dataset_wide(metadata, scene, config, origin):
         # The published feature is the absolute displacement: offsets get the origins back.
         'displacement_mean': np.zeros(shape),
         'displacement_std': np.full(shape, scene.connectivity_radius),
-        'force_mean': np.asarray(metadata['rigid_body_force_mean']) if scene.has_force else None,
-        'force_std': _stated_force_spread(metadata) if scene.has_force else None,
+        **_force_wide(metadata, force, scene),
     }
+
+
+def _force_wide(metadata, force, scene):
+    """Statistics of the force by component, from the metadata; of several bodies from the runs."""
+    if force is None:
+        return {'force_mean': None, 'force_std': None}
+    mean, std = (np.asarray(metadata[f'rigid_body_force_{x}']) for x in ('mean', 'std'))
+    if scene.bodies:
+        mean, std = force.mean(axis=0), force.std(axis=0)
+    std = np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0)  # round-off is no spread
+    return {'force_mean': mean, 'force_std': _floored(std)}
 
 
 def _displacements(positions, origin, n_modes):

@@ -64,6 +64,25 @@ PRESETS = {
     ),
     # Holden et al. 2019: a plain MLP on the subspace state.
     'mlp': TrainConfig('mlp', model='mlp', latent_size=128, **_WHOLE_STATE),
+    # For free driving: where the modes are follows from what the blade has done since the start.
+    # Nothing is integrated, so nothing drifts; shifted and mirrored runs stand for those that were
+    # not driven.
+    'mlp_driven': TrainConfig(
+        'mlp_driven',
+        model='mlp',
+        latent_size=256,
+        mode_order=0,
+        rate_scaled=False,
+        path_inputs=True,
+        state_inputs=False,
+        copies=8,
+        noise_std=0.0,
+        batch_size=128,
+        num_steps=8000,
+        unroll_steps=0,
+        decay_steps=5300.0,
+        **_WHOLE_STATE,
+    ),
     # Bouazizi et al. 2022 with channel excitation, and with channel and frame excitation.
     'mixer_se': TrainConfig(
         'mixer_se', model='mixer_se', velocity_inputs=5, hidden_layers=1, **_WHOLE_STATE

@@ -28,7 +28,7 @@ class RunGroup:
       n_rigid: R, rigid particles that are nodes.
       particle_type: int64 [V].
       position: float64 [S, T, V, D], m.
-      force: float64 [S, T, D], N, or None.
+      force: float64 [S, T, D], N, or [S, T, B D] of B bodies; or None.
       context: float64 [S, C], or [S, T, C] where that of a run changes in time, or None.
       record: int [S], index of each run in its file.
       body: per run, float64 [T, R', D]: all rigid particles of the record; None if all of them are
@@ -167,8 +167,8 @@ def read_groups(
       folder: dataset folder.
       split: train, valid or test.
       metadata: its validated metadata.
-      rigid_particles: at most this many particles of a body with prescribed motion become nodes,
-        the lowest ones of the first frame; 0 keeps all.
+      rigid_particles: at most this many particles of each body with prescribed motion become
+        nodes, the lowest ones of the first frame; 0 keeps all.
       rigid_stride: every how many-th rigid particle, in record order, may become a node.
       modes: so many first modes become nodes; 0 keeps all.
 
@@ -179,17 +179,27 @@ def read_groups(
     if modes > metadata['mode_number']:
         raise ValueError(f'{folder}: has {metadata["mode_number"]} modes, {modes} were asked for')
     up = metadata.get('scene', {}).get('up_axis', 1)
+    points = [body['points'] for body in metadata.get('scene', {}).get('bodies', [])]
+    ends = np.cumsum(points, dtype=int)[:-1]
     runs: dict[tuple, list] = {}
     for index, run in enumerate(dataset.read_split(folder, split)):
         where = f'{folder}: {split} record {index}'
-        kept = np.arange(run.n_rigid)[::rigid_stride]
+        bodies = np.split(np.arange(run.n_rigid), ends)
+        kept = np.concatenate([body[::rigid_stride] for body in bodies])
         if rigid_stride > 1 and run.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
             _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
         if rigid_particles and run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID:
-            height = run.position[0, kept, up]
-            kept = kept[np.sort(np.argsort(height, kind='stable')[:rigid_particles])]
+            height = run.position[0, :, up]
+            kept = np.concatenate(
+                [_lowest(body[::rigid_stride], height, rigid_particles) for body in bodies]
+            )
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
     return [_stack(n_rigid, members, modes) for (n_rigid, _), members in sorted(runs.items())]
+
+
+def _lowest(body, height, count):
+    """The `count` nodes of a body, indices, that are lowest, in their order."""
+    return body[np.sort(np.argsort(height[body], kind='stable')[:count])]
 
 
 def _check_thinning(body, kept, up, where):
@@ -221,9 +231,7 @@ def _stack(n_rigid, members, modes):
         position=np.stack([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]).astype(
             np.float64
         ),
-        force=None
-        if first.force is None
-        else np.stack([run.force for run in runs]).astype(np.float64),
+        force=None if first.force is None else np.stack([_force_of(run) for run in runs]),
         context=context_of(runs),
         record=np.array([index for index, _, _ in members]),
         body=tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
@@ -236,6 +244,12 @@ def _stack(n_rigid, members, modes):
         if 0 < modes < first.n_modes
         else None,
     )
+
+
+def _force_of(run):
+    """float64 [T, D] on the body, or [T, B D] on several where they are known one by one."""
+    force = run.force if run.body_force is None else run.body_force.reshape(run.n_frames, -1)
+    return force.astype(np.float64)
 
 
 def context_of(runs) -> np.ndarray | None:
@@ -284,6 +298,12 @@ def read_scene(
             scene.rigid_edges, first.body[0].shape[1], first.kept[0]
         )
         scene = dataclasses.replace(scene, rigid_edges=edges)
+    if scene.bodies and first.kept is not None:
+        ends = np.cumsum([count for _, count in scene.bodies])
+        counts = np.bincount(np.searchsorted(ends, first.kept[0], side='right'))
+        names = [name for name, _ in scene.bodies]
+        bodies = tuple(zip(names, counts.tolist(), strict=True))
+        scene = dataclasses.replace(scene, bodies=bodies)
     if scene.rigid_motion == RigidMotion.PREDICTED and not scene.rigid_edges:
         edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
         scene = dataclasses.replace(scene, rigid_edges=edges)

@@ -10,7 +10,7 @@ from learning_to_simulate.scene import RigidMotion, Scene
 
 
 class KnownMotion(NamedTuple):
-    """What is given of the coming frame of the rigid body.
+    """What is given of the coming frame of the rigid body, and of its run so far.
 
     Where the motion is driven, the up component holds the shape only: its mean over the R particles
     is 0, and the predicted height is added to it.
@@ -18,10 +18,19 @@ class KnownMotion(NamedTuple):
     Attributes:
       offset: float32 [B, R, D], m.
       velocity: float32 [B, R, D], m/frame.
+      path: float32 [B, P], `path_memory` of the coming frame, for models that have it as an input.
+      start: float32 [B, r, D], offset of the modes in the last given frame, m, for the same.
     """
 
     offset: tf.Tensor
     velocity: tf.Tensor
+    path: tf.Tensor | None = None
+    start: tf.Tensor | None = None
+
+    def at(self, frame) -> 'KnownMotion':
+        """One frame of a motion whose fields but `start` have a leading axis of frames."""
+        path = None if self.path is None else self.path[frame]
+        return KnownMotion(self.offset[frame], self.velocity[frame], path, self.start)
 
 
 def given_part(values, scene: Scene):

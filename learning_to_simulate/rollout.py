@@ -68,7 +68,7 @@ class RolloutFunction:
 
         Args:
           state: after the first H frames.
-          known: `KnownMotion` with a leading frame axis [n_frame, B, R, D], or None.
+          known: `KnownMotion` with a leading frame axis [n_frame, B, ...], or None.
           context: float32 [B, C], or [n_frame, B, C] where it changes in time, or None.
           n_frame: number of frames.
 
@@ -106,7 +106,11 @@ def rollout_inputs(group, layout: Layout, scene):
     body = (np.moveaxis(a[:, h:, : group.n_rigid], 1, 0) for a in (offset, velocity))
     known = known_motion(*body, scene)
     if known is not None:
-        known = KnownMotion(*(tf.cast(x, tf.float32) for x in known))
+        known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
+    if layout.memory is not None:
+        path = layout.memory.read(group.position[:, :, : group.n_rigid])[:, h:]
+        start = tf.constant(offset[:, h - 1, group.n_rigid :], tf.float32)
+        known = known._replace(path=tf.constant(np.moveaxis(path, 1, 0)), start=start)
     context = group.context
     if context is not None:
         by_frame = np.moveaxis(context[:, h:], 1, 0) if group.context_changes else context

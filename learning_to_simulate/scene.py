@@ -45,6 +45,8 @@ class Scene:
       dt: seconds per frame.
       up_axis: axis against gravity.
       connectivity_radius: length that scales edge features of the published presets, m.
+      bodies: (name, number of nodes) of several bodies in the order of their nodes, all of given
+        motion; () of one or none. Of each there is a force [D], one behind the other.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Scene:
     dt: float
     up_axis: int = 1
     connectivity_radius: float = 0.025
+    bodies: tuple[tuple[str, int], ...] = ()
 
     @classmethod
     def from_metadata(cls, metadata, *, rigid_particle_type=None, rigid_motion=None) -> 'Scene':
@@ -85,11 +88,14 @@ class Scene:
             raise ValueError(
                 f'rigid_motion is {motion!r}, must be one of {[str(m) for m in RigidMotion]}'
             )
-        if len(stated.get('bodies', ())) > 1:
-            names = [body.get('name') for body in stated['bodies']]
+        bodies = stated.get('bodies', ())
+        free = [b['name'] for b in bodies if b['rigid_motion'] != RigidMotion.PRESCRIBED]
+        if free or bodies and motion != RigidMotion.PRESCRIBED:
             raise ValueError(
-                f'the scene has several bodies {names}; this simulator moves one: write runs with '
-                'one of them, or with the others as prescribed points of it'
+                f'several bodies {[b["name"] for b in bodies]}, of which {free or "all"} move by '
+                'themselves: the corrections that keep a predicted body rigid, or give a driven '
+                'one its height, know one body. State the recorded motion as prescribed, or write '
+                'runs in which that body is the only one'
             )
         n_context = len(metadata.get('context_mean', ()))
         names = stated.get('context_names') or [f'context_{i}' for i in range(n_context)]
@@ -104,7 +110,21 @@ class Scene:
             dt=float(metadata['dt']),
             up_axis=int(stated.get('up_axis', 1)),
             connectivity_radius=float(metadata['default_connectivity_radius']),
+            bodies=tuple((str(b['name']), int(b['points'])) for b in bodies),
         )
+
+    def check_one_body(self, what: str) -> None:
+        """Refuses several bodies, which `what` does not know.
+
+        Raises:
+          ValueError: with what does.
+        """
+        if self.bodies:
+            raise ValueError(
+                f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
+                'A graph network of modes (--preset=pcg) learns on them, rolls out recorded runs, '
+                'steps by particles (live.stepping.Stepper) and exports as SavedModel'
+            )
 
     def to_json(self) -> dict:
         """The scene as JSON-able values; `from_json` is the inverse."""
@@ -119,5 +139,6 @@ class Scene:
                 'rigid_motion': RigidMotion(values['rigid_motion']),
                 'rigid_edges': tuple(map(tuple, values['rigid_edges'])),
                 'context_names': tuple(values['context_names']),
+                'bodies': tuple(map(tuple, values.get('bodies', ()))),
             }
         )

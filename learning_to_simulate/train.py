@@ -85,12 +85,13 @@ flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: i
 
 
 def _meanings(settings: type) -> dict[str, str]:
-    """Field -> what the docstring of a class of settings says of it."""
-    text = inspect.getdoc(settings).split('Attributes:')[-1]
-    entries = re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M)
-    return {
-        name: ' '.join(meaning.split()) for names, meaning in entries for name in names.split(', ')
-    }
+    """Field -> what the docstrings of a class of settings and of its parts say of it."""
+    found = {}
+    for part in settings.__mro__:
+        text = (inspect.cleandoc(part.__doc__ or '')).split('Attributes:')[-1]
+        for names, meaning in re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M):
+            found |= {name: ' '.join(meaning.split()) for name in names.split(', ')}
+    return found
 
 
 # Flags that override single fields of the preset's config; DeepMind's spelling where it has one.
@@ -118,17 +119,13 @@ def _overrides() -> dict:
 
 def _open(overrides) -> registry.OpenedModel:
     """The trained model and the runs of the split."""
-    return (
-        registry.of_folder(_MODEL_PATH.value)
-        .load_code()
-        .open_model(
-            _MODEL_PATH.value,
-            _DATA_PATH.value,
-            _EVAL_SPLIT.value,
-            overrides,
-            raw_path=_RAW_PATH.value,
-            rigid_correction=_RIGID_CORRECTION.value,
-        )
+    return registry.open_model(
+        _MODEL_PATH.value,
+        _DATA_PATH.value,
+        _EVAL_SPLIT.value,
+        overrides,
+        raw_path=_RAW_PATH.value,
+        rigid_correction=_RIGID_CORRECTION.value,
     )
 
 
@@ -136,7 +133,7 @@ def _train(overrides):
     config = presets.make_config(
         _PRESET.value or presets.preset_of_model(_MODEL.value), **overrides
     )
-    registry.get(config.model).load_code().train(
+    registry.train(
         _DATA_PATH.value,
         _MODEL_PATH.value,
         config,

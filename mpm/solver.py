@@ -26,6 +26,7 @@ import numpy as np
 
 from mpm.bodies import Body
 from mpm.columns import (
+    GRIP,
     JIT,
     LEFT_GRID,
     OK,
@@ -118,6 +119,7 @@ def advance(
     fluidity,
     impulse,
     status,
+    second=None,
 ):
     """Advances the soil (and the body's height) by whole exchange intervals. Works in place.
 
@@ -138,6 +140,8 @@ def advance(
         impulse: float64 [6], impulse (N s) and angular impulse (N m s, about the reference point)
             of the soil on the body (added to).
         status: int64 [2]: error code, column of the block.
+        second: None, or `Motion` of a second body on its path and its float64 [6] impulse; no
+            particle is near both.
     """
     mass = volume * soil.bulk_density
     heave, path = motion.heave, motion.path
@@ -182,6 +186,23 @@ def advance(
                 heave[1] += share * (load[1] - motion.weight[step]) / heave[2]
                 if k < steps:
                     heave[0] += dt * heave[1]
+            if second is not None:  # decided when compiled
+                other, other_impulse = second
+                at, way = other.path[step], (other.path[a + 1] - other.path[a]) / dt
+                contact(
+                    block,
+                    nodes,
+                    grid,
+                    other.near,
+                    other.body,
+                    other.law,
+                    (at[0], at[1], at[2]),
+                    (way[0], way[1], way[2]),
+                    dt if k > 0 else 0.0,
+                    load,
+                )
+                for axis in range(6):
+                    other_impulse[axis] += share * load[axis]
             # The first half kick of gravity and of the soil's own forces is in the velocity.
             fall = gravity if k > 0 else 0.0
             kick(nodes, grid, free, share, fall, settling, dt if k < steps else 0.0)
@@ -222,6 +243,7 @@ class Solver:
         dt: time step, s.
         law: `contact.ContactLaw`.
         impulse: float64 [6], given to the body so far (N s; N m s about its reference point).
+        second_impulse: likewise, to a second body.
     """
 
     def __init__(
@@ -241,7 +263,7 @@ class Solver:
         self.steps = steps or max(1, math.ceil(EXCHANGE / limit - 1e-9))
         self.dt = EXCHANGE / self.steps
         self.nodes = make_nodes(grid)
-        self.impulse = np.zeros(6)
+        self.impulse, self.second_impulse = np.zeros(6), np.zeros(6)
         self.law = make_contact(soil, volume)
         self._fluidity = np.zeros((grid.nodes, 3)) if is_nonlocal else None
 
@@ -255,17 +277,27 @@ class Solver:
         path: np.ndarray | None = None,
         weight: np.ndarray | None = None,
         heave: np.ndarray | None = None,
+        second: tuple[Body, np.ndarray] | None = None,
     ) -> None:
         """Advances a block by some exchange intervals, in place; see `advance` and `Motion`.
 
+        Args:
+            block: `Block`.
+            intervals: how many.
+            gravity, settling: of `advance`.
+            body, path, weight, heave: of `Motion`.
+            second: a second body and its path.
+
         Raises:
-            ValueError: if a particle leaves the grid or is turned inside out.
+            ValueError: if a particle leaves the grid or is turned inside out; bodies so close that
+                both may touch one particle.
         """
         count = intervals * self.steps
         if body is None:
             body, path = NO_BODY, np.zeros((count + 1, 3))
             near = np.zeros(0, dtype=np.int64)
         else:
+            grip = None if second is None else block.particles[GRIP : GRIP + 3].copy()
             near = self._near(block, body, path, heave)
         motion = Motion(
             body,
@@ -275,6 +307,11 @@ class Solver:
             np.zeros(3) if heave is None else heave,
             near,
         )
+        beside = None
+        if second is not None:
+            if body is NO_BODY:
+                raise ValueError('a second body needs a first one')
+            beside = self._beside(block, near, grip, *second), self.second_impulse
         status = np.zeros(2, dtype=np.int64)
         advance(
             block,
@@ -291,11 +328,23 @@ class Solver:
             self._fluidity,
             self.impulse,
             status,
+            beside,
         )
         if status[0] != OK:
             place = block.particles[X : X + 3, status[1]]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}
             raise ValueError(f'a particle {what[int(status[0])]} at {place} m')
+
+    def _beside(self, block, near, grip, body, path):
+        """`Motion` of a second body; `near` the first one, particles keep the `grip` they had."""
+        mine = self._near(block, body, path, None)
+        if shared := np.intersect1d(near, mine).size:
+            raise ValueError(f'two bodies are so close that both may touch {shared} particles')
+        # Looking for those near one body took the grip of those near the other.
+        block.particles[GRIP : GRIP + 3, near] = grip[:, near]
+        block.particles[GRIP : GRIP + 3, mine] = grip[:, mine]
+        still = np.zeros(len(path))
+        return Motion(body, self.law, path, still, np.zeros(3), mine)
 
     def _near(self, block, body, path, heave):
         """Columns of the particles that the body can touch during the path."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg
-from sklearn import decomposition
 
 DIM = 3
 # An SVD holds the matrix, its copy and both factors.
@@ -60,6 +59,8 @@ def decompose_matrix(runs, mean, length, progress):
     if energy == 0.0:
         return np.zeros(length), np.zeros((matrix.shape[1], length)), energy
     if mean.ndim:
+        from sklearn import decomposition  # slow to load, and only fits need it
+
         # Columns sum to zero already, so the mean that PCA subtracts itself is round-off.
         model = decomposition.PCA(n_components=length, svd_solver='full').fit(matrix)
         return model.singular_values_, model.components_.T, energy

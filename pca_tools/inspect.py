@@ -29,7 +29,7 @@ def report(inspection: Inspection, modes: int = 12) -> str:
 
     Args:
         inspection: of `inspect_folder`.
-        modes: rows of the table of projection floors.
+        modes: rows of the table of truncation errors.
     """
     lines = [inspection.folder]
     if inspection.metadata is not None:
@@ -110,7 +110,7 @@ def _trivial(inspection: Inspection) -> list[str]:
         return []
     lines = [
         '',
-        '  soil MSE of the trivial predictors [1e-4 m^2]     stay still   constant velocity',
+        '  soil MSE of the trivial predictors [1e-4 m^2]     persistence  constant velocity',
     ]
     for split, part in inspection.splits.items():
         errors = [trivial_errors(run, inspection.n_soil) for run in part]
@@ -128,7 +128,7 @@ def _floors(inspection: Inspection, modes: int) -> list[str]:
     if floors is None:
         return []
     kept = inspection.metadata['mode_number']
-    lines = ['', '  modes   projection floor [1e-4 m^2]   RMS [mm]']
+    lines = ['', '  modes   truncation error [1e-4 m^2]   RMS [mm]']
     for count in sorted({*range(1, min(modes, len(floors) - 1) + 1), kept}):
         mark = '  <- kept' if count == kept else ''
         lines.append(
@@ -189,7 +189,7 @@ def initial_share(runs: Sequence[Trajectory]) -> float:
 
 def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
-    flags.DEFINE_integer('modes', 12, 'Rows of the table of projection floors.')
+    flags.DEFINE_integer('modes', 12, 'Rows of the table of truncation errors.')
 
 
 def main(argv: Sequence[str]) -> None:

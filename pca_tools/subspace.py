@@ -23,7 +23,7 @@ from pca_tools import decompose, files
 from pca_tools.decompose import DIM, decompose_covariance, decompose_matrix
 
 CENTERINGS = ('configuration', 'scalar')
-# Singular values kept beyond the modes, for the projection floor against r.
+# Singular values kept beyond the modes, for the truncation error against r.
 SPECTRUM_LENGTH = 64
 # A cut between two singular values closer than this leaves the last mode free to turn from fit to
 # fit.

@@ -18,9 +18,7 @@ def start(define_flags: Callable[[], None], run: Callable, n_argument: int = 0) 
 
     def main(values, arguments=()):
         if 'num_threads' in values:
-            import tensorflow as tf
-
-            tf.config.threading.set_intra_op_parallelism_threads(values.num_threads)
+            command.import_tensorflow(values.num_threads)
         return run(values, list(arguments))
 
     define_flags()

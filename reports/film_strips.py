@@ -30,7 +30,7 @@ def first_of_each_kind(folder: str) -> dict[str, str]:
     manifest = raw_run.read_manifest(folder)
     if not manifest or not manifest['runs']:
         raise ValueError(f'{folder}: no finished raw runs')
-    found = {}
+    found: dict = {}
     for entry in sorted(manifest['runs'], key=lambda entry: str(entry['case'])):
         found.setdefault(entry['parameters'].get('kind', 'grid'), entry['file'])
     return {kind: os.path.join(folder, found[kind]) for kind in sorted(found)}

@@ -38,9 +38,9 @@ def call(function, *arguments, limit_s: float | None = None, threads: int | None
         if done.returncode or not os.path.exists(names[1]):
             raise RuntimeError('its process was ended from outside (out of memory?)')
         with open(names[1], 'rb') as file:
-            value, error = pickle.load(file)
-    if error is not None:
-        raise error
+            value, raised = pickle.load(file)
+    if raised is not None:
+        raise raised
     return value
 
 
@@ -57,6 +57,7 @@ def _answer(question: str, answer: str) -> None:
         function, threads = pickle.load(file)
     if threads:
         use_threads(threads)
+    result: tuple[object, Exception | None]
     try:
         result = function(), None
     except Exception as error:

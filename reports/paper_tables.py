@@ -22,7 +22,7 @@ from absl import flags
 
 from learning_to_simulate import evaluation, metrics, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import dataset, files
 from reports import command, markdown
 from reports.record import ROOT
@@ -82,7 +82,7 @@ def _times_of_report(path):
 def correction(model_path: str, data_path: str) -> str:
     """Table 3.2: the wheel without and with rigid correction, MSE 1e-4 m²."""
     names = ('MSE 1e-4 m²', 'published, without', 'with', 'ours, without', 'with')
-    opened = subspace_method.open_model(model_path, data_path, 'test')
+    opened = registry.open_model(model_path, data_path, 'test')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
     means = []
     for corrected in (False, True):

@@ -77,15 +77,13 @@ def evaluate(name: str, raw: str, data: str, out: str) -> list[dict]:
         One dict per row of the table.
     """
     from learning_to_simulate import evaluation
-    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.methods import registry
 
     (run,) = raw_run.read_manifest(raw)['runs']
     solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
     for preset in MODELS:
-        opened = subspace_method.open_model(
-            os.path.join(ROOT, 'models', name, preset), data, 'test'
-        )
+        opened = registry.open_model(os.path.join(ROOT, 'models', name, preset), data, 'test')
         model, metadata, groups = opened.model, opened.metadata, opened.groups
         evaluator = evaluation.Evaluator(model, metadata)
         results, summary = evaluator.run(groups, 'test')

@@ -20,7 +20,7 @@ import tensorflow as tf
 
 from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.evaluation import Evaluator
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
 
@@ -35,7 +35,7 @@ def _digest(*arrays):
 def of_rollouts(path: str) -> str:
     """Digest of all test rollouts of the model in a folder `models/<dataset>/<preset>`."""
     data_path = 'datasets/' + path.split('/')[1]
-    opened = subspace_method.open_model(path, data_path, 'test')
+    opened = registry.open_model(path, data_path, 'test')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
     evaluator = Evaluator(model, metadata)
     rollouts = [evaluator.roll_out(group) for group in groups]

@@ -91,6 +91,18 @@ IMPORTS_WITHOUT = [
     ),
 ]
 
+# Tests of something that goes through several modules, or that are no Python.
+TESTS_OF_NO_ONE_MODULE = {
+    'learning_to_simulate/export_c/test_c_faults.py',
+    'learning_to_simulate/test_changing_context.py', 'learning_to_simulate/test_several_bodies.py',
+    'learning_to_simulate/test_left_out.py', 'learning_to_simulate/test_numerics.py',
+    'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py',
+    'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
+    'reports/edges/test_nri_scripts.py',
+    'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
+    'reports/test_main.py',
+}  # fmt: skip
+
 
 def source_files():
     """All Python files of the project, tests included."""
@@ -141,6 +153,18 @@ def test_imports_follow_the_arrows(path):
             if not any(path.as_posix().startswith(place) for place in places):
                 wrong.append(f'{path}:{line} imports {name}; only {places} may')
     assert not wrong, '\n'.join(wrong)
+
+
+def test_tests_mirror_the_sources():
+    """A test file lies where its module lies; a test of several modules is in the list."""
+    alone = set()
+    for package in PACKAGES:
+        for path in (ROOT / 'tests' / package).rglob('test_*.py'):
+            place = path.relative_to(ROOT / 'tests')
+            module = ROOT / place.with_name(path.stem.removeprefix('test_'))
+            if not (module.is_dir() or module.with_suffix('.py').exists()):
+                alone.add(place.as_posix())
+    assert alone == TESTS_OF_NO_ONE_MODULE
 
 
 def test_the_scan_sees_imports_inside_functions():

@@ -8,7 +8,7 @@ import pytest
 
 from learning_to_simulate import evaluation, presets
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import dataset
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -22,7 +22,7 @@ PRESETS = ('fcg_original', 'pcg_thesis', 'pcg')
 def test_default_model_keeps_its_promise(scene):
     """Rolled out here and now, and equal to the table that ships beside the weights."""
     folder = ROOT / 'models' / scene / 'pcg'
-    opened = subspace_method.open_model(str(folder), str(ROOT / 'datasets' / scene), 'test')
+    opened = registry.open_model(str(folder), str(ROOT / 'datasets' / scene), 'test')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
     _, summary = evaluation.Evaluator(model, metadata).run(groups, 'test')
     mean = summary['mean']['model']

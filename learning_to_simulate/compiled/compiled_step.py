@@ -11,6 +11,7 @@ from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import SimulatorState
+from learning_to_simulate.methods import path_memory
 from learning_to_simulate.rigid_body import Correction, KnownMotion
 from learning_to_simulate.scene import RigidMotion
 
@@ -29,13 +30,19 @@ class CompiledStep:
         self._scene = scene = model.simulator.scene
         self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED
         self._state = self._context = self._shape = self._proposed = None
+        # With a path as an input: the memory of it after the newest frame, of the coming one, and
+        # the modes at the start.
+        self._memory = self._coming = self._start = None
         dim, shape = self._simulator.dim, (1, self._layout.n_node)
         spec = tf.TensorSpec
         body = spec((1, n_rigid, dim))
+        run = (None, None)
+        if self._layout.memory is not None:
+            run = spec((1, path_memory.WIDTH)), spec((1, scene.n_modes, dim))
         self._frame = tf.function(self._compute, jit_compile=True, autograph=False)
         self._call = self._frame.get_concrete_function(
             SimulatorState(spec((*shape, dim)), spec((*shape, H - 1, dim))),
-            KnownMotion(body, body) if scene.rigid_motion.is_known else None,
+            KnownMotion(body, body, *run) if scene.rigid_motion.is_known else None,
             spec((1, len(scene.context_names))) if scene.context_names else None,
             spec((1, n_rigid, dim), tf.float64) if self._correct else None,
         )
@@ -54,9 +61,14 @@ class CompiledStep:
             tf.constant((history[-1] - layout.origin)[None], tf.float32),
             tf.constant(velocity[None], tf.float32),
         )
+        n = layout.n_rigid
         if self._correct:
-            n = layout.n_rigid
             self._shape = Correction(self._state.offset[:, :n], layout.origin[:n]).shape
+        if layout.memory is not None:
+            self._start = self._state.offset[:, n:]
+            self._memory = layout.memory.start(history[:1, :n])
+            for body in history[1:, :n]:
+                self._memory = layout.memory.advance(self._memory, body[None])
 
     def propose(self, body, displacement, context=None):
         """The next frame; the state stays as it is until `accept`.
@@ -68,6 +80,9 @@ class CompiledStep:
 
         Returns:
           float64 [V, D] positions, m, and float32 [D] force, N, or None.
+
+        Raises:
+          ValueError: a path that leads farther than its memory reaches.
         """
         known = None
         if body is not None:
@@ -75,6 +90,11 @@ class CompiledStep:
             if self._scene.rigid_motion == RigidMotion.DRIVEN:
                 motion = [without_height(x, self._scene.up_axis) for x in motion]
             known = KnownMotion(*(tf.constant(x[None], tf.float32) for x in motion))
+        if self._memory is not None:
+            memory = self._layout.memory
+            self._coming = memory.advance(self._memory, body[None])
+            path = tf.constant(memory.values(self._coming))
+            known = known._replace(path=path, start=self._start)
         context = self._context if context is None else tf.constant(context[None], tf.float32)
         after, force = self._call(self._state, known, context, self._shape)
         self._proposed = after, context
@@ -84,6 +104,7 @@ class CompiledStep:
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
         self._state, self._context = self._proposed
+        self._memory = self._coming
 
     def _compute(self, state, known, context, shape):
         if self._simulator.config.has_lasting_graph:
@@ -91,7 +112,10 @@ class CompiledStep:
         else:
             make = PlainStep
         step = make(self._simulator, self._layout, self._correct, shape=shape)
-        one = None if known is None else KnownMotion(*(x[None] for x in known))
+        one = None
+        if known is not None:
+            path = None if known.path is None else known.path[None]
+            one = KnownMotion(known.offset[None], known.velocity[None], path, known.start)
         frames = step.ahead(state, one, context, 1)
         carry, written = step.advance(step.begin(state), frames(0))
         force = written[-1] if self._scene.has_force else None

@@ -176,7 +176,8 @@ class FoldedNetwork:
         self._decoder = [Linear(*layer) for layer in weights.decoder.layers]
         self.decoder_last = self._decoder[-1]
         # Backwards from the outputs: which kinds a step must leave behind, and by which edges.
-        self.alive, self.blocks = [outputs], []
+        self.alive = [outputs]
+        self.blocks: list = []
         for _ in weights.processors:
             self.blocks.insert(0, [b for b in blocks if b.receiver in self.alive[0]])
             self.alive.insert(0, self.alive[0] | {b.sender for b in self.blocks[0]})
@@ -202,7 +203,7 @@ class FoldedNetwork:
             for b in self.blocks[0]
         }
         for m, blocks in enumerate(self.blocks):
-            received = {kind: [] for kind in self.alive[m + 1]}
+            received: dict = {kind: [] for kind in self.alive[m + 1]}
             for b in blocks:
                 name, ends = f'{b.name}: step {m}', (nodes[b.receiver], nodes[b.sender])
                 message = do(name, self._message(b, m), edges[b.name], *ends)

@@ -5,6 +5,7 @@ statistics) become a bias per node, features of the given motion are computed ah
 body, of which only the height is unknown, adds one row for all of its particles.
 """
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -54,12 +55,16 @@ class Given(NamedTuple):
       velocity: float32 [B, R, K, D], of its last K velocities.
       coming: float32 [B, R, D], of its velocity in the frame.
       context: float32 [B, C].
+      path: float32 [B, P], see `KnownMotion`.
+      start: float32 [B, r, D], likewise; the same in all frames.
     """
 
     offset: tf.Tensor | None
     velocity: tf.Tensor | None
     coming: tf.Tensor | None
     context: tf.Tensor | None
+    path: tf.Tensor | None = None
+    start: tf.Tensor | None = None
 
 
 class FoldedSimulator:
@@ -207,6 +212,9 @@ class FoldedSimulator:
                     given.context,
                 )
             )
+        if 'path' in rows:
+            of_path = Linear(tf.concat([rows['path'], rows['start']], 0), 0.0)
+            parts.append(do('path: first', of_path, self._path_and_start(given)))
         if 'coming' in rows and kind == RIGID:
             scale = 1.0 / self.layout.velocity_std[self._nodes[RIGID]]
             of_coming = Linear(rows['coming'], 0.0)
@@ -221,6 +229,15 @@ class FoldedSimulator:
         if not parts:
             return bias
         return do(f'{kind}: bias', lambda *x: sum(x, bias), *parts)
+
+    def _path_and_start(self, given):
+        """Values [B, 1, F] of the features of the run so far; None where they are not known."""
+        if given.path is None:
+            return None
+        known = KnownMotion(None, None, given.path, given.start)
+        view = SimpleNamespace(known=known, layout=self.layout)
+        values = {f.name: f.values for f in features.TABLE}
+        return tf.concat([values['path'](view), values['start'](view)], axis=-1)
 
     def _first(self, kind):
         """First layer of the nodes' own motion, added to its bias."""
@@ -290,7 +307,7 @@ class FoldedSimulator:
         """Share of a kind of nodes in the mean of the decoded forces, N."""
         return tf.matmul(tf.reduce_sum(hidden, axis=1) / self.layout.n_node, self._force.w)
 
-    def advance(self, outputs, state: MovingState) -> MovingState:
+    def advance(self, outputs, state: MovingState, given: Given) -> MovingState:
         """The state after a frame, from `predict`; body velocities in m/frame."""
         config, layout = self.simulator.config, self.layout
         nodes = self._nodes[MODES]
@@ -298,6 +315,8 @@ class FoldedSimulator:
         velocity *= outputs['rate']
         if config.mode_order == 2:
             velocity += state.modes_velocity[:, :, -1]
+        elif config.mode_order == 0:
+            velocity += given.start - state.modes
         modes = (state.modes + velocity, _pushed(state.modes_velocity, velocity[:, :, None], 2))
         body = state.body, state.body_velocity
         if self.motion == RigidMotion.PREDICTED:

@@ -11,6 +11,8 @@ It computes what `step_form.PlainStep` computes, to float32 round-off:
     only what it decides: the modes, and of the body nothing, its height, or its particles.
 """
 
+from typing import Any
+
 import tensorflow as tf
 
 from learning_to_simulate.body_height import up_vector
@@ -60,34 +62,41 @@ class FoldedStep:
         self.simulator, self.layout = simulator, layout
         self._motion = simulator.scene.rigid_motion
         self._correct = rigid_correction and self._motion == RigidMotion.PREDICTED
-        self._ahead, self._shape, self._correction = ahead, shape, None
+        self._ahead, self._shape = ahead, shape
+        self._correction: Any = None
         self._folded = FoldedSimulator(simulator, layout, dense, frozen)
 
     def ahead(self, state, known, context, n_frame):
         """What is given of each frame, and the pass that reads what was computed before."""
         given = given_motion(self.simulator, self.layout, state, known, n_frame)
-        results = self.first_pass(given, context, n_frame) if self._ahead else {}
+        path = start = None
+        if known is not None:
+            path, start = known.path, known.start
+        results = self.first_pass(given, context, n_frame, path, start) if self._ahead else {}
 
         def frame(k):
-            now = Given(*(None if x is None else x[k] for x in given), context_in(context, k))
+            at = [None if x is None else x[k] for x in (*given, path)]
+            now = Given(*at[:3], context_in(context, k), at[3], start)
             return FramePass(results, k), now
 
         return frame
 
-    def first_pass(self, given, context, n_frame: int) -> dict:
-        """What is computed of all frames at once, by name; `given` is of `given_motion`."""
+    def first_pass(self, given, context, n_frame: int, path=None, start=None) -> dict:
+        """What is computed of all frames at once, by name; `given` is of `given_motion`, path and
+        start of `KnownMotion`."""
         ahead = AheadPass(n_frame)
 
         def rows_of(x):
             return tf.reshape(x, [-1, *x.shape[2:]])
 
-        rows = [None if x is None else rows_of(x) for x in given]
+        *rows, paths = [None if x is None else rows_of(x) for x in (*given, path)]
+        starts = None if start is None else tf.tile(start, [n_frame, 1, 1])
         contexts = context
         if context is not None:
             by_frame = context.shape.rank == 3
             contexts = rows_of(context) if by_frame else tf.tile(context, [n_frame, 1])
         nothing = MovingState(None, None, None, None)
-        self._folded.predict(ahead, Given(*rows, contexts), nothing)
+        self._folded.predict(ahead, Given(*rows, contexts, paths, starts), nothing)
         return ahead.results
 
     def begin(self, state: SimulatorState) -> MovingState:
@@ -102,7 +111,7 @@ class FoldedStep:
         """One frame; writes modes, what it decides of the body, and the force if there is one."""
         one, now = frame
         outputs = {n: one.read(x) for n, x in self._folded.predict(one, now, carry).items()}
-        after = self._folded.advance(outputs, carry)
+        after = self._folded.advance(outputs, carry, now)
         if self._correct:
             placed, velocity = self._correction(carry.body, after.body)
             history = tf.concat([after.body_velocity[:, :, :-1], velocity[:, :, None]], axis=2)
@@ -112,7 +121,7 @@ class FoldedStep:
     def written_shapes(self, carry: MovingState):
         """Of modes, body and force."""
         force = (
-            [(carry.modes.shape[0], self.simulator.dim)] if self.simulator.scene.has_force else []
+            [(carry.modes.shape[0], self.simulator.force_size)] if self.simulator.force_size else []
         )
         return [carry.modes.shape, carry.body.shape, *force]
 
@@ -145,7 +154,7 @@ class FoldedStep:
         if self._motion == RigidMotion.PREDICTED:
             body, velocity = carry.body, carry.body_velocity[:, :, -1]
         elif known is not None:
-            body, velocity = known
+            body, velocity = known.offset, known.velocity
             if self._motion == RigidMotion.DRIVEN:
                 up = up_vector(self.simulator.dim, self.simulator.scene.up_axis)
                 body += carry.body[:, None] * up

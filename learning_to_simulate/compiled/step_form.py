@@ -11,10 +11,12 @@ Rollouts, live steps and the count of products use the same five methods:
   state_after(before, known, carry) -> state        a whole `SimulatorState` after one frame
 """
 
+from typing import Any
+
 import tensorflow as tf
 
 from learning_to_simulate.learned_simulator import SimulatorState
-from learning_to_simulate.rigid_body import Correction, KnownMotion
+from learning_to_simulate.rigid_body import Correction
 from learning_to_simulate.scene import RigidMotion
 
 
@@ -37,15 +39,15 @@ class PlainStep:
     def __init__(self, simulator, layout, rigid_correction: bool = True, shape=None):
         self.simulator, self.layout = simulator, layout
         self._correct = rigid_correction and simulator.scene.rigid_motion == RigidMotion.PREDICTED
-        self._shape, self._correction = shape, None
+        self._shape = shape
+        self._correction: Any = None
 
     def ahead(self, state, known, context, n_frame):
         """The known motion by frame, and the context."""
         del state, n_frame
 
         def frame(k):
-            coming = None if known is None else KnownMotion(known.offset[k], known.velocity[k])
-            return coming, context_in(context, k)
+            return None if known is None else known.at(k), context_in(context, k)
 
         return frame
 
@@ -73,7 +75,8 @@ class PlainStep:
     def written_shapes(self, carry: SimulatorState):
         """Of offsets and force."""
         shape = carry.offset.shape
-        force = [(shape[0], shape[2])] if self.simulator.scene.has_force else []
+        size = self.simulator.force_size
+        force = [(shape[0], size)] if size else []
         return [shape, *force]
 
     def results(self, stacked, known):

@@ -26,7 +26,7 @@ class AheadPass:
 
     def __init__(self, n_frame: int):
         self._n_frame = n_frame
-        self.results = {}
+        self.results: dict = {}
 
     def __call__(self, name: str, function, *args):
         """`function(*args)`, or None if an argument is None (not known ahead)."""

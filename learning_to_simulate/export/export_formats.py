@@ -30,6 +30,10 @@ class StepFunctions:
     """
 
     def __init__(self, simulator, layout, space):
+        if simulator.config.path_inputs:
+            raise ValueError(
+                'path_inputs: an exported step has no memory of the path; use the stepper of Python'
+            )
         self.simulator, self.layout, self.space = simulator, layout, space
 
     def step(self, position_history, next_rigid_position=None, context=None):
@@ -53,7 +57,7 @@ class StepFunctions:
         if scene.rigid_motion.is_known:
             body = next_rigid_position - layout.origin[:n], next_rigid_position - last[:n]
             known = known_motion(*body, scene)
-            known = KnownMotion(*(tf.cast(x, tf.float32)[None] for x in known))
+            known = KnownMotion(*(tf.cast(x, tf.float32)[None] for x in known[:2]))
         context = None if context is None else context[None]
         after, force = self.simulator.step(state, known, context, layout)
         # The displacement is added in float64: positions of modes do not fit into float32.
@@ -135,7 +139,7 @@ class StepFunctions:
             state, known = self._recorded(group, frame)
             values |= {'offset': state.offset[0].numpy(), 'velocity': state.velocity[0].numpy()}
             if known is not None:
-                values['rigid_offset'], values['rigid_velocity'] = (x[0].numpy() for x in known)
+                values['rigid_offset'], values['rigid_velocity'] = (x[0].numpy() for x in known[:2])
         if group.context is not None:
             values['context'] = group.context_at(frame, 0).astype(np.float32)
         return values
@@ -162,7 +166,7 @@ class StepFunctions:
         state = initial_state(offset[:, h], velocity[:, h][:, 1:])
         known = known_motion(offset[:, frame, :n], velocity[:, frame, :n], scene)
         if known is not None:
-            known = KnownMotion(*(tf.cast(x, tf.float32) for x in known))
+            known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
         return state, known
 
     def describe(self, kind: str) -> dict:

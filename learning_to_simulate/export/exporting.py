@@ -49,7 +49,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, 'test')
+    opened = registry.open_model(model_path, data_path, 'test')
     model = opened.model
     by_size = {group.n_rigid: group for group in opened.groups}
     n_rigid = max(by_size) if n_rigid is None else n_rigid

@@ -4,7 +4,8 @@ Every figure is also given as a ratio to the first row, because machines are bus
 within one run.
 
 Example:
-  python -m learning_to_simulate.export_c.benchmark --models=models/excavation/pcg,models/wheel/pcg
+  python -m learning_to_simulate.export_c.benchmark --output=build/c_times.json \\
+      --models=models/excavation/pcg,models/wheel/pcg
 """
 
 import ctypes
@@ -16,11 +17,18 @@ import time
 import numpy as np
 from absl import app, flags
 
+from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_header, c_library, c_stepper, starts
+from learning_to_simulate.export_c import (
+    benchmark_field,
+    c_header,
+    c_library,
+    c_stepper,
+    starts,
+)
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import files
 
 PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
@@ -42,8 +50,12 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
       FileNotFoundError, ValueError: no model or dataset there, or no test run of its size.
       c_library.NoCompiler: there is no C compiler.
     """
+    timed, library = _timed_library()
+    if checkpoints.read_config(model_path)['config'].get('model') == 'swept_field':
+        rows = benchmark_field.measure(library, model_path, data_path, calls, TURNS)
+        return {name: _row(seconds) for name, seconds in rows.items()}
     model, n, subspace, found = starts.read_model(model_path, data_path)
-    opened = subspace_method.open_model(model_path, data_path, 'test')
+    opened = registry.open_model(model_path, data_path, 'test')
     groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n), None)
     if group is None:
@@ -52,9 +64,10 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
     history = group.position[0, :H]
     context = group.context_at(H, 0)
     poses = np.ascontiguousarray(group.position[0, H:, :n])
-    timed, library = _timed_library()
     data = c_stepper.CStepper(model, n, subspace, starts=found)
     fast = {'C step': CSoil(library, data.model, 'best')}
+    if fast['C step'].kernel == 'avx512':
+        fast['C step, AVX2'] = CSoil(library, data.model, 'avx2')
     fast['plain build (-O2, 4-wide)'] = CSoil(library, data.model, 'vector4')
     python = {
         'from Python, with particles': data,
@@ -131,17 +144,21 @@ def _python_times(stepper, history, context, poses, known, count):
 
 
 def table(results: dict[str, dict[str, dict]]) -> str:
-    """The figures of all models, for the terminal."""
+    """The figures of all models as tables of Markdown."""
     lines = []
     for model, rows in results.items():
-        first = rows['C step']['median_us']
-        lines.append(f'{model}: CPU time of one core, us')
-        lines.append(f'  {"":38}{"median":>9}{"p99":>9}{"p99/median":>12}{"of the C step":>15}')
+        reference, first = next(iter(rows.items()))
+        lines += [
+            f'| {model}: CPU time of one core, us | median | p99 | p99/median | of `{reference}` |',
+            '|---|---|---|---|---|',
+        ]
         for name, row in rows.items():
             median, p99 = row['median_us'], row['p99_us']
             lines.append(
-                f'  {name:38}{median:9.1f}{p99:9.1f}{p99 / median:12.2f}{median / first:15.2f}'
+                f'| {name} | {median:.1f} | {p99:.1f} | {p99 / median:.2f} | '
+                f'{median / first["median_us"]:.2f} |'
             )
+        lines.append('')
     return '\n'.join(lines)
 
 

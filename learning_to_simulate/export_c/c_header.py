@@ -1,7 +1,7 @@
 """Structures and constants of the C headers, read from the headers themselves.
 
-Python fills `struct lts_model` (lts_model.h) and calls the functions of lts.h. Both headers are the
-only place where their fields are listed.
+Python fills `struct lts_model` or `struct lts_field_model` and calls the functions of lts.h and
+lts_field.h. The headers are the only place where their fields are listed.
 """
 
 import ctypes
@@ -11,6 +11,9 @@ import re
 
 NATIVE = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'native')
 
+_HEADERS = (
+    'include/lts.h', 'src/lts_model.h', 'include/lts_field.h', 'src/lts_field_model.h',
+)  # fmt: skip
 _NUMBERS = {
     'int32_t': ctypes.c_int32,
     'uint32_t': ctypes.c_uint32,
@@ -27,7 +30,7 @@ _DEFINE = re.compile(r'#define (LTS_\w+) (\d+)')
 def structures() -> dict[str, type[ctypes.Structure]]:
     """The C structures by name, laid out as the compiler lays them out."""
     found: dict = {}
-    for name in ('include/lts.h', 'src/lts_model.h'):
+    for name in _HEADERS:
         for tag, body, typedef in _STRUCT.findall(_COMMENT.sub('', _read(name))):
             fields = [field for part in body.split(';') for field in _fields(part, found)]
             found[tag or typedef] = type(tag or typedef, (ctypes.Structure,), {'_fields_': fields})
@@ -36,8 +39,8 @@ def structures() -> dict[str, type[ctypes.Structure]]:
 
 @functools.cache
 def constants() -> dict[str, int]:
-    """The constants of lts.h and lts_model.h by name."""
-    text = _COMMENT.sub('', _read('include/lts.h') + _read('src/lts_model.h'))
+    """The constants of the headers by name."""
+    text = _COMMENT.sub('', ''.join(map(_read, _HEADERS)))
     return {name: int(value) for name, value in _ENUM.findall(text) + _DEFINE.findall(text)}
 
 

@@ -99,36 +99,53 @@ def _cache_folder():
 
 
 def declared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Gives the functions their types, so that ctypes refuses what C would not survive."""
-    pointer, size, text = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_char_p
-    signatures = {
-        'lts_describe': (pointer, pointer),
-        'lts_init': (pointer, pointer, size, ctypes.c_int, ctypes.POINTER(pointer)),
-        'lts_kernel': (pointer,),
-        'lts_reset': (pointer, pointer, pointer),
-        'lts_start': (pointer, ctypes.c_int, pointer, pointer, pointer),
-        'lts_start_pose': (pointer, ctypes.c_int, pointer),
-        'lts_start_context': (pointer, ctypes.c_int, pointer),
-        'lts_prepare': (pointer,),
-        'lts_set_context': (pointer, pointer),
-        'lts_frame': (pointer, pointer, pointer),
-        'lts_frame_at': (pointer, pointer, pointer),
-        'lts_advance': (pointer, ctypes.c_double, pointer, pointer, pointer),
-        'lts_modes': (pointer, pointer),
-        'lts_points': (pointer, pointer),
-        'lts_particles': (pointer, pointer, size),
-        'lts_height_map': (pointer, pointer, pointer),
-        'lts_judge': (pointer, pointer),
-        'lts_save': (pointer, pointer, size),
-        'lts_load': (pointer, pointer, size),
-        'lts_clone': (pointer, pointer),
+    """Gives the functions their types, so that ctypes refuses what C would not survive.
+
+    Raises:
+      AttributeError: a library of neither kind of models.
+    """
+    pointer, size, number, real = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_double
+    bytes_of = pointer, pointer, size
+    of_all = {
+        'describe': (pointer, pointer),
+        'init': (pointer, pointer, size, number, ctypes.POINTER(pointer)),
+        'kernel': (pointer,),
+        'advance': (pointer, real, pointer, pointer, pointer),
+        'particles': bytes_of,
+        'height_map': (pointer, pointer, pointer),
+        'judge': (pointer, pointer),
+        'save': bytes_of,
+        'load': bytes_of,
+        'clone': (pointer, pointer),
     }
-    for name, types in signatures.items():
-        getattr(library, name).argtypes = types
-        getattr(library, name).restype = ctypes.c_int
-    for name in ('lts_size', 'lts_state_size'):
-        getattr(library, name).argtypes = (pointer,)
-        getattr(library, name).restype = size
-    library.lts_error_text.argtypes = (ctypes.c_int,)
-    library.lts_error_text.restype = text
+    of_graph = {
+        'reset': (pointer, pointer, pointer),
+        'start': (pointer, number, pointer, pointer, pointer),
+        'start_pose': (pointer, number, pointer),
+        'start_context': (pointer, number, pointer),
+        'prepare': (pointer,),
+        'set_context': (pointer, pointer),
+        'frame': (pointer, pointer, pointer),
+        'frame_at': (pointer, pointer, pointer),
+        'modes': (pointer, pointer),
+        'points': (pointer, pointer),
+    }
+    of_field = {
+        'members': (pointer, number, number),
+        'start': (pointer, pointer, pointer, pointer, real),
+        'renew': (pointer,),
+        'frame': (pointer, pointer, real, pointer),
+        'moving': (pointer,),
+    }
+    kinds = [('lts_', of_graph), ('lts_field_', of_field)]
+    kinds = [(prefix, more) for prefix, more in kinds if hasattr(library, f'{prefix}init')]
+    for prefix, more in kinds:
+        for name, types in (of_all | more).items():
+            getattr(library, prefix + name).argtypes = types
+            getattr(library, prefix + name).restype = number
+        for name in ('size', 'state_size'):
+            getattr(library, prefix + name).argtypes = (pointer,)
+            getattr(library, prefix + name).restype = size
+    library.lts_error_text.argtypes = (number,)
+    library.lts_error_text.restype = ctypes.c_char_p
     return library

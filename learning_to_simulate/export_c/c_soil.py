@@ -11,7 +11,7 @@ from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 
-KERNELS = ('scalar', 'vector4', 'avx2')
+KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
 _CHECKS = {
     'LTS_OUTSIDE_START': 'coordinate',
@@ -48,7 +48,7 @@ class CSoil:
     Args:
       library: `c_library.declared` of a shared library.
       model: address of its `lts_model`.
-      kernel: 'best', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
+      kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
 
     Raises:
       ValueError: a model of another ABI version, a kernel that this machine lacks.
@@ -125,7 +125,7 @@ class CSoil:
 
     @property
     def kernel(self) -> str:
-        """Which arithmetic runs: 'avx2', 'vector4' (SSE2, NEON) or 'scalar'."""
+        """Which arithmetic runs, one of `KERNELS`."""
         return KERNELS[self._c.lts_kernel(self._soil)]
 
     def reset(self, history, context=None) -> None:

@@ -32,6 +32,7 @@ def refuse(simulator) -> None:
         raise ValueError(
             f'model {config.model!r} has no C form; exported are {", ".join(EXPORTED_MODELS)}'
         )
+    simulator.scene.check_one_body('the C form')
     if simulator.dim != 3:
         raise ValueError(f'the model has {simulator.dim} axes, the C form has 3')
     names = [feature.name for feature in features.of(simulator)]

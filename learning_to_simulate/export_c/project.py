@@ -13,11 +13,30 @@ _MOTIONS = [m.value for m in (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMot
 # Template in native/ -> file of the project; @NAME@ is the model's.
 _TEMPLATES = {
     'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
-    'cmake/README.md.in': 'README.md',
     'cmake/model.h.in': 'include/@NAME@.h',
+}
+_GRAPH_TEMPLATES = _TEMPLATES | {
+    'cmake/README.md.in': 'README.md',
     'examples/example.cpp.in': 'examples/example.cpp',
     'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
+    'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
 }
+_FIELD_TEMPLATES = _TEMPLATES | {
+    'cmake/README_field.md.in': 'README.md',
+    'examples/field.cpp.in': 'examples/example.cpp',
+}
+# Sources of both kinds of models; the others belong to one, by the beginning of their names.
+_SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
+
+
+def is_field(values: dict) -> bool:
+    """Whether values are those of a swept field, `field_data.values`."""
+    return 'n_member' in values
+
+
+def struct(values: dict) -> str:
+    """Name of the C structure of a model."""
+    return 'lts_field_model' if is_field(values) else 'lts_model'
 
 
 def symbol(model_path: str) -> str:
@@ -32,22 +51,28 @@ def write_sources(folder: str, name: str, values: dict) -> None:
     Args:
       folder: exists.
       name: of `symbol`.
-      values: of `model_data.values`.
+      values: of `model_data.values` or `field_data.values`.
     """
     for part in sorted(os.listdir(os.path.join(c_header.NATIVE, 'src'))):
-        copy(f'src/{part}', folder)
+        if part.startswith(_SHARED) or part.startswith('lts_field') == is_field(values):
+            copy(f'src/{part}', folder)
     with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
         file.write(model_source(name, values))
 
 
+def headers(values: dict) -> list[str]:
+    """The public headers, in native/."""
+    return ['include/lts.h'] + ['include/lts_field.h'] * is_field(values)
+
+
 def model_source(name: str, values: dict) -> str:
     """The generated C file: weights, ranges, starts and subspace as constants."""
+    kind = struct(values)
     return (
         f'/* Generated from a trained model; digest {values["digest"]}. */\n'
-        f'#include "{name}.h"\n#include "lts_model.h"\n\n'
+        f'#include "{name}.h"\n#include "{kind}.h"\n\n'
         '#if defined(__GNUC__)\n#define LTS_ALIGNED __attribute__((aligned(64)))\n'
-        '#else\n#define LTS_ALIGNED\n#endif\n\n'
-        + c_values.Source().define('lts_model', name, values)
+        '#else\n#define LTS_ALIGNED\n#endif\n\n' + c_values.Source().define(kind, name, values)
     )
 
 
@@ -57,29 +82,42 @@ def write(folder: str, name: str, values: dict) -> None:
     Args:
       folder: exists and is empty.
       name: of `symbol`.
-      values: of `model_data.values`.
+      values: of `model_data.values` or `field_data.values`.
     """
     for part in ('include', 'src', 'examples'):
         os.makedirs(os.path.join(folder, part))
-    copy('include/lts.h', os.path.join(folder, 'include'))
+    for header in headers(values):
+        copy(header, os.path.join(folder, 'include'))
     write_sources(os.path.join(folder, 'src'), name, values)
-    words = {
+    templates = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
+    for template, target in templates.items():
+        path = os.path.join(folder, target.replace('@NAME@', name))
+        write_template(template, path, words(name, values))
+
+
+def words(name: str, values: dict) -> dict:
+    """What the templates say of a model."""
+    found = {
         'NAME': name,
         'GUARD': f'{name.upper()}_H',
+        'HEADER': 'lts_field.h' if is_field(values) else 'lts.h',
+        'STRUCT': struct(values),
         'VERSION': VERSION,
         'DIGEST': values['digest'],
         'SCENE': values['name'],
-        'RIGID': values['n_rigid'],
-        'MOTION': _MOTIONS[values['motion']],
-        'MODES': values['n_modes'],
         'SOIL': values.get('n_soil', 0),
-        'STARTS': values['n_start'],
-        'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
         'DT': f'{values["dt"]:.6g}',
         'RATE': f'{1 / values["dt"]:.4g}',
     }
-    for template, target in _TEMPLATES.items():
-        write_template(template, os.path.join(folder, target.replace('@NAME@', name)), words)
+    if is_field(values):
+        return found | {'MEMBERS': values['n_member']}
+    return found | {
+        'RIGID': values['n_rigid'],
+        'MOTION': _MOTIONS[values['motion']],
+        'MODES': values['n_modes'],
+        'STARTS': values['n_start'],
+        'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
+    }
 
 
 def copy(part: str, folder: str) -> None:

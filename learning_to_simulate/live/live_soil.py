@@ -206,6 +206,13 @@ class LiveSoil:
         motion = rigid_fit.fit_rigid_motion(body, nodes)
         return np.concatenate([motion.translation, poses.quaternion_of(motion.rotation)])
 
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3] of the soil in the newest frame, or at the start, m; raises as
+        `Stepper.particles`."""
+        if self._stepper is None:
+            raise ValueError('call start() before particles()')
+        return self._stepper.particles()
+
     def body(self, pose) -> np.ndarray:
         """float64 [R', 3], m: all particles of the body at a pose [7], for drawing."""
         return poses.placed(self._beginning.body, self._beginning.read(pose))

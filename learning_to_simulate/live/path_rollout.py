@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from learning_to_simulate import reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.evaluation import total_force
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.live_soil import Beginning
@@ -290,14 +291,18 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
     return SoilRollout(
         history=history,
         modes=rollout.position[0, :, n:],
-        force=None if rollout.force is None else rollout.force[0],
+        force=None if rollout.force is None else total_force(rollout.force[0]),
         rigid_nodes=rollout.position[0, :, :n],
         judgement=judgement,
         frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
         body=predicted[:, :n_body],
         scene=scene,
         soil=soil,
-        truth=(true[:, modes], true[:, :n_body], None if group.force is None else group.force[0]),
+        truth=(
+            true[:, modes],
+            true[:, :n_body],
+            None if group.force is None else total_force(group.force[0]),
+        ),
         name=name,
     )
 

@@ -83,6 +83,13 @@ class PoseReader:
         position[[0, self._up, self._across]] = values[0], values[1], self._lateral
         return np.concatenate([position, self._turned(values[2])])
 
+    def plane(self, pose) -> np.ndarray:
+        """x, height and angle, float64 [3], of a pose [7]: the inverse of the third form."""
+        sine = pose[4 + self._across] * self._turned(np.pi)[1 + self._across]
+        angle = 2.0 * np.arctan2(sine, pose[3])
+        angle = np.arctan2(np.sin(angle), np.cos(angle))  # q and -q are one rotation
+        return np.array([pose[0], pose[self._up], angle])
+
     def read_velocity(self, velocity) -> np.ndarray:
         """Linear (m/s) and angular (rad/s) velocity in the world's axes, float64 [6].
 

@@ -52,13 +52,15 @@ class Starts:
         return len(self.cases)
 
     def index(self, case: int | None) -> int:
-        """The start of a case of the dataset; the first one for None.
+        """The start of a case of the dataset; for None, the first on a bed that no run before has
+        disturbed.
 
         Raises:
           ValueError: there is no such case.
         """
         if case is None:
-            return 0
+            calm = (i for i, values in enumerate(self.cases) if values.get('kind') != 'disturbed')
+            return next(calm, 0)
         numbers = [values.get('case') for values in self.cases]
         if case not in numbers:
             raise ValueError(f'no start of case {case!r}; there are {numbers}')

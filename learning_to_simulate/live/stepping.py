@@ -39,8 +39,8 @@ class Frame(NamedTuple):
     """One predicted frame; its arrays cannot be written to.
 
     Attributes:
-      modes: float64 [r, D] scores, m.
-      force: float32 [D] on the body, N, or None where the scene has no force.
+      modes: float64 [r, D] scores, m; of a method without modes, what `soil` takes in their place.
+      force: float32 [D] on the body, N, or [B, D] on several; None where the scene has no force.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       judgement: how far the rollout can be trusted up to this frame: the worst since the start,
         with the frame in which it began and the reason.
@@ -48,6 +48,8 @@ class Frame(NamedTuple):
       soil: turns modes into particles; None without a subspace.
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None from `Stepper`.
       torque: [D] on the body about its reference point, N m, where the model predicts one.
+      bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
+        None where the model was not calibrated.
     """
 
     modes: np.ndarray
@@ -58,6 +60,7 @@ class Frame(NamedTuple):
     soil: Soil | None = None
     pose: np.ndarray | None = None
     torque: np.ndarray | None = None
+    bound: float | None = None
 
     @property
     def status(self) -> RolloutStatus:
@@ -122,6 +125,8 @@ class Stepper:
         simulator = model.simulator
         self._scene, self._dim, self._outside = simulator.scene, simulator.dim, outside
         self._layout = model.layout(n_rigid)
+        of_each = simulator.force_size > self._dim
+        self._force_shape = (len(self._scene.bodies), self._dim) if of_each else (self._dim,)
         self.soil = (
             None
             if subspace is None
@@ -188,7 +193,7 @@ class Stepper:
         with _Held(self._lock):
             self._back_end.reset(history, context)
             self._pose, self._frame = history[-1, :n], H - 1
-            force = np.zeros(self._dim, np.float32) if self._scene.has_force else None
+            force = np.zeros(self._force_shape, np.float32) if self._scene.has_force else None
             self._last = Frame(
                 history[-1, n:], force, history[-1, :n], judgement, judgement.status, self.soil
             )
@@ -239,6 +244,8 @@ class Stepper:
                 if values is not None:
                     values.setflags(write=False)
             so_far = worse(self._last.judgement, now)
+            if force is not None:
+                force = force.reshape(self._force_shape)
             result = Frame(position[n:], force, position[:n], so_far, now.status, self.soil)
             if now.status == RolloutStatus.NON_FINITE:
                 self._last = self._last._replace(judgement=so_far)

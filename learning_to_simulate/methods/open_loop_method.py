@@ -23,15 +23,15 @@ from learning_to_simulate import (
     rollout_status,
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import path_ridge, resting_bed
+from learning_to_simulate.methods import path_ridge, registry, resting_bed
 from learning_to_simulate.methods.earthmoving import EarthmovingForce, soil_parameters
 from learning_to_simulate.methods.open_loop_settings import OpenLoopConfig
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.methods.subspace_method import data_digests
 from learning_to_simulate.methods.tool_motion import TravelFrame
 from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanics
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock
 
 _FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}
@@ -107,6 +107,7 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
     Raises:
       ValueError: a scene that the method does not fit.
     """
+    scene.check_one_body(f'the method {config.model}')
     bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
     if not bodies.shape[2]:
         raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
@@ -137,44 +138,17 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
     return method.fitted(train_groups, cases) if config.fitted else method
 
 
-def train(
-    data_path,
-    model_path,
-    config,
-    rigid_motion=None,
-    save_every=None,
-    take_over_lock=False,
-    raw_path=None,
-) -> dict:
-    """Fits a method and leaves its model folder; a second call finds it done.
-
-    Args:
-      data_path: dataset folder with train and valid.
-      model_path: model folder, made if absent.
-      config: `OpenLoopConfig`.
-      rigid_motion: override of the scene's, or None.
-      save_every: nothing is saved on the way.
-      take_over_lock: of `folder_lock.locked`.
-      raw_path: must be None.
-
-    Returns:
-      the metrics of the valid rollouts.
-
-    Raises:
-      ValueError: bad data, a scene that the method does not fit, or a folder of something else.
-    """
-    _refuse_raw_path(raw_path)
+def train(data_path, model_path, config, options) -> dict:
+    """Fits a method and leaves its model folder, or finds it done; see `registry.train`."""
+    registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
-    scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
-    data = {
-        'path': os.path.abspath(data_path),
-        'sha256': data_digests(data_path),
-        'subspace': checkpoints.subspace_digest(metadata),
-    }
-    with folder_lock.locked(model_path, take_over_lock):
-        if not _finished(model_path, config, data):
+    scene = reading_utils.read_scene(data_path, metadata, groups, options.rigid_motion)
+    data = model_folder.data_record(data_path, metadata)
+    parts = {'config': dataclasses.asdict(config), 'data': data}
+    with folder_lock.locked(model_path, options.take_over_lock):
+        if not model_folder.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
@@ -182,29 +156,6 @@ def train(
     print(evaluation.table(summary))
     print(f'fitted {config.preset}: {model_path}')
     return summary
-
-
-def _finished(path, config, data):
-    """Whether the folder holds this very model; refuses a folder of something else."""
-    present = set(os.listdir(path)) - {folder_lock.LOCK_NAME}
-    if not present:
-        return False
-    if checkpoints.CONFIG_FILE not in present:
-        raise ValueError(
-            f'{path}: not empty and not a model folder (holds {sorted(present)[:3]}); nothing was '
-            f'written'
-        )
-    stored = checkpoints.read_config(path)
-    for key, now in (('config', dataclasses.asdict(config)), ('data', data)):
-        old = stored.get(key)
-        if {k: v for k, v in now.items() if k != 'path'} != {
-            k: v for k, v in (old if isinstance(old, dict) else {}).items() if k != 'path'
-        }:
-            raise ValueError(
-                f'{path}: holds a model of another {key} ({old} there, {now} now); nothing was '
-                f'written, give another --model_path'
-            )
-    return True
 
 
 def _save(path, config, scene, method, groups, metadata, data):
@@ -268,7 +219,7 @@ def open_model(
     model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
 ) -> OpenedModel:
     """A fitted method with the runs of a split; see `registry`."""
-    _refuse_raw_path(raw_path)
+    registry.refuse_raw_path(raw_path)
     model = load(model_path)
     config = model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})

@@ -2,9 +2,11 @@
 
 import dataclasses
 
+from learning_to_simulate.config import Settings, number
+
 
 @dataclasses.dataclass(frozen=True)
-class OpenLoopConfig:
+class OpenLoopConfig(Settings):
     """What an open-loop method is.
 
     Attributes:
@@ -13,19 +15,12 @@ class OpenLoopConfig:
       max_samples: frames of training that a kernel ridge is fitted to, spread over all runs.
       fitted: whether the formula's parameters are fitted to the training runs; else they are the
         soil's own.
-
-    Raises:
-      ValueError: a number of samples that fits no kernel matrix.
     """
 
     preset: str
     model: str
-    max_samples: int = 3000
+    max_samples: int = number(3000, 1, 20_000)
     fitted: bool = False
-
-    def __post_init__(self):
-        if not 1 <= self.max_samples <= 20_000:
-            raise ValueError(f'max_samples is {self.max_samples}, must lie in [1, 20000]')
 
 
 PRESETS = {

@@ -3,6 +3,7 @@
 The `code` of gns, the MLP and the mixers in `registry`; which network they are, is the registry's.
 """
 
+import dataclasses
 import os
 
 import numpy as np
@@ -11,22 +12,16 @@ from learning_to_simulate import checkpoints, evaluation, normalization, reading
 from learning_to_simulate.checkpoints import load_model as load
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import registry
+from learning_to_simulate.methods import registry, resting_bed
+from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import loop
+from learning_to_simulate.training import loop, model_folder, symmetric_copies
 from learning_to_simulate.training.trainer import Trainer
-from pca_tools import dataset, files
+from pca_tools import dataset
+from pca_tools.subspace import Subspace
 
-__all__ = ['data_digests', 'load', 'make_model', 'open_model', 'train']
-
-
-def data_digests(folder: str) -> dict[str, str]:
-    """File -> sha256 of what a dataset folder trains on."""
-    names = [
-        n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(os.path.join(folder, n))
-    ]
-    return {n: files.sha256_of_file(os.path.join(folder, n)) for n in names}
+__all__ = ['load', 'make_model', 'open_model', 'train']
 
 
 def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkpoints.Model:
@@ -58,6 +53,10 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         config,
     )
     velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    if config.path_inputs:
+        statistics = dataclasses.replace(
+            statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
+        )
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
     simulator = registry.get(config.model).make_simulator(
@@ -72,39 +71,44 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     return model
 
 
-def train(
-    data_path,
-    model_path,
-    config,
-    rigid_motion=None,
-    save_every=None,
-    take_over_lock=False,
-    raw_path=None,
-) -> dict:
-    """Trains to the end of both stages, or resumes; returns the metrics of the last validation
-    rollout.
+def _path_memory(data_path, metadata, groups, scene):
+    if scene.rigid_motion != RigidMotion.PRESCRIBED or scene.bodies:
+        raise ValueError(
+            f'path_inputs needs one body whose whole motion is given (prescribed); in {data_path} '
+            f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
+        )
+    bodies = [g.position[:, :, : g.n_rigid] for g in groups]
+    frame = PathMemory.of_runs(bodies, scene).frame
+    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    return PathMemory.of_runs(bodies, scene, surface)
 
-    Args:
-      data_path: dataset folder.
-      model_path: model folder, made if absent; locked while the training runs.
-      config: `TrainConfig`.
-      rigid_motion: override of the scene's, or None.
-      save_every, take_over_lock: of `loop.run`.
-      raw_path: must be None.
 
-    Raises:
-      ValueError: bad data, edges or config, or raw runs; and as `loop.run`.
-      OSError, SystemExit: as `loop.run`.
-    """
-    _refuse_raw_path(raw_path)
+def _with_copies(model, groups, data_path):
+    """The runs that a config trains on: with copies of them where it asks for some."""
+    config, scene = model.simulator.config, model.simulator.scene
+    if not config.copies:
+        return groups
+    path = os.path.join(data_path, 'subspace.npz')
+    if not scene.rigid_motion.is_known or scene.bodies or not os.path.exists(path):
+        raise ValueError(
+            f'copies is {config.copies}: shifted runs need one body whose motion is known and a '
+            f'subspace.npz in {data_path}'
+        )
+    space = model.fitting_subspace(Subspace.load(path))
+    return symmetric_copies.with_copies(groups, space, scene.up_axis, config.copies, config.seed)
+
+
+def train(data_path, model_path, config, options) -> dict:
+    """Trains to the end of both stages, or resumes; see `registry.train`."""
+    registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
     valid = (
         reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
     )
-    model = make_model(data_path, metadata, groups, config, rigid_motion)
-    trainer = Trainer(model, groups)
+    model = make_model(data_path, metadata, groups, config, options.rigid_motion)
+    trainer = Trainer(model, _with_copies(model, groups, data_path))
     layouts = [model.layout(g.n_rigid) for g in groups]
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
@@ -113,11 +117,7 @@ def train(
         evaluator=evaluation.Evaluator(model, metadata),
         valid=valid,
         n_rigid=groups[0].n_rigid,
-        data={
-            'path': os.path.abspath(data_path),
-            'sha256': data_digests(data_path),
-            'subspace': checkpoints.subspace_digest(metadata),
-        },
+        data=model_folder.data_record(data_path, metadata),
         title=f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
         f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
         f'{weights} weights; edges: {model.edge_source}',
@@ -125,12 +125,7 @@ def train(
     training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
     if trainer.gates:
         training.close_gates = lambda path: _close_gates(training, data_path, path)
-    return loop.run(training, model_path, save_every, take_over_lock)
-
-
-def _refuse_raw_path(raw_path):
-    if raw_path:
-        raise ValueError('--raw_path is for --model=full_space only; other models take records')
+    return loop.run(training, model_path, options)
 
 
 def _close_gates(training, data_path, model_path):
@@ -155,7 +150,7 @@ def open_model(
       FileNotFoundError: no model, dataset or split there.
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
-    _refuse_raw_path(raw_path)
+    registry.refuse_raw_path(raw_path)
     model = load(model_path)
     config = model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})

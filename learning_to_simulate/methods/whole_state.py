@@ -39,6 +39,7 @@ class WholeStateSimulator(LearnedSimulator):
         """
         if self._network is None:
             self._n_rigid = n_rigid
+            self.scene.check_one_body(f'the method {self.config.model}')
             rows = self._rigid_rows() + self.scene.n_modes + self.scene.has_force
             self._network = self._make(self.config, rows * self.dim)
         if n_rigid != self._n_rigid:
@@ -58,16 +59,19 @@ class WholeStateSimulator(LearnedSimulator):
         n_graph = state.offset.shape[0]
         view = features.View(self, state, known, context, layout)
         # The place of a value says whose it is: no node needs a name.
-        velocities, *values = (
-            features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
-        )
+        found = {
+            f.name: features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
+        }
+        velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
+        values = list(found.values())
         values = [
             tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
             for v in values
         ]
-        count = self.config.velocity_inputs
+        count = self.config.velocity_inputs if self.config.state_inputs else 0
         history = tf.reshape(velocities, [n_graph, layout.n_node, count, self.dim])
-        history = tf.reshape(tf.transpose(history, [0, 2, 1, 3]), [n_graph, count, -1])
+        history = tf.transpose(history, [0, 2, 1, 3])
+        history = tf.reshape(history, [n_graph, count, layout.n_node * self.dim])
         if not values:  # the published inputs without a context are the velocities alone
             values = [tf.zeros([n_graph, 0])]
         decoded = self._network(history, tf.concat(values, axis=-1))

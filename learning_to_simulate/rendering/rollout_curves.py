@@ -78,11 +78,11 @@ def _draw_errors(axes: Axes, frames: RolloutFrames) -> None:
         axes.plot(
             time, frames.rigid_rms_mm[start:], color=_RIGID_COLOR, linewidth=1.3, label='body'
         )
-    for name, dashes in (('stay still', (1, 1.2)), ('constant velocity', (4, 1.5))):
+    for name, dashes in (('persistence', (1, 1.2)), ('constant velocity', (4, 1.5))):
         axes.plot(time, rms[name][start:], color=FAINT, linewidth=1.2, dashes=dashes, label=name)
     if frames.projection_mse is not None:
         floor = 1e3 * frames.projection_mse**0.5
-        axes.axhline(floor, color=_FLOOR_COLOR, linewidth=1.2, label='projection floor')
+        axes.axhline(floor, color=_FLOOR_COLOR, linewidth=1.2, label='truncation error')
     axes.set_ylabel('soil error, RMS (mm)')
     _legend_above(axes, columns=5)
     shown = [line.get_ydata() for line in axes.lines]

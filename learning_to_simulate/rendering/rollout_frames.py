@@ -125,7 +125,7 @@ class RolloutFrames:
     def soil_rms_mm(self) -> dict[str, np.ndarray]:
         """[T] RMS soil error per coordinate in mm: prediction and its trivial neighbours.
 
-        Keys `prediction`, `stay still`, `constant velocity`. Without N the RMS is that of the mode
+        Keys `prediction`, `persistence`, `constant velocity`. Without N the RMS is that of the mode
         scores. Empty without a truth.
         """
         if TRUTH not in self.scores:
@@ -134,7 +134,7 @@ class RolloutFrames:
         given, n_predicted = truth[None, :start], self.n_frames - start
         predictions = {
             PREDICTION: self.scores[PREDICTION][start:],
-            'stay still': metrics.stay_still(given, n_predicted)[0],
+            'persistence': metrics.stay_still(given, n_predicted)[0],
             'constant velocity': metrics.constant_velocity(given, n_predicted)[0],
         }
         count = self.n_soil or truth.shape[1]

@@ -14,8 +14,8 @@ import tensorflow as tf
 import tqdm
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.live import resting_start
-from learning_to_simulate.training import training_state
+from learning_to_simulate.methods.registry import TrainOptions
+from learning_to_simulate.training import model_folder, training_state
 from learning_to_simulate.training.stop_signals import StopSignals
 from pca_tools import folder_lock
 
@@ -54,27 +54,13 @@ class Training:
     agree_on: Callable[[int, str], None] | None = None
 
 
-def run(
-    training: Training, model_path: str, save_every: int | None = None, take_over_lock: bool = False
-) -> dict:
-    """Trains to the end of both stages, or resumes; returns the metrics of the last validation
-    rollout.
+def run(training: Training, model_path: str, options: TrainOptions) -> dict:
+    """Trains to the end of both stages, or resumes; arguments, result and errors as of
+    `registry.train`.
 
     Ctrl-C or SIGTERM end it after the step at hand, with a checkpoint of that step.
-
-    Args:
-      training: what is trained.
-      model_path: model folder, made if absent; locked while the training runs.
-      save_every: steps between checkpoints; None for a tenth of all.
-      take_over_lock: whether a lock that a process of another machine left may be taken.
-
-    Raises:
-      ValueError: a model folder of something else or with another writer; only damaged
-        checkpoints; a loss that is not finite.
-      OSError: a checkpoint could not be written.
-      SystemExit: with 130 after Ctrl-C, 143 after SIGTERM.
     """
-    with folder_lock.locked(model_path, take_over_lock), StopSignals() as stop:
+    with folder_lock.locked(model_path, options.take_over_lock), StopSignals() as stop:
         open_model_path(model_path, training)
         state = training_state.TrainingState(model_path, training.trainer)
         state.remove_leftovers()
@@ -86,7 +72,7 @@ def run(
         print(f'{training.title}, {training.trainer.total_steps} steps')
         if training.close_gates and start > training.trainer.config.gate_steps:
             print(training.close_gates(model_path))
-        return _train_steps(training, model_path, state, start, save_every, stop)
+        return _train_steps(training, model_path, state, start, options.save_every, stop)
 
 
 def open_model_path(path: str, training: Training) -> None:
@@ -97,36 +83,16 @@ def open_model_path(path: str, training: Training) -> None:
       ValueError: a folder of something else; nothing was written.
     """
     model = training.model
-    if not os.path.exists(os.path.join(path, checkpoints.CONFIG_FILE)):
-        if strangers := {n for n in os.listdir(path) if not _is_ours(n)}:
-            raise ValueError(
-                f'{path}: not empty and not a model folder (holds {sorted(strangers)[:3]}); '
-                f'nothing was written'
-            )
-        written = training.write_files(path) if training.write_files else None
-        checkpoints.save_config(path, model, training.n_rigid, training.data, written)
-        return
-    stored = checkpoints.read_config(path)
     fresh = {
         'config': dataclasses.asdict(model.simulator.config),
         'scene': model.simulator.scene.to_json(),
         'data': training.data,
     }
-    for part, values in fresh.items():
-        old = stored[part]
-        differing = [
-            k
-            for k in values.keys() | old.keys()
-            if _plain(values.get(k)) != _plain(old.get(k)) and k != 'path'
-        ]
-        if differing:
-            listed = ', '.join(
-                f'{k}: {old.get(k)!r} there, {values.get(k)!r} now' for k in sorted(differing)
-            )
-            raise ValueError(
-                f'{path}: holds a model of another {part} ({listed}); nothing was written, give '
-                f'another --model_path'
-            )
+    if not model_folder.holds_model(path, fresh):
+        written = training.write_files(path) if training.write_files else None
+        checkpoints.save_config(path, model, training.n_rigid, training.data, written)
+        return
+    stored = checkpoints.read_config(path)
     if not model.simulator.config.gate_weight:  # learned edges change on the way, by themselves
         masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
         for name, mask in masks.items():
@@ -142,17 +108,6 @@ def open_model_path(path: str, training: Training) -> None:
             f'{path}: holds weights without training state, so training cannot resume; give '
             f'another --model_path'
         )
-
-
-def _is_ours(name):
-    """Whether a file may lie in a model folder that has no config.json yet: the lock, and what a
-    training leaves that was killed while it wrote the folder's first files."""
-    first = (resting_start.START_FILE, resting_start.SUBSPACE_FILE)
-    return name == folder_lock.LOCK_NAME or name in first or name.endswith('.tmp')
-
-
-def _plain(value):
-    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
 def _train_steps(training, model_path, state, start, save_every, stop) -> dict:

@@ -210,18 +210,21 @@ class Trainer:
             state.offset + noise_utils.position_noise(noise), state.velocity + noise
         )
 
-    def _known(self, offset, velocity, layout, frame):
+    def _known(self, offset, velocity, memory, layout, frame):
         n = layout.n_rigid
-        return known_motion(offset[:, frame, :n], velocity[:, frame, :n], self.simulator.scene)
+        known = known_motion(offset[:, frame, :n], velocity[:, frame, :n], self.simulator.scene)
+        path, start = memory
+        return known if path is None else known._replace(path=path[:, frame], start=start)
 
     def _single_step_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, layout = INPUT_SEQUENCE_LENGTH, tensors.layout
-        offset, velocity, force, context, force_weight = tensors.windows(
+        offset, velocity, force, context, force_weight, memory = tensors.windows(
             batch_size, h + 1, window_seed
         )
         state = self._noisy_state(offset, velocity, layout, noise_seed)
-        known = self._known(offset, velocity, layout, h)
-        target = self.simulator.normalized_target(velocity[:, h], state, known, layout)
+        known = self._known(offset, velocity, memory, layout, h)
+        moved = velocity[:, h] if self.config.mode_order else offset[:, h] - state.offset
+        target = self.simulator.normalized_target(moved, state, known, layout)
         predicted, predicted_force = self.simulator.predict(state, known, context(h), layout)
         true_force = None if force is None else force[:, h]
         values = losses.one_step_loss(
@@ -234,13 +237,13 @@ class Trainer:
 
     def _unrolled_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
-        offset, velocity, force, context, force_weight = tensors.windows(
+        offset, velocity, force, context, force_weight, memory = tensors.windows(
             batch_size, h + n, window_seed
         )
         state = self._noisy_state(offset, velocity, layout, noise_seed, self.config.unroll_noise)
         offsets, forces = [], []
         for k in range(n):
-            known = self._known(offset, velocity, layout, h + k)
+            known = self._known(offset, velocity, memory, layout, h + k)
             state, predicted_force = self.simulator.step(state, known, context(h + k), layout)
             offsets.append(state.offset)
             forces.append(predicted_force)

@@ -5,6 +5,8 @@ import copy
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+
 # The force error of a run is counted in units of the run's own force, because that is how it is
 # judged (relative L2); a run with less than this share of the largest force counts as if it had it.
 FORCE_FLOOR = 0.02
@@ -36,6 +38,12 @@ class GroupTensors:
             self._context_by_frame = group.context_changes
             rows = group.context.reshape(-1, group.context.shape[-1])
             self.context = tf.constant(rows, tf.float32)
+        self.path = self.start = None
+        if layout.memory is not None:
+            path = layout.memory.read(group.position[:, :, : group.n_rigid])
+            self.path = tf.constant(path.reshape(flat[0], -1))
+            start = (group.position - layout.origin)[:, INPUT_SEQUENCE_LENGTH - 1, group.n_rigid :]
+            self.start = tf.constant(start, tf.float32)
 
     def with_layout(self, layout):
         """The same runs on another graph of the same nodes."""
@@ -62,13 +70,18 @@ class GroupTensors:
         return lambda k: constant
 
     def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names; the context as of `_context_of`."""
+        """Gathers the windows that `picks` names: offsets, velocities, force, context as of
+        `_context_of`, weights of the force, and (path, start) as of `KnownMotion`."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
+        memory = (None, None)
+        if self.path is not None:
+            memory = tf.gather(self.path, frames), tf.gather(self.start, run)
         return (
             tf.gather(self.offset, frames),
             tf.gather(self.velocity, frames),
             None if self.force is None else tf.gather(self.force, frames),
             self._context_of(run, frames),
             1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
+            memory,
         )

@@ -37,7 +37,7 @@ class Inspection:
         splits: split -> readable runs.
         findings: results of all checks.
         n_soil: N, or None if nothing says it.
-        floors: projection floor in m^2 against the number of modes [S + 1], or None.
+        floors: truncation error in m^2 against the number of modes [S + 1], or None.
     """
 
     folder: str

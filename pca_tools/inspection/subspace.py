@@ -87,7 +87,7 @@ def check_legacy_files(inspection: Inspection) -> None:
 def floors_of_eigenvalues(
     eigenvalues: np.ndarray, runs: list[Trajectory]
 ) -> tuple[np.ndarray, float]:
-    """Turns the published eigenvalues into projection floors.
+    """Turns the published eigenvalues into truncation errors.
 
     They are those of X^T X / (N - 1) (thesis Algorithm 1), so their sum grows with the number of
     runs, which is not written anywhere. It follows from the energy of the kept modes in the

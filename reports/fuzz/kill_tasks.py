@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import evaluation, presets, reading_utils
+from learning_to_simulate import checkpoints, evaluation, presets, reading_utils
 from learning_to_simulate.export_c import exporting
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.training import loop, trainer
 from pca_tools import convert, dataset, files, raw_writer
 
@@ -57,7 +57,7 @@ def prepare(folder: str) -> None:
     os.makedirs(path)
     training = _training(folder)
     loop.open_model_path(path, training)
-    loop.checkpoints.save_weights(path, training.model.simulator)
+    checkpoints.save_weights(path, training.model.simulator)
 
 
 def _convert(folder: str) -> None:
@@ -99,7 +99,7 @@ def _training(folder: str) -> loop.Training:
 
 
 def _train(folder: str) -> None:
-    loop.run(_training(folder), f'{folder}/training', save_every=2)
+    loop.run(_training(folder), f'{folder}/training', registry.TrainOptions(save_every=2))
 
 
 def _export(folder: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from learning_to_simulate import checkpoints, model_config
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.export_c import fmu, model_data
+from learning_to_simulate.export_c import fmu_description, model_data
 from learning_to_simulate.learned_simulator import LearnedSimulator
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -122,7 +122,7 @@ def _describe(folder: str):
     rest = np.zeros((R, 3))
     start = {'modes': rest, 'points': rest, 'context': np.ones(len(parts.scene.context_names))}
     try:
-        text = fmu.model_description('soil', _values(parts.scene, start), ['lts.c'])
+        text = fmu_description.fmi2('soil', _values(parts.scene, start), ['lts.c'])
     except ValueError as error:  # the description is made of values: it knows no file
         raise ValueError(f'{folder}/config.json: {error}') from error
     return parts.scene, text

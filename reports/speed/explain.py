@@ -28,7 +28,7 @@ from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.features import EMBEDDING_SIZE
 from learning_to_simulate.learned_simulator import Layout
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import files
@@ -70,7 +70,7 @@ class Explanation:
     """
 
     def __init__(self, model_path: str, data_path: str):
-        opened = subspace_method.open_model(model_path, data_path, 'test')
+        opened = registry.open_model(model_path, data_path, 'test')
         model, metadata, groups = opened.model, opened.metadata, opened.groups
         self._simulator = simulator = model.simulator
         if not simulator.config.has_lasting_graph:
@@ -121,7 +121,7 @@ class Explanation:
         if layout.n_edge == layout.n_node**2:
             return
         full = connectivity_utils.fully_connected(layout.n_node)
-        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config.loss_by_motion)
+        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config)
         yield self._on_top('edges that the graph does not have', 'full', model, group, full)
 
     def _rigid_particles(self, model, data_path, metadata, group):

@@ -46,7 +46,7 @@ def plain_frame(simulator, layout, state, known, context) -> float:
       simulator, layout: of the model.
       state, known, context: of `rollout.rollout_inputs`.
     """
-    coming = None if known is None else type(known)(*(x[0] for x in known))
+    coming = None if known is None else known.at(0)
     return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)
 
 
@@ -63,7 +63,12 @@ def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[fl
     before = 0.0
     if ahead:
         given = given_motion(simulator, layout, state, known, n_frame)
-        before = mflop(lambda g, c: step.first_pass(g, c, n_frame), given, context) / n_frame
+        run = (None, None) if known is None else (known.path, known.start)
+
+        def first(given, context, path, start):
+            return step.first_pass(given, context, n_frame, path, start)
+
+        before = mflop(first, given, context, *run) / n_frame
     one, now = step.ahead(state, known, context, n_frame)(0)
     frame = mflop(lambda now, carry: step.advance(carry, (one, now)), now, step.begin(state))
     return frame, before

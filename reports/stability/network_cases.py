@@ -52,7 +52,7 @@ def precisions(model, reference):
     rows, simulator, group = [], model.model.simulator, model.group
     layout = model.model.layout(group.n_rigid)
     state, known, context, _ = rollout_inputs(group, layout, simulator.scene)
-    coming = None if known is None else type(known)(known.offset[0], known.velocity[0])
+    coming = None if known is None else known.at(0)
     coming = coming if simulator.knows_next_frame or simulator.rate_scaled else None
     nodes, edges = simulator.features(state, coming, context, layout)
     truth = group.position[:, H:, group.n_rigid :]

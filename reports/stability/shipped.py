@@ -8,7 +8,7 @@ import numpy as np
 from learning_to_simulate import checkpoints, metrics, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from reports.record import ROOT
@@ -59,7 +59,7 @@ def load(scene: str, preset: str, n_run: int | None = None) -> Shipped:
     """Loads a shipped model and the first `n_run` test runs (None: all)."""
     path = os.path.join(ROOT, 'models', scene, preset)
     data = os.path.join(ROOT, 'datasets', scene)
-    opened = subspace_method.open_model(path, data, 'test')
+    opened = registry.open_model(path, data, 'test')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
     if len(groups) != 1:
         raise ValueError(f'{data}: test runs of {len(groups)} sizes, one was expected')

@@ -73,13 +73,13 @@ def find_shipped(models_path: str | None, config: TrainConfig, data_sha256: dict
 def train(data_path: str, model_path: str, config) -> float:
     """Trains, or finishes, a row's model; returns the seconds that this call took."""
     start = time.perf_counter()
-    registry.get(config.model).load_code().train(data_path, model_path, config)
+    registry.train(data_path, model_path, config)
     return time.perf_counter() - start
 
 
 def open_model(data_path: str, model_path: str, split: str):
     """The evaluator of a trained model, the model, and the runs of a split."""
-    opened = registry.of_folder(model_path).load_code().open_model(model_path, data_path, split)
+    opened = registry.open_model(model_path, data_path, split)
     return opened.evaluator, opened.model, opened.groups
 
 
@@ -88,7 +88,7 @@ def evaluate(data_path: str, model_path: str) -> dict:
 
     Returns:
       fields of `WorkPrecisionPoint`, and 'references': method -> split -> error -> values, for
-      staying still, constant velocity and the projection floor.
+      staying still, constant velocity and the truncation error.
     """
     base = _peak_memory_mb()
     start = time.perf_counter()

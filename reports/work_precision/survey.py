@@ -9,7 +9,7 @@ import tqdm
 from cluster import workers
 from learning_to_simulate import checkpoints, reading_utils
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset
 from reports import isolated, markdown, record
 from reports.work_precision import families, measure, solver_rows
@@ -80,7 +80,7 @@ class Survey:
         metadata = dataset.read_metadata(data_path)
         groups = reading_utils.read_groups(data_path, 'test', metadata)
         scene = reading_utils.read_scene(data_path, metadata, groups, None)
-        self._sha256 = subspace_method.data_digests(data_path)
+        self._sha256 = model_folder.data_digests(data_path)
         self._rows = families.rows(
             settings.whole, settings.sweeps, settings.training, scene, settings.seeds,
             settings.sweep_seeds,

@@ -18,7 +18,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.training import trainer as trainer_module
 from learning_to_simulate.training import training_state
 from learning_to_simulate.training.trainer import Trainer
@@ -56,7 +56,7 @@ def train(data, monkeypatch):
     monkeypatch.setattr(Trainer, 'step', cheap_step)
 
     def run(path, **overrides):
-        return subspace_method.train(data, str(path), config(**overrides), save_every=4)
+        return registry.train(data, str(path), config(**overrides), save_every=4)
 
     return run
 
@@ -67,7 +67,7 @@ def whole(data, tmp_path_factory):
     path = tmp_path_factory.mktemp('whole') / 'model'
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Trainer, 'step', cheap_step)
-        subspace_method.train(data, str(path), config(), save_every=4)
+        registry.train(data, str(path), config(), save_every=4)
     return path
 
 
@@ -334,7 +334,7 @@ def test_inputs_are_opened_for_reading_only(whole, data, tmp_path, train):
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}
     for path in (*folder.iterdir(), folder):
         path.chmod(0o555 if path.is_dir() else 0o444)
-    subspace_method.train(str(folder), str(tmp_path / 'model'), config(), save_every=12)
+    registry.train(str(folder), str(tmp_path / 'model'), config(), save_every=12)
     assert_same_weights(whole, tmp_path / 'model')
     folder.chmod(0o755)
     assert before == {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in folder.iterdir()}

@@ -16,7 +16,7 @@ from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.training.trainer import Trainer
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.numpy_twin import Twin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
 
 H = 6
 # m; float32 offsets of 0.1 m after a few steps. What the context does is hundreds of times that.

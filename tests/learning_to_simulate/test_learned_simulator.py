@@ -9,7 +9,7 @@ from learning_to_simulate import graph_network, learned_simulator, rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.numpy_twin import Twin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
 
 CASES = {
     'pcg': {'preset': 'pcg'},
@@ -61,9 +61,14 @@ def test_step_equals_the_numpy_twin(case, tmp_path):
     np.testing.assert_allclose(force, expected_force, atol=3e-5 * np.abs(expected_force).max())
 
 
-def test_true_displacements_reproduce_the_run(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    'overrides',
+    [{'velocity_inputs': 5}, {'path_inputs': True, 'mode_order': 0, 'rate_scaled': False}],
+    ids=['displacements', 'places'],
+)
+def test_what_was_true_reproduces_the_run(tmp_path, monkeypatch, overrides):
     """Integration alone (LagrangeBench's test): what was true goes in, the truth comes out."""
-    model, groups, _ = models.make(tmp_path, overrides={'velocity_inputs': 5})
+    model, groups, _ = models.make(tmp_path, overrides=overrides)
     group, simulator = groups[0], model.simulator
     layout = model.layout(group.n_rigid)
     state, known, context, n_frame = rollout_inputs(group, layout, simulator.scene)
@@ -77,7 +82,7 @@ def test_true_displacements_reproduce_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(simulator, 'predict', cheat)
     for k in range(n_frame):
         frame['now'] = H + k
-        coming = rigid_body.KnownMotion(known.offset[k], known.velocity[k])
+        coming = known.at(k)
         state, _ = simulator.step(state, coming, context, layout)
     error = np.abs(state.offset.numpy() + layout.origin - group.position[:, -1])
     assert error.max() < 1e-6 * np.ptp(group.position[:, :, group.n_rigid :], axis=1).max()

@@ -18,7 +18,7 @@ from learning_to_simulate.compiled import folded_step
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
@@ -76,7 +76,7 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
     folder.mkdir()
     checkpoints.save_config(str(folder), model, group.n_rigid, {})
     checkpoints.save_weights(str(folder), model.simulator)
-    opened = subspace_method.open_model(str(folder), str(tmp_path / 'data'), 'test')
+    opened = registry.open_model(str(folder), str(tmp_path / 'data'), 'test')
     again, (test, *_) = opened.model, opened.groups
     assert again.simulator.scene.n_modes == 2 and test.position.shape[2] == group.position.shape[2]
     with pytest.raises(ValueError, match='has 1 modes, the model in .* the first 2'):
@@ -161,7 +161,7 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
         mask = np.zeros((layout.n_node, layout.n_node), bool)
         mask[layout.receivers[kept], layout.senders[kept]] = True
         adjacency = connectivity_utils.Adjacency.from_mask(mask)
-        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting.loss_by_motion)
+        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting)
         expected, force = simulator.step(state, known, None, fewer)
         simulator.config = dataclasses.replace(lasting, surface_height=surface)
         got, same = simulator.step(state, known, None, layout)

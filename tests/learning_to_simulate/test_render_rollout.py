@@ -80,7 +80,7 @@ class TestFrames:
         np.testing.assert_allclose(frames.soil_rms_mm[PREDICTION], rms, rtol=1e-12, atol=1e-12)
         still = soil[TRUTH] - soil[TRUTH][N_GIVEN - 1]
         rms = 1e3 * np.sqrt((still**2).mean(axis=(1, 2)))[N_GIVEN:]
-        np.testing.assert_allclose(frames.soil_rms_mm['stay still'][N_GIVEN:], rms, rtol=1e-12)
+        np.testing.assert_allclose(frames.soil_rms_mm['persistence'][N_GIVEN:], rms, rtol=1e-12)
         np.testing.assert_allclose(frames.soil_error(40), error[40], atol=1e-12)
         velocity = (soil[TRUTH][40] - soil[TRUTH][39]) / DT
         np.testing.assert_allclose(frames.soil_velocity(TRUTH, 40), velocity, atol=1e-12)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -39,7 +39,7 @@ def data(tmp_path_factory):
 def trained(data, tmp_path_factory):
     """A model trained for a few steps in this process. Not to be changed."""
     path = str(tmp_path_factory.mktemp('model') / 'pcg')
-    subspace_method.train(data, path, presets.make_config('pcg', **SHORT), save_every=12)
+    registry.train(data, path, presets.make_config('pcg', **SHORT), save_every=12)
     return path
 
 
@@ -51,7 +51,7 @@ def test_short_training_beats_the_trivial_predictors(tmp_path):
         'pcg',
         **SHORT | {'num_steps': 600, 'unroll_steps': 0, 'latent_size': 32, 'learning_rate': 3e-3},
     )
-    summary = subspace_method.train(folder, str(tmp_path / 'model'), config, save_every=600)
+    summary = registry.train(folder, str(tmp_path / 'model'), config, save_every=600)
     assert summary['soil_mse_over_best_trivial'] < 0.5
 
 
@@ -108,12 +108,12 @@ def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained,
     before = {p.name: p.read_bytes() for p in path.iterdir()}
     other = presets.make_config('pcg', **SHORT | {'latent_size': 8})
     with pytest.raises(ValueError, match='another config .*latent_size: 16 there, 8 now'):
-        subspace_method.train(data, str(path), other)
+        registry.train(data, str(path), other)
     assert {p.name: p.read_bytes() for p in path.iterdir()} == before
     (tmp_path / 'full').mkdir()
     (tmp_path / 'full' / 'thesis.txt').write_text('mine')
     with pytest.raises(ValueError, match='not empty and not a model folder'):
-        subspace_method.train(data, str(tmp_path / 'full'), other)
+        registry.train(data, str(tmp_path / 'full'), other)
     assert [p.name for p in (tmp_path / 'full').iterdir()] == ['thesis.txt']
 
 
@@ -122,7 +122,7 @@ def test_exported_weights_are_not_mistaken_for_a_training_state(data, trained, t
         shutil.copy(f'{trained}/{name}', tmp_path)
     checkpoints.load_model(str(tmp_path))
     with pytest.raises(ValueError, match='without training state'):
-        subspace_method.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
+        registry.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
 
 
 def test_bad_input_is_a_message_and_not_a_traceback(data, tmp_path):
@@ -152,7 +152,7 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
     ):
         config = presets.make_config('pcg', **SHORT | overrides)
         with pytest.raises(ValueError, match=message):
-            subspace_method.train(str(folder), str(tmp_path / 'new'), config)
+            registry.train(str(folder), str(tmp_path / 'new'), config)
         assert not (tmp_path / 'new').exists()
     with pytest.raises(ValueError, match='unknown preset'):
         presets.make_config('gns')
@@ -160,9 +160,9 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
-        subspace_method.open_model(str(tmp_path), data, 'test', {})
+        registry.open_model(str(tmp_path), data, 'test', {})
     with pytest.raises(ValueError, match='contradicts the model'):
-        subspace_method.open_model(trained, data, 'test', {'noise_std': 0.1})
+        registry.open_model(trained, data, 'test', {'noise_std': 0.1})
     refit = synthetic.write_dataset(tmp_path / 'refit')
     metadata = files.read_json(f'{refit}/metadata.json')
     files.write_json(f'{refit}/metadata.json', metadata | {'pca': {'digest': 'f' * 64}})
@@ -171,15 +171,15 @@ def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     config['data']['subspace'] = '0' * 64
     files.write_json(str(model / 'config.json'), config)
     with pytest.raises(ValueError, match='subspace ffffffffffff.*modes of 000000000000'):
-        subspace_method.open_model(str(model), refit, 'test', {})
+        registry.open_model(str(model), refit, 'test', {})
     other = synthetic.write_dataset(tmp_path / 'other', force=False)
     with pytest.raises(ValueError, match='lacks rigid_body_force_mean'):
-        subspace_method.open_model(trained, other, 'test', {})
+        registry.open_model(trained, other, 'test', {})
 
 
 def test_one_step_errors_are_those_of_the_rollouts_first_frame(data, trained):
     """Windows over all of a split, so only the size can agree: within a factor of ten."""
-    opened = subspace_method.open_model(trained, data, 'valid')
+    opened = registry.open_model(trained, data, 'valid')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
     errors = Trainer(model, groups).one_step_errors(n_batch=3)
     results, _ = evaluation.Evaluator(model, metadata).run(groups, 'valid')
@@ -229,6 +229,6 @@ def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path,
 
     monkeypatch.setattr(evaluation.Evaluator, 'roll_out', blown_up)
     config = presets.make_config('pcg', **SHORT | {'num_steps': 3, 'unroll_steps': 0})
-    summary = subspace_method.train(data, str(tmp_path / 'model'), config, save_every=3)
+    summary = registry.train(data, str(tmp_path / 'model'), config, save_every=3)
     assert summary['mean']['model']['soil_mse'] is None
     checkpoints.load_model(str(tmp_path / 'model'))

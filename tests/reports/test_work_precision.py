@@ -14,7 +14,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset
 from reports import isolated
 from reports.timing import Timing
@@ -302,7 +302,7 @@ def test_trivial_predictors_are_not_those_of_thinned_particles(tmp_path, monkeyp
 
 def test_model_of_the_same_config_and_data_is_loaded_not_trained(tmp_path):
     model, groups, _ = models.make(tmp_path / 'data')
-    digests = subspace_method.data_digests(str(tmp_path / 'data'))
+    digests = model_folder.data_digests(str(tmp_path / 'data'))
     path = tmp_path / 'models' / 'mine'
     path.mkdir(parents=True)
     checkpoints.save_config(str(path), model, groups[0].n_rigid, {'sha256': digests})

@@ -91,7 +91,7 @@ def test_order_of_rigid_particles_does_not_matter(tmp_path, preset, motion):
     coming = again = None
     if known is not None:
         coming = rigid_body.KnownMotion(known.offset[0], known.velocity[0])
-        again = rigid_body.KnownMotion(*(tf.gather(x, order[:4], axis=1) for x in coming))
+        again = rigid_body.KnownMotion(*(tf.gather(x, order[:4], axis=1) for x in coming[:2]))
     step = model.simulator.step
     after, force = step(state, coming, context, layout)
     shuffled, same_force = step(moved, again, context, layout)
@@ -187,10 +187,10 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
 
     Order 1 (pcg) and order 2 (pcg_thesis); float32 offsets and velocities, float64 origin.
     """
-    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.methods import registry
 
     folder = str(ROOT / 'datasets' / scene)
-    opened = subspace_method.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')
+    opened = registry.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')
     model, groups = opened.model, opened.groups
     simulator, group = model.simulator, groups[0]
     layout = model.layout(group.n_rigid)
@@ -205,7 +205,7 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
         target = simulator.normalized_target(velocity[frame], state, rate, layout)
         return target, tf.zeros([len(group.position), 3])
 
-    coming_offset, coming_velocity = (None, None) if known is None else known
+    coming_offset, coming_velocity = (None, None) if known is None else known[:2]
     monkeypatch.setattr(simulator, 'predict', cheat)
 
     @tf.function

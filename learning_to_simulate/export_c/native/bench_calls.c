@@ -3,6 +3,7 @@
 #include <time.h>
 
 #include "lts.h"
+#include "lts_field.h"
 
 static double seconds(void) {
   struct timespec now;
@@ -32,6 +33,27 @@ LTS_API int lts_time_calls(lts_instance *soil, const void *saved, size_t size, c
       prepare[at] = t1 - t0;
       frame[at] = t2 - t1;
       decode[at] = t3 - t2;
+    }
+  }
+  return 0;
+}
+
+/* The same for a swept field on its path: poses [n_frame], `dt` seconds apart. */
+LTS_API int lts_time_field(lts_field *soil, const void *saved, size_t size, const lts_pose *poses,
+                           int n_frame, double dt, int n, float *particles, size_t n_soil,
+                           double *frame, double *decode) {
+  size_t at = 0;
+  for (int i = 0; i < n; ++i) {
+    int error = lts_field_load(soil, saved, size);
+    if (error < 0) return error;
+    for (int k = 0; k < n_frame; ++k, ++at) {
+      const double t0 = seconds();
+      if ((error = lts_field_frame(soil, poses + k, dt, NULL)) < 0) return error;
+      const double t1 = seconds();
+      if (particles && (error = lts_field_particles(soil, particles, n_soil)) < 0) return error;
+      const double t2 = seconds();
+      frame[at] = t1 - t0;
+      decode[at] = t2 - t1;
     }
   }
   return 0;

@@ -48,6 +48,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
       ValueError: a scene that the model cannot simulate.
     """
     scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
+    scene.check_one_body('the method full_space')
     n_particle = group.position.shape[2] - group.n_rigid
     scene = dataclasses.replace(
         scene,
@@ -64,29 +65,16 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
     return ParticleModel(simulator)
 
 
-def train(
-    data_path,
-    model_path,
-    config,
-    rigid_motion=None,
-    save_every=None,
-    take_over_lock=False,
-    raw_path=None,
-) -> dict:
-    """Trains to the end, or resumes; returns the metrics of the last validation rollout.
-
-    Args:
-      raw_path: folder of the raw runs, or None to decode the dataset's records.
-      others: as `subspace_method.train`, with its errors.
-    """
-    share = data_parallel.Share()
+def train(data_path, model_path, config, options) -> dict:
+    """Trains to the end, or resumes; see `registry.train`."""
+    raw_path, share = options.raw_path, data_parallel.Share()
     metadata = dataset.read_metadata(data_path)
     read = [
         runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
         for split in ('train', 'valid')
         if os.path.exists(dataset.split_path(data_path, split))
     ]
-    model = make_model(data_path, metadata, read[0], config, rigid_motion)
+    model = make_model(data_path, metadata, read[0], config, options.rigid_motion)
     source, scene = runs.RAW if raw_path else runs.DECODED, model.simulator.scene
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
@@ -105,7 +93,7 @@ def train(
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
     )
     training.agree_on = share.refuse_other_step
-    return loop.run(training, share.folder(model_path), save_every, take_over_lock)
+    return loop.run(training, share.folder(model_path), options)
 
 
 def load(path: str) -> ParticleModel:

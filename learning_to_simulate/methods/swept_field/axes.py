@@ -80,6 +80,19 @@ class Axes:
             axis=-1,
         )
 
+    def velocities(self, velocity) -> np.ndarray:
+        """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's
+        linear and angular ones [..., 6]."""
+        velocity = np.asarray(velocity, np.float64)
+        return np.stack(
+            [
+                self.sign * velocity[..., self.axis],
+                velocity[..., self.up],
+                self._turn * velocity[..., 3 + self.across],
+            ],
+            axis=-1,
+        )
+
     def loads(self, force, torque) -> np.ndarray:
         """Force along the way and up (N) and torque in their plane (N m), [..., 3], of the world's
         force and torque [..., 3]; without a torque it counts as 0."""

@@ -41,28 +41,37 @@ class FieldEvaluator:
       metadata: of it.
       split: whose runs these are.
       force_mean: [3] of the training runs, N, for the trivial predictor.
+
+    Attributes:
+      reader: as given.
     """
 
     def __init__(self, field, reader, metadata: dict, split: str, force_mean):
-        self._field, self._reader, self._metadata = field, reader, metadata
+        self._field, self.reader, self._metadata = field, reader, metadata
         self._split = split
         self._mean = force_mean
         self._episodes = None
 
-    def _episode(self, record):
+    def episode(self, record: int):
+        """`Episode` of a run from its start."""
         if self._episodes is None:
-            self._episodes = {e.record: e for e in self._reader.read(self._split)}
+            self._episodes = {e.record: e for e in self.reader.read(self._split)}
         return self._episodes[record]
+
+    def bed(self, group, frame: int = 0) -> np.ndarray:
+        """float64 [N, 3], m, of a frame of a one-run group, from its modes."""
+        modes = group.position[0, frame : frame + 1, group.n_rigid :]
+        return self.reader.subspace.decode(modes)[0].astype(float)
 
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""
         field, axes = self._field, self._field.axes
         record = int(group.record[0])
-        episode = self._episode(record)
+        episode = self.episode(record)
         (frames,) = frames_of([episode], field.grid, field.scene.dt)
         sampled, n_rigid = episode.frames, group.n_rigid
-        space = self._reader.subspace
-        bed = space.decode(group.position[0, :1, n_rigid:])[0]
+        space = self.reader.subspace
+        bed = self.bed(group)
         origin = np.array([episode.pose[0, 0], episode.level, 0.0])
         rest = np.concatenate([axes.points(bed) - origin, episode.local_rest])
         chosen = Frame(frames.bins[sampled], frames.scalars[sampled])
@@ -82,7 +91,7 @@ class FieldEvaluator:
             deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
         n_bed = len(bed)
         world = axes.world(points[:, n_bed:] - episode.rest)
-        sample = self._reader.sample(self._split)
+        sample = self.reader.sample(self._split)
         position = group.position[:, H:].copy()
         soil = space.encode(bed + axes.world(points[:, :n_bed] - axes.points(bed)))
         at = np.arange(len(frames.scalars))
@@ -172,8 +181,10 @@ class FieldEvaluator:
             'frames': {
                 'soil_error': frame_mm[late].tolist(),
                 'soil_spread': (1e3 * quality.spread(members))[late].tolist(),
+                'soil_size': (1e3 * quality.size(members))[late].tolist(),
                 'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).tolist(),
                 'force_spread': quality.spread(loads[..., :2])[H:].tolist(),
+                'force_size': quality.size(loads[..., :2])[H:].tolist(),
             },
         }  # fmt: skip
 
@@ -191,17 +202,15 @@ class FieldEvaluator:
         )
         facts = [dict(rollout.facts) for _, _, rollout in results]
         for kind in quality.FLOORS:
-            errors, spreads = (
-                np.concatenate([f['frames'][f'{kind}_{part}'] for f in facts])
-                for part in ('error', 'spread')
-            )
-            factor = self._field.calibration.get(kind)
+            runs = [
+                [np.array(f['frames'][f'{kind}_{part}']) for part in ('error', 'spread', 'size')]
+                for f in facts
+            ]
+            weights = self._field.calibration.get(kind)
             summary.setdefault('reliability', {})[kind] = {
-                'factor': factor,
-                'factor_of_this_split': quality.calibrate(errors, spreads, kind),
-                'groups': []
-                if factor is None
-                else quality.reliability(errors, spreads, factor, kind),
+                'weights': weights,
+                'weights_of_this_split': quality.calibrate(runs, kind),
+                'groups': [] if weights is None else quality.reliability(runs, weights),
             }
         for fact in facts:
             del fact['frames']

@@ -68,6 +68,14 @@ class SweptField:
             self._load[members] = tf.function(lambda *x: network.force(*x, members), frame, False)
         return self._soil[members], self._load[members]
 
+    def warm_up(self, members: int | None = None) -> None:
+        """Compiles what a frame needs, with nothing swept."""
+        bins = np.zeros((1, len(self.grid.offsets), tool_path.CHANNELS), np.float32)
+        bins[..., tool_path.INFLUENCE] = 1.0
+        frame = Frame(bins, np.zeros((1, len(tool_path.SCALARS)), np.float32))
+        self.loads(frame, members)
+        self.displacement(frame, np.zeros((1, 3)), members)
+
     def displacement(self, frames: Frame, rest, members: int | None = None) -> np.ndarray:
         """Displacement of particles from rest.
 

@@ -23,6 +23,7 @@ def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
     """
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, None)
+    scene.check_one_body('the method swept_field')
     if scene.rigid_motion != RigidMotion.PRESCRIBED:
         raise ValueError(
             f'swept_field needs a tool whose whole motion is given (prescribed); that of '
@@ -60,7 +61,9 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
     reader = reader_of(field, data_path, metadata)
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.grid, field.scene.dt)
-    facts = training.Trainer(field.network, config, training.TrainingData(episodes, frames)).run()
+    facts = training.Trainer(
+        field.network, config, training.TrainingData(episodes, frames, field.network)
+    ).run()
     scalars = np.concatenate([f.scalars for f in frames])
     field.ranges = {
         name: [float(scalars[:, i].min()), float(scalars[:, i].max())]

@@ -9,11 +9,10 @@ import tensorflow as tf
 
 from learning_to_simulate.methods.swept_field import tool_path
 
-# Offsets along the way at which the profile is seen, m: around a particle, ahead of the tool, and
-# around the tool for the force.
+# Offsets along the way at which the profile is seen, m: around a particle, and around the tool for
+# the force.
 AROUND = np.array([-0.2, -0.13, -0.085, -0.055, -0.035, -0.017, 0.0, 0.017, 0.035, 0.055, 0.085,
                    0.13, 0.2])  # fmt: skip
-AHEAD = np.array([-0.06, -0.03, 0.0, 0.03, 0.06, 0.1, 0.16])
 SINCE_AROUND = np.array([-0.1, -0.04, 0.0, 0.04, 0.1])
 AT_EDGE = np.array([-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07, 0.11,
                     0.16])  # fmt: skip
@@ -32,6 +31,8 @@ CONTACT_AROUND = np.array([-0.06, -0.03, 0.0, 0.03, 0.06])
 
 _S = {name: i for i, name in enumerate(tool_path.SCALARS)}
 _C = tool_path
+# The first channels: cut and surface.
+_PROFILES = 2
 
 
 def at_places(bins, places):
@@ -96,13 +97,14 @@ class Inputs:
         u, y, z = tf.unstack(rest, axis=-1)
         tip, height, half = (_scalar(scalars, n) for n in ('tip', 'height', 'half_width'))
         behind, beside = tip - u, tf.abs(z)
-        around = self._at(bins, u[..., None] + tf.constant(AROUND, tf.float32))
+        around = self._at(bins[..., :_PROFILES], u[..., None] + tf.constant(AROUND, tf.float32))
         middle = around[..., len(AROUND) // 2, :]
         cut, surface = middle[..., _C.CUT], middle[..., _C.SURFACE]
+        area_before = self._at(bins[..., _C.AREA_BEFORE, None], u)[..., 0]
         above = y - surface + cut  # over the deepest cut at its place
-        since = self._at(bins, u[..., None] + tf.constant(SINCE_AROUND, tf.float32))
+        places = u[..., None] + tf.constant(SINCE_AROUND, tf.float32)
+        since = self._at(bins[..., _C.SINCE, None], places)[..., 0]
         bumps = [tf.exp(-(((behind - c) / BUMP_WIDTH) ** 2)) for c in BUMPS]
-        ahead = self._ahead(bins, scalars)
         foremost = _scalar(scalars, 'foremost') - u
         columns = [
             behind / 0.15, tf.tanh(behind / 0.03), *bumps,
@@ -110,8 +112,7 @@ class Inputs:
             beside / 0.15, tf.tanh((beside - half) / 0.03), tf.tanh((beside - half) / 0.1),
             above / 0.05, tf.tanh(above / 0.01),
             foremost / 0.15, tf.tanh(foremost / 0.03),
-            middle[..., _C.AREA_BEFORE] / 0.01,
-            tf.sqrt(middle[..., _C.AREA_BEFORE] + 1e-6) / 0.1,
+            area_before / 0.01, tf.sqrt(area_before + 1e-6) / 0.1,
             _scalar(scalars, 'end') - u,
         ]  # fmt: skip
         per_particle = tf.concat(
@@ -119,11 +120,11 @@ class Inputs:
                 tf.stack(columns, axis=-1),
                 around[..., _C.CUT] / 0.03,
                 (around[..., _C.SURFACE] - surface[..., None]) / 0.03,
-                tf.exp(-since[..., _C.SINCE] / RECENT),
+                tf.exp(-since / RECENT),
             ],
             axis=-1,
         )
-        shared = tf.concat([self._of_tool(scalars), ahead], axis=-1)
+        shared = self._of_tool(scalars)
         shape = tf.concat([tf.shape(rest)[:2], [shared.shape[-1]]], axis=0)
         return tf.concat([per_particle, tf.broadcast_to(shared[:, None], shape)], axis=-1)
 
@@ -148,6 +149,7 @@ class Inputs:
         return tf.concat(
             [
                 self._of_tool(scalars),
+                self._rates(scalars),
                 there[..., _C.CUT] / 0.03,
                 (there[..., _C.SURFACE] - height) / 0.05,
                 tf.tanh((low - height) / 0.02),
@@ -159,23 +161,22 @@ class Inputs:
             axis=-1,
         )  # fmt: skip
 
-    def _ahead(self, bins, scalars):
-        there = self._at(bins, _scalar(scalars, 'tip') + tf.constant(AHEAD, tf.float32))
-        height = scalars[:, _S['height']][:, None]
-        return tf.concat(
-            [there[..., _C.CUT] / 0.03, (there[..., _C.SURFACE] - height) / 0.05], axis=-1
-        )
-
     def _of_tool(self, scalars):
-        """Inputs [B, I] that say how the tool stands and moves."""
+        """Inputs [B, I] that say how the tool stands. Particles do not see how it moves: slow soil
+        answers to the path alone."""
         s = {name: scalars[:, i] for name, i in _S.items()}
-        rates = {'speed': 0.1, 'rise': 0.1, 'turn': 1.0}
         columns = [
             s['height'] / 0.05, tf.nn.relu(s['height']) / 0.03, s['lean'],
             s['area'] / 0.01, tf.sqrt(tf.nn.relu(s['area']) + 1e-6) / 0.1,
             (s['foremost'] - s['tip']) / 0.1, s['half_width'] / 0.2, s['end'] - s['tip'],
-            tf.tanh(s['speed'] / 0.02), tf.tanh(s['rise'] / 0.02),
         ]  # fmt: skip
+        return tf.stack(columns, axis=-1)
+
+    def _rates(self, scalars):
+        """Inputs [B, I] that say how the tool moves and has moved."""
+        s = {name: scalars[:, i] for name, i in _S.items()}
+        rates = {'speed': 0.1, 'rise': 0.1, 'turn': 1.0}
+        columns = [tf.tanh(s['speed'] / 0.02), tf.tanh(s['rise'] / 0.02)]
         for ending in ('', *(f'_{i}' for i in range(len(tool_path.TIME_SCALES)))):
             columns += [s[name + ending] / scale for name, scale in rates.items()]
         return tf.stack(columns, axis=-1)

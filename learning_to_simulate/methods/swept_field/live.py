@@ -1,59 +1,46 @@
 """`LiveField`: a swept field that follows a tool pose by pose, at a cost that does not grow.
 
-    live = LiveField.load('models/excavation/swept_field')
-    live.start(pose)                      # on the flat bed; or start(pose, bed)
-    answer = live.step(next_pose)         # force and torque; no particle is computed
-    points = live.particles()             # only where they are asked for
+    live = lts.load('excavation/swept_field').stepper()
+    live.start(pose)                      # on the flat bed; or start(pose, bed=...)
+    frame = live.step(next_pose)          # force and torque; no particle is computed
+    points = frame.particles()            # only where they are asked for
 
-A step may last any time: nothing is integrated.
+As `live.LiveSoil`, with two differences: a step may last any time, since nothing is integrated, and
+`state` can be kept and put back.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.methods.swept_field import (
-    episodes,
-    model_files,
-    quality,
-    soil_physics,
-    tool_path,
-)
-from learning_to_simulate.methods.swept_field.tool_path import Bed, ToolState
-from learning_to_simulate.rollout_status import Judgement
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import poses
+from learning_to_simulate.live.frame_judge import worse
+from learning_to_simulate.live.live_soil import Beginning
+from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame
+from learning_to_simulate.methods.swept_field import beds, quality, tool_path
+from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
+from learning_to_simulate.methods.swept_field.tool_path import ToolState
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
-UNIT_TOLERANCE = 1e-3
 
 
-class HeightMap(NamedTuple):
-    """Heights of a bed along the way, the same across it.
-
-    Attributes:
-      places: [n] coordinates on the world's axis of travel, m, in any order.
-      heights: [n] m.
-    """
-
-    places: np.ndarray
-    heights: np.ndarray
-
-
-class Answer(NamedTuple):
-    """One frame.
+class LiveState(NamedTuple):
+    """All that a field knows of its tool.
 
     Attributes:
-      force: float64 [3] on the tool, world, N.
-      torque: float64 [3] about its reference point, N m.
-      force_bound: N, root mean square per component that 95 % of frames like those of valid keep;
-        NaN where the model was not calibrated.
-      judgement: status, and where it is not `ok` the reason.
+      tool: `ToolState` of one tool.
+      ground: the bed that it began on.
+      frame: the newest.
+      count: frames since the start.
     """
 
-    force: np.ndarray
-    torque: np.ndarray
-    force_bound: float
-    judgement: Judgement
+    tool: ToolState
+    ground: Ground
+    frame: Frame
+    count: int
 
 
 class LiveField:
@@ -61,192 +48,174 @@ class LiveField:
 
     Args:
       field: `SweptField`.
-      members: networks that answer; fewer are faster, their mean is what was measured.
+      starts: `resting_start.Starts` of the model folder.
+      subspace: of the model folder, or None.
+      members: networks that answer; fewer are faster, the mean of all is what was measured.
+      outside: what is done with a frame that is not `ok`: 'flag' goes on and says so, 'hold' stays
+        in the frame before, 'raise' refuses it.
+
+    Raises:
+      ValueError: so many members there are not; an unknown `outside`.
     """
 
-    def __init__(self, field, members: int | None = None):
+    def __init__(self, field, starts, subspace=None, members=None, outside: str = FLAG):
         if members is not None and not 1 <= members <= field.config.members:
             raise ValueError(f'members is {members}, must lie in [1, {field.config.members}]')
-        self._field, self._members = field, members
-        self._state: ToolState | None = None
-
-    @classmethod
-    def load(cls, model_path: str, members: int | None = None) -> 'LiveField':
-        """Of a model folder; raises as `model_files.load`."""
-        return cls(model_files.load(model_path), members)
+        if outside not in (FLAG, HOLD, RAISE):
+            raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
+        self._field, self._members, self._outside = field, members, outside
+        self._starts, self._space = starts, subspace
+        self._beginning = Beginning(field.scene, starts, field.scene.n_modes)
+        self.soil = FieldSoil(field, subspace, members)
+        self._state: LiveState | None = None
+        field.warm_up(members)  # compiles now and not in the first frame
 
     @property
-    def state(self) -> ToolState:
-        """Of the tool; what is kept can be put back, and goes on from there to the same bits."""
+    def dt(self) -> float:
+        """Seconds of a frame where nothing else is said."""
+        return self._field.scene.dt
+
+    @property
+    def state(self) -> LiveState:
+        """What is kept can be put back, and goes on from there to the same bits.
+
+        Raises:
+          ValueError: before `start`.
+        """
         if self._state is None:
-            raise ValueError('call start() first')
+            raise ValueError('call start() before step()')
         return self._state
 
     @state.setter
-    def state(self, state: ToolState) -> None:
+    def state(self, state: LiveState) -> None:
         self._state = state
-        self._pose = np.append(state.swept.position[0], state.lean[0])
-        self._frame = tool_path.frame(
-            self._field.grid, self._bed, np.array([self._blade_width]), state
-        )
 
-    def start(self, pose, bed=None, blade_width: float | None = None) -> Judgement:
-        """Begins where the tool is.
+    def start(
+        self, pose=None, velocity=None, case=None, context=None, bed=None, blade_width=None
+    ) -> Judgement:
+        """Begins where the tool is; returns how the start is to be judged.
 
         Args:
-          pose: [7] position (m) of the middle of the blade's lower edge, unit quaternion
-            (w, x, y, z).
-          bed: None for the flat bed of the training; [N, 3] particles, m; or a `HeightMap`.
-          blade_width: m; None for the usual one.
-
-        Returns:
-          how the start is to be judged.
+          pose: of the tool now (see `live.poses`); None for that of the case.
+          velocity: [3] or [6] of the tool now; None for one at rest.
+          case: of the dataset, for its bed and its tool; None for the flat bed.
+          context: None: a field has none.
+          bed: None for that of the case; [N, 3] particles, m; or a `beds.HeightMap`.
+          blade_width: m; None for that of the case.
 
         Raises:
-          ValueError: not a pose, a bed or a width; the state stays as it was.
+          ValueError: something that cannot be used; the state stays as it was.
         """
-        field, axes = self._field, self._field.axes
-        plane = axes.poses(_pose(pose))
-        width = field.blade.width if blade_width is None else float(blade_width)
-        if not 0 < width < np.inf:
-            raise ValueError(f'blade_width is {blade_width}, must be positive')
-        points = field.rest
-        if isinstance(bed, HeightMap):
-            points = _stretched(axes, field.rest, *_map(bed), field.spacing)
-        elif bed is not None:
-            points = _finite('bed', bed)
-            if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-                raise ValueError(f'bed has shape {points.shape}, [N, 3] particles were expected')
-        kept = field.kept_spacing
-        if bed is not None and not isinstance(bed, HeightMap):
-            kept *= (len(field.rest) / len(points)) ** (1 / 3)
-        reader = episodes.BedReader(axes, field.grid, kept, field.spacing)
-        surface, level, end = reader.read(points, plane[0], width)
-        bed = Bed(surface[None], np.array([level]), np.array([end]))
-        state = tool_path.start(field.grid, bed, plane[None])
-        self._bed, self._blade_width, self._level = bed, width, level
-        self._points = points
-        self._rest = axes.points(points)
-        self._origin = np.array([plane[0], level, 0.0])
-        self.state = state
-        return self._judged()
+        field = self._field
+        chosen = Beginning(field.scene, self._starts, field.scene.n_modes)
+        chosen.choose(pose, velocity, case, context)
+        plane = field.axes.poses(chosen.pose)
+        ground, swept_bed = beds.ground(
+            field, plane, bed, blade_width, self._starts.cases[chosen.index],
+            None if case is None else (self._space, self._starts.modes[chosen.index]),
+        )  # fmt: skip
+        tool = tool_path.start(
+            field.grid, swept_bed, plane[None], field.axes.velocities(chosen.velocity)[None]
+        )
+        frame = tool_path.frame(field.grid, swept_bed, np.array([ground.width]), tool)
+        judgement = quality.judge(frame.scalars, field.ranges, H - 1)
+        loads = np.zeros(3)
+        self._beginning, self._bed = chosen, swept_bed
+        self._state = LiveState(
+            tool, ground, self._frame(frame, plane, ground, chosen.pose, loads, None, judgement,
+                                      judgement), 0,
+        )  # fmt: skip
+        return judgement
 
-    def step(self, pose, dt: float | None = None) -> Answer:
+    def step(self, pose, context=None, dt: float | None = None) -> Frame:
         """Moves the tool in a straight line to its next pose.
 
         Args:
-          pose: [7].
+          pose: see `live.poses`.
+          context: None: a field has none.
           dt: s; None for the frame time of the training data.
+
+        Returns:
+          `stepping.Frame`; its `bound` is what the root mean square error of the force per
+          component keeps in 95 % of frames like those of valid.
 
         Raises:
           ValueError: before `start`; not a pose, a jump, a time that does not pass, a place beyond
-            the bins or under the floor. The state stays as it was.
+            the bins or under the floor; with `outside='raise'` a frame that is not `ok`. The state
+            stays as it was.
         """
         before, field = self.state, self._field
         dt = field.scene.dt if dt is None else float(dt)
-        plane = field.axes.poses(_pose(pose))
+        if context is not None:
+            self._beginning.read_context(context)  # says that there is none
+        pose = self._beginning.read(pose)
+        plane = field.axes.poses(pose)
+        self._refuse_bad(plane, before, dt)
+        tool = tool_path.advance(field.grid, before.tool, plane[None], dt)
+        frame = tool_path.frame(field.grid, self._bed, np.array([before.ground.width]), tool)
+        loads = field.loads(frame, self._members)
+        finite = bool(np.isfinite(loads).all())
+        judgement = quality.judge(frame.scalars, field.ranges, H + before.count, finite)
+        if judgement.status != RolloutStatus.OK and self._outside != FLAG:
+            if self._outside == RAISE:
+                raise ValueError(
+                    f'{judgement.status}: {judgement.reason}; the state stays as it was'
+                )
+            held = before.frame._replace(
+                judgement=worse(before.frame.judgement, judgement), now=judgement.status
+            )
+            self._state = before._replace(frame=held)
+            return held
+        bound = None
+        if (weights := field.calibration.get('force')) is not None:
+            spread, size = (f(loads[..., :2])[0] for f in (quality.spread, quality.size))
+            bound = float(quality.bound(spread, size, weights))
+        result = self._frame(
+            frame, plane, before.ground, pose, loads.mean(axis=0)[0].astype(np.float64), bound,
+            worse(before.frame.judgement, judgement), judgement,
+        )  # fmt: skip
+        self._state = LiveState(tool, before.ground, result, before.count + 1)
+        return result
+
+    def _frame(self, frame, plane, ground, pose, loads, bound, judgement, now):
+        force, torque = self._field.axes.world_loads(loads)
+        return Frame(
+            Swept(frame, plane, ground), force, self._beginning.nodes(pose), judgement, now.status,
+            self.soil, pose, torque, bound,
+        )  # fmt: skip
+
+    def _refuse_bad(self, plane, before, dt):
+        """Raises ValueError for poses that no tool can reach."""
+        field = self._field
         if not 0 < dt < np.inf:
             raise ValueError(f'dt is {dt} s: time must go on')
-        change = np.abs(plane - self._pose) / dt
+        change = np.abs(plane - before.frame.modes.pose) / dt
         if np.hypot(change[0], change[1]) > FASTEST or change[2] > FASTEST_TURN:
             raise ValueError(
                 f'the pose jumps: {np.hypot(change[0], change[1]):.3g} m/s and {change[2]:.3g} '
                 f'rad/s, at most {FASTEST} and {FASTEST_TURN} are taken; call start() anew'
             )
-        floor = self._rest[:, 1].min() - field.spacing / 2
+        floor = before.ground.places[:, 1].min() - field.spacing / 2
         if plane[1] - field.blade.radius < floor:
             raise ValueError(
                 f'the edge would be at {plane[1] - field.blade.radius:.4g} m, under the floor of '
                 f'the bed at {floor:.4g} m'
             )
-        state = tool_path.advance(field.grid, before, plane[None], dt)
-        self.state = state
-        loads = field.loads(self._frame, self._members)
-        force, torque = field.axes.world_loads(loads.mean(axis=0)[0].astype(np.float64))
-        bound = float('nan')
-        if (factor := field.calibration.get('force')) is not None:
-            bound = float(quality.bound(quality.spread(loads[..., :2])[0], factor, 'force'))
-        return Answer(force, torque, bound, self._judged())
 
     def particles(self) -> np.ndarray:
-        """float64 [N, 3] of the soil now, world, m; none of it inside the blade."""
-        field = self._field
-        moved = field.displacement(
-            self._frame, (self._rest - self._origin).astype(np.float32), self._members
-        )
-        # Those that rest are as they were given, to the last bit.
-        now = np.flatnonzero(moved[:, 0].any(axis=(0, 2)))
-        points = self._points.copy()
-        there = self._rest[now] + moved[:, 0, now].mean(axis=0)
-        there = soil_physics.pushed_out(there, self._pose, field.blade, self._blade_width)
-        points[now] += field.axes.world(there - self._rest[now])
-        return points
+        """float32 [N, 3] of the soil now, world, m; none of it inside the tool."""
+        return self.state.frame.particles()
 
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """Heights [nx, nz] (m) of the highest particle of each cell, along the way and across it,
-        from the start of the bed to its end; NaN where a cell has none."""
-        if nx < 1 or nz < 1:
-            raise ValueError(f'a height map of {nx} x {nz} cells has none')
-        points = self._field.axes.points(self.particles())
-        low, high = (f(self._rest[:, [0, 2]], axis=0) for f in (np.min, np.max))
-        cell = ((points[:, [0, 2]] - low) / (high - low) * (nx, nz)).astype(int)
-        cell = np.clip(cell, 0, (nx - 1, nz - 1))
-        heights = np.full(nx * nz, -np.inf)
-        np.maximum.at(heights, cell[:, 0] * nz + cell[:, 1], points[:, 1])
-        return np.where(np.isinf(heights), np.nan, heights).reshape(nx, nz)
+    def body(self, pose) -> np.ndarray:
+        """float64 [R', 3], m: all particles of the tool at a pose, for drawing."""
+        return poses.placed(self._beginning.body, self._beginning.read(pose))
 
     def explain(self) -> str:
         """What the newest frame leaves out."""
-        moving = self._field.may_move(
-            self._frame, (self._rest - self._origin).astype(np.float32)
-        ).sum()
-        n = len(self._rest)
+        swept = self.state.frame.modes
+        moving = self._field.may_move(swept.frame, swept.ground.local).sum()
+        n = len(swept.ground.points)
         return (
             f'{moving} of {n} particles may have moved; the other {n - moving} '
             f'({100 * (1 - moving / n):.0f} %) are left out, exactly'
         )
-
-    def _judged(self):
-        return quality.judge(self._frame.scalars, self._field.ranges)
-
-
-def _finite(name, values):
-    try:
-        values = np.array(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} is not an array of numbers ({error})') from error
-    if not np.isfinite(values).all():
-        raise ValueError(f'{name} holds NaN or infinite numbers')
-    return values
-
-
-def _pose(pose):
-    pose = _finite('pose', pose)
-    if pose.shape != (7,):
-        raise ValueError(f'pose has shape {pose.shape}, (7,) was expected')
-    if abs(np.linalg.norm(pose[3:]) - 1) > UNIT_TOLERANCE:
-        raise ValueError(f'the quaternion {pose[3:]} has not length 1')
-    return pose
-
-
-def _map(bed):
-    places, heights = _finite('places', bed.places), _finite('heights', bed.heights)
-    if places.ndim != 1 or places.shape != heights.shape or len(places) < 2:
-        raise ValueError(
-            f'a height map has places {places.shape} and heights {heights.shape}: two rows of one '
-            f'length of at least 2 were expected'
-        )
-    return places, heights
-
-
-def _stretched(axes, rest, places, heights, spacing):
-    """The bed at rest [N, 3] with its columns stretched to the heights of a map."""
-    points = axes.points(rest)
-    order = np.argsort(axes.sign * places)
-    wanted = np.interp(points[:, 0], axes.sign * places[order], heights[order])
-    floor, top = points[:, 1].min(), points[:, 1].max() + spacing / 2
-    if (heights <= floor).any():
-        raise ValueError(f'a height map goes below the floor of the bed at {floor:.4g} m')
-    stretched = rest.copy()
-    stretched[:, axes.up] = floor + (points[:, 1] - floor) * (wanted - floor) / (top - floor)
-    return stretched

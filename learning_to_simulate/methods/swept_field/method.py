@@ -8,70 +8,48 @@ import tqdm
 
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.methods.subspace_method import data_digests
 from learning_to_simulate.methods.swept_field import episodes, fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
+from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock
 
 METRICS = 'metrics.json'
 
 
-def train(
-    data_path,
-    model_path,
-    config,
-    rigid_motion=None,
-    save_every=None,
-    take_over_lock=False,
-    raw_path=None,
-) -> dict:
-    """Trains a field and leaves its model folder; a second call finds it done.
+def train(data_path, model_path, config, options) -> dict:
+    """Trains a field and leaves its model folder, or finds it done; see `registry.train`.
 
-    Args:
-      data_path: dataset folder with train and valid, subspace and particle samples.
-      model_path: model folder, made if absent.
-      config: `SweptFieldConfig`.
-      rigid_motion: must be None: the tool follows a given path.
-      save_every: nothing is saved on the way; a training takes minutes.
-      take_over_lock: of `folder_lock.locked`.
-      raw_path: must be None: particles come from the dataset's sample.
-
-    Returns:
-      the metrics of the valid rollouts, as in `metrics.json`.
-
-    Raises:
-      FileNotFoundError: a dataset without subspace or particle sample.
-      ValueError: data that a field cannot learn from, or a folder of something else.
+    The dataset needs its subspace and a sample of particles; nothing is saved on the way, a
+    training takes minutes.
     """
-    if rigid_motion or raw_path:
+    if options.rigid_motion or options.raw_path:
         raise ValueError(
             'swept_field takes neither --rigid_motion nor --raw_path: its tool follows a given '
             'path, its particles are those of the dataset'
         )
     metadata = dataset.read_metadata(data_path)
-    data = {
-        'path': os.path.abspath(data_path),
-        'sha256': data_digests(data_path),
-        'subspace': checkpoints.subspace_digest(metadata),
-    }
-    with folder_lock.locked(model_path, take_over_lock):
-        if not _finished(model_path, config, data):
+    data = model_folder.data_record(data_path, metadata)
+    parts = {'config': dataclasses.asdict(config), 'data': data}
+    own = METRICS, checkpoints.WEIGHTS_FILE
+    with folder_lock.locked(model_path, options.take_over_lock):
+        if not model_folder.holds_model(model_path, parts, own):
             field, facts = fitting.fit(config, data_path, metadata)
             _, summary = _evaluator(field, data_path, metadata, 'valid', facts['force_mean']).run(
                 reading_utils.read_groups(data_path, 'valid', metadata), 'valid', _bar
             )
             field.calibration = {
-                kind: row['factor_of_this_split'] for kind, row in summary['reliability'].items()
+                kind: row['weights_of_this_split'] for kind, row in summary['reliability'].items()
             }
             summary['training'] = facts
             files.write_json(os.path.join(model_path, METRICS), summary)
             cases = metadata.get('cases', {}).get('train', [])
             chosen = episodes.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
-            model_files.save(
-                model_path, field, data | {'force_mean': facts['force_mean'], 'runs': runs}
-            )
+            written = resting_start.write(model_path, data_path, {})
+            data |= {'force_mean': facts['force_mean'], 'runs': runs}
+            model_files.save(model_path, field, data, written)
     summary = files.read_json(os.path.join(model_path, METRICS))
     print(evaluation.table(summary))
     print(f'trained {config.preset}: {model_path}')
@@ -80,28 +58,6 @@ def train(
 
 def _bar(runs):
     return tqdm.tqdm(runs, unit='run', desc='valid', disable=None)
-
-
-def _finished(path, config, data):
-    """Whether the folder holds this very model; refuses a folder of something else."""
-    present = set(os.listdir(path)) - {folder_lock.LOCK_NAME, METRICS, checkpoints.WEIGHTS_FILE}
-    if not present:
-        return False
-    if checkpoints.CONFIG_FILE not in present:
-        raise ValueError(
-            f'{path}: not empty and not a model folder (holds {sorted(present)[:3]}); nothing was '
-            f'written'
-        )
-    stored = checkpoints.read_config(path)
-    for key, now in (('config', dataclasses.asdict(config)), ('data', data)):
-        old = stored.get(key) or {}
-        differing = [k for k, v in now.items() if k != 'path' and old.get(k) != v]
-        if differing:
-            raise ValueError(
-                f'{path}: holds a model of another {key} (differing: {differing[:4]}); nothing was '
-                f'written, give another --model_path'
-            )
-    return True
 
 
 def _evaluator(field, data_path, metadata, split, force_mean):

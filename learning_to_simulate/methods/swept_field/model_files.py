@@ -27,13 +27,14 @@ def _weights(field: SweptField) -> dict:
     }
 
 
-def save(path: str, field: SweptField, data: dict) -> None:
+def save(path: str, field: SweptField, data: dict, written: dict | None = None) -> None:
     """Writes a model folder, config.json last: it says that the rest is there.
 
     Args:
       path: folder, present.
       field: the model.
       data: where its training data came from, for the record.
+      written: of `resting_start.write`.
 
     Raises:
       ValueError: weights that are not finite; nothing is written.
@@ -59,6 +60,7 @@ def save(path: str, field: SweptField, data: dict) -> None:
                 'calibration': field.calibration,
             },
             'data': data,
+            'files': written or {},
         },
     )
 
@@ -84,7 +86,7 @@ def load(path: str) -> SweptField:
             'kept_spacing': float(values['kept_spacing']),
             'spacing': float(values['spacing']),
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
-            'calibration': {k: float(v) for k, v in values['calibration'].items()},
+            'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error

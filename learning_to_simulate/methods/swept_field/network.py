@@ -8,6 +8,9 @@ from learning_to_simulate.methods.swept_field import tool_path
 # Displacements and forces are of the order of these: m, N, N m.
 DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
 OUTPUTS = 3
+# The load grows a hundredfold where the tool is pressed down: beside its three components the
+# network gives the logarithm of a gain, within these limits.
+GAIN_LIMIT = 4.0
 
 
 class Members(tf.Module):
@@ -65,7 +68,7 @@ class FieldNetwork(tf.Module):
         m = config.members
         self.soil = Members(m, [sizes[0], *hidden, OUTPUTS], 2 * config.seed, 'soil')
         hidden = [config.force_latent_size] * 2
-        self.load = Members(m, [sizes[1], *hidden, OUTPUTS], 2 * config.seed + 1, 'load')
+        self.load = Members(m, [sizes[1], *hidden, OUTPUTS + 1], 2 * config.seed + 1, 'load')
 
     def displacement(self, bins, scalars, rest, members: int | None = None):
         """Displacement [M, B, P, 3] (m; along the way, up, across) of particles; see
@@ -84,7 +87,16 @@ class FieldNetwork(tf.Module):
 
     def force(self, bins, scalars, members: int | None = None):
         """Force along the way and up (N) and torque in their plane (N m), [M, B, 3]."""
+        share = self.load_share(bins, scalars)
+        return self.load_of(self.inputs.force(bins, scalars), share, members)
+
+    def load_share(self, bins, scalars):
+        """[B] that a load is multiplied by: exactly 0 in the air, in proportion to the width."""
         width = 2.0 * scalars[:, tool_path.SCALARS.index('half_width')] / WIDTH
-        share = self.inputs.contact(bins, scalars) * width
-        size = tf.constant([FORCE, FORCE, TORQUE])
-        return self.load(self.inputs.force(bins, scalars), members) * share[None, :, None] * size
+        return self.inputs.contact(bins, scalars) * width
+
+    def load_of(self, seen, share, members: int | None = None):
+        """`force` from its inputs [B, I] and `load_share` [B]."""
+        found = self.load(seen, members)
+        gain = tf.exp(tf.clip_by_value(found[..., 3:], -GAIN_LIMIT, GAIN_LIMIT))
+        return found[..., :3] * gain * share[None, :, None] * tf.constant([FORCE, FORCE, TORQUE])

@@ -29,12 +29,12 @@ class SweptFieldConfig:
     preset: str
     model: str = 'swept_field'
     members: int = 5
-    latent_size: int = 64
+    latent_size: int = 96
     hidden_layers: int = 3
     force_latent_size: int = 64
-    num_steps: int = 2000
-    batch_size: int = 128
-    particles_per_frame: int = 64
+    num_steps: int = 3000
+    batch_size: int = 96
+    particles_per_frame: int = 48
     learning_rate: float = 3e-3
     train_runs: int = 0
     start_every: int = 100

@@ -102,26 +102,23 @@ class Frame(NamedTuple):
     scalars: np.ndarray
 
 
-def start(grid: SweptGrid, bed: Bed, pose) -> ToolState:
+def start(grid: SweptGrid, bed: Bed, pose, velocity=None) -> ToolState:
     """The state before any motion.
 
     Args:
       grid: bins along the way.
       bed: of the tools.
       pose: [B, 3] u and height (m) of the middle of the lower edge, lean (rad).
+      velocity: [B, 3] of these, which the tools have had for long; None: at rest.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
     pose = _checked(pose, None)
+    velocity = np.zeros_like(pose) if velocity is None else _checked(velocity, len(pose))
     swept = swept_features.start(grid, pose[:, :2], bed.surface)
-    return ToolState(
-        swept,
-        pose[:, 2],
-        np.zeros((len(pose), 3)),
-        np.zeros((len(pose), len(TIME_SCALES), 3)),
-        np.zeros_like(swept.surface),
-    )
+    memory = np.repeat(velocity[:, None], len(TIME_SCALES), axis=1)
+    return ToolState(swept, pose[:, 2], velocity, memory, np.zeros_like(swept.surface))
 
 
 def advance(grid: SweptGrid, state: ToolState, pose, dt: float) -> ToolState:
@@ -194,9 +191,13 @@ def frame(grid: SweptGrid, bed: Bed, blade_width, state: ToolState) -> Frame:
     return Frame(bins, scalars.astype(np.float32))
 
 
-def frames(grid: SweptGrid, bed: Bed, blade_width, pose, dt: float) -> Frame:
-    """All frames of whole paths: `Frame` of [T, B, ...] for poses [T, B, 3]."""
-    state = start(grid, bed, pose[0])
+def frames(grid: SweptGrid, bed: Bed, blade_width, pose, dt: float, velocity=None) -> Frame:
+    """All frames of whole paths, `Frame` of [T, B, ...] for poses [T, B, 3]; the velocity [B, 3] of
+    `start` is by default that to the second pose."""
+    pose = np.asarray(pose, np.float64)
+    if velocity is None and len(pose) > 1:
+        velocity = (pose[1] - pose[0]) / dt
+    state = start(grid, bed, pose[0], velocity)
     found = [frame(grid, bed, blade_width, state)]
     for coming in pose[1:]:
         state = advance(grid, state, coming, dt)

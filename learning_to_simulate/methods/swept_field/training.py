@@ -27,9 +27,10 @@ class TrainingData:
     Args:
       episodes: list of `episodes.Episode`, of one number of particles.
       frames: of `episodes.frames_of`.
+      model: `network.FieldNetwork`, for its inputs.
     """
 
-    def __init__(self, episodes, frames):
+    def __init__(self, episodes, frames, model):
         chosen = [e.frames for e in episodes]
         self.bins = np.concatenate([f.bins[c] for f, c in zip(frames, chosen, strict=True)])
         self.scalars = np.concatenate([f.scalars[c] for f, c in zip(frames, chosen, strict=True)])
@@ -46,13 +47,16 @@ class TrainingData:
         share += np.where(count > 0, 1.0 - MOVER_SHARE, 1.0) / n
         self.logits = np.log(share).astype(np.float32)
         self.importance = (1.0 / (n * share)).astype(np.float32)
-        self.load_bins = np.concatenate([f.bins for f in frames])
-        self.load_scalars = np.concatenate([f.scalars for f in frames])
-        self.load = np.concatenate([e.load for e in episodes])
         size = np.array([np.sqrt((e.load[:, :2] ** 2).sum(-1).mean()) for e in episodes])
         weight = 1.0 / np.maximum(size, LEAST_FORCE) ** 2
         of_frame = np.repeat(weight, [len(e.load) for e in episodes])
-        self.load_weight = (of_frame / of_frame.mean()).astype(np.float32)
+        # Inputs of the loads are few enough to be computed once; frames in the air teach nothing.
+        share = np.concatenate([model.load_share(*f).numpy() for f in frames])
+        there = share > 0
+        self.load_share = share[there]
+        self.load_seen = np.concatenate([model.inputs.force(*f).numpy() for f in frames])[there]
+        self.load = np.concatenate([e.load for e in episodes])[there]
+        self.load_weight = (of_frame / of_frame.mean()).astype(np.float32)[there]
 
 
 class Trainer:
@@ -102,8 +106,8 @@ class Trainer:
                 tf.constant(data.moved[picks]),
                 tf.constant(data.logits[episode]),
                 tf.constant(data.importance[episode] * data.weight[episode, None]),
-                tf.constant(data.load_bins[loads]),
-                tf.constant(data.load_scalars[loads]),
+                tf.constant(data.load_seen[loads]),
+                tf.constant(data.load_share[loads]),
                 tf.constant(data.load[loads]),
                 tf.constant(data.load_weight[loads]),
             )
@@ -122,7 +126,7 @@ class Trainer:
             logits, self._config.particles_per_frame, seed, dtype=tf.int32
         )
         rest, moved, weight = (tf.gather(x, drawn, batch_dims=1) for x in (rest, moved, weight))
-        load_bins, load_scalars, load, load_weight = loads
+        seen, share, load, load_weight = loads
         losses = []
         with tf.GradientTape() as tape:
             error = self._model.displacement(bins, scalars, rest) - moved
@@ -132,7 +136,7 @@ class Trainer:
         self._apply(tape, losses[0], self._model.soil, self._optimizers[0])
         with tf.GradientTape() as tape:
             scale = tf.constant([network.FORCE, network.FORCE, network.TORQUE])
-            error = (self._model.force(load_bins, load_scalars) - load) / scale
+            error = (self._model.load_of(seen, share) - load) / scale
             square = tf.reduce_sum(error**2, axis=-1)
             losses.append(tf.reduce_sum(tf.reduce_mean(square * load_weight, axis=1)))
         self._apply(tape, losses[1], self._model.load, self._optimizers[1])

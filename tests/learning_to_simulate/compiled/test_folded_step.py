@@ -25,6 +25,10 @@ CASES = {
     },
     'prescribed, published': {'preset': 'pcg_thesis'},
     'prescribed, second order': {'preset': 'pcg_steady', 'overrides': {'zero_decoder': False}},
+    'prescribed, path': {'overrides': {'path_inputs': True}},
+    'prescribed, path and places': {
+        'overrides': {'path_inputs': True, 'mode_order': 0, 'rate_scaled': False}
+    },
     'driven': {'motion': 'driven', 'context': True},
     'driven, two steps, history': {
         'motion': 'driven',
@@ -56,7 +60,9 @@ def _inputs(model, group):
     inputs = rollout.rollout_inputs(group, model.layout(group.n_rigid), model.simulator.scene)
     state, known, context, _ = inputs
     if known is not None:
-        known = type(known)(*(x[:N_FRAME] for x in known))
+        frames = {name: getattr(known, name)[:N_FRAME] for name in ('offset', 'velocity')}
+        path = None if known.path is None else known.path[:N_FRAME]
+        known = known._replace(**frames, path=path)
     return state, known, context, N_FRAME
 
 

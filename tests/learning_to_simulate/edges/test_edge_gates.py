@@ -11,7 +11,7 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, presets
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.edges.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.training import training_state
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import files
@@ -36,7 +36,7 @@ def trained(data, tmp_path_factory):
     path = str(tmp_path_factory.mktemp('model') / 'gated')
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_state, 'KEPT', 3)
-        subspace_method.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
+        registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
     return path
 
 
@@ -169,7 +169,7 @@ def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path,
         if not name.startswith(f'ckpt-{step}.'):
             (path / name).unlink()
     assert training_state.stored_steps(str(path)) == [step]
-    subspace_method.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
+    registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
     for name in ('edges.json', 'config.json'):
         assert (path / name).read_bytes() == pathlib.Path(trained, name).read_bytes()
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))

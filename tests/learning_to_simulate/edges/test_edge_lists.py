@@ -9,7 +9,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 from tests.learning_to_simulate.test_connectivity_utils import ring_edges, scene
@@ -265,6 +265,6 @@ def test_other_edges_do_not_resume_a_model(data, tmp_path):
         edges = edge_list(mask, R, edge_lists.data_digests(folder))
         edge_lists.write(f'{folder}/edges.json', edges)
         if k == 0:
-            subspace_method.train(folder, path, config)
+            registry.train(folder, path, config)
     with pytest.raises(ValueError, match='other edges'):
-        subspace_method.train(folder, path, config)
+        registry.train(folder, path, config)

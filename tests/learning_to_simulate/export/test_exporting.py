@@ -9,7 +9,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, rollout
 from learning_to_simulate.export import exporting
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -54,7 +54,7 @@ def test_saved_model_rolls_out_without_the_project(tmp_path):
     assert set(description['signatures']) == {'step', 'reconstruct'}
     written = json.loads((tmp_path / 'exported' / 'export.json').read_text())
     assert written == json.loads(json.dumps(description))
-    opened = subspace_method.open_model(model_path, data, 'test')
+    opened = registry.open_model(model_path, data, 'test')
     model, groups = opened.model, opened.groups
     group = groups[0].select(0)
     np.savez(

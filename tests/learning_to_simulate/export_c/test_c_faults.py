@@ -6,9 +6,17 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.export_c import c_library, c_stepper, model_data, project, starts
+from learning_to_simulate.export_c import (
+    c_library,
+    c_stepper,
+    field_data,
+    model_data,
+    project,
+    starts,
+)
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.methods.swept_field import small_world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
@@ -49,15 +57,12 @@ def sanitized(folder, sources, defines, flags=()):
     return program
 
 
-@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
-def test_random_calls_and_hostile_values_under_sanitizers(case, tmp_path):
-    values = _values(tmp_path / 'data', **case)
-    folder = str(tmp_path / 'project')
+def _fuzz(folder, values, program_name):
     os.makedirs(folder)
     project.write(folder, 'lts_small', values)
     program = sanitized(
         folder,
-        [os.path.join(HERE, 'fuzz_calls.c')],
+        [os.path.join(HERE, program_name)],
         ['FUZZ_MODEL=lts_small', 'FUZZ_HEADER="lts_small.h"'],
     )
     for seed in ('1', '2'):
@@ -66,6 +71,16 @@ def test_random_calls_and_hostile_values_under_sanitizers(case, tmp_path):
         good, refused = (int(done.stdout.split()[i]) for i in (0, 2))
         # Neither kind of call may be rare, or the test would see one side only.
         assert good > CALLS // 10 and refused > CALLS // 20
+
+
+@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
+def test_random_calls_and_hostile_values_under_sanitizers(case, tmp_path):
+    _fuzz(str(tmp_path / 'project'), _values(tmp_path / 'data', **case), 'fuzz_calls.c')
+
+
+def test_random_calls_of_a_swept_field_under_sanitizers(tmp_path):
+    values = field_data.values(small_world.make_field())
+    _fuzz(str(tmp_path / 'project'), values, 'fuzz_field.c')
 
 
 def test_a_long_run_neither_grows_nor_drifts(tmp_path):

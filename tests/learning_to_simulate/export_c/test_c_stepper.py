@@ -10,12 +10,12 @@ import tensorflow as tf
 from learning_to_simulate import rollout, rollout_status
 from learning_to_simulate.export_c import c_library, c_step, c_stepper, starts
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.numpy_twin import Twin
-from tests.learning_to_simulate.whole_state_twin import WholeStateTwin
+from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
 H = 6
 SECOND_ORDER = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
@@ -149,7 +149,7 @@ def test_shipped_models_over_whole_test_rollouts(path):
     step from the frames of the twin."""
     data = os.path.join('datasets', path.split('/')[1])
     model, n, space, found = starts.read_model(path, data)
-    opened = subspace_method.open_model(path, data, 'test')
+    opened = registry.open_model(path, data, 'test')
     (group,) = opened.groups
     scene = model.simulator.scene
     known = scene.rigid_motion.is_known

@@ -11,6 +11,7 @@ from learning_to_simulate import checkpoints
 from learning_to_simulate.export_c import (
     c_library,
     c_stepper,
+    comparing,
     exporting,
     model_data,
     project,
@@ -119,7 +120,7 @@ def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
         exporting.export(path, data, out, 'c')
     with pytest.raises(FileNotFoundError, match='holds no model'):
         exporting.export(str(tmp_path / 'none'), data, out + '2', 'c')
-    monkeypatch.setattr(exporting, 'TOLERANCE', 0.0)
+    monkeypatch.setattr(comparing, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='nothing was written'):
         exporting.export(path, data, out + '2', 'c')
     assert not os.path.exists(out + '2')

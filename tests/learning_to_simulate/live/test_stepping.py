@@ -42,8 +42,17 @@ def _reset(stepper, group):
         {'motion': 'driven', 'context': True},
         {'motion': 'predicted', 'preset': 'pcg_thesis', 'rigid_counts': (6,)},
         {'preset': 'mlp', 'overrides': {'mode_edges': 0}},
+        {'preset': 'mlp_driven', 'overrides': {'mode_edges': 0}},
+        {'overrides': {'path_inputs': True, 'mode_order': 0, 'rate_scaled': False}},
     ],
-    ids=['prescribed', 'driven', 'predicted and corrected', 'without a graph'],
+    ids=[
+        'prescribed',
+        'driven',
+        'predicted and corrected',
+        'without a graph',
+        'path alone',
+        'path and graph',
+    ],
 )
 def test_equals_the_rollout_frame_by_frame(tmp_path, shared, case):
     """The rollout runs eagerly, to save its compilation: the function is the same."""

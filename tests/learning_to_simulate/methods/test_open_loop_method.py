@@ -20,7 +20,7 @@ def trained(tmp_path_factory):
     data = synthetic.write_dataset(folder / 'data', n_run=6)
     model = str(folder / 'model')
     config = presets.make_config('path_ridge', max_samples=60)
-    registry.get('path_ridge').load_code().train(data, model, config)
+    registry.train(data, model, config)
     return data, model
 
 
@@ -42,10 +42,10 @@ def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):
     data, model = trained
     path = os.path.join(model, 'path_ridge.npz')
     before = os.stat(path).st_mtime_ns
-    open_loop_method.train(data, model, presets.make_config('path_ridge', max_samples=60))
+    registry.train(data, model, presets.make_config('path_ridge', max_samples=60))
     assert os.stat(path).st_mtime_ns == before
     with pytest.raises(ValueError, match='another config'):
-        open_loop_method.train(data, model, presets.make_config('path_ridge', max_samples=61))
+        registry.train(data, model, presets.make_config('path_ridge', max_samples=61))
 
 
 def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
@@ -53,7 +53,7 @@ def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
     (tmp_path / 'other').mkdir()
     (tmp_path / 'other' / 'notes.txt').write_text('x')
     with pytest.raises(ValueError, match='not a model folder'):
-        open_loop_method.train(data, str(tmp_path / 'other'), presets.make_config('path_ridge'))
+        registry.train(data, str(tmp_path / 'other'), presets.make_config('path_ridge'))
     copy = shutil.copytree(model, tmp_path / 'copy')
     config = json.loads((copy / 'config.json').read_text())
     del config['scene']['dt']
@@ -72,7 +72,7 @@ def test_a_formula_of_another_scene_is_refused_before_anything_is_written(
 ):
     data, _ = trained
     with pytest.raises(ValueError):
-        open_loop_method.train(data, str(tmp_path / 'model'), presets.make_config(preset))
+        registry.train(data, str(tmp_path / 'model'), presets.make_config(preset))
     assert not os.path.exists(tmp_path / 'model' / 'config.json')
 
 

@@ -5,13 +5,15 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.export import export_formats
+from learning_to_simulate.export_c import model_data
+from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.methods.mixer_model import Excitation
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.whole_state_twin import WholeStateTwin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
 MODELS = ('mlp', 'mixer_se', 'mixer_scse')
 SHORT = {'num_steps': 6, 'unroll_steps': 1, 'unroll_length': 2, 'latent_size': 8, 'batch_size': 4}
@@ -48,6 +50,75 @@ def test_step_equals_the_numpy_twin(tmp_path, model, motion, context):
         )
         np.testing.assert_allclose(after.offset[i] + layout.origin, position, atol=1e-5)
         np.testing.assert_allclose(force[i], true_force, rtol=1e-3, atol=1e-3)
+
+
+def test_a_place_is_a_function_of_path_and_start_alone(tmp_path):
+    """Against numpy, with the path that `PathMemory` reads; other soil on the way is not seen."""
+    made, (group,), _ = make(tmp_path, 'mlp_driven')
+    layout, s = made.layout(group.n_rigid), made.simulator.statistics
+    n, r = group.n_rigid, made.simulator.scene.n_modes
+    state, known, _, _ = rollout_inputs(group, layout, made.simulator.scene)
+    after, force = made.simulator.step(state, known.at(0), None, layout)
+    elsewhere = state._replace(offset=state.offset + 0.1, velocity=3.0 * state.velocity)
+    again, same = made.simulator.step(elsewhere, known.at(0), None, layout)
+    np.testing.assert_allclose(again.offset, after.offset, atol=1e-6)
+    np.testing.assert_array_equal(force, same)
+
+    twin = WholeStateTwin(made, n)
+    path = layout.memory.read(group.position[:, :7, :n])[:, 6]
+    for i, run in enumerate(group.position):
+        coming = (run[6, :n] - run[5, :n] - s.velocity_mean[0]) / s.velocity_std[0]
+        start = (run[5, n:] - s.origin[1:]) / s.position_std[1:]
+        inputs = np.concatenate([coming.ravel(), path[i], start.ravel()])
+        rows = twin._mlp_output(np.zeros(0), inputs).reshape(-1, 3)
+        place = run[5, n:] + rows[:r] * s.target_std[1:] + s.target_mean[1:]
+        np.testing.assert_allclose(after.offset[i, n:] + layout.origin[n:], place, atol=1e-5)
+        np.testing.assert_allclose(
+            force[i], rows[-1] * s.force_std + s.force_mean, rtol=1e-3, atol=1e-3
+        )
+        # What training asks of it is where the modes are, whatever noise the state carries.
+    moved = group.position[:, 6] - layout.origin - elsewhere.offset
+    target = made.simulator.normalized_target(moved, elsewhere, known.at(0), layout)
+    since = group.position[:, 6, n:] - group.position[:, 5, n:]
+    expected = (since - s.target_mean[1:]) / s.target_std[1:]
+    np.testing.assert_allclose(target[:, n:], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ('preset', 'fields', 'words'),
+    [
+        ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
+        ('mlp', {'state_inputs': False}, 'need path_inputs'),
+        ('pcg', {'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
+        ('pcg', {'path_inputs': True, 'conditioned': False}, 'needs conditioned'),
+    ],
+)
+def test_configs_without_a_path_to_follow_are_refused(preset, fields, words):
+    with pytest.raises(ValueError, match=words):
+        presets.make_config(preset, **fields)
+
+
+def test_copies_need_a_subspace_and_join_the_training(tmp_path):
+    made, groups, _ = make(tmp_path, 'mlp_driven')
+    with pytest.raises(ValueError, match='subspace.npz'):
+        subspace_method._with_copies(made, groups, str(tmp_path))
+    synthetic.write_subspace(tmp_path)
+    more = subspace_method._with_copies(made, groups, str(tmp_path))
+    assert len(more[0].position) > len(groups[0].position)
+    assert np.isfinite(float(Trainer(made, more).step(0)['loss']))
+
+
+def test_exports_refuse_a_path_by_name(tmp_path):
+    made, (group,), _ = make(tmp_path, 'mlp_driven')
+    with pytest.raises(ValueError, match='no memory of the path'):
+        export_formats.StepFunctions(made.simulator, made.layout(group.n_rigid), None)
+    with pytest.raises(ValueError, match="inputs .*'path', 'start'.* the C form knows"):
+        model_data.refuse(made.simulator)
+
+
+def test_a_body_whose_height_is_predicted_has_no_path_inputs(tmp_path):
+    with pytest.raises(ValueError, match='whole motion is given'):
+        models.make(tmp_path, motion='driven', overrides={'path_inputs': True})
 
 
 def operations_and_variables(made, group):
@@ -126,10 +197,10 @@ def test_training_resumes_and_rolls_out(tmp_path, model):
     folder = synthetic.write_dataset(tmp_path / 'data')
     path = str(tmp_path / 'model')
     config = presets.make_config(model, **SHORT)
-    subspace_method.train(folder, path, config, save_every=7)
+    registry.train(folder, path, config, save_every=7)
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
-    subspace_method.train(folder, path, config, save_every=7)
-    opened = subspace_method.open_model(path, folder, 'test')
+    registry.train(folder, path, config, save_every=7)
+    opened = registry.open_model(path, folder, 'test')
     loaded, metadata, groups = opened.model, opened.metadata, opened.groups
     for variable, stored in zip(loaded.simulator.trainable_variables, before.values()):
         np.testing.assert_array_equal(variable.numpy(), stored)
@@ -138,10 +209,10 @@ def test_training_resumes_and_rolls_out(tmp_path, model):
     assert all(row['edges'] == 0 for row in summary['runs']['model'])
     assert np.isfinite(Trainer(loaded, groups).one_step_errors(2)['loss'])
     with pytest.raises(ValueError, match='model=gns contradicts the model'):
-        subspace_method.open_model(path, folder, 'test', {'model': 'gns'})
+        registry.open_model(path, folder, 'test', {'model': 'gns'})
     other = synthetic.write_dataset(tmp_path / 'other', rigid_counts=(6,))
     with pytest.raises(ValueError, match='made for 4 rigid particles and cannot take 6'):
-        subspace_method.open_model(path, other, 'test', {})
+        registry.open_model(path, other, 'test', {})
 
 
 def test_trained_mlp_beats_the_trivial_predictors(tmp_path):
@@ -150,7 +221,7 @@ def test_trained_mlp_beats_the_trivial_predictors(tmp_path):
     config = presets.make_config(
         'mlp', num_steps=600, unroll_steps=0, latent_size=32, learning_rate=3e-3
     )
-    summary = subspace_method.train(folder, str(tmp_path / 'model'), config, save_every=600)
+    summary = registry.train(folder, str(tmp_path / 'model'), config, save_every=600)
     assert summary['soil_mse_over_best_trivial'] < 0.5
 
 

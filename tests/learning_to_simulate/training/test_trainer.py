@@ -12,7 +12,7 @@ from learning_to_simulate.learned_simulator import LearnedSimulator, SimulatorSt
 from learning_to_simulate.training import noise_utils
 from learning_to_simulate.training.trainer import Trainer
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.training_twin import H, TrainingTwin
+from tests.learning_to_simulate.twins.training_twin import H, TrainingTwin
 
 SMALL = {
     'latent_size': 4, 'hidden_layers': 1, 'batch_size': 3, 'unroll_batch_size': 2, 'mode_edges': 4,

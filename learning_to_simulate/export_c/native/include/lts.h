@@ -47,7 +47,9 @@ enum {
   LTS_ERROR_MEMORY = -3,  /* too little memory, or memory that holds no instance */
   LTS_ERROR_CALL = -4,    /* not started, or a call that this model does not take */
   LTS_ERROR_VALUE = -5,   /* a number that is not finite, or out of its range */
-  LTS_ERROR_STATE = -6    /* saved bytes that are damaged or of another model */
+  LTS_ERROR_STATE = -6,   /* saved bytes that are damaged or of another model */
+  LTS_ERROR_JUMP = -7,    /* a pose that no tool reaches in this time */
+  LTS_ERROR_PLACE = -8    /* a pose under the floor of the bed, or beyond the bins of the path */
 };
 
 /* Status bits of a frame. The first four say that the model is asked about what it never saw. */
@@ -66,7 +68,7 @@ enum {
 enum { LTS_NO_BODY = 0, LTS_PRESCRIBED = 1, LTS_DRIVEN = 2, LTS_PREDICTED = 3 };
 
 /* Which arithmetic. */
-enum { LTS_BEST = -1, LTS_SCALAR = 0, LTS_VECTOR4 = 1, LTS_AVX2 = 2 };
+enum { LTS_BEST = -1, LTS_SCALAR = 0, LTS_VECTOR4 = 1, LTS_AVX2 = 2, LTS_AVX512 = 3 };
 
 typedef struct {
   int32_t abi;

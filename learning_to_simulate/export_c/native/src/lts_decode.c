@@ -1,10 +1,7 @@
 /* From modes to particles and heights. */
-#include <math.h>
-
 #include "lts_internal.h"
 
 #define CHUNK 64 /* particles at once; a multiple of every vector */
-#define LARGEST_GRID 65536
 
 int lts_modes(const lts_instance *soil, double *out) {
   const int error = lts_check_started(soil);
@@ -52,26 +49,14 @@ int lts_height_map(const lts_instance *soil, const lts_grid *grid, float *out) {
   if (!grid || !out) return LTS_ERROR_NULL;
   const int n = soil->model->n_soil, up = soil->model->up_axis;
   if (!n) return LTS_ERROR_CALL;
-  for (int i = 0; i < 2; ++i) {
-    if (grid->n[i] < 1 || grid->n[i] > LARGEST_GRID || !isfinite(grid->origin[i])) {
-      return LTS_ERROR_VALUE;
-    }
-  }
-  if (!(grid->cell > 0.0 && grid->cell <= 1e6)) return LTS_ERROR_VALUE;
-  const int first = up == 0 ? 1 : 0, second = up == 2 ? 1 : 2;
-  const size_t rows = (size_t)grid->n[0], columns = (size_t)grid->n[1];
-  for (size_t i = 0; i < rows * columns; ++i) out[i] = NAN;
+  const int bad = lts_check_grid(grid);
+  if (bad) return bad;
+  lts_clear_heights(grid, out);
   for (int done = 0; done < n; done += CHUNK) {
-    float points[CHUNK][3];
+    float points[3 * CHUNK];
     const int last = done + CHUNK < n ? done + CHUNK : n;
-    soil->run->decode(soil->model, mode_offsets(soil), done, last, points[0]);
-    for (int i = 0; i < last - done; ++i) {
-      const double u = (points[i][first] - grid->origin[0]) / grid->cell;
-      const double v = (points[i][second] - grid->origin[1]) / grid->cell;
-      if (!(u >= 0.0 && u < grid->n[0] && v >= 0.0 && v < grid->n[1])) continue;
-      float *cell = out + (size_t)u * columns + (size_t)v;
-      if (!(*cell >= points[i][up])) *cell = points[i][up];
-    }
+    soil->run->decode(soil->model, mode_offsets(soil), done, last, points);
+    lts_raise_heights(grid, up, points, last - done, out);
   }
   return LTS_OK;
 }

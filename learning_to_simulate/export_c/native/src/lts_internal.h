@@ -2,6 +2,7 @@
 #ifndef LTS_INTERNAL_H
 #define LTS_INTERNAL_H
 
+#include "lts_common.h"
 #include "lts_kernels.h"
 
 #define LTS_MAGIC 0x4c545331u /* of an instance */
@@ -88,8 +89,5 @@ int lts_check_predicted(lts_instance *soil, int frame);
 
 /* lts_rigid.c */
 void lts_place_rigid(int n, const double *shape, const double *predicted, double *placed);
-void lts_rotate(const double q[4], const double v[3], double out[3]);
-int lts_unit_quaternion(const double q[4], double out[4]);
-void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out);
 
 #endif

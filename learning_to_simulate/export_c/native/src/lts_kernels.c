@@ -26,6 +26,9 @@ static const float lts_zeros[LTS_PANEL] = {0.0f};
 #define MUL(a, b) ((a) * (b))
 #define MADD(a, b, c) ((a) * (b) + (c))
 #define RELU(a) ((a) < 0.0f ? 0.0f : (a))
+#define DIV(a, b) ((a) / (b))
+#define MIN(a, b) ((a) < (b) ? (a) : (b))
+#define MAX(a, b) ((a) > (b) ? (a) : (b))
 #include "lts_kernels.inc"
 
 /* Vectors of four: SSE2 of every x86-64, NEON of every AArch64. */
@@ -40,6 +43,9 @@ static INLINE v4 v4_load(const float *p) {
 static INLINE void v4_store(float *p, v4 v) { memcpy(p, &v, sizeof v); }
 static INLINE v4 v4_set(float x) { return (v4){x, x, x, x}; }
 static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
+static INLINE v4 v4_either(i4 which, v4 a, v4 b) { return (v4)(((i4)a & which) | ((i4)b & ~which)); }
+static INLINE v4 v4_min(v4 a, v4 b) { return v4_either(a < b, a, b); }
+static INLINE v4 v4_max(v4 a, v4 b) { return v4_either(a > b, a, b); }
 #define W 4
 #define V v4
 #define TILE 3
@@ -52,6 +58,9 @@ static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
 #define MUL(a, b) ((a) * (b))
 #define MADD(a, b, c) ((a) * (b) + (c))
 #define RELU(a) v4_relu(a)
+#define DIV(a, b) ((a) / (b))
+#define MIN(a, b) v4_min(a, b)
+#define MAX(a, b) v4_max(a, b)
 #include "lts_kernels.inc"
 #endif
 
@@ -73,6 +82,30 @@ static INLINE v4 v4_relu(v4 a) { return (v4)((i4)a & ~(a < v4_set(0.0f))); }
 #define MUL(a, b) _mm256_mul_ps(a, b)
 #define MADD(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define RELU(a) _mm256_max_ps(_mm256_setzero_ps(), a) /* the second operand if that is NaN */
+#define DIV(a, b) _mm256_div_ps(a, b)
+#define MIN(a, b) _mm256_min_ps(a, b)
+#define MAX(a, b) _mm256_max_ps(a, b)
+#include "lts_kernels.inc"
+
+#if defined(__GNUC__)
+#define TARGET __attribute__((target("avx512f")))
+#else
+#define TARGET
+#endif
+#define W 16
+#define V __m512
+#define TILE 12
+#define NAME(name) avx512_##name
+#define LOAD(p) _mm512_loadu_ps(p)
+#define STORE(p, v) _mm512_storeu_ps(p, v)
+#define SET(v) _mm512_set1_ps(v)
+#define ADD(a, b) _mm512_add_ps(a, b)
+#define MUL(a, b) _mm512_mul_ps(a, b)
+#define MADD(a, b, c) _mm512_fmadd_ps(a, b, c)
+#define RELU(a) _mm512_max_ps(_mm512_setzero_ps(), a)
+#define DIV(a, b) _mm512_div_ps(a, b)
+#define MIN(a, b) _mm512_min_ps(a, b)
+#define MAX(a, b) _mm512_max_ps(a, b)
 #include "lts_kernels.inc"
 
 #if defined(_MSC_VER) && !defined(__clang__)
@@ -91,21 +124,27 @@ static unsigned long long enabled_registers(void) {
 }
 #endif
 
-/* The processor has AVX2 and FMA, and the system saves their registers. */
-static int has_avx2(void) {
+/* The fastest kind whose instructions the processor has and whose registers the system saves. */
+static int best_x86(void) {
   unsigned int r[4];
   cpuid(1, r);
   const unsigned int fma = 1u << 12, osxsave = 1u << 27, avx = 1u << 28;
-  if ((r[2] & (fma | osxsave | avx)) != (fma | osxsave | avx)) return 0;
-  if ((enabled_registers() & 6) != 6) return 0;
+  if ((r[2] & (fma | osxsave | avx)) != (fma | osxsave | avx)) return LTS_VECTOR4;
+  const unsigned long long saved = enabled_registers();
   cpuid(7, r);
-  return (r[1] >> 5) & 1;
+  if ((saved & 0x06) != 0x06 || !((r[1] >> 5) & 1)) return LTS_VECTOR4;
+  return (saved & 0xe6) == 0xe6 && ((r[1] >> 16) & 1) ? LTS_AVX512 : LTS_AVX2;
 }
 #endif
 
 const lts_kernels *lts_find_kernels(int kind, int *found) {
 #if defined(__x86_64__) || defined(_M_X64)
-  if ((kind == LTS_AVX2 || kind == LTS_BEST) && has_avx2()) {
+  const int best = kind == LTS_SCALAR || kind == LTS_VECTOR4 ? kind : best_x86();
+  if (best == LTS_AVX512 && (kind == LTS_AVX512 || kind == LTS_BEST)) {
+    *found = LTS_AVX512;
+    return &avx512_kernels;
+  }
+  if (best >= LTS_AVX2 && (kind == LTS_AVX2 || kind == LTS_BEST)) {
     *found = LTS_AVX2;
     return &avx2_kernels;
   }

@@ -26,23 +26,6 @@ static void place(const lts_model *m, int start, const lts_pose *pose, double *p
   }
 }
 
-static int usable_pose(const lts_pose *pose, lts_pose *out) {
-  for (int i = 0; i < 3; ++i) {
-    if (!isfinite(pose->position[i])) return 0;
-  }
-  lts_pose unit = *pose;
-  if (!lts_unit_quaternion(pose->rotation, unit.rotation)) return 0;
-  *out = unit;
-  return 1;
-}
-
-static int usable_twist(const lts_twist *twist) {
-  for (int i = 0; i < 3; ++i) {
-    if (!isfinite(twist->linear[i]) || !isfinite(twist->angular[i])) return 0;
-  }
-  return 1;
-}
-
 int lts_start_pose(const lts_model *model, int start, lts_pose *out) {
   if (!model || !out) return LTS_ERROR_NULL;
   if (model->abi != LTS_ABI) return LTS_ERROR_MODEL;
@@ -92,7 +75,7 @@ int lts_start(lts_instance *soil, int start, const lts_pose *pose, const lts_twi
   if (!is_start(m, start)) return LTS_ERROR_VALUE;
   lts_pose first;
   lts_start_pose(m, start, &first);
-  if ((pose && !usable_pose(pose, &first)) || (twist && !usable_twist(twist))) {
+  if ((pose && !lts_usable_pose(pose, &first)) || (twist && !lts_usable_twist(twist))) {
     return LTS_ERROR_VALUE;
   }
   const lts_twist rest = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -117,7 +100,7 @@ int lts_frame_at(lts_instance *soil, const lts_pose *pose, lts_result *result) {
   if (!pose) return LTS_ERROR_NULL;
   lts_pose unit;
   if (soil->state.head->start < 0) return LTS_ERROR_CALL;
-  if (!usable_pose(pose, &unit)) return LTS_ERROR_VALUE;
+  if (!lts_usable_pose(pose, &unit)) return LTS_ERROR_VALUE;
   place(m, soil->state.head->start, &unit, soil->history);
   return lts_frame(soil, soil->history, result);
 }
@@ -134,9 +117,9 @@ int lts_advance(lts_instance *soil, double h, const lts_pose *pose, const lts_tw
   if (given && head->start < 0) return LTS_ERROR_CALL;
   lts_pose now, coming;
   if (given) {
-    if (!usable_pose(pose, &now) || !usable_twist(twist)) return LTS_ERROR_VALUE;
+    if (!lts_usable_pose(pose, &now) || !lts_usable_twist(twist)) return LTS_ERROR_VALUE;
     lts_moved_pose(&now, twist, h, &coming);
-    if (!usable_pose(&coming, &coming)) return LTS_ERROR_VALUE;
+    if (!lts_usable_pose(&coming, &coming)) return LTS_ERROR_VALUE;
   }
   int status = 0;
   /* Steps of 1 ms do not add up to 1 / 60 s exactly: a frame that is missed by less than a

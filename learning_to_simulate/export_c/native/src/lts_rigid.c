@@ -1,45 +1,7 @@
-/* Rigid motions: rotations by quaternions w, x, y, z, and the placement of a predicted body. */
+/* The placement of a predicted body. */
 #include <math.h>
-#include <string.h>
 
 #include "lts_internal.h"
-
-void lts_rotate(const double q[4], const double v[3], double out[3]) {
-  const double w = q[0], x = q[1], y = q[2], z = q[3];
-  const double rows[3][3] = {
-      {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
-      {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
-      {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)},
-  };
-  double rotated[3];
-  for (int i = 0; i < 3; ++i) {
-    rotated[i] = rows[i][0] * v[0] + rows[i][1] * v[1] + rows[i][2] * v[2];
-  }
-  memcpy(out, rotated, sizeof rotated);
-}
-
-/* 0 where `q` stands for no rotation: not finite, or hardly longer than zero. */
-int lts_unit_quaternion(const double q[4], double out[4]) {
-  const double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  if (!(length > 1e-6 && length < 1e6)) return 0;
-  for (int i = 0; i < 4; ++i) out[i] = q[i] / length;
-  return 1;
-}
-
-void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out) {
-  const double *w = twist->angular, *q = pose->rotation;
-  const double rate = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), half = 0.5 * rate * seconds;
-  const double s = rate > 0.0 ? sin(half) / rate : 0.0, c = cos(half);
-  const double t[4] = {c, s * w[0], s * w[1], s * w[2]};
-  const double turned[4] = {
-      t[0] * q[0] - t[1] * q[1] - t[2] * q[2] - t[3] * q[3],
-      t[0] * q[1] + t[1] * q[0] + t[2] * q[3] - t[3] * q[2],
-      t[0] * q[2] - t[1] * q[3] + t[2] * q[0] + t[3] * q[1],
-      t[0] * q[3] + t[1] * q[2] - t[2] * q[1] + t[3] * q[0],
-  };
-  for (int i = 0; i < 3; ++i) out->position[i] = pose->position[i] + twist->linear[i] * seconds;
-  memcpy(out->rotation, turned, sizeof turned);
-}
 
 /* Eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix, by Jacobi rotations: they need no
  * start and no shift, and converge for equal eigenvalues too. */

@@ -4,10 +4,6 @@
 
 #include "lts_internal.h"
 
-#define ALIGNMENT 64
-
-static size_t aligned(size_t n, size_t to) { return (n + to - 1) / to * to; }
-
 static int is_usable(const lts_model *model) { return model && model->abi == LTS_ABI; }
 
 int lts_describe(const lts_model *model, lts_description *out) {
@@ -21,25 +17,13 @@ int lts_describe(const lts_model *model, lts_description *out) {
   return LTS_OK;
 }
 
-const char *lts_error_text(int error) {
-  switch (error) {
-    case LTS_ERROR_NULL: return "a pointer that is needed is null";
-    case LTS_ERROR_MODEL: return "the model is of another ABI version than this library";
-    case LTS_ERROR_MEMORY: return "too little memory, or memory that holds no instance";
-    case LTS_ERROR_CALL: return "not started, or a call that this model does not take";
-    case LTS_ERROR_VALUE: return "a number is not finite or outside its range";
-    case LTS_ERROR_STATE: return "the saved state is damaged or belongs to another model";
-    default: return error < 0 ? "unknown error" : "no error";
-  }
-}
-
 /* Walks the arrays of a state; `base` may be null, to count. */
 static size_t lay_out_state(const lts_model *m, char *base, lts_state *state) {
   const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
-  size_t at = aligned(sizeof(lts_head), 8);
+  size_t at = lts_aligned(sizeof(lts_head), 8);
 #define TAKE(field, type, count)                           \
   if (base) state->field = (type *)(void *)(base + at);    \
-  at += aligned((count) * sizeof(type), 8);
+  at += lts_aligned((count) * sizeof(type), 8);
   if (base) state->head = (lts_head *)(void *)base;
   TAKE(context, double, (size_t)m->n_context)
   TAKE(given, double, 3 * n_rigid)
@@ -68,14 +52,14 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   }
   if (!m->is_graph) out = (size_t)m->whole_out.a.columns;
   const size_t n_feature = m->is_graph ? n_node * (size_t)m->n_feature : (size_t)m->n_input;
-  size_t at = aligned(sizeof(lts_instance), ALIGNMENT);
+  size_t at = lts_aligned(sizeof(lts_instance), LTS_ALIGNMENT);
   if (base) lay_out_state(m, base + at, &soil->state);
-  at += aligned(lts_state_bytes(m), ALIGNMENT);
+  at += lts_aligned(lts_state_bytes(m), LTS_ALIGNMENT);
   if (base) soil->history = (double *)(void *)(base + at);
-  at += aligned(LTS_HISTORY * 3 * n_node * sizeof(double), ALIGNMENT);
+  at += lts_aligned(LTS_HISTORY * 3 * n_node * sizeof(double), LTS_ALIGNMENT);
 #define TAKE(field, count)                              \
   if (base) soil->field = (float *)(void *)(base + at); \
-  at += aligned((count) * sizeof(float), ALIGNMENT);
+  at += lts_aligned((count) * sizeof(float), LTS_ALIGNMENT);
   TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
   TAKE(weight, (size_t)m->n_edge)
   TAKE(gate, n_node)
@@ -93,7 +77,7 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
 }
 
 size_t lts_size(const lts_model *model) {
-  return is_usable(model) ? lts_lay_out(model, NULL, NULL) + ALIGNMENT - 1 : 0;
+  return is_usable(model) ? lts_lay_out(model, NULL, NULL) + LTS_ALIGNMENT - 1 : 0;
 }
 
 int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_instance **out) {
@@ -104,7 +88,7 @@ int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_
   const lts_kernels *run = lts_find_kernels(kernel, &found);
   if (!run) return LTS_ERROR_VALUE;
   char *base = (char *)memory;
-  base += (ALIGNMENT - (uintptr_t)base % ALIGNMENT) % ALIGNMENT;
+  base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
   memset(base, 0, lts_lay_out(model, NULL, NULL));
   lts_instance *soil = (lts_instance *)(void *)base;
   lts_lay_out(model, base, soil);
@@ -118,7 +102,7 @@ int lts_init(const lts_model *model, void *memory, size_t size, int kernel, lts_
 
 int lts_check(const lts_instance *soil) {
   if (!soil) return LTS_ERROR_NULL;
-  if ((uintptr_t)soil % ALIGNMENT || soil->magic != LTS_MAGIC) return LTS_ERROR_MEMORY;
+  if ((uintptr_t)soil % LTS_ALIGNMENT || soil->magic != LTS_MAGIC) return LTS_ERROR_MEMORY;
   return LTS_OK;
 }
 
@@ -133,21 +117,14 @@ int lts_kernel(const lts_instance *soil) {
   return error ? error : soil->kernel;
 }
 
-static int all_finite(const double *values, size_t n) {
-  for (size_t i = 0; i < n; ++i) {
-    if (!isfinite(values[i])) return 0;
-  }
-  return 1;
-}
-
 int lts_reset(lts_instance *soil, const double *history, const double *context) {
   const int error = lts_check(soil);
   if (error) return error;
   const lts_model *m = soil->model;
   const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
   if (!history || (m->n_context && !context)) return LTS_ERROR_NULL;
-  if (!all_finite(history, LTS_HISTORY * 3 * n_node)) return LTS_ERROR_VALUE;
-  if (m->n_context && !all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
+  if (!lts_all_finite(history, LTS_HISTORY * 3 * n_node)) return LTS_ERROR_VALUE;
+  if (m->n_context && !lts_all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
   lts_state *s = &soil->state;
   lts_head *head = s->head;
   memset(head, 0, lts_state_bytes(m));
@@ -216,7 +193,7 @@ int lts_set_context(lts_instance *soil, const double *context) {
   const lts_model *m = soil->model;
   if (!m->n_context) return LTS_ERROR_CALL;
   if (!context) return LTS_ERROR_NULL;
-  if (!all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
+  if (!lts_all_finite(context, (size_t)m->n_context)) return LTS_ERROR_VALUE;
   if (soil->state.head->frame == INT32_MAX) return LTS_ERROR_CALL; /* no frame comes */
   for (int i = 0; i < m->n_context; ++i) soil->state.context[i] = context[i];
   soil->prepared = 0;
@@ -224,35 +201,8 @@ int lts_set_context(lts_instance *soil, const double *context) {
   return lts_check_context(soil, soil->state.head->frame + 1);
 }
 
-/* Saved bytes: a header, then the state. */
-typedef struct {
-  uint32_t magic; /* also tells the byte order */
-  int32_t abi;
-  uint64_t size, checksum;
-  char digest[64];
-} lts_saved;
-
-/* FNV-1a, 64 bit. */
-static uint64_t checksum_of(const unsigned char *bytes, size_t size) {
-  uint64_t sum = 14695981039346656037ull;
-  for (size_t i = 0; i < size; ++i) sum = (sum ^ bytes[i]) * 1099511628211ull;
-  return sum;
-}
-
-static lts_saved saved_header(const lts_model *model) {
-  lts_saved header;
-  memset(&header, 0, sizeof header);
-  header.magic = LTS_MAGIC;
-  header.abi = LTS_ABI;
-  header.size = lts_state_bytes(model);
-  for (size_t i = 0; i < sizeof header.digest && model->digest[i]; ++i) {
-    header.digest[i] = model->digest[i];
-  }
-  return header;
-}
-
 size_t lts_state_size(const lts_model *model) {
-  return is_usable(model) ? sizeof(lts_saved) + lts_state_bytes(model) : 0;
+  return is_usable(model) ? LTS_HEADER_SIZE + lts_state_bytes(model) : 0;
 }
 
 int lts_save(const lts_instance *soil, void *bytes, size_t size) {
@@ -260,11 +210,9 @@ int lts_save(const lts_instance *soil, void *bytes, size_t size) {
   if (error) return error;
   if (!bytes) return LTS_ERROR_NULL;
   if (size < lts_state_size(soil->model)) return LTS_ERROR_MEMORY;
-  lts_saved header = saved_header(soil->model);
-  const unsigned char *state = (const unsigned char *)soil->state.head;
-  header.checksum = checksum_of(state, (size_t)header.size);
-  memcpy(bytes, &header, sizeof header);
-  memcpy((char *)bytes + sizeof header, state, (size_t)header.size);
+  const size_t n = lts_state_bytes(soil->model);
+  lts_write_header(LTS_MAGIC, soil->model->digest, soil->state.head, n, bytes);
+  memcpy((char *)bytes + LTS_HEADER_SIZE, soil->state.head, n);
   return LTS_OK;
 }
 
@@ -273,16 +221,16 @@ int lts_load(lts_instance *soil, const void *bytes, size_t size) {
   if (error) return error;
   if (!bytes) return LTS_ERROR_NULL;
   if (size < lts_state_size(soil->model)) return LTS_ERROR_STATE;
-  const unsigned char *state = (const unsigned char *)bytes + sizeof(lts_saved);
-  lts_saved header = saved_header(soil->model);
-  header.checksum = checksum_of(state, (size_t)header.size);
-  if (memcmp(&header, bytes, sizeof header)) return LTS_ERROR_STATE;
+  const char *state = (const char *)bytes + LTS_HEADER_SIZE;
+  size_t n;
+  if (!lts_read_header(LTS_MAGIC, soil->model->digest, bytes, &n)) return LTS_ERROR_STATE;
+  if (n != lts_state_bytes(soil->model) || !lts_is_whole(bytes, state, n)) return LTS_ERROR_STATE;
   lts_head head;
   memcpy(&head, state, sizeof head);
   /* A checksum can be forged: the index and the clock are what could lead astray. */
   if (head.start < -1 || head.start >= soil->model->n_start) return LTS_ERROR_STATE;
   if (!(fabs(head.elapsed) <= 2.0 * soil->model->dt)) return LTS_ERROR_STATE;
-  memcpy(soil->state.head, state, (size_t)header.size);
+  memcpy(soil->state.head, state, n);
   soil->prepared = 0;
   if (soil->state.head->started) lts_context_features(soil);
   return LTS_OK;

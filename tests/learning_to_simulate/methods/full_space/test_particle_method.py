@@ -199,7 +199,7 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
 def test_driven_wheel_is_trained_on_decoded_particles(folders, tmp_path):
     """Without raw runs what the subspace cuts off is stated beside the error."""
     folder, _ = folders['wheel']
-    summary = particles.train(
+    summary = registry.train(
         folder, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
     )
     row = summary['runs']['model'][0]
@@ -210,9 +210,9 @@ def test_training_learns_resumes_and_refuses(folders, tmp_path):
     folder, raw = folders['excavation']
     path = str(tmp_path / 'model')
     config = presets.make_config('full_space', **SHORT | {'num_steps': 40, 'noise_std': 0.0})
-    particles.train(folder, path, config, save_every=40, raw_path=raw)
+    registry.train(folder, path, config, save_every=40, raw_path=raw)
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
-    particles.train(folder, path, config, save_every=40, raw_path=raw)
+    registry.train(folder, path, config, save_every=40, raw_path=raw)
     opened = particles.open_model(path, folder, 'valid', raw_path=raw)
     model, groups = opened.model, opened.groups
     for variable, stored in zip(model.simulator.trainable_variables, before.values()):

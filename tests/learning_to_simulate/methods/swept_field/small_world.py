@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from learning_to_simulate.live.resting_start import Starts
 from learning_to_simulate.methods.swept_features import SweptGrid
 from learning_to_simulate.methods.swept_field import tool_path
 from learning_to_simulate.methods.swept_field.axes import Axes
 from learning_to_simulate.methods.swept_field.field import SweptField
+from learning_to_simulate.methods.swept_field.live import LiveField
 from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Blade
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -64,10 +66,21 @@ def make_field(members=3, seed=0, **config) -> SweptField:
     field = SweptField(settings, scene, AXES, GRID, BLADE, bed_points(), SPACING, SPACING)
     for part in (field.network.soil, field.network.load):
         weight, bias = part.layers[-1]
-        weight.assign(10.0 * weight)
-        bias.assign(bias + 0.5)
+        # Not the gain of the load.
+        scale = np.where(np.arange(bias.shape[-1]) < 3, 10.0, 1.0)
+        weight.assign(scale * weight)
+        bias.assign(0.5 * (scale > 1) + bias)
     field.ranges = {name: [-10.0, 10.0] for name in tool_path.SCALARS}
     return field
+
+
+def make_live(field, **options) -> LiveField:
+    """Steps the field with a tool of four particles."""
+    body = np.array([[0.0, y, z] for y in (0.0, 0.2) for z in (-0.2, 0.2)])
+    pose = world_pose(path()[0])
+    modes = np.zeros((1, field.scene.n_modes, 3))
+    starts = Starts(({},), (body,), (np.arange(4),), pose, modes, None, None)
+    return LiveField(field, starts, **options)
 
 
 def frames(plane, surface=None) -> tool_path.Frame:

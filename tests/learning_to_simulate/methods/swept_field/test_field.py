@@ -46,14 +46,8 @@ def twin(bins, scalars, rest):
     values += [
         s['height'] / 0.05, max(s['height'], 0) / 0.03, s['lean'], s['area'] / 0.01,
         np.sqrt(max(s['area'], 0) + 1e-6) / 0.1, (s['foremost'] - s['tip']) / 0.1,
-        s['half_width'] / 0.2, s['end'] - s['tip'], np.tanh(s['speed'] / 0.02),
-        np.tanh(s['rise'] / 0.02),
+        s['half_width'] / 0.2, s['end'] - s['tip'],
     ]  # fmt: skip
-    for ending in ('', '_0', '_1'):
-        values += [s['speed' + ending] / 0.1, s['rise' + ending] / 0.1, s['turn' + ending]]
-    ahead = s['tip'] + inputs_lib.AHEAD
-    values += [at(C.CUT, a) / 0.03 for a in ahead]
-    values += [(at(C.SURFACE, a) - s['height']) / 0.05 for a in ahead]
     return gate, np.array(values)
 
 
@@ -92,7 +86,7 @@ def test_shifting_the_scene_shifts_the_answer():
     rest = local_rest(field, plane)
     difference = field.displacement(there, rest) - field.displacement(here, rest)
     assert np.abs(difference).max() < 2e-4
-    np.testing.assert_allclose(field.loads(there), field.loads(here), atol=0.2)
+    np.testing.assert_allclose(field.loads(there), field.loads(here), rtol=5e-3, atol=0.5)
 
 
 def test_nothing_moves_where_nothing_has_been():
@@ -142,10 +136,20 @@ def test_no_force_in_the_air_and_none_jumps():
     assert np.abs(np.diff(loads[:, 1:], axis=1)).max() < 0.25 * np.abs(loads).max()
 
 
+def test_the_fourth_output_of_the_load_is_the_logarithm_of_a_gain():
+    field, frames = world.make_field(), world.frames(world.path())
+    loads = field.loads(frames)
+    _, bias = field.network.load.layers[-1]
+    bias.assign(bias + [0.0, 0.0, 0.0, np.log(2.0)])
+    np.testing.assert_allclose(field.loads(frames), 2.0 * loads, rtol=1e-4, atol=1e-3)
+    bias.assign(bias + [0.0, 0.0, 0.0, 100.0])
+    assert np.isfinite(field.loads(frames)).all()
+
+
 def test_members_are_those_of_the_ensemble():
     plane = world.path()
     field, frames = world.make_field(), world.frames(plane)
-    rest = local_rest(field, plane)[:50]
+    rest = local_rest(field, plane)[::7]
     whole = field.displacement(frames, rest)
     np.testing.assert_allclose(field.displacement(frames, rest, 1), whole[:1], atol=2e-6)
     np.testing.assert_allclose(field.loads(frames, 2), field.loads(frames)[:2], atol=1e-4)
@@ -154,7 +158,7 @@ def test_members_are_those_of_the_ensemble():
 
 def test_a_model_folder_gives_the_same_field(tmp_path):
     field = world.make_field()
-    field.calibration = {'soil': 2.0, 'force': 3.0}
+    field.calibration = {'soil': [0.1, 2.0, 0.3], 'force': [1.0, 3.0, 0.1]}
     model_files.save(str(tmp_path), field, {})
     other = model_files.load(str(tmp_path))
     plane = world.path()

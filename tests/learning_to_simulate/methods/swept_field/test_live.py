@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from learning_to_simulate.live.path_rollout import velocity_between
 from learning_to_simulate.methods.swept_field import soil_physics, tool_path
+from learning_to_simulate.methods.swept_field.beds import HeightMap
 from learning_to_simulate.methods.swept_field.episodes import BedReader
-from learning_to_simulate.methods.swept_field.live import HeightMap, LiveField
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from tests.learning_to_simulate.methods.swept_field import small_world as world
@@ -32,8 +33,9 @@ def whole(field, plane, points):
 def test_steps_are_the_frames_of_a_rollout(field):
     plane = world.path()
     loads, points = whole(field, plane, field.rest)
-    live = LiveField(field)
-    live.start(world.world_pose(plane[0, 0]))
+    live = world.make_live(field)
+    first, second = world.world_pose(plane[:2, 0])
+    live.start(first, velocity_between(first, second, world.DT))
     for t, pose in enumerate(world.world_pose(plane[1:, 0]), start=1):
         answer = live.step(pose)
         force, torque = field.axes.world_loads(loads[t])
@@ -50,7 +52,7 @@ def test_steps_are_the_frames_of_a_rollout(field):
 
 def test_a_kept_state_goes_on_to_the_same_bits(field):
     poses = world.world_pose(world.path()[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     live.start(poses[0])
     for pose in poses[1:20]:
         live.step(pose)
@@ -62,11 +64,12 @@ def test_a_kept_state_goes_on_to_the_same_bits(field):
 
 def test_the_state_does_not_grow(field):
     poses = world.world_pose(world.path()[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     live.start(poses[0])
 
     def size():
-        arrays = [*live.state.swept, *live.state[1:]]
+        tool = live.state.tool
+        arrays = [*tool.swept, *tool[1:]]
         return sum(a.nbytes for a in arrays)
 
     before = size()
@@ -79,10 +82,10 @@ def test_the_state_does_not_grow(field):
 def test_a_bed_may_be_given_as_particles_or_as_heights(field):
     plane = world.path()
     poses = world.world_pose(plane[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
 
     def force_on(bed):
-        live.start(poses[0], bed)
+        live.start(poses[0], bed=bed)
         return np.array([live.step(pose).force for pose in poses[1:40]])
 
     flat = force_on(None)
@@ -96,19 +99,19 @@ def test_a_bed_may_be_given_as_particles_or_as_heights(field):
 
 def test_height_map_and_what_is_left_out(field):
     poses = world.world_pose(world.path()[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     live.start(poses[0])
-    heights = live.height_map(8, 4)
-    np.testing.assert_allclose(heights, field.rest[:, 1].max(), atol=1e-9)
+    heights = live.state.frame.height_map(8, 4)
+    np.testing.assert_allclose(heights, field.rest[:, 1].max(), atol=1e-7)
     assert live.explain().startswith(f'0 of {len(field.rest)}')
     for pose in poses[1:]:
         live.step(pose)
-    assert np.nanmax(np.abs(live.height_map(8, 4) - heights)) > 1e-3
+    assert np.nanmax(np.abs(live.state.frame.height_map(8, 4) - heights)) > 1e-3
 
 
 def test_status_says_what_is_unlike_training(field):
     poses = world.world_pose(world.path()[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     assert live.start(poses[0]).status == RolloutStatus.OK
     ranges = dict(field.ranges)
     try:
@@ -124,9 +127,9 @@ def test_status_says_what_is_unlike_training(field):
     [
         (lambda p: p + [0.2, 0, 0, 0, 0, 0, 0], 'jumps'),
         (lambda p: p - [0, 0.04, 0, 0, 0, 0, 0], 'floor'),
-        (lambda p: p * np.nan, 'NaN'),
-        (lambda p: p[:3], 'shape'),
-        (lambda p: np.array([*p[:3], 2, 0, 0, 0]), 'length 1'),
+        (lambda p: p * np.nan, 'nan at'),
+        (lambda p: p[:4], 'shape'),
+        (lambda p: np.array([*p[:3], 2, 0, 0, 0]), 'must be 1'),
     ],
 )
 def test_bad_poses_are_refused_and_the_state_stays(field, change, message):
@@ -134,7 +137,7 @@ def test_bad_poses_are_refused_and_the_state_stays(field, change, message):
     if message == 'floor':
         plane = world.path(depth=0.13)
     poses = world.world_pose(plane[:, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     live.start(poses[0])
     for pose in poses[1:31]:
         live.step(pose)
@@ -146,21 +149,21 @@ def test_bad_poses_are_refused_and_the_state_stays(field, change, message):
 
 def test_bad_starts_are_refused(field):
     pose = world.world_pose(world.path()[0, 0])
-    live = LiveField(field)
+    live = world.make_live(field)
     with pytest.raises(ValueError, match='start'):
         live.step(pose)
     for bed, message in (
         (np.zeros((4, 2)), 'shape'),
         (HeightMap([0.0, 1.0], [0.2]), 'height map'),
-        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'NaN'),
+        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'heights holds nan'),
         (HeightMap([0.0, 1.0], [0.2, -3.0]), 'floor'),
     ):
         with pytest.raises(ValueError, match=message):
-            live.start(pose, bed)
+            live.start(pose, bed=bed)
     with pytest.raises(ValueError, match='blade_width'):
         live.start(pose, blade_width=-1.0)
     live.start(pose)
     with pytest.raises(ValueError, match='time must go on'):
         live.step(pose, dt=-0.1)
     with pytest.raises(ValueError, match='members'):
-        LiveField(field, members=9)
+        world.make_live(field, members=9)

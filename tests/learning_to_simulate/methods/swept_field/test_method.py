@@ -8,16 +8,18 @@ import sys
 import numpy as np
 import pytest
 
+import learning_to_simulate as lts
+from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import fitting, method, settings
-from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import convert, dataset, files, raw_writer
+from reports import swept_field as report
 from reports.protocol import rollouts
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 SMALL = {
     'members': 2, 'latent_size': 16, 'hidden_layers': 2, 'force_latent_size': 16,
-    'num_steps': 150, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
+    'num_steps': 250, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
 }  # fmt: skip
 
 
@@ -65,7 +67,7 @@ def data_path(tmp_path_factory):
 def model_path(data_path, tmp_path_factory):
     path = str(tmp_path_factory.mktemp('model') / 'field')
     config = settings.SweptFieldConfig('swept_field', **SMALL)
-    method.train(data_path, path, config)
+    registry.train(data_path, path, config)
     return path
 
 
@@ -76,7 +78,7 @@ def test_training_learns_soil_and_force(data_path, model_path):
     assert run['force_l2'] < 0.5
     assert run['air_force_N'] < 1.0
     assert summary['training']['runs'] == 3 and summary['training']['episodes'] > 3
-    assert summary['reliability']['soil']['factor_of_this_split'] > 0
+    assert summary['reliability']['soil']['weights_of_this_split'][0] > 0
     # What is said to rest does so in the training runs.
     assert summary['training']['left_out_share'] > 0.3
     assert summary['training']['left_out_motion'] < 1e-3
@@ -96,7 +98,7 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
     summary = json.loads((tmp_path / 'metrics.json').read_text())
     sample = method._evaluator(
         method.load(model_path).field, data_path, metadata, 'test', np.zeros(3)
-    )._reader.sample('test')  # fmt: skip
+    ).reader.sample('test')  # fmt: skip
     frames = np.arange(8, 61, 4)
     truth = sample[0][frames // 4]
     predicted = prediction.particles(frames, np.asarray(sample.indices))
@@ -113,11 +115,11 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
 def test_a_second_call_finds_it_done_and_other_settings_are_refused(data_path, model_path):
     before = files.sha256_of_file(os.path.join(model_path, 'weights.npz'))
     config = settings.SweptFieldConfig('swept_field', **SMALL)
-    method.train(data_path, model_path, config)
+    registry.train(data_path, model_path, config)
     assert files.sha256_of_file(os.path.join(model_path, 'weights.npz')) == before
     other = settings.SweptFieldConfig('swept_field', **(SMALL | {'num_steps': 7}))
     with pytest.raises(ValueError, match='another config'):
-        method.train(data_path, model_path, other)
+        registry.train(data_path, model_path, other)
     with pytest.raises(ValueError, match='contradicts'):
         method.open_model(model_path, data_path, 'test', {'members': 1})
 
@@ -131,13 +133,61 @@ def test_training_is_the_same_again(data_path):
 
 
 def test_a_model_folder_is_enough_for_live_use(model_path):
-    live = LiveField.load(model_path)
+    """Steps are the frames of the same path rolled out at once."""
+    model = lts.load(model_path)
     poses = world.world_pose(world.path(depth=0.05)[:, 0])
-    live.start(poses[0])
-    bounds = [live.step(pose).force_bound for pose in poses[1:31]]
-    assert np.isfinite(bounds).all() and min(bounds) > 0
-    assert np.abs(live.particles() - live.particles()[0]).max() > 0
-    assert registry.of_folder(model_path).load_code() is method
+    rollout = model.rollout(poses[:31])
+    live = model.stepper()
+    live.start(poses[0], path_rollout.velocity_between(poses[0], poses[1], live.dt))
+    frames = [live.step(pose) for pose in poses[1:31]]
+    np.testing.assert_allclose([f.force for f in frames], rollout.force, atol=1e-3)
+    assert [f.now for f in frames] == list(rollout.frame_status)
+    np.testing.assert_allclose(frames[-1].particles(), rollout.particles(-1), atol=1e-6)
+    np.testing.assert_allclose(frames[-1].height_map(6, 4), rollout.height_map(6, 4), atol=1e-6)
+    assert np.abs(frames[-1].particles() - rollout.particles(0)).max() > 1e-3
+    assert min(f.bound for f in frames) > 0
+    np.testing.assert_allclose(rollout.body[-1], live.body(poses[30]), atol=1e-9)
+
+
+def test_rollouts_of_runs_and_paths_can_be_saved(data_path, model_path, tmp_path):
+    model, data = lts.load(model_path), lts.Dataset(data_path)
+    recorded = model.rollout(data.test[0])
+    truth = dataset.read_split(data_path, 'test')[0]
+    assert len(recorded.modes) == len(truth.force) - 6
+    modes = np.asarray(recorded.modes)
+    # The file of an evaluated run has the modes of the same particles every few frames.
+    other = model.evaluate(data.test).summary['field'][0]['soil_mm']
+    assert 0 < other < 20 and modes.shape == recorded.truth[0][6:].shape
+    several = model.rollout([world.world_pose(world.path(depth=d)[:20, 0]) for d in (0.03, 0.05)])
+    assert len(several) == 2 and several[0].force.shape == (19, 3)
+    for i, rollout in enumerate([recorded, several[0]]):
+        rollout.save(str(tmp_path / f'{i}.npz'))
+        arrays = files.read_npz(str(tmp_path / f'{i}.npz'))
+        assert len(arrays['predicted_rollout']) == len(rollout.modes)
+
+
+def test_the_report_measures_rates_restarts_and_ten_lengths(data_path, model_path, tmp_path):
+    model, data = lts.load(model_path), lts.Dataset(data_path)
+    found = report.measure(model, data, 'test')
+    (row,) = found['runs']
+    assert row['soil_mm'] == pytest.approx(
+        model.evaluate(data.test).summary['field'][0]['soil_mm'], rel=1e-6
+    )
+    for rate in ('half_rate', 'double_rate'):
+        assert row[rate] == pytest.approx(1.0, abs=0.05)
+    assert row['second_half_mm'] < row['still_mm']
+    assert row['restart_predicted_mm'] < 3 * row['second_half_mm']
+    ten = found['ten_lengths']
+    assert ten['frames'] == 10 * 60 and ten['largest_force_N'] > 0
+    files.write_json(str(tmp_path / 'report.json'), found)
+    assert '| made_up | 1 |' in report.by_kind(str(tmp_path / 'report.json'))
+    assert report.steady(str(tmp_path / 'report.json')).count('\n') == 6
+
+
+def test_a_path_at_twice_its_rate_goes_through_its_own_poses():
+    pose = world.path()[:, 0]
+    np.testing.assert_array_equal(report.resampled(pose, 2.0)[::2], pose)
+    np.testing.assert_array_equal(report.resampled(pose, 0.5), pose[::2])
 
 
 def test_settings_are_checked():

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit
 from scipy.stats import norm
 
-from tests.learning_to_simulate.numpy_twin import H, Twin, _norm
+from tests.learning_to_simulate.twins.numpy_twin import H, Twin, _norm
 
 
 def _gelu(x):

@@ -43,6 +43,12 @@ class Twin:
     def _class(self, node):
         return 0 if node < self.n_rigid else 1 + node - self.n_rigid
 
+    def _row(self, node):
+        """Row of the embedding by class; those of further bodies come behind those of the modes."""
+        counts = [count for _, count in self.scene.bodies]
+        body = sum(node >= end for end in np.cumsum(counts[:-1])) if node < self.n_rigid else 0
+        return self.r + body if body else self._class(node)
+
     def step(self, history, next_body, context):
         """The next positions and the force.
 
@@ -86,7 +92,9 @@ class Twin:
                     height[1:] = velocity[:, : self.n_rigid, up].mean(1) / s.height_velocity_std[0]
                 row.append(height)
             table = self.weights['learned_simulator/embedding']
-            row.append(table[k] if c.conditioned else table[self.types[0 if k == 0 else 1]])
+            row.append(
+                table[self._row(i)] if c.conditioned else table[self.types[0 if k == 0 else 1]]
+            )
             if context is not None:
                 row.append((context - s.context_mean) / s.context_std)
                 if c.conditioned:

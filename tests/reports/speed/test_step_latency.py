@@ -10,7 +10,7 @@ import pytest
 from pca_tools import files
 from reports.speed import step_latency
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 PAIR = 'models/excavation/pcg:datasets/excavation'
 
 

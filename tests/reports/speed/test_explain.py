@@ -5,7 +5,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, presets, reading_utils, rollout
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.methods import registry, subspace_method
 from pca_tools import dataset
 from reports.speed import explain, product_count
 from tests.learning_to_simulate import models, synthetic
@@ -61,7 +61,7 @@ def trained(tmp_path_factory):
 
 def _three_frames(*arguments):
     state, known, context, _ = rollout.rollout_inputs(*arguments)
-    return state, type(known)(*(x[:3] for x in known)), context, 3
+    return state, type(known)(*(x[:3] for x in known[:2])), context, 3
 
 
 def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
@@ -87,7 +87,7 @@ def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
 
 def test_model_without_a_graph_is_refused(trained, monkeypatch):
     path, data = trained
-    opened = subspace_method.open_model(path, data, 'test')
+    opened = registry.open_model(path, data, 'test')
     object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
     monkeypatch.setattr(subspace_method, 'open_model', lambda *_: opened)
     with pytest.raises(ValueError, match="'mlp' has no graph"):

@@ -1,0 +1,269 @@
+"""`CField`: a swept field of the C library, called by ctypes.
+
+Example:
+    soil = CField.load('models/excavation/swept_field')
+    soil.start(pose)
+    frame = soil.step(next_pose)         # force, torque, bound, status; no particle is computed
+    points = soil.particles()            # only where they are asked for
+"""
+
+import ctypes
+from typing import NamedTuple
+
+import numpy as np
+
+from learning_to_simulate.export_c import c_header, c_library, c_values, field_data
+from learning_to_simulate.export_c.c_soil import KERNELS
+from learning_to_simulate.live.poses import numbers
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+
+
+class FieldFrame(NamedTuple):
+    """One frame.
+
+    Attributes:
+      force: float64 [3] on the tool, world, N.
+      torque: float64 [3] about its reference point, N m.
+      bound: N, root mean square per component that 95 % of frames like those of valid keep; None
+        where the model was not calibrated.
+      status: bits of lts.h; 0 where all is well.
+    """
+
+    force: np.ndarray
+    torque: np.ndarray
+    bound: float | None
+    status: int
+
+
+class CField:
+    """One run of a swept field.
+
+    Args:
+      library: `c_library.declared` of a shared library.
+      model: address of its `lts_field_model`.
+      kernel: 'best' or one of `c_soil.KERNELS`.
+      members: networks that answer; None: all.
+
+    Raises:
+      ValueError: a model of another ABI version, a kernel that this machine lacks, no such members.
+    """
+
+    def __init__(self, library, model: int, kernel: str = 'best', members: int | None = None):
+        self._c, self._model = library, model
+        d = c_header.structures()['lts_field_description']()
+        self._done(library.lts_field_describe(model, ctypes.addressof(d)))
+        self._d = d
+        self._names = d.scalar_names.decode().split(',')
+        if kernel not in ('best', *KERNELS):
+            raise ValueError(f'kernel is {kernel!r}, must be best, {", ".join(KERNELS)}')
+        self._memory = np.empty(library.lts_field_size(model), np.uint8)
+        soil = ctypes.c_void_p()
+        code = library.lts_field_init(
+            model,
+            self._memory.ctypes.data,
+            self._memory.nbytes,
+            c_header.constants()[f'LTS_{kernel.upper()}'],
+            ctypes.byref(soil),
+        )
+        if code < 0:
+            raise ValueError(f'this machine lacks kernel {kernel!r}')
+        self._soil = soil.value
+        if members is not None:
+            if not 1 <= members <= d.n_member:
+                raise ValueError(f'members is {members}, must lie in [1, {d.n_member}]')
+            self._done(library.lts_field_members(self._soil, members, members))
+        self._result = c_header.structures()['lts_field_result']()
+        self._at_result = ctypes.addressof(self._result)
+        # Every call reads from the same array: an address costs a microsecond.
+        self._pose = np.empty(7)
+        self._at_pose = self._pose.ctypes.data
+        self._data = None
+
+    @classmethod
+    def of(cls, field, kernel: str = 'best', members: int | None = None) -> 'CField':
+        """Of a `SweptField`, with its weights as they are now.
+
+        Raises:
+          ValueError: inputs that C does not know.
+          c_library.NoCompiler: the library is not compiled yet, and there is no C compiler.
+        """
+        data = c_values.Structure('lts_field_model', field_data.values(field))
+        made = cls(c_library.load(), ctypes.addressof(data.value), kernel, members)
+        made._data = data
+        return made
+
+    @classmethod
+    def load(cls, model_path: str, **options) -> 'CField':
+        """Of a model folder; raises as `model_files.load` and `of`."""
+        from learning_to_simulate.methods.swept_field import model_files
+
+        return cls.of(model_files.load(model_path), **options)
+
+    @classmethod
+    def open(cls, path: str, symbol: str, **options) -> 'CField':
+        """Of a shared library that an exported project built.
+
+        Raises:
+          ValueError: no such library, or no such model in it.
+        """
+        try:
+            library = c_library.declared(ctypes.CDLL(path))
+            model = ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
+        except (OSError, ValueError, AttributeError) as error:
+            raise ValueError(f'{path}: no library of the model {symbol} ({error})') from error
+        return cls(library, model, **options)
+
+    @property
+    def description(self):
+        """`lts_field_description`: sizes, the blade, the axes."""
+        return self._d
+
+    @property
+    def address(self) -> int:
+        """Of the `lts_field`, for calls of lts_field.h that have no method here."""
+        return self._soil
+
+    @property
+    def kernel(self) -> str:
+        """Which arithmetic runs, one of `c_soil.KERNELS`."""
+        return KERNELS[self._c.lts_field_kernel(self._soil)]
+
+    def start(self, pose, velocity=None, bed=None, blade_width: float | None = None) -> Judgement:
+        """Begins where the tool is; returns how the start is to be judged.
+
+        Args:
+          pose: [7] middle of the blade's lower edge, m, and its rotation w, x, y, z from upright.
+          velocity: [6] linear, m/s, and angular, rad/s; None: at rest.
+          bed: None for the flat bed of the training; [N, 3] particles, m; or anything with `places`
+            and `heights`, as a height map of the method.
+          blade_width: m; None for the usual one.
+
+        Raises:
+          ValueError: not a pose, a velocity, a bed or a width; the state stays as it was.
+        """
+        self._take(pose)
+        width = 0.0 if blade_width is None else float(blade_width)
+        if not (blade_width is None or 0 < width < np.inf):
+            raise ValueError(f'blade_width is {blade_width}, must be positive')
+        twist = None if velocity is None else numbers('velocity', velocity, (6,))
+        given = None if bed is None else self._bed(bed)
+        at_twist = None if twist is None else twist.ctypes.data
+        at_bed = None if bed is None else ctypes.addressof(given)
+        self._done(self._c.lts_field_start(self._soil, self._at_pose, at_twist, at_bed, width))
+        return self.judgement
+
+    def renew(self) -> None:
+        """Begins anew where the tool is, on the bed as the model now sees it."""
+        self._done(self._c.lts_field_renew(self._soil))
+
+    def _bed(self, bed):
+        made = c_header.structures()['lts_field_bed']()
+        if hasattr(bed, 'heights'):
+            places, heights = (numbers(n, getattr(bed, n), (None,)) for n in ('places', 'heights'))
+            if len(places) != len(heights) or len(places) < 2:
+                raise ValueError(
+                    f'a height map has {len(places)} places and {len(heights)} heights: two rows '
+                    f'of one length of at least 2 were expected'
+                )
+            order = np.argsort(places)
+            parts = {'places': places[order], 'heights': heights[order]}
+            made.n = len(places)
+        else:
+            n = self._d.n_soil
+            parts = {'particles': np.ascontiguousarray(numbers('bed', bed, (n, 3)), np.float32)}
+        for name, array in parts.items():
+            setattr(made, name, array.ctypes.data_as(dict(made._fields_)[name]))
+        made.alive = parts
+        return made
+
+    def step(self, pose, dt: float | None = None) -> FieldFrame:
+        """Moves the tool in a straight line to its next pose.
+
+        Args:
+          pose: [7], see `start`.
+          dt: s; None for the frame time of the training data.
+
+        Raises:
+          ValueError: before `start`; not a pose, a jump, a time that does not pass, a place beyond
+            the bins or under the floor. The state stays as it was.
+        """
+        self._take(pose)
+        dt = self._d.dt if dt is None else float(dt)
+        if not 0 < dt < np.inf:
+            raise ValueError(f'dt is {dt} s: time must go on')
+        self._done(self._c.lts_field_frame(self._soil, self._at_pose, dt, self._at_result))
+        r = self._result
+        bound = r.force_bound if self._d.has_bound else None
+        return FieldFrame(np.array(r.force), np.array(r.torque), bound, r.status)
+
+    def _take(self, pose):
+        self._pose[:] = numbers('pose', pose, (7,))
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3] of the soil now, m; none of it inside the blade."""
+        points = np.empty((self._d.n_soil, 3), np.float32)
+        self._done(self._c.lts_field_particles(self._soil, points.ctypes.data, len(points)))
+        return points
+
+    def moving(self) -> int:
+        """How many particles may have moved; the others are left out, exactly."""
+        return self._done(self._c.lts_field_moving(self._soil))
+
+    def height_map(self, origin, cell: float, shape) -> np.ndarray:
+        """As `CSoil.height_map`."""
+        grid = c_header.structures()['lts_grid'](
+            (ctypes.c_double * 2)(*numbers('origin', origin, (2,))),
+            float(cell),
+            (ctypes.c_int32 * 2)(*map(int, shape)),
+        )
+        if not (cell > 0 and min(grid.n) > 0):
+            raise ValueError(f'a grid of {tuple(shape)} cells of {cell} m has no cells')
+        heights = np.empty(tuple(grid.n), np.float32)
+        self._done(
+            self._c.lts_field_height_map(self._soil, ctypes.addressof(grid), heights.ctypes.data)
+        )
+        return heights
+
+    @property
+    def judgement(self) -> Judgement:
+        """Of the newest frame."""
+        found = c_header.structures()['lts_judgement']()
+        status = self._done(self._c.lts_field_judge(self._soil, ctypes.addressof(found)))
+        if not status:
+            return Judgement(RolloutStatus.OK)
+        if status & c_header.constants()['LTS_NON_FINITE']:
+            return Judgement(RolloutStatus.NON_FINITE, found.frame, -1, 'the load is not finite')
+        return Judgement(
+            RolloutStatus.EXTRAPOLATING,
+            found.frame,
+            -1,
+            f'{self._names[found.axis]} {found.value:.4g} is outside '
+            f'[{found.low:.4g}, {found.high:.4g}] of training',
+        )
+
+    def save(self) -> bytes:
+        """The state, for `load_state`."""
+        state = ctypes.create_string_buffer(self._c.lts_field_state_size(self._soil))
+        self._done(self._c.lts_field_save(self._soil, state, len(state)))
+        return state.raw
+
+    def load_state(self, state: bytes) -> None:
+        """Goes back to a saved state; what follows is the same bit by bit.
+
+        Raises:
+          ValueError: damaged bytes, or those of another model; the state stays as it was.
+        """
+        self._done(self._c.lts_field_load(self._soil, state, len(state)))
+
+    def copy_state(self, other: 'CField') -> None:
+        """Takes over the state of another run of the same model.
+
+        Raises:
+          ValueError: a run of another model.
+        """
+        self._done(self._c.lts_field_clone(self._soil, other._soil))
+
+    def _done(self, code):
+        if code < 0:
+            raise ValueError(self._c.lts_error_text(code).decode())
+        return code

@@ -1,0 +1,310 @@
+"""modelDescription.xml of FMI 2.0 and 3.0: one table of variables, two ways to write it."""
+
+import math
+import uuid
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from learning_to_simulate.export_c import c_header, project
+
+_UNITS = {
+    'm': {'m': '1'},
+    'm/s': {'m': '1', 's': '-1'},
+    'rad/s': {'rad': '1', 's': '-1'},
+    'N': {'kg': '1', 'm': '1', 's': '-2'},
+    'N.m': {'kg': '1', 'm': '2', 's': '-2'},
+    's': {'s': '1'},
+}
+_LOG_CATEGORIES = {
+    'logStatusWarning': 'when the model is used outside its training runs',
+    'logStatusError': 'refused input and failed steps',
+    'logEvents': 'unused',
+}
+_BOOLEANS = {
+    'ok': 'nothing of the following has held since the start',
+    'extrapolating': 'context, start, pose or speed lies outside the training runs',
+    'left_bounds': 'the soil left twice the hull of its training positions',
+    'non_finite': 'a position or force is not finite',
+}
+# m, of the height map of an FMU.
+CELL = 0.025
+
+
+class Variable(NamedTuple):
+    """A scalar variable.
+
+    Attributes:
+      name, unit, text: as they are told.
+      causality: input, output, local, constant or parameter.
+      start: or None where it is calculated.
+    """
+
+    name: str
+    unit: str | None
+    causality: str
+    start: float | None
+    text: str
+
+
+def guid(values: dict) -> str:
+    """The FMU's GUID: it follows the numbers of the model."""
+    return '{' + str(uuid.uuid5(uuid.NAMESPACE_OID, values['digest'])) + '}'
+
+
+def body(values: dict) -> str:
+    """What the variables call the body."""
+    given = values.get('motion', 1) == c_header.constants()['LTS_PRESCRIBED']
+    return 'tool' if given else 'wheel'
+
+
+def grid(values: dict) -> tuple[list[float], list[int]]:
+    """Origin [2] (m) and cells [2] of the height map over the bed at rest; none without a bed."""
+    if project.is_field(values):
+        points, up = np.asarray(values['rest']), values['up']
+    elif values.get('n_soil'):
+        n, up, start = values['n_soil'], values['up_axis'], values['starts'][0]
+        offsets = start['modes'] - values['origin'][values['n_rigid'] :]
+        points = (values['mean'] + offsets.T @ values['components'])[:, :n].T
+    else:
+        return [0.0, 0.0], [0, 0]
+    low, high = (np.delete(f(points, axis=0), up) for f in (np.min, np.max))
+    cells = [max(1, math.ceil(float(length) / CELL)) for length in high - low]
+    middle = (low + high) / 2
+    return [float(m - n * CELL / 2) for m, n in zip(middle, cells)], cells
+
+
+def _context(values):
+    """(name, unit, start, text) of the fixed parameters."""
+    if project.is_field(values):
+        return [('blade_width', 'm', values['width'], 'of the blade')]
+    names = values['context_names'].split(',') if values['n_context'] else []
+    starts = values['starts'][0]['context']
+    return [(name, None, value, 'of the scene') for name, value in zip(names, starts)]
+
+
+def _first_place(values):
+    if not project.is_field(values):
+        return values['starts'][0]['points'].mean(axis=0)
+    place = np.empty(3)
+    place[values['axis']] = values['sign'] * values['start_u']
+    place[values['up']] = values['start_height'] + values['blade_radius'] + 0.01
+    place[3 - values['axis'] - values['up']] = values['middle']
+    return place
+
+
+def reals(values: dict) -> list[Variable]:
+    """The real variables in the order of fmu_core.h."""
+    is_field, called = project.is_field(values), body(values)
+    state, load = f'{called}_state', f'{called}_load'
+    point = 'the middle of the lower edge' if is_field else 'the mean of the body points'
+    attitude = 'rotation from upright' if is_field else 'rotation from the start attitude'
+    moment = 'about the point' if is_field else '0: the model has learned no torque'
+    bound = (
+        'root mean square error per component, kept by 95 % of frames like those of validation'
+        if is_field
+        else '0: the model has no bound'
+    )
+    frame = (
+        'of the training; a step may last any time'
+        if is_field
+        else 'a frame of the model; never split'
+    )
+    rows = [
+        Variable(f'{state}.pos.{a}', 'm', 'input', v, f'reference point: {point}')
+        for a, v in zip('xyz', _first_place(values))
+    ]
+    rows += [
+        Variable(f'{state}.rot.e{i}', None, 'input', float(i == 0), attitude) for i in range(4)
+    ]
+    for part, unit, text in (('lin_vel', 'm/s', 'of the reference point'),
+                             ('ang_vel', 'rad/s', 'in the world frame')):  # fmt: skip
+        rows += [Variable(f'{state}.{part}.{a}', unit, 'input', 0.0, text) for a in 'xyz']
+    for part, unit, text in (('point', 'm', 'where the load is applied'),
+                             ('force', 'N', 'of the soil on the body'),
+                             ('moment', 'N.m', moment)):  # fmt: skip
+        rows += [Variable(f'{load}.{part}.{a}', unit, 'output', None, text) for a in 'xyz']
+    sinks = 'output' if called == 'wheel' else 'local'
+    rows += [
+        Variable('sinkage', 'm', sinks, None, 'height lost since the start'),
+        Variable('drawbar_pull', 'N', 'output', None, 'force along the horizontal velocity'),
+        Variable('force_bound', 'N', 'output' if is_field else 'local', None, bound),
+        Variable('step_size', 's', 'constant', values['dt'], frame),
+    ]
+    return rows + [Variable(n, u, 'parameter', v, text) for n, u, v, text in _context(values)]
+
+
+def _attributes(causality):
+    return {
+        'input': {'causality': 'input', 'variability': 'continuous'},
+        'output': {'causality': 'output', 'variability': 'discrete', 'initial': 'calculated'},
+        'local': {'causality': 'local', 'variability': 'discrete', 'initial': 'calculated'},
+        'constant': {'causality': 'local', 'variability': 'constant', 'initial': 'exact'},
+        'parameter': {'causality': 'parameter', 'variability': 'fixed', 'initial': 'exact'},
+    }[causality]
+
+
+def _start_range(values):
+    return {'min': '-1', 'max': str(values.get('n_start', 1) - 1), 'start': '-1'}
+
+
+_START_TEXT = 'which training start; -1: the one whose parameters are nearest'
+_DIGEST_TEXT = 'sha256 of the numbers of the model'
+
+
+def _common(root, values):
+    sub = ElementTree.SubElement
+    parent = sub(root, 'UnitDefinitions')
+    for unit, parts in _UNITS.items():
+        sub(sub(parent, 'Unit', name=unit), 'BaseUnit', **parts)
+    parent = sub(root, 'LogCategories')
+    for category, text in _LOG_CATEGORIES.items():
+        sub(parent, 'Category', name=category, description=text)
+    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(values['dt']))
+
+
+def fmi2(name: str, values: dict, sources) -> bytes:
+    """modelDescription.xml of FMI 2.0.
+
+    Args:
+      name: of the model.
+      values: of `model_data.values` or `field_data.values`.
+      sources: names of the C files.
+    """
+    element, sub = ElementTree.Element, ElementTree.SubElement
+    root = element(
+        'fmiModelDescription',
+        fmiVersion='2.0',
+        modelName=name,
+        guid=guid(values),
+        description=f'Soil under a moving body, scene {values["name"]}',
+        generationTool='learning_to_simulate',
+        variableNamingConvention='structured',
+        numberOfEventIndicators='0',
+    )
+    simulation = sub(
+        root,
+        'CoSimulation',
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize='true',
+        canGetAndSetFMUstate='true',
+        canSerializeFMUstate='true',
+    )
+    listed = sub(simulation, 'SourceFiles')
+    for file in sources:
+        sub(listed, 'File', name=file)
+    _common(root, values)
+    outputs, variables = [], sub(root, 'ModelVariables')
+
+    def scalar(vr, label, text, kind, causality, **attributes):
+        found = sub(
+            variables, 'ScalarVariable', name=label, valueReference=str(vr), description=text,
+            **_attributes(causality),
+        )  # fmt: skip
+        sub(found, kind, **_given(**attributes))
+        if causality == 'output':
+            outputs.append(len(variables))
+
+    for vr, v in enumerate(reals(values)):
+        start = None if v.start is None else repr(float(v.start))
+        scalar(vr, v.name, v.text, 'Real', v.causality, unit=v.unit, start=start)
+    scalar(0, 'start', _START_TEXT, 'Integer', 'parameter', **_start_range(values))
+    for vr, (label, text) in enumerate(_BOOLEANS.items()):
+        scalar(vr, f'status.{label}', text, 'Boolean', 'output')
+    scalar(0, 'digest', _DIGEST_TEXT, 'String', 'constant', start=values['digest'])
+    structure = sub(root, 'ModelStructure')
+    for part in ('Outputs', 'InitialUnknowns'):
+        parent = sub(structure, part)
+        for index in outputs:
+            sub(parent, 'Unknown', index=str(index))
+    return _text(root)
+
+
+def fmi3(name: str, values: dict) -> bytes:
+    """modelDescription.xml of FMI 3.0; arguments as of `fmi2`, sources are in
+    `build_description`."""
+    element, sub = ElementTree.Element, ElementTree.SubElement
+    root = element(
+        'fmiModelDescription',
+        fmiVersion='3.0',
+        modelName=name,
+        instantiationToken=guid(values),
+        description=f'Soil under a moving body, scene {values["name"]}',
+        generationTool='learning_to_simulate',
+        variableNamingConvention='structured',
+    )
+    sub(
+        root,
+        'CoSimulation',
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize='true',
+        canGetAndSetFMUState='true',
+        canSerializeFMUState='true',
+    )
+    _common(root, values)
+    outputs, variables = [], sub(root, 'ModelVariables')
+
+    def variable(label, text, kind, causality, **attributes):
+        vr = str(len(variables))
+        attributes = _attributes(causality) | _given(**attributes)
+        found = sub(variables, kind, name=label, valueReference=vr, description=text, **attributes)
+        if causality == 'output':
+            outputs.append(vr)
+        return found
+
+    for v in reals(values):
+        start = None if v.start is None else repr(float(v.start))
+        variable(v.name, v.text, 'Float64', v.causality, unit=v.unit, start=start)
+    variable('start', _START_TEXT, 'Int32', 'parameter', **_start_range(values))
+    for label, text in _BOOLEANS.items():
+        variable(f'status.{label}', text, 'Boolean', 'output')
+    digest = variable('digest', _DIGEST_TEXT, 'String', 'constant')
+    sub(digest, 'Start', value=values['digest'])
+    origin, cells = grid(values)
+    arrays = (
+        (
+            'height_map',
+            'highest particle of each cell across the up axis, NaN where there is none; cells of '
+            f'{CELL} m from {origin[0]:.6g}, {origin[1]:.6g} m on',
+            cells,
+        ),
+        ('particles', 'of the soil', (values.get('n_soil', 0), 3)),
+    )
+    for label, text, shape in arrays if all(cells) else ():
+        found = variable(label, text, 'Float32', 'output', unit='m')
+        for size in shape:
+            sub(found, 'Dimension', start=str(size))
+    variables.append(
+        element('Float64', name='time', valueReference=str(_time_reference(values)),
+                causality='independent', variability='continuous', unit='s')
+    )  # fmt: skip
+    structure = sub(root, 'ModelStructure')
+    for part in ('Output', 'InitialUnknown'):
+        for vr in outputs:
+            sub(structure, part, valueReference=vr)
+    return _text(root)
+
+
+def _time_reference(values):
+    """Behind the reals, the start, the Booleans, the digest and both arrays; see fmi3.c."""
+    return len(reals(values)) + 1 + len(_BOOLEANS) + 1 + 2
+
+
+def build_description(name: str, sources) -> bytes:
+    """sources/buildDescription.xml of FMI 3.0."""
+    root = ElementTree.Element('fmiBuildDescription', fmiVersion='3.0')
+    built = ElementTree.SubElement(root, 'BuildConfiguration', modelIdentifier=name)
+    listed = ElementTree.SubElement(built, 'SourceFileSet', language='C99')
+    for file in sources:
+        ElementTree.SubElement(listed, 'SourceFile', name=file)
+    return _text(root)
+
+
+def _given(**attributes):
+    return {k: v for k, v in attributes.items() if v is not None}
+
+
+def _text(root):
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True)

@@ -1,0 +1,159 @@
+/* What both kinds of models need. */
+#include "lts_common.h"
+
+#include <math.h>
+#include <string.h>
+
+#define LARGEST_GRID 65536
+
+size_t lts_aligned(size_t n, size_t to) { return (n + to - 1) / to * to; }
+
+int lts_all_finite(const double *values, size_t n) {
+  for (size_t i = 0; i < n; ++i) {
+    if (!isfinite(values[i])) return 0;
+  }
+  return 1;
+}
+
+const char *lts_error_text(int error) {
+  switch (error) {
+    case LTS_ERROR_NULL: return "a pointer that is needed is null";
+    case LTS_ERROR_MODEL: return "the model is of another ABI version than this library";
+    case LTS_ERROR_MEMORY: return "too little memory, or memory that holds no instance";
+    case LTS_ERROR_CALL: return "not started, or a call that this model does not take";
+    case LTS_ERROR_VALUE: return "a number is not finite or outside its range";
+    case LTS_ERROR_STATE: return "the saved state is damaged or belongs to another model";
+    case LTS_ERROR_JUMP: return "the pose jumps: no tool is so fast; start anew";
+    case LTS_ERROR_PLACE: return "the tool would be under the floor of the bed or beyond its bins";
+    default: return error < 0 ? "unknown error" : "no error";
+  }
+}
+
+void lts_rotate(const double q[4], const double v[3], double out[3]) {
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  const double rows[3][3] = {
+      {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
+      {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
+      {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)},
+  };
+  double rotated[3];
+  for (int i = 0; i < 3; ++i) {
+    rotated[i] = rows[i][0] * v[0] + rows[i][1] * v[1] + rows[i][2] * v[2];
+  }
+  memcpy(out, rotated, sizeof rotated);
+}
+
+int lts_unit_quaternion(const double q[4], double out[4]) {
+  const double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  if (!(length > 1e-6 && length < 1e6)) return 0;
+  for (int i = 0; i < 4; ++i) out[i] = q[i] / length;
+  return 1;
+}
+
+int lts_usable_pose(const lts_pose *pose, lts_pose *out) {
+  lts_pose unit = *pose;
+  if (!lts_all_finite(pose->position, 3)) return 0;
+  if (!lts_unit_quaternion(pose->rotation, unit.rotation)) return 0;
+  *out = unit;
+  return 1;
+}
+
+int lts_usable_twist(const lts_twist *twist) {
+  return lts_all_finite(twist->linear, 3) && lts_all_finite(twist->angular, 3);
+}
+
+void lts_moved_pose(const lts_pose *pose, const lts_twist *twist, double seconds, lts_pose *out) {
+  const double *w = twist->angular, *q = pose->rotation;
+  const double rate = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), half = 0.5 * rate * seconds;
+  const double s = rate > 0.0 ? sin(half) / rate : 0.0, c = cos(half);
+  const double t[4] = {c, s * w[0], s * w[1], s * w[2]};
+  const double turned[4] = {
+      t[0] * q[0] - t[1] * q[1] - t[2] * q[2] - t[3] * q[3],
+      t[0] * q[1] + t[1] * q[0] + t[2] * q[3] - t[3] * q[2],
+      t[0] * q[2] - t[1] * q[3] + t[2] * q[0] + t[3] * q[1],
+      t[0] * q[3] + t[1] * q[2] - t[2] * q[1] + t[3] * q[0],
+  };
+  for (int i = 0; i < 3; ++i) out->position[i] = pose->position[i] + twist->linear[i] * seconds;
+  memcpy(out->rotation, turned, sizeof turned);
+}
+
+/* ---- height maps ---- */
+
+int lts_check_grid(const lts_grid *grid) {
+  for (int i = 0; i < 2; ++i) {
+    if (grid->n[i] < 1 || grid->n[i] > LARGEST_GRID || !isfinite(grid->origin[i])) {
+      return LTS_ERROR_VALUE;
+    }
+  }
+  return grid->cell > 0.0 && grid->cell <= 1e6 ? LTS_OK : LTS_ERROR_VALUE;
+}
+
+void lts_clear_heights(const lts_grid *grid, float *out) {
+  const size_t n = (size_t)grid->n[0] * (size_t)grid->n[1];
+  for (size_t i = 0; i < n; ++i) out[i] = NAN;
+}
+
+void lts_raise_heights(const lts_grid *grid, int up, const float *points, int n, float *out) {
+  const int first = up == 0 ? 1 : 0, second = up == 2 ? 1 : 2;
+  for (int i = 0; i < n; ++i, points += 3) {
+    const double u = (points[first] - grid->origin[0]) / grid->cell;
+    const double v = (points[second] - grid->origin[1]) / grid->cell;
+    if (!(u >= 0.0 && u < grid->n[0] && v >= 0.0 && v < grid->n[1])) continue;
+    float *cell = out + (size_t)u * (size_t)grid->n[1] + (size_t)v;
+    if (!(*cell >= points[up])) *cell = points[up];
+  }
+}
+
+/* ---- saved bytes ---- */
+
+typedef struct {
+  uint32_t magic; /* also tells the byte order */
+  int32_t abi;
+  uint64_t size, checksum;
+  char digest[64], unused[8];
+} saved;
+/* An array of -1 elements where the header has another size than lts_common.h says. */
+typedef char saved_has_its_size[sizeof(saved) == LTS_HEADER_SIZE ? 1 : -1];
+
+/* FNV-1a of 64 bit over words of 8 bytes: a state is a multiple of them. */
+static uint64_t checksum_of(const void *bytes, size_t size) {
+  uint64_t sum = 14695981039346656037ull, word;
+  for (size_t i = 0; i + sizeof word <= size; i += sizeof word) {
+    memcpy(&word, (const char *)bytes + i, sizeof word);
+    sum = (sum ^ word) * 1099511628211ull;
+    sum ^= sum >> 32; /* a multiplication alone carries no bit down */
+  }
+  return sum;
+}
+
+static saved header_of(uint32_t magic, const char *digest, size_t size) {
+  saved header;
+  memset(&header, 0, sizeof header);
+  header.magic = magic;
+  header.abi = LTS_ABI;
+  header.size = size;
+  for (size_t i = 0; i < sizeof header.digest && digest[i]; ++i) header.digest[i] = digest[i];
+  return header;
+}
+
+void lts_write_header(uint32_t magic, const char *digest, const void *state, size_t size,
+                      void *out) {
+  saved header = header_of(magic, digest, size);
+  header.checksum = checksum_of(state, size);
+  memcpy(out, &header, sizeof header);
+}
+
+int lts_read_header(uint32_t magic, const char *digest, const void *header, size_t *size) {
+  saved found;
+  memcpy(&found, header, sizeof found);
+  saved wanted = header_of(magic, digest, (size_t)found.size);
+  wanted.checksum = found.checksum;
+  *size = (size_t)found.size;
+  return !memcmp(&found, &wanted, sizeof found);
+}
+
+int lts_is_whole(const void *header, const void *state, size_t size) {
+  saved found;
+  memcpy(&found, header, sizeof found);
+  return found.size == size && found.checksum == checksum_of(state, size);
+}

@@ -1,0 +1,1 @@
+"""The live page: a model under a tool that is moved in a browser."""

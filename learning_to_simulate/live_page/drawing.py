@@ -1,0 +1,86 @@
+"""Shapes, colours and pictures of the page, from arrays to arrays."""
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+THICKNESS = 0.01  # of a flat body, m
+# Colours of the soil from unmoved to moved far, and of heights from low to high.
+SOIL = np.array([[70, 42, 20], [140, 82, 26], [210, 132, 24], [235, 72, 18]], float)
+HEIGHT = np.array([[38, 50, 96], [58, 120, 138], [140, 180, 110], [245, 225, 130]], float)
+MOVED = 0.08  # m, of the last colour
+EMPTY = 90  # grey of a cell without particles
+LAMPS = {'ok': '#2e9e4f', 'limited': '#2f7fd0', 'outside': '#e39a1f', 'stopped': '#cf3b36'}
+
+WORDS = {
+    'ok': 'within the training runs',
+    'limited': 'held to the training runs',
+    'outside': 'outside of the training runs',
+    'stopped': 'stopped',
+}
+
+
+def blended(colours, share) -> np.ndarray:
+    """uint8 [..., 3] between colours [K, 3], at shares [...] of the way from 0 to 1."""
+    places = np.linspace(0.0, 1.0, len(colours))
+    channels = [np.interp(np.nan_to_num(share), places, channel) for channel in colours.T]
+    return np.stack(channels, axis=-1).astype(np.uint8)
+
+
+def shades(count: int) -> np.ndarray:
+    """float [N, 1]: brightness of each particle, so that it can be followed by eye."""
+    return np.random.default_rng(0).uniform(0.75, 1.05, (count, 1))
+
+
+def soil_colours(particles, rest, shade) -> np.ndarray:
+    """uint8 [N, 3]: how far particles [N, 3] are from where they were, m, times `shades`."""
+    share = np.linalg.norm(particles - rest, axis=1) / MOVED
+    return (blended(SOIL, share) * shade).astype(np.uint8)
+
+
+def height_picture(heights, low: float, high: float, forwards: float, pixels: int = 12):
+    """uint8 picture [.., .., 3] of a height map [nx, nz], the drive from left to right.
+
+    Args:
+      heights: m; NaN where there is nothing.
+      low, high: of the colours, m.
+      forwards: -1 where the body drives down the first axis.
+      pixels: of a cell.
+    """
+    picture = blended(HEIGHT, (heights - low) / (high - low))
+    picture[np.isnan(heights)] = EMPTY
+    picture = picture[:: 1 if forwards > 0 else -1].swapaxes(0, 1)
+    return picture.repeat(pixels, axis=0).repeat(pixels, axis=1)
+
+
+def hull(body) -> tuple[np.ndarray, np.ndarray]:
+    """A closed mesh around a body.
+
+    Args:
+      body: [R, 3] particles, m; a flat one is thickened.
+
+    Returns:
+      float32 [P, 3] and int32 [F, 3].
+    """
+    extent = np.ptp(body, axis=0)
+    thin = np.eye(3)[extent.argmin()] * (THICKNESS / 2 if extent.min() < THICKNESS else 0.0)
+    points = np.concatenate([body - thin, body + thin])
+    shape = ConvexHull(points)
+    centre, triangles = points.mean(axis=0), shape.simplices.copy()
+    # The hull's corners come in either order: outward is away from the centre.
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = ((corners[:, 0] - centre) * normal).sum(axis=1) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return points.astype(np.float32), triangles.astype(np.int32)
+
+
+def lamp(kind: str, reason: str, rate: float) -> str:
+    """HTML of the status lamp: its colour is also said in words."""
+    text = WORDS[kind]
+    reason = reason.replace('&', '&amp;').replace('<', '&lt;')
+    return (
+        f'<div role="status" style="padding:4px 12px;font-size:13px;line-height:1.35">'
+        f'<span style="display:inline-block;width:12px;height:12px;border-radius:6px;'
+        f'background:{LAMPS[kind]}"></span> <b>{text}</b> &middot; {rate:.0f} frames/s'
+        f'<br><span>{reason or "&nbsp;"}</span></div>'
+    )

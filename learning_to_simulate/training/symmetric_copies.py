@@ -1,0 +1,132 @@
+"""More runs out of symmetries of the bed: what moves along a flat bed, or is mirrored across the
+way, is a run as well.
+
+A field of displacements that is shifted by d along the way moves the particle at x as the field
+moved the one at x - d. Displacements are linear in the scores, and so is the shift: with modes W
+[N, r] and weights S [N, N] that interpolate between the nearest particles, scores s counted from
+the resting bed become W^T S W s, a product with an [r, r] matrix. The same holds for the mirror,
+which also turns the sign of what points across. Bodies are moved exactly; walls do not move, so a
+body stays where bodies of training have been. The packing is random: a shift is true of what soil
+does on the whole and not of single particles, most of which the modes do not hold anyway.
+"""
+
+import dataclasses
+
+import numpy as np
+from scipy import spatial
+
+from learning_to_simulate.methods.tool_motion import TravelFrame
+from pca_tools.subspace import Subspace
+
+_STREAM = 6  # see the random streams of `trainer`
+NEIGHBOURS = 4
+LARGEST_SHIFT = 0.3  # m
+SHIFTS = 32  # different ones of a training; each costs a product with all particles
+
+
+@dataclasses.dataclass(frozen=True)
+class Shift:
+    """A shift along the way, with the mirror or not.
+
+    Attributes:
+      distance: m along the axis of travel.
+      is_mirrored: whether it is mirrored across the way as well.
+      matrix: float64 [r, r], of scores counted from the resting bed.
+    """
+
+    distance: float
+    is_mirrored: bool
+    matrix: np.ndarray
+
+
+def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> Shift:
+    """One shift in a subspace; what comes from outside of the bed has not moved."""
+    points = space.initial
+    origin = points.copy()
+    origin[:, axis] -= distance
+    low, high = points.min(axis=0), points.max(axis=0)
+    if is_mirrored:
+        origin[:, across] = low[across] + high[across] - origin[:, across]
+    apart, nearest = spatial.KDTree(points).query(origin, NEIGHBOURS)
+    weight = 1.0 / (apart + 1e-4) ** 2  # 0.1 mm keeps a particle on a particle finite
+    weight /= weight.sum(axis=1, keepdims=True)
+    spacing = apart[:, -1].mean()
+    outside = (origin[:, axis] < low[axis] - spacing) | (origin[:, axis] > high[axis] + spacing)
+    weight[outside] = 0.0
+    moved = sum(weight[:, k, None] * space.components[nearest[:, k]] for k in range(NEIGHBOURS))
+    return Shift(float(distance), bool(is_mirrored), space.components.T @ moved)
+
+
+def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> list:
+    """The groups, each followed by copies of its runs.
+
+    Args:
+      groups: list of `RunGroup` of a body with a known motion.
+      space: of their modes.
+      up: axis against gravity.
+      copies: of each run, as far as there is room for them.
+      seed: of the shifts.
+
+    Returns:
+      list of `RunGroup` of the same shapes but for S; `record` says which run a copy is of.
+    """
+    rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, _STREAM, 0]))
+    frame = TravelFrame.of(groups[0].position[:, :, : groups[0].n_rigid], up)
+    axis, across = frame.axis, 3 - frame.axis - up
+    places = [g.position[:, :, : g.n_rigid, axis] for g in groups]
+    low, high = min(p.min() for p in places), max(p.max() for p in places)
+    middle = float(np.mean([g.position[:, :, : g.n_rigid, across].mean() for g in groups]))
+    largest = min(LARGEST_SHIFT, high - low)
+    shifts = [
+        shift_of(space, axis, across, rng.uniform(-largest, largest), k % 2)
+        for k in range(SHIFTS)
+    ]
+    rest = space.encode(space.initial)
+    found = []
+    for group in groups:
+        parts = [group]
+        for run in range(len(group.position)):
+            place = group.position[run, :, : group.n_rigid, axis]
+            order = rng.permutation(SHIFTS)
+            room = [
+                k
+                for k in order
+                if place.min() + shifts[k].distance >= low
+                and place.max() + shifts[k].distance <= high
+            ]
+            for k in room[:copies]:
+                parts.append(_shifted(group.select(run), shifts[k], rest, axis, across, middle))
+        found.append(_joined(parts))
+    return found
+
+
+def _shifted(group, shift, rest, axis, across, middle):
+    """A one-run group, shifted."""
+    n = group.n_rigid
+    body = group.position[:, :, :n].copy()
+    body[..., axis] += shift.distance
+    modes = np.einsum('qr,strd->stqd', shift.matrix, group.position[:, :, n:] - rest)
+    force = None if group.force is None else group.force.copy()
+    if shift.is_mirrored:
+        body[..., across] = 2.0 * middle - body[..., across]
+        modes[..., across] *= -1.0
+        if force is not None:
+            force[..., across] *= -1.0
+    position = np.concatenate([body, modes + rest], axis=2)
+    return dataclasses.replace(group, position=position, force=force)
+
+
+def _joined(groups):
+    """One group of all; what training does not read of them is that of the first."""
+    return dataclasses.replace(
+        groups[0],
+        **{
+            name: None
+            if getattr(groups[0], name) is None
+            else np.concatenate([getattr(g, name) for g in groups])
+            for name in ('position', 'force', 'context', 'record')
+        },
+        body=None,
+        kept=None,
+        left_modes=None,
+    )

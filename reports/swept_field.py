@@ -1,0 +1,249 @@
+"""Measures what a swept field promises: each run of a split, and what should change little.
+
+Per run, on the particle sample in full space: errors, penetration, heap, force in the air, as
+`metrics.json` has them, and
+
+  resampled: the same path at half and at twice the rate; soil error over that at the given rate
+  restart: the run begun anew half-way, on the bed that the model itself predicts there, and on
+      the true one; soil error of the second half, beside that of the run in one piece
+
+and once: ten lengths of a run, there and back over the same bed, begun anew after each of them on
+the predicted bed: what becomes of the bed's height and of particles near its floor.
+
+Examples:
+    python -m reports swept_field --model_path=MODEL --data_path=DATA --split=test \\
+        --output_path=docs/swept_field.json
+    python -m reports documents docs/swept_field.md     # its tables
+"""
+
+import os
+
+import numpy as np
+import tqdm
+from absl import flags
+
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.methods import registry
+from pca_tools import files
+from reports import command, markdown, record
+
+SCHEMA_VERSION = 2
+LENGTHS = 10
+_RATES = {'half_rate': 0.5, 'double_rate': 2.0}
+
+
+def resampled(pose, rate: float) -> np.ndarray:
+    """Poses [T', 3] of a path [T, 3] at half or twice its rate, straight between given ones."""
+    at = np.arange(0, len(pose) - 1 + 1e-9, 1.0 / rate)
+    return np.stack([np.interp(at, np.arange(len(pose)), x) for x in pose.T], axis=1)
+
+
+def soil_error(field, bed, width: float, pose, dt: float, frames, rest, truth) -> np.ndarray:
+    """Mean squared error [F] (m2) of particles over a path.
+
+    Args:
+      field: `SweptField`.
+      bed: `tool_path.Bed` of one tool.
+      width: of the tool, m.
+      pose: [T, 3] of the tool.
+      dt: between poses, s.
+      frames: int [F] of them in which particles are known.
+      rest: [P, 3] where these were at first, u, height, distance from the middle plane.
+      truth: [F, P, 3] where they are.
+    """
+    from learning_to_simulate.methods.swept_field import tool_path
+
+    found = tool_path.frames(field.grid, bed, np.array([width]), pose[:, None], dt)
+    chosen = tool_path.Frame(found.bins[frames, 0], found.scalars[frames, 0])
+    origin = np.array([pose[0, 0], bed.level[0], 0.0])
+    moved = field.displacement(chosen, (rest - origin).astype(np.float32)).mean(axis=0)
+    return ((rest + moved - truth) ** 2).mean(axis=(1, 2))
+
+
+def steadiness(field, evaluator, split: str, group) -> dict:
+    """`resampled` and `restart` of a run, see the module.
+
+    Args:
+      field: `SweptField`.
+      evaluator: `FieldEvaluator` of the split.
+      split: of the run.
+      group: one-run `RunGroup` of it.
+    """
+    from learning_to_simulate.methods.swept_field import beds, tool_path
+    from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
+
+    episode = evaluator.episode(int(group.record[0]))
+    dt, late, axes = field.scene.dt, episode.frames >= H, field.axes
+    truth = episode.rest + episode.moved
+
+    def error(bed, first, rest, rate=1.0):
+        frames = (rate * (episode.frames[first:] - episode.frames[first])).astype(int)
+        pose = resampled(episode.pose[episode.frames[first] :], rate)
+        return soil_error(field, bed, episode.width, pose, dt / rate, frames, rest, truth[first:])
+
+    def rms(square):
+        return 1e3 * float(np.sqrt(square.mean()))
+
+    whole = error(episode.bed, 0, episode.rest)
+    row = {
+        name: rms(error(episode.bed, 0, episode.rest, rate)[late]) / rms(whole[late])
+        for name, rate in _RATES.items()
+    }
+    half = len(episode.frames) // 2
+    middle = int(episode.frames[half])
+    found = tool_path.frames(
+        field.grid, episode.bed, np.array([episode.width]), episode.pose[: middle + 1, None], dt
+    )
+    points = evaluator.bed(group)
+    origin = np.array([episode.pose[0, 0], episode.level, 0.0])
+    ground = Ground(points, axes.points(points), origin, episode.width)
+    swept = Swept(
+        tool_path.Frame(found.bins[middle], found.scalars[middle]), episode.pose[middle], ground
+    )
+    predicted = FieldSoil(field).particles(swept).astype(np.float64)
+    own = axes.points(predicted[np.asarray(evaluator.reader.sample(split).indices)])
+    row['second_half_mm'] = rms(whole[half + 1 :])
+    for name, points, rest in (
+        ('restart_predicted_mm', predicted, own),
+        ('restart_true_mm', evaluator.bed(group, middle), truth[half]),
+    ):
+        _, bed = beds.ground(field, episode.pose[middle], points, episode.width)
+        row[name] = rms(error(bed, half, rest)[1:])
+    return row
+
+
+def ten_lengths(model, poses) -> dict:
+    """There and back over one bed, `LENGTHS` times; see the module.
+
+    Args:
+      model: `api.TrainedModel`.
+      poses: [T, 7] of a run.
+    """
+    live = model.stepper()
+    up = model.scene.up_axis
+    live.start(poses[0])
+    first = live.particles()
+    floor, ok, largest = first[:, up].min(), [], 0.0
+    way = poses
+    for k in range(LENGTHS):
+        for pose in way[1:]:
+            frame = live.step(pose)
+            ok.append(frame.now == 'ok')
+            largest = max(largest, float(np.linalg.norm(frame.force)))
+        bed, way = live.particles(), way[::-1]
+        if k < LENGTHS - 1:
+            live.start(way[0], bed=bed)
+    return {
+        'frames': len(ok),
+        'ok_share': float(np.mean(ok)),
+        'largest_force_N': largest,
+        'mean_height_change_mm': 1e3 * float(bed[:, up].mean() - first[:, up].mean()),
+        'lowest_below_floor_mm': 1e3 * float(max(floor - bed[:, up].min(), 0.0)),
+        'highest_above_bed_mm': 1e3 * float(bed[:, up].max() - first[:, up].max()),
+    }
+
+
+def measure(model, data, split: str) -> dict:
+    """All rows of a model on a split, see the module.
+
+    Args:
+      model: `api.TrainedModel` of the method swept_field.
+      data: `api.Dataset`.
+      split: of it.
+    """
+    opened = registry.open_model(model.path, data.path, split)
+    evaluator, field = opened.evaluator, model.model.field
+    _, summary = evaluator.run(opened.groups, split, lambda x: tqdm.tqdm(x, desc='runs'))
+    cases = data.metadata.get('cases', {}).get(split, [])
+    groups = {int(g.record[i]): g.select(i) for g in opened.groups for i in range(len(g.record))}
+    rows = []
+    for fact in tqdm.tqdm(summary['field'], desc='steadiness', disable=None):
+        number = fact.pop('record')
+        case = cases[number] if number < len(cases) else {}
+        row = {'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
+        rows.append(row | steadiness(field, evaluator, split, groups[number]))
+    # The run that cuts most leaves the most to a bed that is driven over again.
+    most = int(np.argmax([row['cut_litre'] for row in rows]))
+    poses = getattr(data, split).records[most].rigid_pose.astype(float)
+    return {
+        'runs': rows,
+        'reliability': summary['reliability'],
+        'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses),
+    }
+
+
+def _data_version(data):
+    """Of the first case that states one, or None."""
+    cases = (case for split in data.metadata.get('cases', {}).values() for case in split)
+    return next((case['data_version'] for case in cases if 'data_version' in case), None)
+
+
+def by_kind(path: str) -> str:
+    """A table of the errors by kind of path, from the JSON of this report."""
+    rows = files.read_json(path)['runs']
+    kinds = sorted({row['kind'] for row in rows})
+    lines = []
+    for kind in [*kinds, None]:
+        mine = [row for row in rows if kind in (None, row['kind'])]
+        means = [float(np.mean([row[key] for row in mine])) for key in _COLUMNS]
+        won = sum(row['soil_mm'] < row['still_mm'] for row in mine)
+        lines.append((kind or '**all**', len(mine), *means, f'{won} of {len(mine)}'))
+    header = ('test', 'runs', *_COLUMNS.values(), 'better than still')
+    return markdown.table(header, lines)
+
+
+def steady(path: str) -> str:
+    """A table of what should change little, from the JSON of this report."""
+    rows = files.read_json(path)['runs']
+    lines = []
+    for key, name in _STEADY.items():
+        values = [row[key] for row in rows]
+        lines.append((name, *(float(f(values)) for f in (np.mean, np.min, np.max))))
+    return markdown.table(('', 'mean', 'least', 'most'), lines)
+
+
+_COLUMNS = {
+    'soil_mm': 'soil, mm', 'still_mm': 'stay still, mm', 'force_l2': 'force',
+    'penetration_mm': 'penetration before push-out, mm',
+}  # fmt: skip
+_STEADY = {
+    'half_rate': 'soil error at half the rate, over that at the given rate',
+    'double_rate': 'at twice the rate',
+    'second_half_mm': 'second half of a run in one piece, mm',
+    'restart_predicted_mm': 'begun anew half-way on the predicted bed, mm',
+    'restart_true_mm': 'on the true bed, mm',
+}
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('model_path', None, 'Model folder of a swept field.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
+    flags.DEFINE_enum('split', 'test', ['valid', 'test'], 'Runs that are judged.')
+    flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
+    flags.DEFINE_integer('num_threads', 2, 'CPU threads of TensorFlow.', lower_bound=1)
+
+
+def main(values, _) -> None:
+    """Runs the command."""
+    from learning_to_simulate import api, checkpoints
+
+    model, data = api.TrainedModel(values.model_path), api.Dataset(values.data_path)
+    stored = checkpoints.read_config(values.model_path)
+    document = {
+        'schema_version': SCHEMA_VERSION,
+        **record.provenance(values.num_threads),
+        'split': values.split,
+        'config': stored['config'],
+        'training': files.read_json(os.path.join(values.model_path, 'metrics.json'))['training'],
+        'data_version': _data_version(data),
+        **measure(model, data, values.split),
+    }
+    files.write_json(values.output_path, document)
+    print(by_kind(values.output_path))
+    print(steady(values.output_path))
+    print(f'wrote {values.output_path}')
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

@@ -1,0 +1,58 @@
+"""Bounds on made-up errors, and the status of single frames."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.methods.swept_field import quality, tool_path
+from learning_to_simulate.rollout_status import RolloutStatus
+
+
+def made_up_runs(rng, count):
+    """Errors that grow with spread and size, each run with a luck of its own."""
+    runs = []
+    for _ in range(count):
+        spreads, sizes = rng.uniform(0, 2, (2, 60))
+        luck = rng.lognormal(sigma=0.3)
+        errors = luck * (0.2 + spreads + 0.5 * sizes) * rng.lognormal(sigma=0.2, size=60)
+        runs.append((errors, spreads, sizes))
+    return runs
+
+
+def kept(runs, weights):
+    """Share [n] of the frames of each run within their bound."""
+    return np.array([(e <= quality.bound(s, z, weights)).mean() for e, s, z in runs])
+
+
+@pytest.mark.parametrize('count', [11, 30])
+def test_nine_of_ten_new_runs_have_95_percent_of_their_frames_within(count):
+    rng = np.random.default_rng(0)
+    held, ratio = [], []
+    for _ in range(150):
+        weights = quality.calibrate(made_up_runs(rng, count), 'soil')
+        fresh = made_up_runs(rng, 20)
+        held.append((kept(fresh, weights) >= 0.95).mean())
+        ratio.append([quality.bound(s, z, weights).mean() / e.mean() for e, s, z in fresh])
+    assert 0.88 < np.mean(held) < 0.96
+    assert np.median(ratio) < 3  # no bound that says nothing
+
+
+def test_few_runs_give_the_bound_of_the_worst_of_them():
+    runs = made_up_runs(np.random.default_rng(1), 5)
+    weights = quality.calibrate(runs, 'soil')
+    shares = kept(runs, weights)
+    assert shares.min() >= 0.95 and (shares < 1.0).any()
+    groups = quality.reliability(runs, weights)
+    assert len(groups) == 5 and min(g['within'] for g in groups) > 0.9
+    bounds = [g['bound'] for g in groups]
+    assert bounds == sorted(bounds)
+
+
+def test_each_frame_has_a_status():
+    ranges = {name: [-1.0, 1.0] for name in tool_path.SCALARS}
+    scalars = np.zeros((3, len(tool_path.SCALARS)))
+    scalars[1, 2] = 1.2
+    found = quality.statuses(scalars, ranges, np.array([True, True, False]))
+    assert found == [RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE]
+    judged = quality.judge(scalars, ranges, 5)
+    assert judged.status == RolloutStatus.EXTRAPOLATING and judged.frame == 6
+    assert 'lean 1.2 is outside' in judged.reason

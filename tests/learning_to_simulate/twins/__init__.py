@@ -1,0 +1,1 @@
+"""Independent numpy twins of what TensorFlow computes."""
