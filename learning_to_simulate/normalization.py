@@ -345,6 +345,7 @@ def _force_wide(metadata, force, scene):
     mean, std = (np.asarray(metadata[f'rigid_body_force_{x}']) for x in ('mean', 'std'))
     if scene.bodies:
         mean, std = force.mean(axis=0), force.std(axis=0)
+    std = np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0)  # round-off is no spread
     return {'force_mean': mean, 'force_std': _floored(std)}
 
 

@@ -4,6 +4,7 @@ import zipfile
 
 import numpy as np
 
+from storage import archives
 from storage.folder_lock import locked as one_writer
 from storage.whole_files import TEMPORARY, remove_temporary
 from storage.whole_files import write_file as write_whole
@@ -37,6 +38,7 @@ def read_arrays(path: str) -> dict[str, np.ndarray]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            archives.refuse_lost_members(path, archive)
             total = sum(member.file_size for member in archive.infolist())
         if total > MAX_BYTES:
             raise ValueError(f'unpacks to {total} bytes, the limit is {MAX_BYTES}')

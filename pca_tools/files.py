@@ -11,13 +11,14 @@ import hashlib
 import json
 import math
 import os
+import sys
 import zipfile
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from storage import messages, whole_files
+from storage import archives, messages, whole_files
 
 write_atomically = whole_files.write_file
 write_folder_atomically = whole_files.write_folder
@@ -113,6 +114,7 @@ def read_npz(path: str, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     try:
         with zipfile.ZipFile(path) as archive:
+            archives.refuse_lost_members(path, archive)
             members = archive.infolist()
             total = sum(member.file_size for member in members)
             if total > max_bytes:
@@ -186,6 +188,10 @@ def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
     data = file.read(held + 1)  # one more, for the end: an archive checks its checksum there
     if len(data) != held:
         raise ValueError(f'it holds {len(data)} bytes, {held} were expected')
+    if dtype.kind == 'U':  # of other characters Python can make no text
+        points = np.frombuffer(data, np.dtype('u4').newbyteorder(dtype.byteorder))
+        if (points > sys.maxunicode).any():
+            raise ValueError('it holds texts of characters that there are not')
     return np.ndarray(shape, dtype, bytearray(data), order='F' if fortran_order else 'C')
 
 

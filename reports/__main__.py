@@ -33,6 +33,7 @@ REPORTS = {
     'scenes': ('scenes.report', 'scenes of every kind: data, error, time, weights, edges'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
+    'kills': ('fuzz.kills', 'SIGKILL at every point where something is written'),
 }
 
 

@@ -38,6 +38,8 @@ class Training:
         name -> sha256; None where there is nothing.
       close_gates: called with the model folder when the edges have been learned; says what they
         are. None where none are learned.
+      agree_on: called with the first step and the model folder; raises ValueError if it is not that
+        of all processes that train together. None for one process.
     """
 
     model: Any
@@ -49,6 +51,7 @@ class Training:
     title: str
     write_files: Callable[[str], dict[str, str]] | None = None
     close_gates: Callable[[str], str] | None = None
+    agree_on: Callable[[int, str], None] | None = None
 
 
 def run(training: Training, model_path: str, options: TrainOptions) -> dict:
@@ -62,6 +65,8 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
         state = training_state.TrainingState(model_path, training.trainer)
         state.remove_leftovers()
         start = state.restore()
+        if training.agree_on:
+            training.agree_on(start, model_path)
         if start:
             print(f'resumed {model_path} at step {start}')
         print(f'{training.title}, {training.trainer.total_steps} steps')

@@ -143,11 +143,15 @@ def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
     return run
 
 
-def type_column(values: Any, count: int) -> np.ndarray:
-    """Returns particle types as int64 [count]; one number stands for all particles."""
+def type_column(values: Any, count: int, where: str) -> np.ndarray:
+    """Returns particle types as int64 [count]; one number stands for all particles.
+
+    Raises:
+        ValueError: they are not whole numbers; `where` names the file.
+    """
     array = np.asarray(values)
-    if array.dtype.kind not in 'iu' and np.all(array == np.rint(array)):
-        array = np.rint(array)
+    if array.dtype.kind not in 'fiu' or not (array == np.rint(array)).all():
+        raise ValueError(f'{where}: particle types are not whole numbers ({array.dtype})')
     if array.ndim == 2 and array.shape[1] == 1:
         array = array[:, 0]
     return np.full(count, array, np.int64) if array.ndim == 0 else array.astype(np.int64)

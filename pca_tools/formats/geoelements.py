@@ -123,7 +123,7 @@ def _run_of(item: Any, name: str, split: str, where: str) -> FullSpaceRun:
     types = np.asarray(item[1])
     if types.dtype.kind not in 'iuf' or types.size not in (1, count):
         raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
-    types = type_column(types.reshape(()) if types.size == 1 else types, count)
+    types = type_column(types.reshape(()) if types.size == 1 else types, count, where)
     return check_run(FullSpaceRun(name, split, positions, types, material=material), where)
 
 

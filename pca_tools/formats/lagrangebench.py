@@ -46,7 +46,12 @@ def read(folder: str, options: ReadOptions) -> FullSpaceData:
                 yield from _runs_of(file, split)
 
     notes = []
-    if any(metadata.get('periodic_boundary_conditions') or []):
+    periodic = metadata.get('periodic_boundary_conditions') or []
+    if not isinstance(periodic, list):
+        raise ValueError(
+            f'{path}: periodic_boundary_conditions is {periodic!r}, a list was expected'
+        )
+    if any(periodic):
         notes.append(
             'its boundaries are periodic, which these models do not know: particles that cross one '
             'seem to jump'
@@ -90,7 +95,7 @@ def _run_of(group, name: str, split: str, where: str) -> FullSpaceRun:
     types = group['particle_type']
     if types.size not in (1, positions.shape[1] if positions.ndim > 1 else 0):
         raise ValueError(f'{where}: {types.shape} types for positions of {positions.shape}')
-    theirs = type_column(types[()], positions.shape[1])
+    theirs = type_column(types[()], positions.shape[1], where)
     kept = theirs != _PADDING
     # Their converter from DeepMind's records does not map types: 5 and above are already ours.
     unknown = sorted(set(theirs[kept].tolist()) - _TYPES.keys() - {5, 6, 7})

@@ -65,7 +65,7 @@ def _run_of(path: str, name: str) -> FullSpaceRun:
         held = {key: value.shape for key, value in arrays.items()}
         raise ValueError(f'{path}: holds {held}; positions [T, N, D] was expected')
     soil, body = arrays['positions'], arrays.get('rigid_positions')
-    types = type_column(arrays.get('particle_type', np.int64(SOIL_TYPE)), soil.shape[1])
+    types = type_column(arrays.get('particle_type', np.int64(SOIL_TYPE)), soil.shape[1], path)
     if body is not None and body.size:
         if body.ndim != 3 or len(body) != len(soil) or body.shape[2] != soil.shape[2]:
             raise ValueError(f'{path}: rigid_positions have shape {body.shape} beside {soil.shape}')

@@ -91,7 +91,7 @@ def _run_of(name: str, paths: list[str]) -> FullSpaceRun:
         raise ValueError(f'{paths[0]}: the frames of its run have {counts} points')
     data, fields = frames[0][1], [field for _, _, field in frames]
     key = next((key for key in _TYPE_NAMES if key in data), None)
-    types = type_column(data[key] if key else np.int64(SOIL_TYPE), counts[0])
+    types = type_column(data[key] if key else np.int64(SOIL_TYPE), counts[0], paths[0])
     force = None
     if all('force' in field for field in fields):
         force = np.array([field['force'].ravel() for field in fields])

@@ -10,6 +10,7 @@ import resource
 import signal
 import tempfile
 import traceback
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -131,11 +132,19 @@ def _raise_hang(*_):
     raise Hang
 
 
-def run_block(names: list[str], seed: int, first: int, last: int, note: str) -> dict:
+@contextlib.contextmanager
+def benches(names: list[str]) -> Iterator[list[Bench]]:
+    """The benches of some targets, their folders in memory where that can be."""
+    signal.signal(signal.SIGPROF, _raise_hang)
+    with tempfile.TemporaryDirectory(dir=_memory_folder()) as work:
+        yield [Bench(t, os.path.join(work, str(i))) for i, t in enumerate(_chosen(names))]
+
+
+def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) -> dict:
     """Runs inputs `first` .. `last` - 1, dealt to the targets in turn.
 
     Args:
-        names: of the targets.
+        made: of `benches`.
         seed: of the inputs.
         first: first number.
         last: one beyond the last number.
@@ -143,24 +152,20 @@ def run_block(names: list[str], seed: int, first: int, last: int, note: str) -> 
             dead.
 
     Returns:
-        `counts`: target -> outcome -> number; `failures`: list of dicts.
+      `counts`: target -> outcome -> number; `failures`: list of dicts.
     """
-    signal.signal(signal.SIGPROF, _raise_hang)
-    chosen = _chosen(names)
-    counts = {target.name: dict.fromkeys(OUTCOMES, 0) for target in chosen}
+    counts = {bench.target.name: dict.fromkeys(OUTCOMES, 0) for bench in made}
     failures = []
-    with tempfile.TemporaryDirectory(dir=_memory_folder()) as work:
-        benches = [Bench(t, os.path.join(work, str(i))) for i, t in enumerate(chosen)]
-        with open(note, 'w', encoding='utf-8') as progress:
-            for number in range(first, last):
-                progress.seek(0)
-                progress.write(f'{first} {last} {number:12d}')
-                progress.flush()
-                bench = benches[number % len(benches)]
-                outcome, text = bench.run(seed, number)
-                counts[bench.target.name][outcome] += 1
-                if outcome == 'failed':
-                    failures.append({'target': bench.target.name, 'number': number, 'why': text})
+    with open(note, 'w', encoding='utf-8') as progress:
+        for number in range(first, last):
+            progress.seek(0)
+            progress.write(f'{first} {last} {number:12d}')
+            progress.flush()
+            bench = made[number % len(made)]
+            outcome, text = bench.run(seed, number)
+            counts[bench.target.name][outcome] += 1
+            if outcome == 'failed':
+                failures.append({'target': bench.target.name, 'number': number, 'why': text})
     return {'counts': counts, 'failures': failures}
 
 

@@ -38,8 +38,9 @@ _BLOCK = 100
 
 def _work(blocks, results, names, seed, note):
     bench.limit_memory()
-    while (block := blocks.get()) is not None:
-        results.put((block, bench.run_block(names, seed, *block, note)))
+    with bench.benches(names) as made:
+        while (block := blocks.get()) is not None:
+            results.put((block, bench.run_block(made, seed, *block, note)))
 
 
 class _Pool:

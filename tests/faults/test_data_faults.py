@@ -22,6 +22,7 @@ from learning_to_simulate.scene import Scene
 from mpm import files as mpm_files
 from nri import data as nri_data
 from pca_tools import dataset, files, subspace
+from pca_tools.formats import full_space, lagrangebench
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -235,3 +236,38 @@ def test_reader_beside_a_writer_sees_one_version_or_the_other(tmp_path):
     writer.join()
     assert counts <= {1, 2} and len(counts) + refused
     assert len(dataset.read_split(path, 'train')) == 2
+
+
+@pytest.mark.parametrize('read', [files.read_npz, mpm_files.read_arrays])
+def test_members_that_a_damaged_directory_lost_are_missed(tmp_path, read):
+    """One bit in the length of an entry swallows those after it; the rest has right checksums."""
+    path = tmp_path / 'a.npz'
+    np.savez(path, first=np.arange(3.0), second=np.arange(4.0), third=np.arange(5.0))
+    data = bytearray(path.read_bytes())
+    entries = [i for i in range(len(data)) if data[i : i + 4] == b'PK\x01\x02']
+    rest = data.rindex(b'PK\x05\x06') - entries[1]
+    data[entries[0] + 32 : entries[0] + 34] = rest.to_bytes(2, 'little')  # length of its comment
+    path.write_bytes(data)
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist() == ['first.npy']  # nobody complains
+    with pytest.raises(ValueError, match='a.npz.*1 members, its end says 3'):
+        read(str(path))
+
+
+def test_texts_of_impossible_characters_are_refused(tmp_path):
+    path = tmp_path / 'a.npz'
+    np.savez(path, text=np.frombuffer(b'\xff\xff\xff\x7f', '<U1'))
+    with pytest.raises(ValueError, match='a.npz.*characters that there are not'):
+        files.read_npz(str(path))
+
+
+@pytest.mark.parametrize('types', [np.array(['soil'] * 4), np.array([1.5] * 4), np.full(4, np.nan)])
+def test_particle_types_that_are_no_whole_numbers_are_refused(types):
+    with pytest.raises(ValueError, match='run.npz: particle types are not whole numbers'):
+        full_space.type_column(types, 4, 'run.npz')
+
+
+def test_periodic_boundaries_that_are_no_list_are_refused(tmp_path):
+    (tmp_path / 'metadata.json').write_text('{"periodic_boundary_conditions": 3}')
+    with pytest.raises(ValueError, match='metadata.json: periodic_boundary_conditions is 3'):
+        lagrangebench.read(str(tmp_path), full_space.ReadOptions(dt=0.1))

@@ -14,7 +14,8 @@ NAMES = [target.name for target in targets.TARGETS]
 @pytest.mark.parametrize('name', NAMES)
 def test_reader_refuses_or_returns_what_can_be(name, tmp_path):
     """100 inputs a reader; docs/fuzz.md has those of the long run."""
-    result = bench.run_block([name], 20, 0, 100, str(tmp_path / 'note'))
+    with bench.benches([name]) as made:
+        result = bench.run_block(made, 20, 0, 100, str(tmp_path / 'note'))
     assert result['failures'] == []
     counts = result['counts'][name]
     assert sum(counts.values()) == 100
@@ -62,7 +63,8 @@ def test_faulty_readers_are_found(monkeypatch, tmp_path, read, reason):
         'broken', targets.Promise.SEALED, Broken.write, ('a.json',), after_the_first
     )
     monkeypatch.setattr(bench, 'TARGETS', (target,))
-    result = bench.run_block(['broken'], 0, 0, 20, str(tmp_path / 'note'))
+    with bench.benches(['broken']) as made:
+        result = bench.run_block(made, 0, 0, 20, str(tmp_path / 'note'))
     assert result['counts']['broken']['failed'] >= 15
     assert any(reason in failure['why'] for failure in result['failures'])
 

@@ -23,6 +23,7 @@ from learning_to_simulate.training import trainer as trainer_module
 from learning_to_simulate.training import training_state
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
+from storage import whole_files
 from tests.learning_to_simulate import synthetic
 
 TINY = {'latent_size': 4, 'num_steps': 12, 'unroll_steps': 0, 'mode_edges': 5}
@@ -236,12 +237,29 @@ def test_checkpoint_on_a_full_disk_says_so(model, data, monkeypatch):
 def test_leftovers_of_a_killed_writer_are_removed(model, train):
     (model / 'ckpt-16_temp').mkdir()
     (model / 'ckpt-16_temp' / 'part-00000').write_text('half')
-    (model / '.weights.npz.4711.tmp').write_text('half')
+    hidden = os.path.basename(whole_files.temporary_beside(str(model / 'weights.npz')))
+    (model / hidden).write_text('half')
     (model / 'notes.tmp').write_text('mine')
     train(model)
     names = os.listdir(model)
-    assert 'ckpt-16_temp' not in names and '.weights.npz.4711.tmp' not in names
+    assert 'ckpt-16_temp' not in names and hidden not in names
     assert 'notes.tmp' in names
+
+
+@pytest.mark.parametrize('name', ['a[1]', 'a*', 'what?', 'a[!b]*'])
+def test_folder_names_that_are_patterns_resume(whole, tmp_path, train, monkeypatch, capsys, name):
+    def step(self, i):
+        if i == 9:
+            raise KeyboardInterrupt
+        return cheap_step(self, i)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, 'step', step)
+        with pytest.raises(KeyboardInterrupt):
+            train(tmp_path / name)
+    train(tmp_path / name)
+    assert 'at step 8' in capsys.readouterr().out
+    assert_same_weights(whole, tmp_path / name)
 
 
 def test_nan_loss_names_step_and_batch_and_keeps_the_last_good(tmp_path, train, monkeypatch):

@@ -17,7 +17,7 @@ from learning_to_simulate.methods.full_space.particle_simulator import (
 )
 from learning_to_simulate.methods.full_space.particle_training import ParticleTrainer
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.training import loop
+from learning_to_simulate.training import data_parallel, loop
 from pca_tools import dataset, files
 
 
@@ -67,7 +67,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
 
 def train(data_path, model_path, config, options) -> dict:
     """Trains to the end, or resumes; see `registry.train`."""
-    raw_path = options.raw_path
+    raw_path, share = options.raw_path, data_parallel.Share()
     metadata = dataset.read_metadata(data_path)
     read = [
         runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
@@ -79,7 +79,7 @@ def train(data_path, model_path, config, options) -> dict:
     weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
     training = loop.Training(
         model=model,
-        trainer=ParticleTrainer(model, read[:1]),
+        trainer=ParticleTrainer(model, read[:1], share if share.count > 1 else None),
         evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
         valid=read[1:],
         n_rigid=read[0].n_rigid,
@@ -92,7 +92,8 @@ def train(data_path, model_path, config, options) -> dict:
         f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
         f'{scene.connectivity_radius:.4g} m, {weights} weights',
     )
-    return loop.run(training, model_path, options)
+    training.agree_on = share.refuse_other_step
+    return loop.run(training, share.folder(model_path), options)
 
 
 def load(path: str) -> ParticleModel:

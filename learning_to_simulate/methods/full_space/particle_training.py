@@ -17,21 +17,25 @@ class ParticleTrainer:
     Args:
       model: `particle_method.ParticleModel`.
       groups: one `RunGroup` of particles in a list.
+      share: of the processes that train together; None for this one alone.
 
     Raises:
-      ValueError: runs shorter than a window.
+      ValueError: runs shorter than a window, or batches that cannot be dealt to the processes.
     """
 
     gates = None  # edges are made by distance, none are learned
 
-    def __init__(self, model, groups):
+    def __init__(self, model, groups, share=None):
         (self._group,) = groups
+        self._share = share
         if self._group.position.shape[1] <= H:
             raise ValueError(
                 f'runs of {self._group.position.shape[1]} frames are shorter than the training '
                 f'window of {H + 1} frames'
             )
         self.simulator, self.config = model.simulator, model.simulator.config
+        if share:
+            share.refuse_batch(self.config.batch_size)
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=1.0)
         self.optimizer.build(self.simulator.trainable_variables)
@@ -49,7 +53,11 @@ class ParticleTrainer:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
         rng = self._generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
-        batch = self._batch([self._sample(run, start, rng) for run, start in windows])
+        # Every process draws all noise, so that a sample has the same wherever it is made.
+        drawn = [(run, start, self._walk(rng)) for run, start in windows]
+        if self._share:
+            drawn = drawn[self._share.index :: self._share.count]
+        batch = self._batch([self._sample(*sample) for sample in drawn])
         return self._compiled(tf.constant(step, tf.float32), *batch)
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
@@ -63,7 +71,7 @@ class ParticleTrainer:
         rows = []
         for i in range(n_batch):
             rng = self._generator(_EVALUATION_STREAM, i)
-            samples = [self._sample(run, start, None) for run, start in self._windows(rng, 4)]
+            samples = [self._sample(run, start) for run, start in self._windows(rng, 4)]
             rows.append({k: float(v) for k, v in self._losses(*self._batch(samples)).items()})
         return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
 
@@ -77,7 +85,13 @@ class ParticleTrainer:
         picks = rng.integers(n_run * (n_frame - H), size=size)
         return [divmod(int(pick), n_frame - H) for pick in picks]
 
-    def _sample(self, run, start, rng):
+    def _walk(self, rng):
+        """Standard normal draws for the noise of one window, or None where there is none."""
+        if not self.config.noise_std:
+            return None
+        return rng.normal(size=(H - 1, *self._group.position.shape[2:]))
+
+    def _sample(self, run, start, walk=None):
         """Graph, target [V, D], weight [V, D] of its error, force [D] of one window; the random
         walk of the noise reaches `noise_std` in the last velocity (SG 2020, B.1)."""
         group, simulator, config = self._group, self.simulator, self.config
@@ -87,9 +101,9 @@ class ParticleTrainer:
         coming = group.position[run, end + 1] - position
         given = simulator.given_motion(coming[:n])
         rate = simulator.rate(given)
-        if rng is not None and config.noise_std:
+        if walk is not None:
             std = config.noise_std * (rate * s.velocity_std[1] if config.noise_relative else 1.0)
-            walk = rng.normal(size=velocity.shape).cumsum(axis=0) * std / np.sqrt(len(velocity))
+            walk = walk.cumsum(axis=0) * std / np.sqrt(len(velocity))
             walk[:, :n] = 0.0
             position, velocity = position + walk.sum(axis=0), velocity + walk
         context = group.context_at(end + 1, run)
@@ -138,6 +152,8 @@ class ParticleTrainer:
         with tf.GradientTape() as tape:
             values = self._losses(*batch)
         gradients = tape.gradient(values['loss'], variables)
+        if self._share:
+            gradients, values = self._share.mean((gradients, values))
         self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
         self.averaging.update(step)
         return values
