@@ -95,6 +95,8 @@ IMPORTS_WITHOUT = [
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_c_faults.py',
     'learning_to_simulate/export_c/test_fmu_field.py',
+    'learning_to_simulate/methods/full_space/test_data_parallel.py',
+    'reports/test_cluster_trainings.py',
     'learning_to_simulate/test_changing_context.py', 'learning_to_simulate/test_several_bodies.py',
     'learning_to_simulate/test_left_out.py', 'learning_to_simulate/test_numerics.py',
     'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py',

@@ -58,7 +58,11 @@ class Share:
 
         def reduce():
             context = tf.distribute.get_replica_context()
-            return context.all_reduce(tf.distribute.ReduceOp.MEAN, tensors)
+            # Inside of a function a tensor has no device unless it is told one, and the reduction
+            # goes to where its tensor is.
+            with tf.device(self._strategy.extended.worker_devices[0]):
+                placed = tf.nest.map_structure(tf.identity, tensors)
+            return context.all_reduce(tf.distribute.ReduceOp.MEAN, placed)
 
         return self._strategy.run(reduce)
 

@@ -6,9 +6,11 @@ damaged file is never handed to TensorFlow, and TensorFlow's own `checkpoint` fi
 newest one and may itself be damaged, is neither needed nor written.
 """
 
+import contextlib
 import os
 import re
 import shutil
+import tempfile
 
 import numpy as np
 import tensorflow as tf
@@ -106,13 +108,25 @@ class TrainingState:
     def _read(self, step):
         name = os.path.join(self._path, f'ckpt-{step}')
         try:
-            self._checkpoint.read(name).assert_consumed()
+            with self._plainly_named(step) as folder:
+                self._checkpoint.read(os.path.join(folder, f'ckpt-{step}')).assert_consumed()
         # AssertionError: other objects; ValueError: other shapes.
         except (AssertionError, ValueError, tf.errors.OpError) as error:
             reason = str(error).strip().splitlines()[0]
             raise ValueError(f'{name}: is a checkpoint of another model ({reason})') from error
         if int(self._step) != step:
             raise ValueError(f'{name}: holds step {int(self._step)}, not that of its name')
+
+    @contextlib.contextmanager
+    def _plainly_named(self, step):
+        """A folder with the checkpoint: TensorFlow takes the name of what it reads as a pattern."""
+        if not set('*?[') & set(self._path):
+            yield self._path
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            for name in self._files_of(step):
+                shutil.copyfile(os.path.join(self._path, name), os.path.join(folder, name))
+            yield folder
 
     def _set_aside(self, damaged):
         for step, error in damaged.items():

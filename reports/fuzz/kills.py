@@ -152,7 +152,8 @@ def run(names: list[str], count: int, seed: int) -> dict:
             p.name: {'points': len(p.points), 'points_hit': 0, 'named': 0, 'random': 0, 'lost': 0}
             for p in plans
         }
-        losses, turns = [], collections.Counter()
+        losses: list = []
+        turns: collections.Counter[str] = collections.Counter()
         for number in tqdm.trange(count, unit='kill', disable=None):
             plan = plans[number % len(plans)]
             turn = turns[plan.name]

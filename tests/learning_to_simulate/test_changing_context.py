@@ -37,7 +37,7 @@ def _rolled(model, group, make_step=PlainStep, n_frame=8):
     """Positions [S, n_frame, V, D]. Eagerly, to save the compilation."""
     layout = model.layout(group.n_rigid)
     state, known, context, _ = rollout.rollout_inputs(group, layout, model.simulator.scene)
-    known = type(known)(*(x[:n_frame] for x in known))
+    known = known.at(slice(n_frame))
     context = context if context.ndim == 2 else context[:n_frame]
     function = rollout.RolloutFunction(model.simulator, layout, make_step=make_step)
     tf.config.run_functions_eagerly(True)

@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from cluster import workers
 from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.training import model_folder
@@ -292,11 +293,12 @@ def test_trivial_predictors_are_not_those_of_thinned_particles(tmp_path, monkeyp
     made = survey.Survey(
         synthetic.write_dataset(tmp_path / 'data'), str(tmp_path), str(tmp_path), settings()
     )
-    found = {'references': {'stay_still': {'test': {'soil_mse': [1.0]}}}}
-    monkeypatch.setattr(measure, 'evaluate', lambda *_: dict(found))
+    references = {'stay_still': {'test': {'soil_mse': [1.0]}}}
+    done = workers.Outcome(0, ({'status': 'ok', 'note': ''}, references), None)
+    monkeypatch.setattr(made, '_write', lambda: None)
     for preset, count in (('full_space', 0), ('pcg', 1)):
         row = families.Row(preset, (), presets.make_config(preset), {'preset': preset})
-        made._train_and_evaluate(row, 'nowhere', 'digest', train=False)
+        made._take((row, 'nowhere', 'digest', False), done)
         assert len(made._references) == count
 
 

@@ -17,11 +17,12 @@ def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path):
         '#include <stdio.h>',
         '#include <stddef.h>',
         '#include "lts_model.h"',
+        '#include "lts_field_model.h"',
         'int main(void) {',
     ]
     expected = []
     for name, kind in c_header.structures().items():
-        c_name = f'struct {name}' if name == 'lts_model' else name
+        c_name = f'struct {name}' if name in ('lts_model', 'lts_field_model') else name
         lines.append(f'  printf("%zu\\n", sizeof({c_name}));')
         expected.append(ctypes.sizeof(kind))
         for field, _ in kind._fields_:
