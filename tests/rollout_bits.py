@@ -19,7 +19,6 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.evaluation import Evaluator
 from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
@@ -36,9 +35,7 @@ def of_rollouts(path: str) -> str:
     """Digest of all test rollouts of the model in a folder `models/<dataset>/<preset>`."""
     data_path = 'datasets/' + path.split('/')[1]
     opened = registry.open_model(path, data_path, 'test')
-    model, metadata, groups = opened.model, opened.metadata, opened.groups
-    evaluator = Evaluator(model, metadata)
-    rollouts = [evaluator.roll_out(group) for group in groups]
+    rollouts = [opened.evaluator.roll_out(group) for group in opened.groups]
     return _digest(*(a for r in rollouts for a in (r.position, r.force)))
 
 
