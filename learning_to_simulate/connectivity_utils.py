@@ -146,19 +146,20 @@ def mode_correlations(velocities) -> np.ndarray:
     """One-frame-lagged velocity correlation of every pair of modes.
 
     Args:
-      velocities: float [S, T, r, D] of the modes on training runs, m/frame.
+      velocities: float [S, T, r, D] of the modes on training runs, m/frame; a list of such arrays
+        where runs differ in length.
 
     Returns:
       float64 [r, r] in [0, 1], entry [receiver, sender]: how well the sender's velocity of one
       frame goes with the receiver's of the next, sign ignored.
     """
-    scale = velocities.std(axis=(0, 1), keepdims=True)
-    unit = (velocities - velocities.mean(axis=(0, 1), keepdims=True)) / np.where(
-        scale > 0, scale, 1.0
-    )
-    count = unit[:, 1:, 0].size
-    score = np.abs(np.einsum('stid,stjd->ij', unit[:, 1:], unit[:, :-1])) / max(count, 1)
-    return np.clip(score, 0.0, 1.0)
+    parts = velocities if isinstance(velocities, list) else [velocities]
+    frames = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts])
+    mean, scale = frames.mean(axis=0), frames.std(axis=0)
+    units = [(part - mean) / np.where(scale > 0, scale, 1.0) for part in parts]
+    count = sum(unit[:, 1:, 0].size for unit in units)
+    score = sum(np.einsum('stid,stjd->ij', unit[:, 1:], unit[:, :-1]) for unit in units)
+    return np.clip(np.abs(score) / max(count, 1), 0.0, 1.0)
 
 
 def rank_mode_edges(velocities, keep: int) -> np.ndarray:
@@ -167,7 +168,7 @@ def rank_mode_edges(velocities, keep: int) -> np.ndarray:
     Stands in for a learned edge list. Self-edges come first.
 
     Args:
-      velocities: float [S, T, r, D] of the modes on training runs, m/frame.
+      velocities: as for `mode_correlations`.
       keep: number of edges, at most r².
 
     Returns:
@@ -176,7 +177,7 @@ def rank_mode_edges(velocities, keep: int) -> np.ndarray:
     Raises:
       ValueError: if `keep` is negative or above r².
     """
-    r = velocities.shape[2]
+    r = velocities[0].shape[-2]
     if not 0 <= keep <= r * r:
         raise ValueError(f'mode_edges is {keep}, must lie in [0, {r * r}]')
     score = mode_correlations(velocities)

@@ -289,7 +289,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
         or a file, `.json` or `.npy`.
       data_path: dataset folder.
       n_modes: r.
-      velocities: float [S, T, r, D] of the modes on the training runs.
+      velocities: of the modes on the training runs, as for `rank_mode_edges`.
 
     Raises:
       ValueError: a file that is damaged, foreign or of another dataset, or a wish for a number of

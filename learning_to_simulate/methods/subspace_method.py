@@ -52,7 +52,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         scene,
         config,
     )
-    velocities = np.concatenate([g.velocity[:, :, g.n_rigid :] for g in groups])
+    velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
     if config.path_inputs:
         statistics = dataclasses.replace(
             statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()

@@ -117,3 +117,20 @@ def test_bad_edges_are_refused():
         cu.Adjacency(np.array([0, 0], np.int32), np.array([1, 1], np.int32), 2)
     with pytest.raises(ValueError, match='two equal lists'):
         cu.Adjacency(one, np.array([0, 1], np.int32), 2)
+
+
+def test_correlations_of_runs_of_different_lengths():
+    """Each run lags within itself; held to the mean over all lagged pairs."""
+    v = np.random.default_rng(8).normal(size=(2, 60, 3, 3)).cumsum(axis=1)
+    whole = cu.mode_correlations(v)
+    np.testing.assert_allclose(cu.mode_correlations([v[:1], v[1:]]), whole, rtol=1e-12)
+    np.testing.assert_allclose(cu.mode_correlations([v, v]), whole, rtol=1e-12)
+    longer = np.random.default_rng(9).normal(size=(3, 45, 3, 3))
+    mixed = cu.mode_correlations([v, longer])
+    frames = np.concatenate([v.reshape(-1, 3, 3), longer.reshape(-1, 3, 3)])
+    lagged = [(x[:, 1:] - frames.mean(0), x[:, :-1] - frames.mean(0)) for x in (v, longer)]
+    pairs = [np.concatenate([part[k].reshape(-1, 3, 3) for part in lagged]) for k in (0, 1)]
+    now, before = (pair / frames.std(0) for pair in pairs)
+    for i, j in np.ndindex(3, 3):
+        assert mixed[i, j] == pytest.approx(abs((now[:, i] * before[:, j]).mean()))
+    assert cu.rank_mode_edges([v, longer], 5).sum() == 5
