@@ -35,6 +35,7 @@ SCENES: dict[str, dict] = {
         {'name': 'wheel', 'rigid_motion': 'prescribed', 'points': 16},
     ]},
 }  # fmt: skip
+MODE_EDGES = 28  # of `pcg`; few modes have fewer
 RECIPE = {
     'latent_size': 32, 'rigid_particles': 0, 'num_steps': 1500, 'decay_steps': 750,
     'unroll_steps': 200, 'unroll_length': 4, 'unroll_batch_size': 16,
@@ -64,7 +65,8 @@ def judge(folder: str, name: str) -> dict:
     """
     data = make(folder, name)
     path, exported, pictures = (os.path.join(folder, name, x) for x in PARTS)
-    model = lts.train(lts.preset('pcg', **RECIPE), data, path)
+    edges = min(MODE_EDGES, SCENES[name]['modes'] ** 2)
+    model = lts.train(lts.preset('pcg', mode_edges=edges, **RECIPE), data, path)
     opened = _opened(path, data.path)
     results, summary = opened.evaluator.run(opened.groups, 'test')
     written = evaluation.save_rollouts(pictures, 'test', results, summary, data.metadata)
