@@ -155,12 +155,15 @@ def threads(count: int) -> Iterator[Workers]:
 
 def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
     try:
+        import dask
         import distributed
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(_EXTRA) from error
     if kind in ('tcp', 'tls'):
         target: Any = where
     elif kind == 'local':
+        # A row of a report runs in a process of its own, which a daemonic worker may not start.
+        stack.enter_context(dask.config.set({'distributed.worker.daemon': False}))
         target = stack.enter_context(
             distributed.LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None
@@ -185,6 +188,7 @@ def slurm_cluster():
     return SLURMCluster(
         cores=1, processes=1, memory=SLURM_MEMORY, walltime=SLURM_WALLTIME,
         worker_extra_args=list(SLURM_LIFETIME),
+        job_script_prologue=['export DASK_DISTRIBUTED__WORKER__DAEMON=False'],
     )  # fmt: skip
 
 

@@ -1,14 +1,9 @@
-"""Calls a function in a fresh process, also from workers that `multiprocessing` lets have none.
+"""Calls a function in a fresh process, also from the workers of a pool or a cluster."""
 
-python -m reports.isolated CALL ANSWER      # what `call` starts
-"""
+import concurrent.futures
+import multiprocessing
 
-import functools
-import os
-import pickle
-import subprocess
-import sys
-import tempfile
+from storage import parent
 
 
 def call(function, *arguments, limit_s: float | None = None, threads: int | None = None):
@@ -24,24 +19,19 @@ def call(function, *arguments, limit_s: float | None = None, threads: int | None
       RuntimeError: the process died without an answer.
       Exception: whatever the function raises.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        names = [os.path.join(folder, name) for name in ('call', 'answer')]
-        with open(names[0], 'wb') as file:
-            pickle.dump((functools.partial(function, *arguments), threads), file)
-        # Ends with this process: a worker that is killed leaves no training behind.
-        command = [sys.executable, '-m', 'storage.parent', str(os.getpid()), 'reports.isolated']
-        environment = os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)}
-        try:
-            done = subprocess.run([*command, *names], env=environment, timeout=limit_s, check=False)
-        except subprocess.TimeoutExpired as error:
-            raise TimeoutError(f'not done within {limit_s:g} s') from error
-        if done.returncode or not os.path.exists(names[1]):
-            raise RuntimeError('its process was ended from outside (out of memory?)')
-        with open(names[1], 'rb') as file:
-            value, raised = pickle.load(file)
-    if raised is not None:
-        raise raised
-    return value
+    pool = concurrent.futures.ProcessPoolExecutor(
+        1, multiprocessing.get_context('spawn'), initializer=_prepare, initargs=(threads,)
+    )
+    try:
+        return pool.submit(function, *arguments).result(limit_s)
+    except TimeoutError as error:
+        for process in pool._processes.values():
+            process.terminate()
+        raise TimeoutError(f'not done within {limit_s:g} s') from error
+    except concurrent.futures.process.BrokenProcessPool as error:
+        raise RuntimeError('its process was ended from outside (out of memory?)') from error
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def use_threads(count: int) -> None:
@@ -52,19 +42,7 @@ def use_threads(count: int) -> None:
     tf.config.threading.set_inter_op_parallelism_threads(1)
 
 
-def _answer(question: str, answer: str) -> None:
-    with open(question, 'rb') as file:
-        function, threads = pickle.load(file)
+def _prepare(threads: int | None) -> None:
+    parent.end_with_parent()  # a worker that is killed leaves no training behind
     if threads:
         use_threads(threads)
-    result: tuple[object, Exception | None]
-    try:
-        result = function(), None
-    except Exception as error:
-        result = None, error
-    with open(answer, 'wb') as file:
-        pickle.dump(result, file)
-
-
-if __name__ == '__main__':
-    _answer(*sys.argv[1:])
