@@ -24,6 +24,10 @@ numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest(
 # Row i is particle i, always. Kernels work on the transpose of the rows that are awake.
 X, V, C, S, VOLUME_RATIO, FLUIDITY, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 26
 
+# What the steps between two exchanges change of a particle (`solver.Block.elastic`): deviatoric
+# stress and strain of volume, ELASTIC rows of CHUNK particles one after another, chunk by chunk.
+CHUNK, ELASTIC = 64, 7
+
 # Status codes of `solver.advance`.
 OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
 

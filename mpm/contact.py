@@ -29,9 +29,9 @@ import numpy as np
 
 from mpm import vectors
 from mpm.bodies import Body, signed_distance
-from mpm.columns import GRIP, JIT
+from mpm.columns import GRIP, JIT, index
 from mpm.constitutive import Soil
-from mpm.transfers import interpolate, scatter, strides_of
+from mpm.transfers import WEIGHTS, interpolate, scatter, strides_of
 
 RADIUS = 0.5  # of the particle spacing
 STIFFNESS = 0.25  # of M h
@@ -87,7 +87,7 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 
     Args:
-        block: `solver.Block`; its places are those of the last exchange, to which the nodes'
+        block: `solver.Block`; its weights are those of the last exchange, to which the nodes'
             displacements are added.
         nodes: `solver.Nodes`.
         grid: `grid.Grid`.
@@ -104,10 +104,10 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     q = block.particles
     strides = strides_of(grid.shape)
     sine, cosine = math.sin(pose[2]), math.cos(pose[2])
-    zero = vectors.make(0.0, 0.0, 0.0, 0.0)
+    zero = vectors.make(nodes.force, 0.0, 0.0, 0.0, 0.0)
     for n in near:
-        place = (block.place[0, n], block.place[1, n], block.place[2, n])
-        u = interpolate(nodes.displacement, block.base[n], strides, place)
+        at = index(WEIGHTS * n)
+        u = interpolate(nodes.displacement, block.base[n], strides, block.weights, at)
         rx, ry, z = q[0, n] + u[0] - pose[0], q[1, n] + u[1] - pose[1], q[2, n] + u[2]
         distance, nx, ny, nz = signed_distance(body, sine, cosine, rx, ry, z)
         depth = law.radius - distance
@@ -117,7 +117,7 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
             continue
         # The point of the surface, about the reference point, and the soil's speed past it.
         px, py, pz = rx - distance * nx, ry - distance * ny, z - body.z_middle - distance * nz
-        v = interpolate(nodes.velocity, block.base[n], strides, place)
+        v = interpolate(nodes.velocity, block.base[n], strides, block.weights, at)
         vx = v[0] - motion[0] + motion[2] * py
         vy = v[1] - motion[1] - motion[2] * px
         vz = v[2]
@@ -134,8 +134,9 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         fx = normal * nx - law.stiffness * gx
         fy = normal * ny - law.stiffness * gy
         fz = normal * nz - law.stiffness * gz
-        on_soil = vectors.make(fx, fy, fz, 0.0)
-        scatter(nodes.force, block.base[n], strides, place, on_soil, zero, zero, zero)
+        on_soil = vectors.make(nodes.force, fx, fy, fz, 0.0)
+        affine = (on_soil, zero, zero, zero)
+        scatter(nodes.force, block.base[n], strides, block.weights, at, affine)
         load[0] -= fx
         load[1] -= fy
         load[2] -= fz

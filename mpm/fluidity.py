@@ -3,7 +3,7 @@
 import numba
 
 from mpm.columns import FLUIDITY, JIT, index
-from mpm.transfers import strides_of, weights
+from mpm.transfers import WEIGHTS, WX, WY, WZ, strides_of
 
 
 @numba.njit(**JIT)
@@ -54,14 +54,10 @@ def diffuse_fluidity(block, work, grid, box, interval, soil):
 @numba.njit(**JIT)
 def _around(block, n, grid):
     """Yields (node, weight) of the 27 nodes around a particle."""
-    wx, wy, wz = (
-        weights(block.place[0, n]),
-        weights(block.place[1, n]),
-        weights(block.place[2, n]),
-    )
+    kept, at = block.weights, index(WEIGHTS * n)
     strides = strides_of(grid.shape)
     for j in range(3):
         for i in range(3):
             row = block.base[n] + index(j) * strides[1] + index(i) * strides[0]
             for k in range(3):
-                yield row // index(4) + index(k), wy[j] * wx[i] * wz[k]
+                yield row // index(4) + index(k), kept[at + WY + index(j)] * kept[at + WX + index(i)] * kept[at + WZ + index(k)]

@@ -26,6 +26,8 @@ import numpy as np
 
 from mpm.bodies import Body
 from mpm.columns import (
+    CHUNK,
+    ELASTIC,
     GRIP,
     JIT,
     LEFT_GRID,
@@ -39,7 +41,7 @@ from mpm.fluidity import diffuse_fluidity
 from mpm.grid import Grid
 from mpm.grid_update import clear, kick, start_nodes
 from mpm.stability import damping_time, max_time_step
-from mpm.transfers import CHUNK, grid_to_particles, particles_to_grid, strain_and_force
+from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_and_force
 
 EXCHANGE = 1.0 / 1080.0  # s; 18 intervals are a frame
 NO_BODY = Body(0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((0, 3)))
@@ -52,13 +54,18 @@ class Block(NamedTuple):
     Attributes:
         particles: float64 [COLUMNS, n], see `columns`.
         base: uint64 [n], index of the first of a particle's 27 nodes.
-        place: float64 [3, n], fractions of a cell, see `transfers.weights`.
-        gradient, stress: float64 [9, CHUNK] and [6, CHUNK], work space.
+        weights: [16 n], see `transfers.WEIGHTS`.
+        elastic: deviatoric stress (Pa; xx yy zz xy yz zx) and strain of volume, laid out as
+            `columns.ELASTIC` says; `particles` gets them back at the end of an interval.
+        gradient, stress: [9 CHUNK] and [6 CHUNK], row by row, work space.
+
+    All but the first two are float32 or float64, as the nodes are.
     """
 
     particles: np.ndarray
     base: np.ndarray
-    place: np.ndarray
+    weights: np.ndarray
+    elastic: np.ndarray
     gradient: np.ndarray
     stress: np.ndarray
 
@@ -82,22 +89,23 @@ class Nodes(NamedTuple):
     touched: np.ndarray
 
 
-def make_block(particles: np.ndarray) -> Block:
-    """Returns the block of particles [n, COLUMNS], a copy."""
+def make_block(particles: np.ndarray, dtype: type = np.float64) -> Block:
+    """Returns the block of particles [n, COLUMNS], a copy, whose steps have numbers of a type."""
     count = len(particles)
     return Block(
         np.ascontiguousarray(particles.T),
         np.zeros(count, dtype=np.uint64),
-        np.zeros((3, count)),
-        np.zeros((9, CHUNK)),
-        np.zeros((6, CHUNK)),
+        np.zeros(WEIGHTS * count, dtype),
+        np.zeros(ELASTIC * CHUNK * math.ceil(count / CHUNK), dtype),
+        np.zeros(9 * CHUNK, dtype),
+        np.zeros(6 * CHUNK, dtype),
     )
 
 
-def make_nodes(grid: Grid) -> Nodes:
-    """Returns the nodes of a grid, with no soil on them."""
+def make_nodes(grid: Grid, dtype: type = np.float64) -> Nodes:
+    """Returns the nodes of a grid, with no soil on them, in numbers of a type."""
     return Nodes(
-        *(np.zeros(4 * grid.nodes) for _ in range(3)),
+        *(np.zeros(4 * grid.nodes, dtype) for _ in range(3)),
         np.zeros(grid.nodes, dtype=np.bool_),
         *(np.zeros(grid.nodes, dtype=np.uint64) for _ in range(2)),
     )
@@ -124,7 +132,7 @@ def advance(
     """Advances the soil (and the body's height) by whole exchange intervals. Works in place.
 
     Args:
-        block: `Block`.
+        block: `Block`, of the nodes' type.
         nodes: `Nodes`, all zero but for `asleep`; zero again afterwards.
         grid: `grid.Grid`.
         steps: per interval.
@@ -247,7 +255,13 @@ class Solver:
     """
 
     def __init__(
-        self, grid: Grid, soil: Soil, volume: float, steps: int = 0, is_nonlocal: bool = False
+        self,
+        grid: Grid,
+        soil: Soil,
+        volume: float,
+        steps: int = 0,
+        is_nonlocal: bool = False,
+        dtype: type = np.float64,
     ):
         """Prepares the work space.
 
@@ -257,15 +271,20 @@ class Solver:
             volume: m3 of packed soil per particle.
             steps: per exchange interval; 0: as few as are stable.
             is_nonlocal: whether the granular fluidity diffuses.
+            dtype: of what nodes carry and of stresses between exchanges, float32 or float64.
         """
         self.grid, self.soil, self.volume = grid, soil, volume
         limit = max_time_step(soil, grid.dx, is_nonlocal)
         self.steps = steps or max(1, math.ceil(EXCHANGE / limit - 1e-9))
         self.dt = EXCHANGE / self.steps
-        self.nodes = make_nodes(grid)
+        self.nodes = make_nodes(grid, dtype)
         self.impulse, self.second_impulse = np.zeros(6), np.zeros(6)
         self.law = make_contact(soil, volume)
         self._fluidity = np.zeros((grid.nodes, 3)) if is_nonlocal else None
+
+    def block(self, particles: np.ndarray) -> Block:
+        """Returns the block of particles [n, COLUMNS] for `advance`, a copy."""
+        return make_block(particles, self.nodes.velocity.dtype.type)
 
     def advance(
         self,

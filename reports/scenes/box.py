@@ -10,7 +10,7 @@ from mpm.bodies import Body, sample_points
 from mpm.constitutive import Soil
 from mpm.experiments import Experiment
 from mpm.scenes import EARTH_GRAVITY, Bin
-from mpm.solver import EXCHANGE, make_block
+from mpm.solver import EXCHANGE
 
 SETTLE_S = 0.2
 
@@ -80,7 +80,7 @@ class Box(Experiment):
         solver = self.solver
         times = self.time + solver.dt * np.arange(intervals * solver.steps + 1)
         order = packing.cell_order(self.particles, self.grid)
-        block = make_block(self.particles[order])
+        block = solver.block(self.particles[order])
         options = {}
         if bodies:
             first, *others = bodies
