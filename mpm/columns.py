@@ -21,7 +21,7 @@ numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest(
 # Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
 # (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular
 # fluidity, GRIP: how far the body has dragged its contact with the particle (see `contact`).
-# Row i is particle i, always. Kernels work on the transpose of the rows that are awake.
+# Row i is particle i, always. Kernels work on a copy of the rows that are awake.
 X, V, C, S, VOLUME_RATIO, FLUIDITY, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 26
 
 # What the steps between two exchanges change of a particle (`solver.Block.elastic`): deviatoric

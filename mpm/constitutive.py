@@ -191,10 +191,10 @@ def update_stress(block, start, count, dt, soil, damping_time, fluidity):
         shear = txy * txy + tyz * tyz + tzx * tzx
         tau = math.sqrt((txx * txx + tyy * tyy + tzz * tzz) / TWO + shear)
         if fluidity is not None:
-            g = max(block.particles[FLUIDITY, start + c], FLUIDITY_SEED)
+            g = max(block.particles[start + c, FLUIDITY], FLUIDITY_SEED)
             flowing = relax_nonlocal(tau, p, g, dt, soil)
             g += dt * fluidity_source(g, flowing, p, soil)
-            block.particles[FLUIDITY, start + c] = g if p > NONE else 0.0
+            block.particles[start + c, FLUIDITY] = g if p > NONE else 0.0
             relaxed = real(flowing)
         else:
             relaxed = relax_local(tau, p, rate * math.sqrt(p), mu_s, mu_2)

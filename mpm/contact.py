@@ -63,7 +63,7 @@ def list_near(particles, body, pose, reach, near):
     All others lose their grip.
 
     Args:
-        particles: float64 [COLUMNS, n].
+        particles: float64 [n, COLUMNS].
         body: `bodies.Body`.
         pose: x, y (m) of its reference point, and its angle (rad).
         reach: m.
@@ -71,14 +71,14 @@ def list_near(particles, body, pose, reach, near):
     """
     sine, cosine = math.sin(pose[2]), math.cos(pose[2])
     count = 0
-    for n in range(particles.shape[1]):
-        rx, ry = particles[0, n] - pose[0], particles[1, n] - pose[1]
-        if signed_distance(body, sine, cosine, rx, ry, particles[2, n])[0] < reach:
+    for n in range(len(particles)):
+        rx, ry = particles[n, 0] - pose[0], particles[n, 1] - pose[1]
+        if signed_distance(body, sine, cosine, rx, ry, particles[n, 2])[0] < reach:
             near[count] = n
             count += 1
         else:
             for axis in range(3):
-                particles[GRIP + axis, n] = 0.0
+                particles[n, GRIP + axis] = 0.0
     return count
 
 
@@ -108,12 +108,12 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     for n in near:
         at = index(WEIGHTS * n)
         u = interpolate(nodes.displacement, block.base[n], strides, block.weights, at)
-        rx, ry, z = q[0, n] + u[0] - pose[0], q[1, n] + u[1] - pose[1], q[2, n] + u[2]
+        rx, ry, z = q[n, 0] + u[0] - pose[0], q[n, 1] + u[1] - pose[1], q[n, 2] + u[2]
         distance, nx, ny, nz = signed_distance(body, sine, cosine, rx, ry, z)
         depth = law.radius - distance
         if not depth > 0.0:
             for axis in range(3):
-                q[GRIP + axis, n] = 0.0
+                q[n, GRIP + axis] = 0.0
             continue
         # The point of the surface, about the reference point, and the soil's speed past it.
         px, py, pz = rx - distance * nx, ry - distance * ny, z - body.z_middle - distance * nz
@@ -122,7 +122,7 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         vy = v[1] - motion[1] - motion[2] * px
         vz = v[2]
         normal = law.stiffness * depth
-        gx, gy, gz = q[GRIP, n] + dt * vx, q[GRIP + 1, n] + dt * vy, q[GRIP + 2, n] + dt * vz
+        gx, gy, gz = q[n, GRIP] + dt * vx, q[n, GRIP + 1] + dt * vy, q[n, GRIP + 2] + dt * vz
         # Only its part along the surface, which turns with the body.
         across = gx * nx + gy * ny + gz * nz
         gx, gy, gz = gx - across * nx, gy - across * ny, gz - across * nz
@@ -130,7 +130,7 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         if held > body.friction * normal:
             share = body.friction * normal / held
             gx, gy, gz = share * gx, share * gy, share * gz
-        q[GRIP, n], q[GRIP + 1, n], q[GRIP + 2, n] = gx, gy, gz
+        q[n, GRIP], q[n, GRIP + 1], q[n, GRIP + 2] = gx, gy, gz
         fx = normal * nx - law.stiffness * gx
         fy = normal * ny - law.stiffness * gy
         fz = normal * nz - law.stiffness * gz

@@ -141,7 +141,7 @@ class Experiment:
         if body is not None:
             path = pose(self.solver.dt * np.arange(intervals * self.solver.steps + 1))
         self.solver.advance(block, intervals, gravity, 1.0, body, path)
-        self.particles[order] = block.particles.T
+        self.particles[order] = block.particles
         return intervals * EXCHANGE
 
 
@@ -255,7 +255,7 @@ def homogeneous_shear(
     block = make_block(row)
     # Steps of a tenth of a per mille of shear, to a strain of one half.
     _shear(block, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
-    s = block.particles[columns.S : columns.S + 6, 0]
+    s = block.particles[0, columns.S : columns.S + 6]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     rise = inertial_number / soil.inertial_number_0
     mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * (rise if is_nonlocal else rise / (1.0 + rise))

@@ -25,10 +25,10 @@ def diffuse_fluidity(block, work, grid, box, interval, soil):
     q = block.particles
     nx, nz = grid.shape[0], grid.shape[2]
     work[:] = 0.0
-    for n in range(q.shape[1]):
+    for n in range(len(q)):
         for node, w in _around(block, n, grid):
             work[node, 0] += w
-            work[node, 1] += w * q[FLUIDITY, n]
+            work[node, 1] += w * q[n, FLUIDITY]
     length = soil.nonlocal_amplitude * soil.grain_diameter
     rate = interval * length * length / soil.nonlocal_time / (grid.dx * grid.dx)
     for node in range(len(work)):
@@ -46,9 +46,9 @@ def diffuse_fluidity(block, work, grid, box, interval, soil):
                         if work[node + step, 0] > 0.0:
                             total += work[node + step, 1] - work[node, 1]
                     work[node, 2] = rate * total
-    for n in range(q.shape[1]):
+    for n in range(len(q)):
         for node, w in _around(block, n, grid):
-            q[FLUIDITY, n] += w * work[node, 2]
+            q[n, FLUIDITY] += w * work[node, 2]
 
 
 @numba.njit(**JIT)

@@ -78,7 +78,7 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
     for part in range(10):
         # The last tenths are undamped: what is left at rest is rest.
         solver.advance(block, intervals, EARTH_GRAVITY, settling if part < 8 else 1.0)
-    particles[order] = block.particles.T
+    particles[order] = block.particles
     speed = float(np.linalg.norm(particles[:, columns.V : columns.V + 3], axis=1).max())
     if not speed < REST_SPEED:
         raise ValueError(f'the packing does not settle: its fastest particle has {speed:.3g} m/s')

@@ -156,8 +156,8 @@ class Simulation:
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
-        v = self._block.particles[columns.V : columns.V + 3]
-        speed = np.sqrt((v * v).sum(axis=0).max(initial=0.0))
+        v = self._block.particles[:, columns.V : columns.V + 3]
+        speed = np.sqrt((v * v).sum(axis=1).max(initial=0.0))
         if not speed * EXCHANGE <= stability.VELOCITY_CFL * self.grid.dx:
             raise ValueError(
                 f'soil at {speed:.3g} m/s crosses {speed * EXCHANGE / self.grid.dx:.3g} cells '
@@ -184,7 +184,7 @@ class Simulation:
     def _put_back(self) -> None:
         """Brings the rows of the particles up to date with those that were stepped."""
         if self._block is not None:
-            self._particles[self._awake] = self._block.particles.T
+            self._particles[self._awake] = self._block.particles
 
     @property
     def particles(self) -> np.ndarray:
@@ -214,7 +214,7 @@ class Simulation:
     def positions(self) -> np.ndarray:
         """Returns the positions [N, 3] of all particles, m."""
         if self._block is not None:
-            self._particles[self._awake, :3] = self._block.particles[:3].T
+            self._particles[self._awake, :3] = self._block.particles[:, :3]
         return self._particles[:, :3].copy()
 
     def penetration(self) -> dict:

@@ -52,7 +52,7 @@ class Block(NamedTuple):
     """The particles that are stepped, and what kernels keep of them during an interval.
 
     Attributes:
-        particles: float64 [COLUMNS, n], see `columns`.
+        particles: float64 [n, COLUMNS], see `columns`.
         base: uint64 [n], index of the first of a particle's 27 nodes.
         weights: [16 n], see `transfers.WEIGHTS`.
         elastic: deviatoric stress (Pa; xx yy zz xy yz zx) and strain of volume, laid out as
@@ -93,7 +93,7 @@ def make_block(particles: np.ndarray, dtype: type = np.float64) -> Block:
     """Returns the block of particles [n, COLUMNS], a copy, whose steps have numbers of a type."""
     count = len(particles)
     return Block(
-        np.ascontiguousarray(particles.T),
+        np.array(particles, dtype=np.float64, order='C'),
         np.zeros(count, dtype=np.uint64),
         np.zeros(WEIGHTS * count, dtype),
         np.zeros(ELASTIC * CHUNK * math.ceil(count / CHUNK), dtype),
@@ -147,7 +147,7 @@ def advance(
         fluidity: float64 [nodes, 3], work space of the nonlocal law; None: local mu(I).
         impulse: float64 [6], impulse (N s) and angular impulse (N m s, about the reference point)
             of the soil on the body (added to).
-        status: int64 [2]: error code, column of the block.
+        status: int64 [2]: error code, row of the block.
         second: None, or `Motion` of a second body on its path and its float64 [6] impulse; no
             particle is near both.
     """
@@ -229,7 +229,7 @@ class Motion(NamedTuple):
         weight: float64 [steps + 1], N on the free height at the same times.
         heave: float64 [3]: height y (m), vertical speed (m/s), mass (kg). A positive mass makes
             the vertical motion free under `weight`.
-        near: int64, columns of the block among which contact is looked for; none without a body.
+        near: int64, rows of the block among which contact is looked for; none without a body.
     """
 
     body: Body
@@ -316,7 +316,7 @@ class Solver:
             body, path = NO_BODY, np.zeros((count + 1, 3))
             near = np.zeros(0, dtype=np.int64)
         else:
-            grip = None if second is None else block.particles[GRIP : GRIP + 3].copy()
+            grip = None if second is None else block.particles[:, GRIP : GRIP + 3].copy()
             near = self._near(block, body, path, heave)
         motion = Motion(
             body,
@@ -350,7 +350,7 @@ class Solver:
             beside,
         )
         if status[0] != OK:
-            place = block.particles[X : X + 3, status[1]]
+            place = block.particles[status[1], X : X + 3]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}
             raise ValueError(f'a particle {what[int(status[0])]} at {place} m')
 
@@ -360,20 +360,20 @@ class Solver:
         if shared := np.intersect1d(near, mine).size:
             raise ValueError(f'two bodies are so close that both may touch {shared} particles')
         # Looking for those near one body took the grip of those near the other.
-        block.particles[GRIP : GRIP + 3, near] = grip[:, near]
-        block.particles[GRIP : GRIP + 3, mine] = grip[:, mine]
+        block.particles[near, GRIP : GRIP + 3] = grip[near]
+        block.particles[mine, GRIP : GRIP + 3] = grip[mine]
         still = np.zeros(len(path))
         return Motion(body, self.law, path, still, np.zeros(3), mine)
 
     def _near(self, block, body, path, heave):
-        """Columns of the particles that the body can touch during the path."""
+        """Rows of the particles that the body can touch during the path."""
         start = path[0].copy()
         if heave is not None and heave[2] > 0.0:
             start[1] = heave[0]
         # How far body and soil can come closer: the body's way, and the fastest particle's.
         turn = np.abs(path[:, 2] - path[0, 2]).max() * (body.length + body.radius)
         way = np.linalg.norm(path[:, :2] - path[0, :2], axis=1).max() + turn
-        speed = np.abs(block.particles[3:6]).max(initial=0.0)
+        speed = np.abs(block.particles[:, 3:6]).max(initial=0.0)
         reach = self.law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
-        near = np.zeros(block.particles.shape[1], dtype=np.int64)
+        near = np.zeros(len(block.particles), dtype=np.int64)
         return near[: list_near(block.particles, body, start, reach, near)]

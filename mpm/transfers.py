@@ -21,6 +21,7 @@ import numba
 from mpm import vectors
 from mpm.columns import (
     CHUNK,
+    COLUMNS,
     ELASTIC,
     JIT,
     LEFT_GRID,
@@ -176,16 +177,16 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     strides = strides_of(grid.shape)
     stress_scale = -half_step * volume * 4.0 * inverse * inverse
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
-    for n in range(q.shape[1]):
-        gx = (q[0, n] - grid.origin[0]) * inverse - 0.5
-        gy = (q[1, n] - grid.origin[1]) * inverse - 0.5
-        gz = (q[2, n] - grid.origin[2]) * inverse - 0.5
+    for n in range(len(q)):
+        gx = (q[n, 0] - grid.origin[0]) * inverse - 0.5
+        gy = (q[n, 1] - grid.origin[1]) * inverse - 0.5
+        gz = (q[n, 2] - grid.origin[2]) * inverse - 0.5
         # Comparisons that are false for NaN too, before anything becomes an index.
         is_inside = gx >= 0.0 and gx < nx - 2 and gy >= 0.0 and gy < ny - 2
         if not (is_inside and gz >= 0.0 and gz < nz - 3):
             status[0], status[1] = LEFT_GRID, n
             break
-        ratio = q[VOLUME_RATIO, n]
+        ratio = q[n, VOLUME_RATIO]
         if not ratio > 0.0:
             status[0], status[1] = TURNED_INSIDE_OUT, n
             break
@@ -202,31 +203,31 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         p = pressure_of(ratio - 1.0, bulk_modulus)
         s = stress_scale * ratio
         dx = grid.dx
-        xx, yy, zz = s * (q[S, n] - p), s * (q[S + 1, n] - p), s * (q[S + 2, n] - p)
-        xy, yz, zx = s * q[S + 3, n], s * q[S + 4, n], s * q[S + 5, n]
+        xx, yy, zz = s * (q[n, S] - p), s * (q[n, S + 1] - p), s * (q[n, S + 2] - p)
+        xy, yz, zx = s * q[n, S + 3], s * q[n, S + 4], s * q[n, S + 5]
         affine = (
             vectors.make(
-                velocity, mass * q[V, n], mass * q[V + 1, n], mass * q[V + 2, n], mass
+                velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass
             ),
             vectors.make(
                 velocity,
-                (xx + mass * q[C, n]) * dx,
-                (xy + mass * q[C + 3, n]) * dx,
-                (zx + mass * q[C + 6, n]) * dx,
+                (xx + mass * q[n, C]) * dx,
+                (xy + mass * q[n, C + 3]) * dx,
+                (zx + mass * q[n, C + 6]) * dx,
                 0.0,
             ),
             vectors.make(
                 velocity,
-                (xy + mass * q[C + 1, n]) * dx,
-                (yy + mass * q[C + 4, n]) * dx,
-                (yz + mass * q[C + 7, n]) * dx,
+                (xy + mass * q[n, C + 1]) * dx,
+                (yy + mass * q[n, C + 4]) * dx,
+                (yz + mass * q[n, C + 7]) * dx,
                 0.0,
             ),
             vectors.make(
                 velocity,
-                (zx + mass * q[C + 2, n]) * dx,
-                (yz + mass * q[C + 5, n]) * dx,
-                (zz + mass * q[C + 8, n]) * dx,
+                (zx + mass * q[n, C + 2]) * dx,
+                (yz + mass * q[n, C + 5]) * dx,
+                (zz + mass * q[n, C + 8]) * dx,
                 0.0,
             ),
         )
@@ -245,8 +246,8 @@ def keep_elastic(block, n):
     """Stress and strain of particle n as the steps of an interval need them."""
     at = elastic_place(n)
     for row in range(6):
-        block.elastic[at + index(row * CHUNK)] = block.particles[S + row, n]
-    block.elastic[at + index(6 * CHUNK)] = block.particles[VOLUME_RATIO, n] - 1.0
+        block.elastic[at + index(row * CHUNK)] = block.particles[n, S + row]
+    block.elastic[at + index(6 * CHUNK)] = block.particles[n, VOLUME_RATIO] - 1.0
 
 
 @numba.njit(inline='always', **JIT)
@@ -254,8 +255,8 @@ def return_elastic(block, n):
     """The particle gets its stress and strain back."""
     at = elastic_place(n)
     for row in range(6):
-        block.particles[S + row, n] = block.elastic[at + index(row * CHUNK)]
-    block.particles[VOLUME_RATIO, n] = 1.0 + block.elastic[at + index(6 * CHUNK)]
+        block.particles[n, S + row] = block.elastic[at + index(row * CHUNK)]
+    block.particles[n, VOLUME_RATIO] = 1.0 + block.elastic[at + index(6 * CHUNK)]
 
 
 @numba.njit(**JIT)
@@ -268,8 +269,8 @@ def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidit
     velocity, force = nodes.velocity, nodes.force
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
-    for start in range(0, block.particles.shape[1], CHUNK):
-        count = index(min(block.particles.shape[1] - start, CHUNK))
+    for start in range(0, len(block.particles), CHUNK):
+        count = index(min(len(block.particles) - start, CHUNK))
         for c in range(count):
             n = index(start) + c
             at = index(WEIGHTS) * n
@@ -307,16 +308,16 @@ def _put_gradient(out, first, step, columns, per_cell):
 def grid_to_particles(block, velocity, displacement, grid):
     """Eq. (4): what the particles take back at the end of an exchange interval."""
     q, kept = block.particles, block.weights
-    flat, count = q.ravel(), q.shape[1]
+    flat = q.ravel()
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
-    for n in range(count):
+    for n in range(len(q)):
         base, at = block.base[n], index(WEIGHTS * n)
         u = interpolate(displacement, base, strides, kept, at)
         columns, mean = gather(velocity, base, strides, kept, at)
         v = vectors.parts(mean)
         for axis in range(3):
-            q[axis, n] += u[axis]
-            q[V + axis, n] = v[axis]
-        _put_gradient(flat, index(C * count + n), index(count), columns, per_cell)
+            q[n, axis] += u[axis]
+            q[n, V + axis] = v[axis]
+        _put_gradient(flat, index(COLUMNS * n + C), index(1), columns, per_cell)
         return_elastic(block, n)

@@ -91,7 +91,7 @@ class Box(Experiment):
             if others:
                 options['second'] = others[0].body, others[0].pose(times)
         solver.advance(block, intervals, EARTH_GRAVITY, **options)
-        self.particles[order] = block.particles.T
+        self.particles[order] = block.particles
 
     def points(self, moving: Moving) -> np.ndarray:
         """float64 [R, 3], m, of a body now."""

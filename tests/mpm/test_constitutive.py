@@ -33,7 +33,7 @@ def update(row, gradient, dt, soil, damping=0.0, fluidity=None):
     block.gradient[:: columns.CHUNK] = np.ravel(gradient)
     constitutive.update_stress(block, 0, 1, dt, soil, damping, fluidity)
     return_elastic(block, 0)
-    row[:] = block.particles[:, 0]
+    row[:] = block.particles[0]
     return block.stress[:: columns.CHUNK].copy()
 
 

@@ -141,7 +141,7 @@ def test_return_mapping_is_defined_everywhere(state, is_nonlocal):
     block.gradient[:: columns.CHUNK] = gradient[:, 0]
     constitutive.update_stress(block, 0, 1, 1e-4, soil, 2e-5, fluidity)
     return_elastic(block, 0)
-    row, acting = block.particles[:, 0], block.stress[:: columns.CHUNK]
+    row, acting = block.particles[0], block.stress[:: columns.CHUNK]
     assert np.isfinite(row).all() and np.isfinite(acting).all()
     p = constitutive.pressure_of(row[columns.VOLUME_RATIO] - 1.0, soil.bulk_modulus)
     s = row[columns.S : columns.S + 6]
