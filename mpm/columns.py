@@ -35,3 +35,9 @@ OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
 JIT = dict(cache=True, fastmath={'contract'}, error_model='numpy')
 # Node numbers are unsigned: Numba then leaves out the test for an index counted from the end.
 index = numba.uintp
+
+
+@numba.njit(inline='always', **JIT)
+def row(c, number):
+    """Where row `number` of a chunk holds what row 0 holds at c; a way the compiler knows."""
+    return c + index(number * CHUNK)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from mpm.columns import CHUNK, ELASTIC, FLUIDITY, JIT, index
+from mpm.columns import ELASTIC, FLUIDITY, JIT, index, row
 
 
 class Soil(NamedTuple):
@@ -135,7 +135,7 @@ def relax_nonlocal(tau_trial, p, g, dt, soil):
 
 @numba.njit(inline='always', **JIT)
 def pressure_of(strain, bulk_modulus):
-    """Pressure (Pa) at a strain of the packed volume (V / V0 - 1): linear in density, no tension."""
+    """Pressure (Pa) at a strain of volume V / V0 - 1: linear in density, none in tension."""
     return max(-bulk_modulus * strain / (ONE + strain), NONE)
 
 
@@ -167,20 +167,28 @@ def update_stress(block, start, count, dt, soil, damping_time, fluidity):
     first = index(ELASTIC * start)
     for c in range(index(count)):
         at = first + c
-        lxx, lxy, lxz = gradient[c], gradient[c + index(1 * CHUNK)], gradient[c + index(2 * CHUNK)]
-        lyx, lyy, lyz = gradient[c + index(3 * CHUNK)], gradient[c + index(4 * CHUNK)], gradient[c + index(5 * CHUNK)]
-        lzx, lzy, lzz = gradient[c + index(6 * CHUNK)], gradient[c + index(7 * CHUNK)], gradient[c + index(8 * CHUNK)]
+        lxx, lxy, lxz = gradient[c], gradient[row(c, 1)], gradient[row(c, 2)]
+        lyx, lyy, lyz = (
+            gradient[row(c, 3)],
+            gradient[row(c, 4)],
+            gradient[row(c, 5)],
+        )
+        lzx, lzy, lzz = (
+            gradient[row(c, 6)],
+            gradient[row(c, 7)],
+            gradient[row(c, 8)],
+        )
         trace = lxx + lyy + lzz
-        strain = e[at + index(6 * CHUNK)]
+        strain = e[row(at, 6)]
         before = pressure_of(strain, bulk)
         # V / V0 grows by the factor 1 + dt tr L.
         strain += step * trace * strain + step * trace
-        e[at + index(6 * CHUNK)] = strain
+        e[row(at, 6)] = strain
         p = pressure_of(strain, bulk)
         # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.
         wxy, wyz, wzx = h * (lxy - lyx), h * (lyz - lzy), h * (lzx - lxz)
-        sxx, syy, szz = e[at], e[at + index(1 * CHUNK)], e[at + index(2 * CHUNK)]
-        sxy, syz, szx = e[at + index(3 * CHUNK)], e[at + index(4 * CHUNK)], e[at + index(5 * CHUNK)]
+        sxx, syy, szz = e[at], e[row(at, 1)], e[row(at, 2)]
+        sxy, syz, szx = e[row(at, 3)], e[row(at, 4)], e[row(at, 5)]
         third = a_third * trace
         txx = sxx + TWO * (wxy * sxy - wzx * szx) + TWO * g1 * (lxx - third)
         tyy = syy + TWO * (wyz * syz - wxy * sxy) + TWO * g1 * (lyy - third)
@@ -202,13 +210,13 @@ def update_stress(block, start, count, dt, soil, damping_time, fluidity):
         factor = relaxed / max(tau, tiny)
         txx, tyy, tzz = factor * txx, factor * tyy, factor * tzz
         txy, tyz, tzx = factor * txy, factor * tyz, factor * tzx
-        e[at], e[at + index(1 * CHUNK)], e[at + index(2 * CHUNK)] = txx, tyy, tzz
-        e[at + index(3 * CHUNK)], e[at + index(4 * CHUNK)], e[at + index(5 * CHUNK)] = txy, tyz, tzx
+        e[at], e[row(at, 1)], e[row(at, 2)] = txx, tyy, tzz
+        e[row(at, 3)], e[row(at, 4)], e[row(at, 5)] = txy, tyz, tzx
         # The rate of the relaxed stress damps elastic waves and leaves steady flow alone.
         p += (lead if p > NONE else NONE) * (p - before)
         stress[c] = txx - p + lead * (txx - sxx)
-        stress[c + index(1 * CHUNK)] = tyy - p + lead * (tyy - syy)
-        stress[c + index(2 * CHUNK)] = tzz - p + lead * (tzz - szz)
-        stress[c + index(3 * CHUNK)] = txy + lead * (txy - sxy)
-        stress[c + index(4 * CHUNK)] = tyz + lead * (tyz - syz)
-        stress[c + index(5 * CHUNK)] = tzx + lead * (tzx - szx)
+        stress[row(c, 1)] = tyy - p + lead * (tyy - syy)
+        stress[row(c, 2)] = tzz - p + lead * (tzz - szz)
+        stress[row(c, 3)] = txy + lead * (txy - sxy)
+        stress[row(c, 4)] = tyz + lead * (tyz - syz)
+        stress[row(c, 5)] = tzx + lead * (tzx - szx)

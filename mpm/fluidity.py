@@ -60,4 +60,7 @@ def _around(block, n, grid):
         for i in range(3):
             row = block.base[n] + index(j) * strides[1] + index(i) * strides[0]
             for k in range(3):
-                yield row // index(4) + index(k), kept[at + WY + index(j)] * kept[at + WX + index(i)] * kept[at + WZ + index(k)]
+                yield (
+                    row // index(4) + index(k),
+                    kept[at + WY + index(j)] * kept[at + WX + index(i)] * kept[at + WZ + index(k)],
+                )

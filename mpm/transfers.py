@@ -31,6 +31,7 @@ from mpm.columns import (
     S,
     V,
     index,
+    row,
 )
 from mpm.constitutive import pressure_of, update_stress
 
@@ -157,7 +158,7 @@ def strides_of(shape):
 def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modulus, status):
     """Eq. (1), and the half kick of the soil's own forces (3) that begins an exchange interval.
 
-    Fills `block.base`, `weights` and `elastic` for the interval, adds momentum and mass to `velocity`.
+    Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
 
     Args:
         block: `solver.Block` of the particles that are awake.
@@ -206,9 +207,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         xx, yy, zz = s * (q[n, S] - p), s * (q[n, S + 1] - p), s * (q[n, S + 2] - p)
         xy, yz, zx = s * q[n, S + 3], s * q[n, S + 4], s * q[n, S + 5]
         affine = (
-            vectors.make(
-                velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass
-            ),
+            vectors.make(velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass),
             vectors.make(
                 velocity,
                 (xx + mass * q[n, C]) * dx,
@@ -245,18 +244,18 @@ def elastic_place(n):
 def keep_elastic(block, n):
     """Stress and strain of particle n as the steps of an interval need them."""
     at = elastic_place(n)
-    for row in range(6):
-        block.elastic[at + index(row * CHUNK)] = block.particles[n, S + row]
-    block.elastic[at + index(6 * CHUNK)] = block.particles[n, VOLUME_RATIO] - 1.0
+    for number in range(6):
+        block.elastic[row(at, number)] = block.particles[n, S + number]
+    block.elastic[row(at, 6)] = block.particles[n, VOLUME_RATIO] - 1.0
 
 
 @numba.njit(inline='always', **JIT)
 def return_elastic(block, n):
     """The particle gets its stress and strain back."""
     at = elastic_place(n)
-    for row in range(6):
-        block.particles[n, S + row] = block.elastic[at + index(row * CHUNK)]
-    block.particles[n, VOLUME_RATIO] = 1.0 + block.elastic[at + index(6 * CHUNK)]
+    for number in range(6):
+        block.particles[n, S + number] = block.elastic[row(at, number)]
+    block.particles[n, VOLUME_RATIO] = 1.0 + block.elastic[row(at, 6)]
 
 
 @numba.njit(**JIT)
@@ -277,13 +276,12 @@ def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidit
             columns, _ = gather(velocity, block.base[n], strides, kept, at)
             _put_gradient(gradient, c, index(CHUNK), columns, per_cell)
         update_stress(block, start, count, dt, soil, damping_time, fluidity)
-        strain = index(ELASTIC * start + 6 * CHUNK)
+        strain = row(index(ELASTIC * start), 6)
         for c in range(count):
             n = index(start) + c
             factor = -volume * per_cell * (1.0 + block.elastic[strain + c])
-            xx, yy, zz = stress[c], stress[c + index(CHUNK)], stress[c + index(2 * CHUNK)]
-            xy, yz = stress[c + index(3 * CHUNK)], stress[c + index(4 * CHUNK)]
-            zx = stress[c + index(5 * CHUNK)]
+            xx, yy, zz = stress[c], stress[row(c, 1)], stress[row(c, 2)]
+            xy, yz, zx = stress[row(c, 3)], stress[row(c, 4)], stress[row(c, 5)]
             affine = (
                 vectors.make(force, 0.0, 0.0, 0.0, 0.0),
                 vectors.scale(factor, vectors.make(force, xx, xy, zx, 0.0)),
@@ -295,7 +293,7 @@ def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidit
 
 @numba.njit(inline='always', **JIT)
 def _put_gradient(out, first, step, columns, per_cell):
-    """Writes the nine entries of L_p, row by row, into a vector, each `step` after the one before."""
+    """Writes the nine entries of L_p, row by row, `step` apart in the vector `out`."""
     x = vectors.parts(vectors.scale(per_cell, columns[0]))
     y = vectors.parts(vectors.scale(per_cell, columns[1]))
     z = vectors.parts(vectors.scale(per_cell, columns[2]))

@@ -177,7 +177,9 @@ def scale(typing, factor, a):
 
 def _number(context, builder, kind, array, index):
     """array[index], unchecked."""
-    return builder.load(builder.gep(context.make_array(kind)(context, builder, array).data, [index]))
+    return builder.load(
+        builder.gep(context.make_array(kind)(context, builder, array).data, [index])
+    )
 
 
 # With a factor from memory: the machine reads and repeats it in the same instruction.

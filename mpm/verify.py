@@ -67,9 +67,7 @@ def rows_of(raw_path: str) -> dict:
             rows[f'{option}_{case}'] = partial(
                 convergence.short_cut, option, EXCAVATION, case, DRIVEN
             )
-        rows[f'{option}_wheel_122'] = partial(
-            convergence.short_cut, option, WHEEL, 122, DRIVEN
-        )
+        rows[f'{option}_wheel_122'] = partial(convergence.short_cut, option, WHEEL, 122, DRIVEN)
     for case in WHEEL_CASES:
         rows[f'halved_wheel_{case}'] = partial(convergence.halved_step, WHEEL, case, DRIVEN)
     return rows

@@ -109,7 +109,9 @@ def test_scatter_equals_its_definition(particles, soil, dtype):
     expected[..., :3] += DT * force_of(particles, [stress_of(row, soil) for row in particles])
     scale = np.abs(expected).max(axis=(0, 1, 2))
     # Sums of some 200 terms in another order: measured 2e-15.
-    np.testing.assert_allclose(field(nodes.velocity) / scale, expected / scale, atol=500 * np.finfo(dtype).eps)
+    np.testing.assert_allclose(
+        field(nodes.velocity) / scale, expected / scale, atol=500 * np.finfo(dtype).eps
+    )
     outside = np.ones(expected.shape[:3], dtype=bool)
     outside[box[2] : box[3], box[0] : box[1], box[4] : box[5]] = False
     assert not expected[outside].any()
