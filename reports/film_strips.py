@@ -18,6 +18,7 @@ from mpm import raw_run, scenes
 from reports import command
 
 FRAMES = 6
+WIDTH = 2.6  # inches of a frame
 SLICE = 0.25  # of the bed's width, about its middle: what a strip shows
 
 
@@ -38,12 +39,15 @@ def first_of_each_kind(folder: str) -> dict[str, str]:
 
 def draw(runs: dict[str, raw_run.RawRun], path: str) -> None:
     """Draws a row for each kind; soil is coloured by how far it has moved since frame 0."""
-    figure, axes = plt.subplots(
-        len(runs), FRAMES, figsize=(2.6 * FRAMES, 1.7 * len(runs)),
-        sharex=True, sharey=True, squeeze=False, layout='constrained',
-    )  # fmt: skip
     bed = np.concatenate([run.positions[0] for run in runs.values()])
     low, high = bed.min(axis=0), bed.max(axis=0)
+    # Somewhat more than twice the bed: a large wheel sticks out, the soil is what is looked at.
+    top = low[1] + 2.2 * (high[1] - low[1])
+    height = WIDTH * (top - low[1]) / (high[0] - low[0])
+    figure, axes = plt.subplots(
+        len(runs), FRAMES, figsize=(WIDTH * FRAMES, (height + 0.4) * len(runs)),
+        sharex=True, sharey=True, squeeze=False, layout='constrained',
+    )  # fmt: skip
     middle, reach = (low[2] + high[2]) / 2, SLICE * (high[2] - low[2]) / 2
     for row, (kind, run) in zip(axes, runs.items()):
         for axis, frame in zip(row, np.linspace(0, len(run.positions) - 1, FRAMES).astype(int)):
@@ -57,7 +61,7 @@ def draw(runs: dict[str, raw_run.RawRun], path: str) -> None:
             axis.set_title(
                 f'{frame / scenes.FRAME_RATE:.1f} s, {run.force[frame, 0]:.0f} N', fontsize=8
             )
-            axis.set(aspect='equal', xlim=(low[0], high[0]), ylim=(low[1], 2 * high[1] - low[1]))
+            axis.set(aspect='equal', xlim=(low[0], high[0]), ylim=(low[1], top))
             axis.tick_params(labelsize=6)
         row[0].set_ylabel(f'{kind}\n{run.parameters["case"]}', fontsize=8)
     figure.colorbar(picture, ax=axes, label='moved since frame 0, mm', shrink=0.6)

@@ -86,10 +86,10 @@ def leak_table(inspection: Inspection) -> list[str]:
         for name, values in sorted(found.items()):
             numbers = [value for value, _ in values]
             lines.append(
-                f'    {kind:<23}{name:<34}{min(numbers):>9.4g}{np.mean(numbers):>9.4g}'
-                f'{max(numbers):>9.4g} ({max(values)[1]})'
+                f'    {kind:<23}{name:<34}{min(numbers):>10.3g}{np.mean(numbers):>10.3g}'
+                f'{max(numbers):>10.3g} ({max(values)[1]})'
             )
-    head = f'  {"soil in the body":<25}{"":<34}{"least":>9}{"mean":>9}{"most":>9}'
+    head = f'  {"soil in the body":<25}{"":<34}{"least":>10}{"mean":>10}{"most":>10}'
     return ['', head, *lines] if lines else []
 
 

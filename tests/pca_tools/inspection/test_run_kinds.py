@@ -33,7 +33,7 @@ def test_report_by_kind(tmp_path):
     assert lift[1] == str(train.count('lift'))
     leak = [row for row in rows if row[1:2] == ['penetration_max_mm']]
     assert [row[0] for row in leak] == ['grid', 'lift']
-    assert leak[1][2:] == ['0.75', '1.875', '3', '(case', '12)']
+    assert leak[1][2:] == ['0.75', '1.88', '3', '(case', '12)']
     floors = next(i for i, row in enumerate(rows) if row[:3] == ['RMS', 'that', 'modes'])
     assert rows[floors][-4:] == ['8', '16', '24', '48']
     assert 'particle samples (140 particles, every 4 frames, to 0.02 mm)' in text
