@@ -7,7 +7,8 @@ Per run, on the particle sample in full space: errors, penetration, heap, force 
   restart: the run begun anew half-way, on the bed that the model itself predicts there, and on
       the true one; soil error of the second half, beside that of the run in one piece
 
-and once: ten lengths of a run, there and back over the same bed, begun anew after each of them on
+of a wheel also errors of sinkage and torque, beside a height and a force that are held; and once,
+of a blade: ten lengths of a run, there and back over the same bed, begun anew after each of them on
 the predicted bed: what becomes of the bed's height and of particles near its floor.
 
 Examples:
@@ -158,14 +159,13 @@ def measure(model, data, split: str) -> dict:
         case = cases[number] if number < len(cases) else {}
         row = {'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
         rows.append(row | steadiness(field, evaluator, split, groups[number]))
+    found = {'runs': rows, 'reliability': summary['reliability']}
+    if field.tool.predicts_height:  # begins anew only where it stands in its own print
+        return found
     # The run that cuts most leaves the most to a bed that is driven over again.
     most = int(np.argmax([row['cut_litre'] for row in rows]))
     poses = getattr(data, split).records[most].rigid_pose.astype(float)
-    return {
-        'runs': rows,
-        'reliability': summary['reliability'],
-        'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses),
-    }
+    return found | {'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses)}
 
 
 def _data_version(data):
@@ -178,13 +178,14 @@ def by_kind(path: str) -> str:
     """A table of the errors by kind of path, from the JSON of this report."""
     rows = files.read_json(path)['runs']
     kinds = sorted({row['kind'] for row in rows})
+    columns = {k: v for k, v in _COLUMNS.items() if k in rows[0]}
     lines = []
     for kind in [*kinds, None]:
         mine = [row for row in rows if kind in (None, row['kind'])]
-        means = [float(np.mean([row[key] for row in mine])) for key in _COLUMNS]
+        means = [float(np.mean([row[key] for row in mine])) for key in columns]
         won = sum(row['soil_mm'] < row['still_mm'] for row in mine)
         lines.append((kind or '**all**', len(mine), *means, f'{won} of {len(mine)}'))
-    header = ('test', 'runs', *_COLUMNS.values(), 'better than still')
+    header = ('test', 'runs', *columns.values(), 'better than still')
     return markdown.table(header, lines)
 
 
@@ -200,6 +201,8 @@ def steady(path: str) -> str:
 
 _COLUMNS = {
     'soil_mm': 'soil, mm', 'still_mm': 'stay still, mm', 'force_l2': 'force',
+    'held_force_l2': 'force held', 'torque_l2': 'torque', 'height_mm': 'height, mm',
+    'held_height_mm': 'height held, mm', 'height_over_radius': 'height over radius',
     'penetration_mm': 'penetration before push-out, mm',
 }  # fmt: skip
 _STEADY = {

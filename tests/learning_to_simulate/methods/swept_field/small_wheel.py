@@ -39,11 +39,12 @@ def flat_bed(origin: float) -> Bed:
 
 
 def path(n_frame=61, dt=DT, sunk=0.006) -> np.ndarray:
-    """[T, 1, 4] at rest, forward with slip, back, and a load that changes; smooth in time."""
+    """[T, 1, 4] at rest, forward, back, slip both ways, and a load that changes; smooth in time."""
     s = np.arange(n_frame) * dt
     way = np.where(s < 0.1, 0.0, 1.0) * np.sin(np.pi * 0.75 * np.maximum(s - 0.1, 0)) ** 2
     u = -0.38 + 0.06 * way
-    turned = (0.06 * way + 0.02 * np.maximum(s - 0.1, 0) ** 2) / RADIUS
+    slip = 0.012 * (1 - np.cos(2.2 * np.pi * np.maximum(s - 0.1, 0)))  # it spins, then brakes
+    turned = (0.06 * way + slip) / RADIUS
     height = SURFACE + RADIUS - sunk - 0.008 * np.maximum(s - 0.1, 0) ** 2
     load = 120.0 + 40.0 * np.sin(np.pi * np.maximum(s - 0.1, 0)) ** 2
     return np.stack([u, height, turned, load], axis=-1)[:, None]

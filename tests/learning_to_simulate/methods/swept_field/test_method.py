@@ -281,3 +281,15 @@ def test_a_model_folder_of_a_wheel_is_enough_for_paths_and_steps(wheel_paths):
     np.testing.assert_allclose(frames[-1].particles(), rollout.particles(-1), atol=1e-6)
     recorded = model.rollout(lts.Dataset(data).test[0])
     assert len(recorded.modes) == len(poses) - 6
+
+
+def test_the_report_has_the_sinkage_of_a_wheel(wheel_paths, tmp_path):
+    data, path = wheel_paths
+    found = report.measure(lts.load(path), lts.Dataset(data), 'test')
+    (row,) = found['runs']
+    assert 'ten_lengths' not in found
+    for rate in ('half_rate', 'double_rate'):
+        assert row[rate] == pytest.approx(1.0, abs=0.1)
+    files.write_json(str(tmp_path / 'report.json'), found)
+    text = report.by_kind(str(tmp_path / 'report.json'))
+    assert 'height over radius' in text and f'{row["height_mm"]:.3g}' in text
