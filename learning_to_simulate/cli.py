@@ -41,6 +41,7 @@ COMMANDS = {
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
     'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),
+    'append': ('pca_tools.append', [], 'adds raw runs to a dataset, in its subspace'),
     'inspect': ('pca_tools.inspect', [], 'what is in a dataset, and what is wrong with it'),
     'modes': ('pca_tools.plot_modes', [], 'draws a subspace: energy, errors, modes'),
     'report': ('reports', [], 'runs a report by its name; without one, lists them'),

@@ -21,8 +21,12 @@ numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest(
 # Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
 # (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular
 # fluidity, GRIP: how far the body has dragged its contact with the particle (see `contact`).
-# Row i is particle i, always. Kernels work on the transpose of the rows that are awake.
+# Row i is particle i, always. Kernels work on a copy of the rows that are awake.
 X, V, C, S, VOLUME_RATIO, FLUIDITY, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 26
+
+# What the steps between two exchanges change of a particle (`solver.Block.elastic`): deviatoric
+# stress and strain of volume, ELASTIC rows of CHUNK particles one after another, chunk by chunk.
+CHUNK, ELASTIC = 64, 7
 
 # Status codes of `solver.advance`.
 OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
@@ -31,3 +35,9 @@ OK, LEFT_GRID, TURNED_INSIDE_OUT = 0, 1, 2
 JIT = dict(cache=True, fastmath={'contract'}, error_model='numpy')
 # Node numbers are unsigned: Numba then leaves out the test for an index counted from the end.
 index = numba.uintp
+
+
+@numba.njit(inline='always', **JIT)
+def row(c, number):
+    """Where row `number` of a chunk holds what row 0 holds at c; a way the compiler knows."""
+    return c + index(number * CHUNK)

@@ -15,8 +15,9 @@ import math
 from typing import NamedTuple
 
 import numba
+import numpy as np
 
-from mpm.columns import FLUIDITY, JIT, VOLUME_RATIO, S
+from mpm.columns import ELASTIC, FLUIDITY, JIT, index, row
 
 
 class Soil(NamedTuple):
@@ -44,7 +45,9 @@ NONLOCAL_TIME = 1.0e-4
 # Fluidity (1/s) from which flow starts: zero would be a fixed point. Creep at it is 1e-4 a second.
 FLUIDITY_SEED = 1.0e-4
 POISSON_RATIO = 0.3
-TINY = 1e-300  # keeps 0 / 0 away
+# With an array of float32 these keep a kernel in float32; with one of float64 they are exact.
+NONE, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+TINY = 1e-30  # keeps 0 / 0 away, in float32 too
 
 
 def friction_coefficient(friction_angle_deg: float) -> float:
@@ -94,18 +97,19 @@ def make_soil(youngs_modulus: float, mu_s: float, poisson_ratio: float = POISSON
 
 
 @numba.njit(inline='always', **JIT)
-def relax_local(tau_trial, p, a, soil):
+def relax_local(tau_trial, p, a, mu_s, mu_2):
     """Returns the relaxed tau (Pa) of the local mu(I) law, implicit in the step dt.
 
     The positive root of tau = tau_trial - G dt gamma_dot(tau, p), where mu(I) = tau / p
     (Dunatunga and Kamrin 2015, eq. 4.6), with a = G I0 dt sqrt(p / rho_s) / d (Pa); written so that
     nothing cancels.
     """
-    s2 = soil.mu_2 * p
-    b = s2 + tau_trial + a
-    h = s2 * tau_trial + soil.mu_s * p * a
-    flowing = 2.0 * h / max(b + math.sqrt(max(b * b - 4.0 * h, 0.0)), TINY)
-    return tau_trial if tau_trial <= soil.mu_s * p else flowing
+    s1, s2 = mu_s * p, mu_2 * p
+    beyond = s2 + tau_trial - s1 - s1
+    root = math.sqrt((s2 - tau_trial) * (s2 - tau_trial) + a * (beyond + beyond + a))
+    h = s2 * tau_trial + s1 * a
+    flowing = (h + h) / (s2 + tau_trial + a + root)
+    return tau_trial if tau_trial <= s1 else flowing
 
 
 @numba.njit(inline='always', **JIT)
@@ -130,73 +134,89 @@ def relax_nonlocal(tau_trial, p, g, dt, soil):
 
 
 @numba.njit(inline='always', **JIT)
-def pressure_of(ratio, bulk_modulus):
-    """Pressure (Pa) of soil at `ratio` of its packed volume: linear in density, no tension."""
-    return max(bulk_modulus * (1.0 / ratio - 1.0), 0.0)
+def pressure_of(strain, bulk_modulus):
+    """Pressure (Pa) at a strain of volume V / V0 - 1: linear in density, none in tension."""
+    return max(-bulk_modulus * strain / (ONE + strain), NONE)
 
 
 @numba.njit(**JIT)
-def update_stress(q, start, stop, gradient, stress, dt, soil, damping_time, fluidity):
+def update_stress(block, start, count, dt, soil, damping_time, fluidity):
     """Elastic trial stress of particles from their velocity gradients, then relaxation.
 
-    Written without branches, so that several particles share a vector register.
+    Written without branches, in numbers of one type (float32 or float64, that of the arrays), and
+    on rows of CHUNK numbers a known way apart, so that particles share a vector register.
 
     Args:
-        q: float64 [COLUMNS, n]: deviator, volume ratio and fluidity are updated.
-        start, stop: which columns.
-        gradient: float64 [9, stop - start], velocity gradients (1/s), row by row.
-        stress: float64 [6, stop - start], filled with the stress that acts: sigma + damping_time
-            d sigma / dt (Pa; xx yy zz xy yz zx).
+        block: `solver.Block`; `elastic` (deviator and strain of volume) and the fluidity are
+            updated, `gradient` is read (1/s), `stress` filled with the stress that acts: sigma +
+            damping_time d sigma / dt (Pa; xx yy zz xy yz zx).
+        start, count: which particles, at most CHUNK, the first of a chunk.
         dt: s.
         soil: `Soil`.
         damping_time: s, see `stability.damping_time`.
         fluidity: None: local mu(I); anything else: the granular fluidity relaxes the stress.
     """
-    h, g1 = 0.5 * dt, soil.shear_modulus * dt
+    e, gradient, stress = block.elastic, block.gradient, block.stress
+    real = e.dtype.type
+    h, g1, step = real(0.5 * dt), real(soil.shear_modulus * dt), real(dt)
+    bulk, tiny = real(soil.bulk_modulus), real(TINY)
     rate = soil.shear_modulus * soil.inertial_number_0 * dt
-    rate /= math.sqrt(soil.grain_density) * soil.grain_diameter
-    lead = damping_time / dt
-    for n in range(start, stop):
-        c = n - start
-        lxx, lxy, lxz = gradient[0, c], gradient[1, c], gradient[2, c]
-        lyx, lyy, lyz = gradient[3, c], gradient[4, c], gradient[5, c]
-        lzx, lzy, lzz = gradient[6, c], gradient[7, c], gradient[8, c]
+    rate = real(rate / (math.sqrt(soil.grain_density) * soil.grain_diameter))
+    lead, a_third = real(damping_time / dt), real(1.0 / 3.0)
+    mu_s, mu_2 = real(soil.mu_s), real(soil.mu_2)
+    first = index(ELASTIC * start)
+    for c in range(index(count)):
+        at = first + c
+        lxx, lxy, lxz = gradient[c], gradient[row(c, 1)], gradient[row(c, 2)]
+        lyx, lyy, lyz = (
+            gradient[row(c, 3)],
+            gradient[row(c, 4)],
+            gradient[row(c, 5)],
+        )
+        lzx, lzy, lzz = (
+            gradient[row(c, 6)],
+            gradient[row(c, 7)],
+            gradient[row(c, 8)],
+        )
         trace = lxx + lyy + lzz
-        before = pressure_of(q[VOLUME_RATIO, n], soil.bulk_modulus)
-        ratio = q[VOLUME_RATIO, n] * (1.0 + dt * trace)
-        q[VOLUME_RATIO, n] = ratio
-        p = pressure_of(ratio, soil.bulk_modulus)
+        strain = e[row(at, 6)]
+        before = pressure_of(strain, bulk)
+        # V / V0 grows by the factor 1 + dt tr L.
+        strain += step * trace * strain + step * trace
+        e[row(at, 6)] = strain
+        p = pressure_of(strain, bulk)
         # Spin W = (L - Lt) / 2; the stress turns with it: W s - s W.
         wxy, wyz, wzx = h * (lxy - lyx), h * (lyz - lzy), h * (lzx - lxz)
-        sxx, syy, szz = q[S, n], q[S + 1, n], q[S + 2, n]
-        sxy, syz, szx = q[S + 3, n], q[S + 4, n], q[S + 5, n]
-        third = trace / 3.0
-        txx = sxx + 2.0 * (wxy * sxy - wzx * szx) + 2.0 * g1 * (lxx - third)
-        tyy = syy + 2.0 * (wyz * syz - wxy * sxy) + 2.0 * g1 * (lyy - third)
-        tzz = szz + 2.0 * (wzx * szx - wyz * syz) + 2.0 * g1 * (lzz - third)
+        sxx, syy, szz = e[at], e[row(at, 1)], e[row(at, 2)]
+        sxy, syz, szx = e[row(at, 3)], e[row(at, 4)], e[row(at, 5)]
+        third = a_third * trace
+        txx = sxx + TWO * (wxy * sxy - wzx * szx) + TWO * g1 * (lxx - third)
+        tyy = syy + TWO * (wyz * syz - wxy * sxy) + TWO * g1 * (lyy - third)
+        tzz = szz + TWO * (wzx * szx - wyz * syz) + TWO * g1 * (lzz - third)
         txy = sxy + wxy * (syy - sxx) - wzx * syz + wyz * szx + g1 * (lxy + lyx)
         tyz = syz + wyz * (szz - syy) - wxy * szx + wzx * sxy + g1 * (lyz + lzy)
         tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (lzx + lxz)
         shear = txy * txy + tyz * tyz + tzx * tzx
-        tau = math.sqrt(0.5 * (txx * txx + tyy * tyy + tzz * tzz) + shear)
+        tau = math.sqrt((txx * txx + tyy * tyy + tzz * tzz) / TWO + shear)
         if fluidity is not None:
-            g = max(q[FLUIDITY, n], FLUIDITY_SEED)
-            relaxed = relax_nonlocal(tau, p, g, dt, soil)
-            g += dt * fluidity_source(g, relaxed, p, soil)
-            q[FLUIDITY, n] = g if p > 0.0 else 0.0
+            g = max(block.particles[start + c, FLUIDITY], FLUIDITY_SEED)
+            flowing = relax_nonlocal(tau, p, g, dt, soil)
+            g += dt * fluidity_source(g, flowing, p, soil)
+            block.particles[start + c, FLUIDITY] = g if p > NONE else 0.0
+            relaxed = real(flowing)
         else:
-            relaxed = relax_local(tau, p, rate * math.sqrt(p), soil)
+            relaxed = relax_local(tau, p, rate * math.sqrt(p), mu_s, mu_2)
         # Soil without pressure carries nothing: p = 0 gives relaxed = 0.
-        factor = relaxed / max(tau, TINY)
+        factor = relaxed / max(tau, tiny)
         txx, tyy, tzz = factor * txx, factor * tyy, factor * tzz
         txy, tyz, tzx = factor * txy, factor * tyz, factor * tzx
-        q[S, n], q[S + 1, n], q[S + 2, n] = txx, tyy, tzz
-        q[S + 3, n], q[S + 4, n], q[S + 5, n] = txy, tyz, tzx
+        e[at], e[row(at, 1)], e[row(at, 2)] = txx, tyy, tzz
+        e[row(at, 3)], e[row(at, 4)], e[row(at, 5)] = txy, tyz, tzx
         # The rate of the relaxed stress damps elastic waves and leaves steady flow alone.
-        p += lead * (p - before) if p > 0.0 else 0.0
-        stress[0, c] = txx - p + lead * (txx - sxx)
-        stress[1, c] = tyy - p + lead * (tyy - syy)
-        stress[2, c] = tzz - p + lead * (tzz - szz)
-        stress[3, c] = txy + lead * (txy - sxy)
-        stress[4, c] = tyz + lead * (tyz - syz)
-        stress[5, c] = tzx + lead * (tzx - szx)
+        p += (lead if p > NONE else NONE) * (p - before)
+        stress[c] = txx - p + lead * (txx - sxx)
+        stress[row(c, 1)] = tyy - p + lead * (tyy - syy)
+        stress[row(c, 2)] = tzz - p + lead * (tzz - szz)
+        stress[row(c, 3)] = txy + lead * (txy - sxy)
+        stress[row(c, 4)] = tyz + lead * (tyz - syz)
+        stress[row(c, 5)] = tzx + lead * (tzx - szx)

@@ -29,9 +29,9 @@ import numpy as np
 
 from mpm import vectors
 from mpm.bodies import Body, signed_distance
-from mpm.columns import GRIP, JIT
+from mpm.columns import GRIP, JIT, index
 from mpm.constitutive import Soil
-from mpm.transfers import interpolate, scatter, strides_of
+from mpm.transfers import WEIGHTS, interpolate, scatter, strides_of
 
 RADIUS = 0.5  # of the particle spacing
 STIFFNESS = 0.25  # of M h
@@ -63,7 +63,7 @@ def list_near(particles, body, pose, reach, near):
     All others lose their grip.
 
     Args:
-        particles: float64 [COLUMNS, n].
+        particles: float64 [n, COLUMNS].
         body: `bodies.Body`.
         pose: x, y (m) of its reference point, and its angle (rad).
         reach: m.
@@ -71,14 +71,14 @@ def list_near(particles, body, pose, reach, near):
     """
     sine, cosine = math.sin(pose[2]), math.cos(pose[2])
     count = 0
-    for n in range(particles.shape[1]):
-        rx, ry = particles[0, n] - pose[0], particles[1, n] - pose[1]
-        if signed_distance(body, sine, cosine, rx, ry, particles[2, n])[0] < reach:
+    for n in range(len(particles)):
+        rx, ry = particles[n, 0] - pose[0], particles[n, 1] - pose[1]
+        if signed_distance(body, sine, cosine, rx, ry, particles[n, 2])[0] < reach:
             near[count] = n
             count += 1
         else:
             for axis in range(3):
-                particles[GRIP + axis, n] = 0.0
+                particles[n, GRIP + axis] = 0.0
     return count
 
 
@@ -87,7 +87,7 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 
     Args:
-        block: `solver.Block`; its places are those of the last exchange, to which the nodes'
+        block: `solver.Block`; its weights are those of the last exchange, to which the nodes'
             displacements are added.
         nodes: `solver.Nodes`.
         grid: `grid.Grid`.
@@ -104,25 +104,25 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     q = block.particles
     strides = strides_of(grid.shape)
     sine, cosine = math.sin(pose[2]), math.cos(pose[2])
-    zero = vectors.make(0.0, 0.0, 0.0, 0.0)
+    zero = vectors.make(nodes.force, 0.0, 0.0, 0.0, 0.0)
     for n in near:
-        place = (block.place[0, n], block.place[1, n], block.place[2, n])
-        u = interpolate(nodes.displacement, block.base[n], strides, place)
-        rx, ry, z = q[0, n] + u[0] - pose[0], q[1, n] + u[1] - pose[1], q[2, n] + u[2]
+        at = index(WEIGHTS * n)
+        u = interpolate(nodes.displacement, block.base[n], strides, block.weights, at)
+        rx, ry, z = q[n, 0] + u[0] - pose[0], q[n, 1] + u[1] - pose[1], q[n, 2] + u[2]
         distance, nx, ny, nz = signed_distance(body, sine, cosine, rx, ry, z)
         depth = law.radius - distance
         if not depth > 0.0:
             for axis in range(3):
-                q[GRIP + axis, n] = 0.0
+                q[n, GRIP + axis] = 0.0
             continue
         # The point of the surface, about the reference point, and the soil's speed past it.
         px, py, pz = rx - distance * nx, ry - distance * ny, z - body.z_middle - distance * nz
-        v = interpolate(nodes.velocity, block.base[n], strides, place)
+        v = interpolate(nodes.velocity, block.base[n], strides, block.weights, at)
         vx = v[0] - motion[0] + motion[2] * py
         vy = v[1] - motion[1] - motion[2] * px
         vz = v[2]
         normal = law.stiffness * depth
-        gx, gy, gz = q[GRIP, n] + dt * vx, q[GRIP + 1, n] + dt * vy, q[GRIP + 2, n] + dt * vz
+        gx, gy, gz = q[n, GRIP] + dt * vx, q[n, GRIP + 1] + dt * vy, q[n, GRIP + 2] + dt * vz
         # Only its part along the surface, which turns with the body.
         across = gx * nx + gy * ny + gz * nz
         gx, gy, gz = gx - across * nx, gy - across * ny, gz - across * nz
@@ -130,12 +130,13 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         if held > body.friction * normal:
             share = body.friction * normal / held
             gx, gy, gz = share * gx, share * gy, share * gz
-        q[GRIP, n], q[GRIP + 1, n], q[GRIP + 2, n] = gx, gy, gz
+        q[n, GRIP], q[n, GRIP + 1], q[n, GRIP + 2] = gx, gy, gz
         fx = normal * nx - law.stiffness * gx
         fy = normal * ny - law.stiffness * gy
         fz = normal * nz - law.stiffness * gz
-        on_soil = vectors.make(fx, fy, fz, 0.0)
-        scatter(nodes.force, block.base[n], strides, place, on_soil, zero, zero, zero)
+        on_soil = vectors.make(nodes.force, fx, fy, fz, 0.0)
+        affine = (on_soil, zero, zero, zero)
+        scatter(nodes.force, block.base[n], strides, block.weights, at, affine)
         load[0] -= fx
         load[1] -= fy
         load[2] -= fz

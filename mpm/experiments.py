@@ -7,12 +7,13 @@ import numba
 import numpy as np
 
 from mpm import bodies, columns, packing
+from mpm.columns import CHUNK
 from mpm.constitutive import Soil, make_soil, update_stress
 from mpm.grid import Grid, make_grid
 from mpm.grid_update import start_nodes
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene
 from mpm.solver import EXCHANGE, Solver, make_block, make_nodes
-from mpm.transfers import particles_to_grid
+from mpm.transfers import keep_elastic, particles_to_grid, return_elastic
 
 
 def coarse(scene: Scene) -> Scene:
@@ -135,12 +136,12 @@ class Experiment:
         """
         intervals = math.ceil(seconds / EXCHANGE - 1e-9)
         order = packing.cell_order(self.particles, self.grid)
-        block = make_block(self.particles[order])
+        block = self.solver.block(self.particles[order])
         path = None
         if body is not None:
             path = pose(self.solver.dt * np.arange(intervals * self.solver.steps + 1))
         self.solver.advance(block, intervals, gravity, 1.0, body, path)
-        self.particles[order] = block.particles.T
+        self.particles[order] = block.particles
         return intervals * EXCHANGE
 
 
@@ -232,11 +233,12 @@ def contact_momentum() -> dict:
 
 
 @numba.njit
-def _shear(q, steps, dt, rate, soil, fluidity):
-    gradient, stress = np.zeros((9, 1)), np.zeros((6, 1))
-    gradient[1, 0] = rate
+def _shear(block, steps, dt, rate, soil, fluidity):
+    keep_elastic(block, 0)
+    block.gradient[CHUNK] = rate  # dvx/dy
     for _ in range(steps):
-        update_stress(q, 0, 1, gradient, stress, dt, soil, 0.0, fluidity)
+        update_stress(block, 0, 1, dt, soil, 0.0, fluidity)
+    return_elastic(block, 0)
 
 
 def homogeneous_shear(
@@ -248,11 +250,12 @@ def homogeneous_shear(
     """
     soil = make_soil(1.5e6, 0.76)
     rate = inertial_number * math.sqrt(pressure / soil.grain_density) / soil.grain_diameter
-    q = np.zeros((columns.COLUMNS, 1))
-    q[columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
+    row = np.zeros((1, columns.COLUMNS))
+    row[0, columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
+    block = make_block(row)
     # Steps of a tenth of a per mille of shear, to a strain of one half.
-    _shear(q, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
-    s = q[columns.S : columns.S + 6, 0]
+    _shear(block, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
+    s = block.particles[0, columns.S : columns.S + 6]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     rise = inertial_number / soil.inertial_number_0
     mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * (rise if is_nonlocal else rise / (1.0 + rise))

@@ -3,7 +3,7 @@
 import numba
 
 from mpm.columns import FLUIDITY, JIT, index
-from mpm.transfers import strides_of, weights
+from mpm.transfers import WEIGHTS, WX, WY, WZ, strides_of
 
 
 @numba.njit(**JIT)
@@ -25,10 +25,10 @@ def diffuse_fluidity(block, work, grid, box, interval, soil):
     q = block.particles
     nx, nz = grid.shape[0], grid.shape[2]
     work[:] = 0.0
-    for n in range(q.shape[1]):
+    for n in range(len(q)):
         for node, w in _around(block, n, grid):
             work[node, 0] += w
-            work[node, 1] += w * q[FLUIDITY, n]
+            work[node, 1] += w * q[n, FLUIDITY]
     length = soil.nonlocal_amplitude * soil.grain_diameter
     rate = interval * length * length / soil.nonlocal_time / (grid.dx * grid.dx)
     for node in range(len(work)):
@@ -46,22 +46,21 @@ def diffuse_fluidity(block, work, grid, box, interval, soil):
                         if work[node + step, 0] > 0.0:
                             total += work[node + step, 1] - work[node, 1]
                     work[node, 2] = rate * total
-    for n in range(q.shape[1]):
+    for n in range(len(q)):
         for node, w in _around(block, n, grid):
-            q[FLUIDITY, n] += w * work[node, 2]
+            q[n, FLUIDITY] += w * work[node, 2]
 
 
 @numba.njit(**JIT)
 def _around(block, n, grid):
     """Yields (node, weight) of the 27 nodes around a particle."""
-    wx, wy, wz = (
-        weights(block.place[0, n]),
-        weights(block.place[1, n]),
-        weights(block.place[2, n]),
-    )
+    kept, at = block.weights, index(WEIGHTS * n)
     strides = strides_of(grid.shape)
     for j in range(3):
         for i in range(3):
             row = block.base[n] + index(j) * strides[1] + index(i) * strides[0]
             for k in range(3):
-                yield row // index(4) + index(k), wy[j] * wx[i] * wz[k]
+                yield (
+                    row // index(4) + index(k),
+                    kept[at + WY + index(j)] * kept[at + WX + index(i)] * kept[at + WZ + index(k)],
+                )

@@ -25,7 +25,7 @@ def start_nodes(nodes, grid, box, fall):
         Numbers of free and of touched nodes.
     """
     velocity, walls = nodes.velocity, grid.walls
-    zero = vectors.make(0.0, 0.0, 0.0, 0.0)
+    zero = vectors.make(velocity, 0.0, 0.0, 0.0, 0.0)
     free = touched = 0
     for j in range(box[2], box[3]):
         for i in range(box[0], box[1]):
@@ -65,8 +65,8 @@ def kick(nodes, grid, free, dt, gravity, settling, drift):
         drift: s, that the nodes then move.
     """
     velocity, force = nodes.velocity, nodes.force
-    zero = vectors.make(0.0, 0.0, 0.0, 0.0)
-    fall = vectors.make(0.0, -gravity * dt, 0.0, 0.0)
+    zero = vectors.make(velocity, 0.0, 0.0, 0.0, 0.0)
+    fall = vectors.make(velocity, 0.0, -gravity * dt, 0.0, 0.0)
     nz, walls = grid.shape[2], grid.walls
     for n in range(free):
         node = nodes.free[n]
@@ -88,7 +88,7 @@ def kick(nodes, grid, free, dt, gravity, settling, drift):
 @numba.njit(**JIT)
 def clear(nodes, touched):
     """Sets all arrays of the first `touched` nodes of the list to zero."""
-    zero = vectors.make(0.0, 0.0, 0.0, 0.0)
+    zero = vectors.make(nodes.velocity, 0.0, 0.0, 0.0, 0.0)
     for n in range(touched):
         node = nodes.touched[n]
         vectors.store(nodes.velocity, node, zero)

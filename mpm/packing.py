@@ -16,7 +16,7 @@ from mpm.constitutive import Soil
 from mpm.files import read_arrays, write_arrays
 from mpm.grid import Grid, make_grid
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
-from mpm.solver import EXCHANGE, Solver, make_block
+from mpm.solver import EXCHANGE, Solver
 
 PACKING_FILE = 'packing.npz'
 JITTER = 0.1  # of the lattice spacing, half width of the uniform jitter
@@ -72,13 +72,13 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
     start = particles[:, :3].copy()
     solver = Solver(grid, soil, particle_volume(box))
     order = cell_order(particles, grid)
-    block = make_block(particles[order])
+    block = solver.block(particles[order])
     intervals = math.ceil(SETTLE_TIME / EXCHANGE / 10)
     settling = 1.0 - SETTLE_DAMPING * solver.dt
     for part in range(10):
         # The last tenths are undamped: what is left at rest is rest.
         solver.advance(block, intervals, EARTH_GRAVITY, settling if part < 8 else 1.0)
-    particles[order] = block.particles.T
+    particles[order] = block.particles
     speed = float(np.linalg.norm(particles[:, columns.V : columns.V + 3], axis=1).max())
     if not speed < REST_SPEED:
         raise ValueError(f'the packing does not settle: its fastest particle has {speed:.3g} m/s')
@@ -138,4 +138,4 @@ def at_gravity(particles: np.ndarray, gravity: float) -> np.ndarray:
 def cell_order(particles: np.ndarray, grid: Grid) -> np.ndarray:
     """Returns the indices that sort particles by cell, which keeps the kernels in the cache."""
     i, j, k = np.floor((particles[:, :3] - grid.origin) / grid.dx).astype(np.int64).T
-    return np.argsort((j * grid.shape[0] + i) * grid.shape[2] + k, kind='stable')
+    return np.argsort((j * grid.shape[2] + k) * grid.shape[0] + i, kind='stable')

@@ -11,7 +11,7 @@ from mpm.grid import make_grid
 from mpm.motions.drive import Drive
 from mpm.scenes import EARTH_GRAVITY, FRAME_RATE, Bin
 from mpm.sleeping import PERIOD, Sleep
-from mpm.solver import EXCHANGE, Solver, make_block
+from mpm.solver import EXCHANGE, Solver
 
 INTERVALS = round(1.0 / (FRAME_RATE * EXCHANGE))  # exchanges per frame
 REST_FRAMES = 48  # the wheel rests before it drives; the load grows over the first half
@@ -28,6 +28,7 @@ class Settings:
         seed: of the packing's jitter.
         steps_per_frame: a multiple of 18 (`solver.EXCHANGE`); 0: from the CFL limit.
         sleep: whether soil that rests is left out (`sleeping`).
+        single: whether the steps between exchanges are taken in float32; particles are float64.
     """
 
     youngs_modulus: float = 1.5e6
@@ -35,6 +36,7 @@ class Settings:
     seed: int = 0
     steps_per_frame: int = 0
     sleep: bool = True
+    single: bool = True
 
     def __post_init__(self):
         if self.rheology not in RHEOLOGIES:
@@ -88,7 +90,12 @@ class Simulation:
         self.grid = make_grid(box)
         volume = packing.particle_volume(box)
         self._solver = Solver(
-            self.grid, soil, volume, settings.steps_per_frame // INTERVALS, is_nonlocal
+            self.grid,
+            soil,
+            volume,
+            settings.steps_per_frame // INTERVALS,
+            is_nonlocal,
+            np.float32 if settings.single else np.float64,
         )
         self.dt, self.steps = self._solver.dt, self._solver.steps * INTERVALS
         stability.check_time_step(self.dt, soil, self.grid.dx, is_nonlocal)
@@ -137,7 +144,7 @@ class Simulation:
         if self._awake is None or self._age >= PERIOD:
             self._wake()
         elif self._block is None:
-            self._block = make_block(self._particles[self._awake])
+            self._block = self._solver.block(self._particles[self._awake])
         self._age += 1
         weight = None
         if self.drive.load is not None:
@@ -149,8 +156,8 @@ class Simulation:
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
-        v = self._block.particles[columns.V : columns.V + 3]
-        speed = np.sqrt((v * v).sum(axis=0).max(initial=0.0))
+        v = self._block.particles[:, columns.V : columns.V + 3]
+        speed = np.sqrt((v * v).sum(axis=1).max(initial=0.0))
         if not speed * EXCHANGE <= stability.VELOCITY_CFL * self.grid.dx:
             raise ValueError(
                 f'soil at {speed:.3g} m/s crosses {speed * EXCHANGE / self.grid.dx:.3g} cells '
@@ -172,12 +179,12 @@ class Simulation:
         self._solver.nodes.asleep[:] = self._sleep.nodes_asleep(q[~awake, :3])
         rows = np.flatnonzero(awake)
         self._awake = rows[packing.cell_order(q[rows], self.grid)]
-        self._block, self._age = make_block(q[self._awake]), 0
+        self._block, self._age = self._solver.block(q[self._awake]), 0
 
     def _put_back(self) -> None:
         """Brings the rows of the particles up to date with those that were stepped."""
         if self._block is not None:
-            self._particles[self._awake] = self._block.particles.T
+            self._particles[self._awake] = self._block.particles
 
     @property
     def particles(self) -> np.ndarray:
@@ -207,7 +214,7 @@ class Simulation:
     def positions(self) -> np.ndarray:
         """Returns the positions [N, 3] of all particles, m."""
         if self._block is not None:
-            self._particles[self._awake, :3] = self._block.particles[:3].T
+            self._particles[self._awake, :3] = self._block.particles[:, :3]
         return self._particles[:, :3].copy()
 
     def penetration(self) -> dict:

@@ -26,6 +26,8 @@ import numpy as np
 
 from mpm.bodies import Body
 from mpm.columns import (
+    CHUNK,
+    ELASTIC,
     GRIP,
     JIT,
     LEFT_GRID,
@@ -39,7 +41,7 @@ from mpm.fluidity import diffuse_fluidity
 from mpm.grid import Grid
 from mpm.grid_update import clear, kick, start_nodes
 from mpm.stability import damping_time, max_time_step
-from mpm.transfers import CHUNK, grid_to_particles, particles_to_grid, strain_and_force
+from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_and_force
 
 EXCHANGE = 1.0 / 1080.0  # s; 18 intervals are a frame
 NO_BODY = Body(0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((0, 3)))
@@ -50,15 +52,20 @@ class Block(NamedTuple):
     """The particles that are stepped, and what kernels keep of them during an interval.
 
     Attributes:
-        particles: float64 [COLUMNS, n], see `columns`.
+        particles: float64 [n, COLUMNS], see `columns`.
         base: uint64 [n], index of the first of a particle's 27 nodes.
-        place: float64 [3, n], fractions of a cell, see `transfers.weights`.
-        gradient, stress: float64 [9, CHUNK] and [6, CHUNK], work space.
+        weights: [16 n], see `transfers.WEIGHTS`.
+        elastic: deviatoric stress (Pa; xx yy zz xy yz zx) and strain of volume, laid out as
+            `columns.ELASTIC` says; `particles` gets them back at the end of an interval.
+        gradient, stress: [9 CHUNK] and [6 CHUNK], row by row, work space.
+
+    All but the first two are float32 or float64, as the nodes are.
     """
 
     particles: np.ndarray
     base: np.ndarray
-    place: np.ndarray
+    weights: np.ndarray
+    elastic: np.ndarray
     gradient: np.ndarray
     stress: np.ndarray
 
@@ -82,22 +89,23 @@ class Nodes(NamedTuple):
     touched: np.ndarray
 
 
-def make_block(particles: np.ndarray) -> Block:
-    """Returns the block of particles [n, COLUMNS], a copy."""
+def make_block(particles: np.ndarray, dtype: type = np.float64) -> Block:
+    """Returns the block of particles [n, COLUMNS], a copy, whose steps have numbers of a type."""
     count = len(particles)
     return Block(
-        np.ascontiguousarray(particles.T),
+        np.array(particles, dtype=np.float64, order='C'),
         np.zeros(count, dtype=np.uint64),
-        np.zeros((3, count)),
-        np.zeros((9, CHUNK)),
-        np.zeros((6, CHUNK)),
+        np.zeros(WEIGHTS * count, dtype),
+        np.zeros(ELASTIC * CHUNK * math.ceil(count / CHUNK), dtype),
+        np.zeros(9 * CHUNK, dtype),
+        np.zeros(6 * CHUNK, dtype),
     )
 
 
-def make_nodes(grid: Grid) -> Nodes:
-    """Returns the nodes of a grid, with no soil on them."""
+def make_nodes(grid: Grid, dtype: type = np.float64) -> Nodes:
+    """Returns the nodes of a grid, with no soil on them, in numbers of a type."""
     return Nodes(
-        *(np.zeros(4 * grid.nodes) for _ in range(3)),
+        *(np.zeros(4 * grid.nodes, dtype) for _ in range(3)),
         np.zeros(grid.nodes, dtype=np.bool_),
         *(np.zeros(grid.nodes, dtype=np.uint64) for _ in range(2)),
     )
@@ -124,7 +132,7 @@ def advance(
     """Advances the soil (and the body's height) by whole exchange intervals. Works in place.
 
     Args:
-        block: `Block`.
+        block: `Block`, of the nodes' type.
         nodes: `Nodes`, all zero but for `asleep`; zero again afterwards.
         grid: `grid.Grid`.
         steps: per interval.
@@ -139,7 +147,7 @@ def advance(
         fluidity: float64 [nodes, 3], work space of the nonlocal law; None: local mu(I).
         impulse: float64 [6], impulse (N s) and angular impulse (N m s, about the reference point)
             of the soil on the body (added to).
-        status: int64 [2]: error code, column of the block.
+        status: int64 [2]: error code, row of the block.
         second: None, or `Motion` of a second body on its path and its float64 [6] impulse; no
             particle is near both.
     """
@@ -221,7 +229,7 @@ class Motion(NamedTuple):
         weight: float64 [steps + 1], N on the free height at the same times.
         heave: float64 [3]: height y (m), vertical speed (m/s), mass (kg). A positive mass makes
             the vertical motion free under `weight`.
-        near: int64, columns of the block among which contact is looked for; none without a body.
+        near: int64, rows of the block among which contact is looked for; none without a body.
     """
 
     body: Body
@@ -247,7 +255,13 @@ class Solver:
     """
 
     def __init__(
-        self, grid: Grid, soil: Soil, volume: float, steps: int = 0, is_nonlocal: bool = False
+        self,
+        grid: Grid,
+        soil: Soil,
+        volume: float,
+        steps: int = 0,
+        is_nonlocal: bool = False,
+        dtype: type = np.float64,
     ):
         """Prepares the work space.
 
@@ -257,15 +271,20 @@ class Solver:
             volume: m3 of packed soil per particle.
             steps: per exchange interval; 0: as few as are stable.
             is_nonlocal: whether the granular fluidity diffuses.
+            dtype: of what nodes carry and of stresses between exchanges, float32 or float64.
         """
         self.grid, self.soil, self.volume = grid, soil, volume
         limit = max_time_step(soil, grid.dx, is_nonlocal)
         self.steps = steps or max(1, math.ceil(EXCHANGE / limit - 1e-9))
         self.dt = EXCHANGE / self.steps
-        self.nodes = make_nodes(grid)
+        self.nodes = make_nodes(grid, dtype)
         self.impulse, self.second_impulse = np.zeros(6), np.zeros(6)
         self.law = make_contact(soil, volume)
         self._fluidity = np.zeros((grid.nodes, 3)) if is_nonlocal else None
+
+    def block(self, particles: np.ndarray) -> Block:
+        """Returns the block of particles [n, COLUMNS] for `advance`, a copy."""
+        return make_block(particles, self.nodes.velocity.dtype.type)
 
     def advance(
         self,
@@ -297,7 +316,7 @@ class Solver:
             body, path = NO_BODY, np.zeros((count + 1, 3))
             near = np.zeros(0, dtype=np.int64)
         else:
-            grip = None if second is None else block.particles[GRIP : GRIP + 3].copy()
+            grip = None if second is None else block.particles[:, GRIP : GRIP + 3].copy()
             near = self._near(block, body, path, heave)
         motion = Motion(
             body,
@@ -331,7 +350,7 @@ class Solver:
             beside,
         )
         if status[0] != OK:
-            place = block.particles[X : X + 3, status[1]]
+            place = block.particles[status[1], X : X + 3]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}
             raise ValueError(f'a particle {what[int(status[0])]} at {place} m')
 
@@ -341,20 +360,20 @@ class Solver:
         if shared := np.intersect1d(near, mine).size:
             raise ValueError(f'two bodies are so close that both may touch {shared} particles')
         # Looking for those near one body took the grip of those near the other.
-        block.particles[GRIP : GRIP + 3, near] = grip[:, near]
-        block.particles[GRIP : GRIP + 3, mine] = grip[:, mine]
+        block.particles[near, GRIP : GRIP + 3] = grip[near]
+        block.particles[mine, GRIP : GRIP + 3] = grip[mine]
         still = np.zeros(len(path))
         return Motion(body, self.law, path, still, np.zeros(3), mine)
 
     def _near(self, block, body, path, heave):
-        """Columns of the particles that the body can touch during the path."""
+        """Rows of the particles that the body can touch during the path."""
         start = path[0].copy()
         if heave is not None and heave[2] > 0.0:
             start[1] = heave[0]
         # How far body and soil can come closer: the body's way, and the fastest particle's.
         turn = np.abs(path[:, 2] - path[0, 2]).max() * (body.length + body.radius)
         way = np.linalg.norm(path[:, :2] - path[0, :2], axis=1).max() + turn
-        speed = np.abs(block.particles[3:6]).max(initial=0.0)
+        speed = np.abs(block.particles[:, 3:6]).max(initial=0.0)
         reach = self.law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
-        near = np.zeros(block.particles.shape[1], dtype=np.int64)
+        near = np.zeros(len(block.particles), dtype=np.int64)
         return near[: list_near(block.particles, body, start, reach, near)]

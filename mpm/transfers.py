@@ -20,6 +20,9 @@ import numba
 
 from mpm import vectors
 from mpm.columns import (
+    CHUNK,
+    COLUMNS,
+    ELASTIC,
     JIT,
     LEFT_GRID,
     TURNED_INSIDE_OUT,
@@ -28,10 +31,9 @@ from mpm.columns import (
     S,
     V,
     index,
+    row,
 )
 from mpm.constitutive import pressure_of, update_stress
-
-CHUNK = 64  # particles whose stresses are updated together, so that the compiler uses wide vectors
 
 
 @numba.njit(inline='always', **JIT)
@@ -40,75 +42,110 @@ def weights(f):
     return 0.5 * (1.0 - f) ** 2, 0.75 - (f - 0.5) ** 2, 0.5 * f**2
 
 
-@numba.njit(inline='always', **JIT)
-def _third(i, triple):
-    """triple[i] in a form that is unrolled."""
-    return triple[0] if i == 0 else (triple[1] if i == 1 else triple[2])
+# What the transfers of an interval need of a particle, 16 numbers in a row (`Block.weights`):
+# weights along x and along y, the way from the particle to the first node in cells (x, y, z),
+# twice the last weight along x and along y, one unused, weights along z and a zero. The zero
+# is for a fourth node: rows of four fill a register.
+WEIGHTS = 16
+WX, WY, WAY, TWICE, WZ = index(0), index(3), index(6), index(9), index(12)
 
 
 @numba.njit(inline='always', **JIT)
-def scatter(grid, base, strides, place, first, along_x, along_y, along_z):
+def keep_weights(kept, n, place):
+    """Writes the weights of particle n at fractions of a cell (fx, fy, fz)."""
+    at = WEIGHTS * n
+    for axis in range(3):
+        w = weights(place[axis])
+        to = at + (12 if axis == 2 else 3 * axis)
+        kept[to], kept[to + 1], kept[to + 2] = w
+        kept[at + 6 + axis] = -place[axis] - 0.5
+        if axis < 2:
+            kept[at + 9 + axis] = 2.0 * w[2]
+
+
+@numba.njit(inline='always', **JIT)
+def scatter(grid, base, strides, kept, at, affine):
     """Adds w (first + i along_x + j along_y + k along_z) to the 27 nodes around a particle.
 
     Args:
-        grid: float64 [4 nodes].
+        grid: [4 nodes], float32 or float64.
         base: index of node (0, 0, 0) of the 27 in `grid`.
-        strides: steps of the index along x and along y; z is 4.
-        place: the particle's fractions (fx, fy, fz), see `weights`.
-        first, along_x, along_y, along_z: vectors of four.
+        strides: steps of the index along x and y; z is 4.
+        kept, at: `Block.weights` and where the particle's begin.
+        affine: four registers of four: at the particle, and the change per cell along x, y, z.
     """
-    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    first, along_x, along_y, along_z = affine
+    first = vectors.muladd_at(kept, at + WAY + index(2), along_z, first)
+    first = vectors.muladd_at(kept, at + WAY + index(1), along_y, first)
+    first = vectors.muladd_at(kept, at + WAY, along_x, first)
+    w = vectors.stretch(vectors.load(kept, at + WZ))
+    k = vectors.stretch(vectors.make(grid, 0.0, 1.0, 2.0, 0.0))
+    plane = vectors.add(vectors.repeat(first), vectors.multiply(k, vectors.repeat(along_z)))
+    plane = vectors.multiply(w, plane)
+    along_x = vectors.multiply(w, vectors.repeat(along_x))
+    along_y = vectors.multiply(w, vectors.repeat(along_y))
     for j in range(3):
-        row_value = first
+        row = vectors.scale_at(kept, at + WY + index(j), plane)
+        step = vectors.scale_at(kept, at + WY + index(j), along_x)
+        node = base + index(j) * strides[1]
         for i in range(3):
-            w = _third(j, wy) * _third(i, wx)
-            node = base + index(j) * strides[1] + index(i) * strides[0]
-            a, b = vectors.scale(w, row_value), vectors.scale(w, along_z)
-            vectors.store(grid, node, vectors.muladd(wz[0], a, vectors.load(grid, node)))
-            a, node = vectors.add(a, b), node + index(4)
-            vectors.store(grid, node, vectors.muladd(wz[1], a, vectors.load(grid, node)))
-            a, node = vectors.add(a, b), node + index(4)
-            vectors.store(grid, node, vectors.muladd(wz[2], a, vectors.load(grid, node)))
-            row_value = vectors.add(row_value, along_x)
-        first = vectors.add(first, along_y)
+            old = vectors.load_row(grid, node)
+            vectors.store_row(grid, node, vectors.muladd_at(kept, at + WX + index(i), row, old))
+            row = vectors.add(row, step)
+            node = node + strides[0]
+        plane = vectors.add(plane, along_y)
 
 
 @numba.njit(inline='always', **JIT)
-def gather(grid, base, strides, place):
-    """Returns sum w g, sum w i g, sum w j g, sum w k g over the 27 nodes; see `scatter`."""
-    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
-    total = vectors.make(0.0, 0.0, 0.0, 0.0)
-    total_i, total_j, total_k = total, total, total
+def gather(grid, base, strides, kept, at):
+    """Returns the three columns of 4 / dx L_p dx, and sum w g, over the 27 nodes; see `scatter`.
+
+    Column a is sum w g (x_i - x_p)_a / dx, a register of four.
+    """
+    nothing = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
+    total, total_i, total_j = nothing, nothing, nothing
     for j in range(3):
-        plane = vectors.make(0.0, 0.0, 0.0, 0.0)
-        for i in range(3):
-            w = _third(j, wy) * _third(i, wx)
-            node = base + index(j) * strides[1] + index(i) * strides[0]
-            # Along z first: sum w g and sum w k g of three nodes.
-            middle = vectors.scale(wz[1], vectors.load(grid, node + index(4)))
-            last = vectors.scale(wz[2], vectors.load(grid, node + index(8)))
-            row = vectors.muladd(wz[0], vectors.load(grid, node), vectors.add(middle, last))
-            plane = vectors.muladd(w, row, plane)
-            total_i = vectors.muladd(i * w, row, total_i)
-            total_k = vectors.muladd(w, vectors.muladd(2.0, last, middle), total_k)
-        total = vectors.add(total, plane)
-        total_j = vectors.muladd(float(j), plane, total_j)
-    return total, total_i, total_j, total_k
+        node = base + index(j) * strides[1]
+        first = vectors.load_row(grid, node)
+        middle = vectors.load_row(grid, node + strides[0])
+        last = vectors.load_row(grid, node + index(2) * strides[0])
+        # sum w g and sum w i g along x; then along y, and along z for all of them at once.
+        middle = vectors.scale_at(kept, at + WX + index(1), middle)
+        plane = vectors.muladd_at(kept, at + WX, first, middle)
+        plane = vectors.muladd_at(kept, at + WX + index(2), last, plane)
+        slope = vectors.muladd_at(kept, at + TWICE, last, middle)
+        total = vectors.muladd_at(kept, at + WY + index(j), plane, total)
+        total_i = vectors.muladd_at(kept, at + WY + index(j), slope, total_i)
+        if j > 0:
+            factor = at + (WY if j == 1 else TWICE) + index(1)
+            total_j = vectors.muladd_at(kept, factor, plane, total_j)
+    w = vectors.stretch(vectors.load(kept, at + WZ))
+    k = vectors.stretch(vectors.make(grid, 0.0, 1.0, 2.0, 0.0))
+    total = vectors.multiply(w, total)
+    x = vectors.fold(vectors.multiply(w, total_i))
+    y = vectors.fold(vectors.multiply(w, total_j))
+    z = vectors.fold(vectors.multiply(k, total))
+    mean = vectors.fold(total)
+    x = vectors.muladd_at(kept, at + WAY, mean, x)
+    y = vectors.muladd_at(kept, at + WAY + index(1), mean, y)
+    z = vectors.muladd_at(kept, at + WAY + index(2), mean, z)
+    return (x, y, z), mean
 
 
 @numba.njit(inline='always', **JIT)
-def interpolate(grid, base, strides, place):
-    """Returns sum w g over the 27 nodes as a tuple of four; see `scatter`."""
-    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
-    total = vectors.make(0.0, 0.0, 0.0, 0.0)
+def interpolate(grid, base, strides, kept, at):
+    """Returns sum w g over the 27 nodes as a tuple of four float64; see `scatter`."""
+    total = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     for j in range(3):
-        for i in range(3):
-            node = base + index(j) * strides[1] + index(i) * strides[0]
-            row = vectors.scale(wz[0], vectors.load(grid, node))
-            row = vectors.muladd(wz[1], vectors.load(grid, node + index(4)), row)
-            row = vectors.muladd(wz[2], vectors.load(grid, node + index(8)), row)
-            total = vectors.muladd(_third(j, wy) * _third(i, wx), row, total)
-    return vectors.parts(total)
+        node = base + index(j) * strides[1]
+        plane = vectors.scale_at(kept, at + WX, vectors.load_row(grid, node))
+        for i in range(1, 3):
+            node = node + strides[0]
+            row = vectors.load_row(grid, node)
+            plane = vectors.muladd_at(kept, at + WX + index(i), row, plane)
+        total = vectors.muladd_at(kept, at + WY + index(j), plane, total)
+    w = vectors.stretch(vectors.load(kept, at + WZ))
+    return vectors.parts(vectors.fold(vectors.multiply(w, total)))
 
 
 @numba.njit(inline='always', **JIT)
@@ -121,7 +158,7 @@ def strides_of(shape):
 def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modulus, status):
     """Eq. (1), and the half kick of the soil's own forces (3) that begins an exchange interval.
 
-    Fills `block.base` and `block.place` for the interval, adds momentum and mass to `velocity`.
+    Fills `block.base`, `weights` and `elastic` for the interval; adds to `velocity`.
 
     Args:
         block: `solver.Block` of the particles that are awake.
@@ -141,16 +178,16 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     strides = strides_of(grid.shape)
     stress_scale = -half_step * volume * 4.0 * inverse * inverse
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
-    for n in range(q.shape[1]):
-        gx = (q[0, n] - grid.origin[0]) * inverse - 0.5
-        gy = (q[1, n] - grid.origin[1]) * inverse - 0.5
-        gz = (q[2, n] - grid.origin[2]) * inverse - 0.5
+    for n in range(len(q)):
+        gx = (q[n, 0] - grid.origin[0]) * inverse - 0.5
+        gy = (q[n, 1] - grid.origin[1]) * inverse - 0.5
+        gz = (q[n, 2] - grid.origin[2]) * inverse - 0.5
         # Comparisons that are false for NaN too, before anything becomes an index.
         is_inside = gx >= 0.0 and gx < nx - 2 and gy >= 0.0 and gy < ny - 2
-        if not (is_inside and gz >= 0.0 and gz < nz - 2):
+        if not (is_inside and gz >= 0.0 and gz < nz - 3):
             status[0], status[1] = LEFT_GRID, n
             break
-        ratio = q[VOLUME_RATIO, n]
+        ratio = q[n, VOLUME_RATIO]
         if not ratio > 0.0:
             status[0], status[1] = TURNED_INSIDE_OUT, n
             break
@@ -161,43 +198,64 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         place = (gx - bi, gy - bj, gz - bk)
         base = index(((bj * nx + bi) * nz + bk) * 4)
         block.base[n] = base
-        block.place[0, n], block.place[1, n], block.place[2, n] = place
+        keep_weights(block.weights, n, place)
+        keep_elastic(block, n)
         # The columns of m C - dt/2 V sigma / D, per cell.
-        p = pressure_of(ratio, bulk_modulus)
+        p = pressure_of(ratio - 1.0, bulk_modulus)
         s = stress_scale * ratio
         dx = grid.dx
-        xx, yy, zz = s * (q[S, n] - p), s * (q[S + 1, n] - p), s * (q[S + 2, n] - p)
-        xy, yz, zx = s * q[S + 3, n], s * q[S + 4, n], s * q[S + 5, n]
-        along_x = vectors.make(
-            (xx + mass * q[C, n]) * dx,
-            (xy + mass * q[C + 3, n]) * dx,
-            (zx + mass * q[C + 6, n]) * dx,
-            0.0,
+        xx, yy, zz = s * (q[n, S] - p), s * (q[n, S + 1] - p), s * (q[n, S + 2] - p)
+        xy, yz, zx = s * q[n, S + 3], s * q[n, S + 4], s * q[n, S + 5]
+        affine = (
+            vectors.make(velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass),
+            vectors.make(
+                velocity,
+                (xx + mass * q[n, C]) * dx,
+                (xy + mass * q[n, C + 3]) * dx,
+                (zx + mass * q[n, C + 6]) * dx,
+                0.0,
+            ),
+            vectors.make(
+                velocity,
+                (xy + mass * q[n, C + 1]) * dx,
+                (yy + mass * q[n, C + 4]) * dx,
+                (yz + mass * q[n, C + 7]) * dx,
+                0.0,
+            ),
+            vectors.make(
+                velocity,
+                (zx + mass * q[n, C + 2]) * dx,
+                (yz + mass * q[n, C + 5]) * dx,
+                (zz + mass * q[n, C + 8]) * dx,
+                0.0,
+            ),
         )
-        along_y = vectors.make(
-            (xy + mass * q[C + 1, n]) * dx,
-            (yy + mass * q[C + 4, n]) * dx,
-            (yz + mass * q[C + 7, n]) * dx,
-            0.0,
-        )
-        along_z = vectors.make(
-            (zx + mass * q[C + 2, n]) * dx,
-            (yz + mass * q[C + 5, n]) * dx,
-            (zz + mass * q[C + 8, n]) * dx,
-            0.0,
-        )
-        first = vectors.make(mass * q[V, n], mass * q[V + 1, n], mass * q[V + 2, n], mass)
-        first = _at_first_node(place, first, along_x, along_y, along_z)
-        scatter(velocity, base, strides, place, first, along_x, along_y, along_z)
+        scatter(velocity, base, strides, block.weights, index(WEIGHTS * n), affine)
     return i0, i1, j0, j1, k0, k1
 
 
 @numba.njit(inline='always', **JIT)
-def _at_first_node(place, value, along_x, along_y, along_z):
-    """An affine field, given at the particle, at the first of the 27 nodes."""
-    value = vectors.muladd(-place[2] - 0.5, along_z, value)
-    value = vectors.muladd(-place[1] - 0.5, along_y, value)
-    return vectors.muladd(-place[0] - 0.5, along_x, value)
+def elastic_place(n):
+    """Where the rows of particle n are in `Block.elastic`: this and every CHUNK numbers on."""
+    return index(n // CHUNK * (ELASTIC * CHUNK) + n % CHUNK)
+
+
+@numba.njit(inline='always', **JIT)
+def keep_elastic(block, n):
+    """Stress and strain of particle n as the steps of an interval need them."""
+    at = elastic_place(n)
+    for number in range(6):
+        block.elastic[row(at, number)] = block.particles[n, S + number]
+    block.elastic[row(at, 6)] = block.particles[n, VOLUME_RATIO] - 1.0
+
+
+@numba.njit(inline='always', **JIT)
+def return_elastic(block, n):
+    """The particle gets its stress and strain back."""
+    at = elastic_place(n)
+    for number in range(6):
+        block.particles[n, S + number] = block.elastic[row(at, number)]
+    block.particles[n, VOLUME_RATIO] = 1.0 + block.elastic[row(at, 6)]
 
 
 @numba.njit(**JIT)
@@ -206,59 +264,58 @@ def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidit
 
     `damping_time` (s) and `fluidity` (None with the local law): see `constitutive.update_stress`.
     """
-    q, gradient, stress = block.particles, block.gradient, block.stress
+    gradient, stress, kept = block.gradient, block.stress, block.weights
     velocity, force = nodes.velocity, nodes.force
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
-    for start in range(0, q.shape[1], CHUNK):
-        stop = min(q.shape[1], start + CHUNK)
-        for n in range(start, stop):
-            place = (block.place[0, n], block.place[1, n], block.place[2, n])
-            columns = _gradient(velocity, block.base[n], strides, place, per_cell)
-            for axis in range(3):
-                column = _third(axis, columns)
-                gradient[axis, n - start] = column[0]
-                gradient[axis + 3, n - start] = column[1]
-                gradient[axis + 6, n - start] = column[2]
-        update_stress(q, start, stop, gradient, stress, dt, soil, damping_time, fluidity)
-        for n in range(start, stop):
-            place = (block.place[0, n], block.place[1, n], block.place[2, n])
-            c, factor = n - start, -volume * per_cell * q[VOLUME_RATIO, n]
-            xy, yz, zx = factor * stress[3, c], factor * stress[4, c], factor * stress[5, c]
-            along_x = vectors.make(factor * stress[0, c], xy, zx, 0.0)
-            along_y = vectors.make(xy, factor * stress[1, c], yz, 0.0)
-            along_z = vectors.make(zx, yz, factor * stress[2, c], 0.0)
-            first = vectors.make(0.0, 0.0, 0.0, 0.0)
-            first = _at_first_node(place, first, along_x, along_y, along_z)
-            scatter(force, block.base[n], strides, place, first, along_x, along_y, along_z)
+    for start in range(0, len(block.particles), CHUNK):
+        count = index(min(len(block.particles) - start, CHUNK))
+        for c in range(count):
+            n = index(start) + c
+            at = index(WEIGHTS) * n
+            columns, _ = gather(velocity, block.base[n], strides, kept, at)
+            _put_gradient(gradient, c, index(CHUNK), columns, per_cell)
+        update_stress(block, start, count, dt, soil, damping_time, fluidity)
+        strain = row(index(ELASTIC * start), 6)
+        for c in range(count):
+            n = index(start) + c
+            factor = -volume * per_cell * (1.0 + block.elastic[strain + c])
+            xx, yy, zz = stress[c], stress[row(c, 1)], stress[row(c, 2)]
+            xy, yz, zx = stress[row(c, 3)], stress[row(c, 4)], stress[row(c, 5)]
+            affine = (
+                vectors.make(force, 0.0, 0.0, 0.0, 0.0),
+                vectors.scale(factor, vectors.make(force, xx, xy, zx, 0.0)),
+                vectors.scale(factor, vectors.make(force, xy, yy, yz, 0.0)),
+                vectors.scale(factor, vectors.make(force, zx, yz, zz, 0.0)),
+            )
+            scatter(force, block.base[n], strides, kept, index(WEIGHTS) * n, affine)
 
 
 @numba.njit(inline='always', **JIT)
-def _gradient(velocity, base, strides, place, per_cell):
-    """The three columns of L_p, each (d vx, d vy, d vz, -) along one axis."""
-    total, total_i, total_j, total_k = gather(velocity, base, strides, place)
-    x = vectors.scale(per_cell, vectors.muladd(-place[0] - 0.5, total, total_i))
-    y = vectors.scale(per_cell, vectors.muladd(-place[1] - 0.5, total, total_j))
-    z = vectors.scale(per_cell, vectors.muladd(-place[2] - 0.5, total, total_k))
-    return vectors.parts(x), vectors.parts(y), vectors.parts(z)
+def _put_gradient(out, first, step, columns, per_cell):
+    """Writes the nine entries of L_p, row by row, `step` apart in the vector `out`."""
+    x = vectors.parts(vectors.scale(per_cell, columns[0]))
+    y = vectors.parts(vectors.scale(per_cell, columns[1]))
+    z = vectors.parts(vectors.scale(per_cell, columns[2]))
+    for axis in range(3):
+        at = first + index(3 * axis) * step
+        out[at], out[at + step], out[at + index(2) * step] = x[axis], y[axis], z[axis]
 
 
 @numba.njit(**JIT)
 def grid_to_particles(block, velocity, displacement, grid):
     """Eq. (4): what the particles take back at the end of an exchange interval."""
-    q = block.particles
+    q, kept = block.particles, block.weights
+    flat = q.ravel()
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
-    for n in range(q.shape[1]):
-        base = block.base[n]
-        place = (block.place[0, n], block.place[1, n], block.place[2, n])
-        v = interpolate(velocity, base, strides, place)
-        u = interpolate(displacement, base, strides, place)
-        columns = _gradient(velocity, base, strides, place, per_cell)
+    for n in range(len(q)):
+        base, at = block.base[n], index(WEIGHTS * n)
+        u = interpolate(displacement, base, strides, kept, at)
+        columns, mean = gather(velocity, base, strides, kept, at)
+        v = vectors.parts(mean)
         for axis in range(3):
-            q[axis, n] += u[axis]
-            q[V + axis, n] = v[axis]
-            column = _third(axis, columns)
-            q[C + axis, n] = column[0]
-            q[C + 3 + axis, n] = column[1]
-            q[C + 6 + axis, n] = column[2]
+            q[n, axis] += u[axis]
+            q[n, V + axis] = v[axis]
+        _put_gradient(flat, index(COLUMNS * n + C), index(1), columns, per_cell)
+        return_elastic(block, n)

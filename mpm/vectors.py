@@ -1,8 +1,10 @@
-"""Four float64 in one register: what the transfers between particles and grid are made of.
+"""Registers of four and of sixteen numbers: what transfers between particles and grid are made of.
 
-A node of the grid is four numbers (three components and one more), so a transfer is a handful of
-operations on vectors of four. Numba has no such type and LLVM seldom finds it by itself, so it is
-defined here: `<4 x double>` behind ordinary functions, to be called from compiled code only. On a
+A node of the grid is four numbers (three components and one more), and the nodes along z lie one
+after another: a particle's 27 nodes are nine rows of three, each read and written as one row of
+four nodes, the last of weight 0. Numba has no such types and LLVM seldom finds them by itself, so
+they are defined here: `<4 x T>` and `<16 x T>` behind ordinary functions, to be called from
+compiled code only. T is float32 or float64, that of the array that is read or written. On a
 machine without registers of that width LLVM splits them.
 """
 
@@ -11,81 +13,156 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-
-class _Four(types.Type):
-    def __init__(self):
-        super().__init__(name='Four')
+FOUR, ROW = 4, 16
 
 
-four = _Four()
-_LLVM = ir.VectorType(ir.DoubleType(), 4)
+class _Lanes(types.Type):
+    """A register of `count` numbers of a type."""
+
+    def __init__(self, dtype, count):
+        self.dtype, self.count = dtype, count
+        super().__init__(name=f'Lanes({dtype}, {count})')
 
 
-@register_model(_Four)
-class _FourModel(models.PrimitiveModel):
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, _LLVM)
+        super().__init__(manager, kind, _llvm(kind))
 
 
-def _splat(builder, scalar):
-    i32 = ir.IntType(32)
-    one = builder.insert_element(ir.Constant(_LLVM, ir.Undefined), scalar, i32(0))
-    return builder.shuffle_vector(
-        one, ir.Constant(_LLVM, ir.Undefined), ir.Constant(ir.VectorType(i32, 4), [0] * 4)
+def _llvm(kind):
+    return ir.VectorType(
+        ir.FloatType() if kind.dtype == types.float32 else ir.DoubleType(), kind.count
     )
 
 
-def _pointer(context, builder, kind, array, index):
+def _round(builder, kind, scalar):
+    """A float64 as a number of the type of `kind`."""
+    if kind.dtype == types.float32:
+        return builder.fptrunc(scalar, ir.FloatType())
+    return scalar
+
+
+def _splat(builder, kind, number):
+    """All lanes of a register the same number of its type."""
+    llvm = _llvm(kind)
+    empty = ir.Constant(llvm, ir.Undefined)
+    one = builder.insert_element(empty, number, ir.IntType(32)(0))
+    return _shuffle(builder, llvm, one, [0] * kind.count)
+
+
+def _shuffle(builder, llvm, value, lanes):
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes)
+    return builder.shuffle_vector(value, ir.Constant(llvm, ir.Undefined), mask)
+
+
+def _pointer(context, builder, kind, array, index, lanes):
     data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _LLVM.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), _llvm(lanes).as_pointer())
+
+
+def _load(count):
+    @intrinsic
+    def load(typing, array, index):
+        lanes = _Lanes(array.dtype, count)
+
+        def code(context, builder, signature, args):
+            pointer = _pointer(context, builder, signature.args[0], args[0], args[1], lanes)
+            return builder.load(pointer, align=array.dtype.bitwidth // 8)
+
+        return lanes(array, types.uintp), code
+
+    return load
+
+
+def _store(count):
+    @intrinsic
+    def store(typing, array, index, value):
+        lanes = _Lanes(array.dtype, count)
+
+        def code(context, builder, signature, args):
+            pointer = _pointer(context, builder, signature.args[0], args[0], args[1], lanes)
+            builder.store(args[2], pointer, align=array.dtype.bitwidth // 8)
+            return context.get_dummy_value()
+
+        return types.void(array, types.uintp, lanes), code
+
+    return store
+
+
+# array[index : index + 4] and array[index : index + 16] of a contiguous vector, unchecked.
+load, load_row = _load(FOUR), _load(ROW)
+store, store_row = _store(FOUR), _store(ROW)
 
 
 @intrinsic
-def load(typing, array, index):
-    """Returns array[index : index + 4] of a contiguous float64 vector, unchecked."""
+def make(typing, array, a, b, c, d):
+    """Returns the register (a, b, c, d) of the type of an array."""
+    kind = _Lanes(array.dtype, FOUR)
 
     def code(context, builder, signature, args):
-        pointer = _pointer(context, builder, signature.args[0], args[0], args[1])
-        return builder.load(pointer, align=8)
-
-    return four(array, types.uintp), code
-
-
-@intrinsic
-def store(typing, array, index, value):
-    """Writes `value` to array[index : index + 4], unchecked."""
-
-    def code(context, builder, signature, args):
-        pointer = _pointer(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], pointer, align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.uintp, four), code
-
-
-@intrinsic
-def make(typing, a, b, c, d):
-    """Returns the vector (a, b, c, d)."""
-
-    def code(context, builder, signature, args):
-        value = ir.Constant(_LLVM, ir.Undefined)
-        for lane, number in enumerate(args):
+        value = ir.Constant(ir.VectorType(ir.DoubleType(), FOUR), ir.Undefined)
+        for lane, number in enumerate(args[1:]):
             value = builder.insert_element(value, number, ir.IntType(32)(lane))
-        return value
+        return builder.fptrunc(value, _llvm(kind)) if kind.dtype == types.float32 else value
 
-    return four(types.float64, types.float64, types.float64, types.float64), code
+    return kind(array, types.float64, types.float64, types.float64, types.float64), code
+
+
+@intrinsic
+def repeat(typing, four):
+    """Returns a row whose four nodes are all `four`."""
+
+    def code(context, builder, signature, args):
+        return _shuffle(builder, _llvm(four), args[0], [0, 1, 2, 3] * 4)
+
+    return _Lanes(four.dtype, ROW)(four), code
+
+
+@intrinsic
+def stretch(typing, four):
+    """Returns a row whose node k is number k of `four`, four times."""
+
+    def code(context, builder, signature, args):
+        return _shuffle(builder, _llvm(four), args[0], [n // 4 for n in range(ROW)])
+
+    return _Lanes(four.dtype, ROW)(four), code
+
+
+@intrinsic
+def fold(typing, row):
+    """Returns the sum of a row's four nodes."""
+
+    def code(context, builder, signature, args):
+        low = _shuffle(builder, _llvm(row), args[0], list(range(8)))
+        high = _shuffle(builder, _llvm(row), args[0], list(range(8, 16)))
+        half = builder.fadd(low, high)
+        low = _shuffle(builder, half.type, half, list(range(4)))
+        high = _shuffle(builder, half.type, half, list(range(4, 8)))
+        return builder.fadd(low, high)
+
+    return _Lanes(row.dtype, FOUR)(row), code
+
+
+def _fma(builder, kind, factor, a, b):
+    """factor * a + b of registers, rounded once where the machine can."""
+    llvm = _llvm(kind)
+    function = ir.FunctionType(llvm, [llvm] * 3)
+    name = f'llvm.fmuladd.v{kind.count}f{kind.dtype.bitwidth}'
+    return builder.call(
+        cgutils.get_or_insert_function(builder.module, function, name), [factor, a, b]
+    )
 
 
 @intrinsic
 def muladd(typing, factor, a, b):
-    """Returns factor * a + b for a scalar `factor`, rounded once where the machine can."""
+    """Returns factor * a + b for a scalar `factor`."""
 
     def code(context, builder, signature, args):
-        kind = ir.FunctionType(_LLVM, [_LLVM] * 3)
-        fma = cgutils.get_or_insert_function(builder.module, kind, 'llvm.fmuladd.v4f64')
-        return builder.call(fma, [_splat(builder, args[0]), args[1], args[2]])
+        factor = _splat(builder, a, _round(builder, a, args[0]))
+        return _fma(builder, a, factor, args[1], args[2])
 
-    return four(types.float64, four, four), code
+    return a(types.float64, a, a), code
 
 
 @intrinsic
@@ -93,9 +170,41 @@ def scale(typing, factor, a):
     """Returns factor * a for a scalar `factor`."""
 
     def code(context, builder, signature, args):
-        return builder.fmul(_splat(builder, args[0]), args[1])
+        return builder.fmul(_splat(builder, a, _round(builder, a, args[0])), args[1])
 
-    return four(types.float64, four), code
+    return a(types.float64, a), code
+
+
+def _number(context, builder, kind, array, index):
+    """array[index], unchecked."""
+    return builder.load(
+        builder.gep(context.make_array(kind)(context, builder, array).data, [index])
+    )
+
+
+# With a factor from memory: the machine reads and repeats it in the same instruction.
+
+
+@intrinsic
+def muladd_at(typing, array, index, a, b):
+    """Returns array[index] * a + b."""
+
+    def code(context, builder, signature, args):
+        factor = _number(context, builder, signature.args[0], args[0], args[1])
+        return _fma(builder, a, _splat(builder, a, factor), args[2], args[3])
+
+    return a(array, types.uintp, a, a), code
+
+
+@intrinsic
+def scale_at(typing, array, index, a):
+    """Returns array[index] * a."""
+
+    def code(context, builder, signature, args):
+        factor = _number(context, builder, signature.args[0], args[0], args[1])
+        return builder.fmul(_splat(builder, a, factor), args[2])
+
+    return a(array, types.uintp, a), code
 
 
 @intrinsic
@@ -105,15 +214,28 @@ def add(typing, a, b):
     def code(context, builder, signature, args):
         return builder.fadd(args[0], args[1])
 
-    return four(four, four), code
+    return a(a, a), code
+
+
+@intrinsic
+def multiply(typing, a, b):
+    """Returns a * b, number by number."""
+
+    def code(context, builder, signature, args):
+        return builder.fmul(args[0], args[1])
+
+    return a(a, a), code
 
 
 @intrinsic
 def parts(typing, a):
-    """Returns the four numbers of a vector as a tuple."""
+    """Returns the four numbers of a register as a tuple of float64."""
 
     def code(context, builder, signature, args):
-        lanes = [builder.extract_element(args[0], ir.IntType(32)(lane)) for lane in range(4)]
+        value = args[0]
+        if a.dtype == types.float32:
+            value = builder.fpext(value, ir.VectorType(ir.DoubleType(), FOUR))
+        lanes = [builder.extract_element(value, ir.IntType(32)(lane)) for lane in range(FOUR)]
         return context.make_tuple(builder, signature.return_type, lanes)
 
-    return types.UniTuple(types.float64, 4)(four), code
+    return types.UniTuple(types.float64, FOUR)(a), code

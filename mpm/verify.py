@@ -32,7 +32,7 @@ _ROWS = flags.DEFINE_list('rows', None, 'Only these rows, by name (see --list_ro
 _LIST = flags.DEFINE_bool('list_rows', False, 'Only name the rows.')
 
 HALVED_CASES = (186, 78, 146, 22, 188)  # motion 2: the blade is in the soil from the beginning
-SLEEP_CASES = (186, 78, 123, 146)
+SHORT_CUT_CASES = (186, 78, 123, 146)
 WHEEL_CASES = (122, 203)
 DRIVEN = FRAMES - 1
 
@@ -62,9 +62,12 @@ def rows_of(raw_path: str) -> dict:
     rows['wheel_load'] = partial(run_rows.wheel_load, raw_path)
     for scene in SCENES.values():
         rows[f'leak_{scene.name}'] = partial(run_rows.leak, scene, raw_path)
-    for case in SLEEP_CASES:
-        rows[f'sleeping_{case}'] = partial(convergence.sleeping, EXCAVATION, case, DRIVEN)
-    rows['sleeping_wheel_122'] = partial(convergence.sleeping, WHEEL, 122, DRIVEN)
+    for option in convergence.SHORT_CUTS:
+        for case in SHORT_CUT_CASES:
+            rows[f'{option}_{case}'] = partial(
+                convergence.short_cut, option, EXCAVATION, case, DRIVEN
+            )
+        rows[f'{option}_wheel_122'] = partial(convergence.short_cut, option, WHEEL, 122, DRIVEN)
     for case in WHEEL_CASES:
         rows[f'halved_wheel_{case}'] = partial(convergence.halved_step, WHEEL, case, DRIVEN)
     return rows

@@ -22,6 +22,8 @@ Examples:
     # new runs, all in the test split, in the subspace of the dataset that a model was trained on
     python -m pca_tools.convert --raw_path=raw/new --output_path=datasets/New \\
         --like=datasets/Excavation
+
+`pca_tools.append` adds runs to a dataset that is there.
 """
 
 from __future__ import annotations
@@ -84,12 +86,13 @@ def convert(
         raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
     refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
-    base, space = (None, None) if like is None else _load_like(like)
+    base, space = (None, None) if like is None else load_base(like)
     if match_particles:
         runs.match_particles(None if space is None else space.initial)
     runs.check(check_units, progress_bar)
     if base is not None:
-        _refuse_other_data(like, base, runs)
+        refuse_other_scene(like, base, runs)
+        _refuse_trained_on(like, base, runs)
     if space is None:
         parts = _deal(runs, split, seed, hold_out, spread)
         with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
@@ -108,7 +111,7 @@ def convert(
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
-    _write_dataset(output_path, encoded, space, sampled, metadata, overwrite)
+    write_dataset(output_path, encoded, space, sampled, metadata, overwrite)
     return metadata
 
 
@@ -156,8 +159,12 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
 
 
-def _load_like(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
-    """Returns metadata and subspace of the dataset that the new runs are to fit."""
+def load_base(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
+    """Returns metadata and subspace of the dataset that new runs are to fit.
+
+    Raises:
+        FileNotFoundError, ValueError: there is none, or its files do not fit each other.
+    """
     base = dataset.read_metadata(like)
     space = subspace.Subspace.load(os.path.join(like, SUBSPACE_NAME))
     if base.get('pca', {}).get('digest') != space.digest:
@@ -165,8 +172,8 @@ def _load_like(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
     return base, space
 
 
-def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
-    """Raises if the runs are of another scene than the dataset, or were trained on."""
+def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
+    """Raises ValueError if the runs are of another scene than the dataset; warns of versions."""
     scene = base.get('scene', {})
     for key in _SCENE_KEYS:
         if scene.get(key) != runs.scene.get(key):
@@ -184,26 +191,32 @@ def _refuse_other_data(like: str, base: dict[str, Any], runs: RawRuns) -> None:
             f'{sorted(new)}: errors of its models will include what changed between them',
             stacklevel=2,
         )
-    # Case numbers count anew in every kind of run (grid, driven paths).
-    trained = {_kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
-    known = [
-        case
-        for index, case in enumerate(runs.cases)
-        if (runs.parameters(index).get('kind'), str(case)) in trained
-    ]
+
+
+def _refuse_trained_on(like: str, base: dict[str, Any], runs: RawRuns) -> None:
+    trained = {kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
+    known = [case for case, key in zip(runs.cases, keys_of(runs)) if key in trained]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
+
+
+def keys_of(runs: RawRuns) -> list[tuple[Any, str]]:
+    """Returns what tells each run from all others, see `kind_and_case`."""
+    return [
+        (runs.parameters(index).get('kind'), str(case)) for index, case in enumerate(runs.cases)
+    ]
 
 
 def _solver_version(parameters: dict[str, Any]) -> str:
     return str(parameters.get('solver_version', 'not stated'))
 
 
-def _kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
+def kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
+    """Returns the key of a run: case numbers count anew in every kind (grid, driven paths)."""
     return parameters.get('kind'), str(parameters.get('case'))
 
 
-def _write_dataset(
+def write_dataset(
     output_path: str,
     encoded: dict[str, list[EncodedRun]],
     space: subspace.Subspace,

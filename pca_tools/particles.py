@@ -197,11 +197,16 @@ class ParticleSample(Sequence):
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, index: int) -> np.ndarray:
+    def packed(self, index: int) -> tuple[bytes, int]:
+        """Returns what `write_sample` takes for one run: its bytes and its number of frames."""
         index = range(len(self))[index]
         data = self._data[self._offsets[index] : self._offsets[index + 1]].tobytes()
+        return data, int(self._frames[index])
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        data, n_frames = self.packed(index)
         try:
-            return unpack(data, int(self._frames[index]), self.rest, self.resolution)
+            return unpack(data, n_frames, self.rest, self.resolution)
         except ValueError as error:
             raise ValueError(f'{self._path}: run {index}: {error}') from error
 

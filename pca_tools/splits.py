@@ -10,7 +10,10 @@ from pca_tools.metadata import SPLITS
 
 
 def given_splits(
-    cases: Sequence[int | str], given: Sequence[object], hold_out: Sequence[int | str] = ()
+    cases: Sequence[int | str],
+    given: Sequence[object],
+    hold_out: Sequence[int | str] = (),
+    need_train: bool = True,
 ) -> dict[str, list[int]] | None:
     """Deals cases to the splits that they themselves name.
 
@@ -18,6 +21,7 @@ def given_splits(
         cases: case ids.
         given: what each names as its split (`parameters['split']` of a raw run), None if nothing.
         hold_out: ids that go to test whatever they name.
+        need_train: whether there must be one in train.
 
     Returns:
         split -> indices into `cases`, ascending; None if no case names one.
@@ -42,7 +46,7 @@ def given_splits(
             f'{len(faults)} of {len(cases)} cases name no split of {SPLITS} in their parameters '
             f'({", ".join(faults[:5])}), the others do; give --split to deal all of them anew'
         )
-    if not parts['train']:
+    if need_train and not parts['train']:
         raise ValueError('no case names train as its split: there is nothing to fit a subspace to')
     return parts
 

@@ -16,6 +16,7 @@ REPORTS = {
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
     'solver_sweeps': ('solver_sweeps', "what the solver's own parameters change"),
     'solver_pictures': ('solver_pictures', 'leak and force spectrum of two raw runs, drawn'),
+    'solver_speed': ('solver_speed', 'CPU seconds of the solver and of another checkout of it'),
     'film_strips': ('film_strips', 'one raw run of each kind as a strip of frames'),
     'error_vs_runtime': ('work_precision.report', 'error against run time: table, pictures'),
     'coarse_solver': ('work_precision.coarse_solver', 'the solver itself on coarser grids'),

@@ -10,7 +10,7 @@ from mpm.bodies import Body, sample_points
 from mpm.constitutive import Soil
 from mpm.experiments import Experiment
 from mpm.scenes import EARTH_GRAVITY, Bin
-from mpm.solver import EXCHANGE, make_block
+from mpm.solver import EXCHANGE
 
 SETTLE_S = 0.2
 
@@ -80,7 +80,7 @@ class Box(Experiment):
         solver = self.solver
         times = self.time + solver.dt * np.arange(intervals * solver.steps + 1)
         order = packing.cell_order(self.particles, self.grid)
-        block = make_block(self.particles[order])
+        block = solver.block(self.particles[order])
         options = {}
         if bodies:
             first, *others = bodies
@@ -91,7 +91,7 @@ class Box(Experiment):
             if others:
                 options['second'] = others[0].body, others[0].pose(times)
         solver.advance(block, intervals, EARTH_GRAVITY, **options)
-        self.particles[order] = block.particles.T
+        self.particles[order] = block.particles
 
     def points(self, moving: Moving) -> np.ndarray:
         """float64 [R, 3], m, of a body now."""

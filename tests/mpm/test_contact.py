@@ -39,7 +39,7 @@ def touch(position, velocity, body, pose, motion=STILL, grip=STILL, dt=DT, moved
     nodes.displacement.reshape(-1, 4)[touched, :3] = moved
     load, near = np.full(6, np.nan), np.zeros(1, dtype=np.int64)
     contact(block, nodes, GRID, near, body, LAW, pose, motion, dt, load)
-    grip = block.particles[columns.GRIP : columns.GRIP + 3, 0].copy()
+    grip = block.particles[0, columns.GRIP : columns.GRIP + 3].copy()
     return grip, nodes.force.reshape(-1, 4)[:, :3].sum(axis=0), load
 
 
@@ -154,16 +154,16 @@ def test_stiffness_and_radius_follow_from_the_soil():
 
 def test_near_particles_are_those_within_reach_and_only_they_keep_their_grip():
     rng = np.random.default_rng(0)
-    particles = np.zeros((columns.COLUMNS, 3000))
-    particles[:3] = rng.uniform(-0.2, 0.2, (3, 3000))
-    particles[columns.GRIP :] = 1.0
+    particles = np.zeros((3000, columns.COLUMNS))
+    particles[:, :3] = rng.uniform(-0.2, 0.2, (3000, 3))
+    particles[:, columns.GRIP :] = 1.0
     blade, pose = bodies.make_blade(0.0, 0.2), (0.02, -0.1, 0.3)
     near = np.zeros(3000, dtype=np.int64)
     count = list_near(particles, blade, np.array(pose), 0.03, near)
-    expected = np.flatnonzero(signed_distances(blade, pose, particles[:3].T) < 0.03)
+    expected = np.flatnonzero(signed_distances(blade, pose, particles[:, :3]) < 0.03)
     assert 100 < count < 2500
     np.testing.assert_array_equal(near[:count], expected)
-    held = particles[columns.GRIP :].all(axis=0)
+    held = particles[:, columns.GRIP :].all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(held), expected)
 
 

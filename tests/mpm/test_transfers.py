@@ -8,12 +8,18 @@ from mpm.constitutive import Soil
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin
 from mpm.solver import make_block, make_nodes
-from mpm.transfers import grid_to_particles, particles_to_grid, strain_and_force
+from mpm.transfers import (
+    grid_to_particles,
+    particles_to_grid,
+    return_elastic,
+    strain_and_force,
+)
 
 BOX = Bin((0.1, 0.1, 0.1), 0.02, (6, 6, 6), 1, 0.1, ())
 GRID = make_grid(BOX)
 VOLUME = packing.particle_volume(BOX)
 DT = 1e-4
+TYPES = [np.float64, np.float32]
 
 
 @pytest.fixture
@@ -27,15 +33,23 @@ def particles(soil):
     return rows
 
 
-def scatter(particles, soil, half_step=DT, grid=GRID):
+def scatter(particles, soil, half_step=DT, grid=GRID, dtype=np.float64):
     """Returns the block, its nodes and the box; nodes carry momentum and mass."""
-    block, nodes, status = make_block(particles), make_nodes(grid), np.zeros(2, dtype=np.int64)
+    block, nodes = make_block(particles, dtype), make_nodes(grid, dtype)
+    status = np.zeros(2, dtype=np.int64)
     mass = VOLUME * soil.bulk_density
     box = particles_to_grid(
         block, nodes.velocity, grid, half_step, mass, VOLUME, soil.bulk_modulus, status
     )
     assert status[0] == columns.OK
     return block, nodes, box
+
+
+def rows_of(block):
+    """The rows of the particles in the middle of an interval, stress and strain included."""
+    for n in range(len(block.particles)):
+        return_elastic(block, n)
+    return block.particles
 
 
 def field(nodes):
@@ -81,9 +95,10 @@ def force_of(rows, stresses):
     return total
 
 
-def test_scatter_equals_its_definition(particles, soil):
+@pytest.mark.parametrize('dtype', TYPES)
+def test_scatter_equals_its_definition(particles, soil, dtype):
     """Eq. (1), and the half kick of eq. (3)."""
-    _, nodes, box = scatter(particles, soil)
+    _, nodes, box = scatter(particles, soil, dtype=dtype)
     mass = VOLUME * soil.bulk_density
     expected = np.zeros(field(nodes.velocity).shape)
     for row in particles:
@@ -94,7 +109,9 @@ def test_scatter_equals_its_definition(particles, soil):
     expected[..., :3] += DT * force_of(particles, [stress_of(row, soil) for row in particles])
     scale = np.abs(expected).max(axis=(0, 1, 2))
     # Sums of some 200 terms in another order: measured 2e-15.
-    np.testing.assert_allclose(field(nodes.velocity) / scale, expected / scale, atol=1e-13)
+    np.testing.assert_allclose(
+        field(nodes.velocity) / scale, expected / scale, atol=500 * np.finfo(dtype).eps
+    )
     outside = np.ones(expected.shape[:3], dtype=bool)
     outside[box[2] : box[3], box[0] : box[1], box[4] : box[5]] = False
     assert not expected[outside].any()
@@ -119,7 +136,7 @@ def test_linear_field_is_taken_up_exactly(particles, soil):
     field(nodes.velocity)[..., :3] = velocity + places() @ gradient.T
     nodes.displacement[:] = 1e-3 * nodes.velocity
     grid_to_particles(block, nodes.velocity, nodes.displacement, GRID)
-    after, before = block.particles.T, particles[:, :3]
+    after, before = block.particles, particles[:, :3]
     expected = velocity + before @ gradient.T
     np.testing.assert_allclose(after[:, 3:6], expected, atol=1e-13)
     np.testing.assert_allclose(
@@ -130,31 +147,35 @@ def test_linear_field_is_taken_up_exactly(particles, soil):
     np.testing.assert_allclose(after[:, :3], before + 1e-3 * expected, atol=1e-15)
 
 
-def test_gather_of_any_field_equals_its_definition(particles, soil):
+@pytest.mark.parametrize('dtype', TYPES)
+def test_gather_of_any_field_equals_its_definition(particles, soil, dtype):
     """Eqs. (2) and (4) on a random field."""
-    block, nodes, _ = scatter(particles, soil)
+    block, nodes, _ = scatter(particles, soil, dtype=dtype)
+    near = np.finfo(dtype).eps
     rng = np.random.default_rng(6)
     nodes.velocity[:] = rng.normal(size=nodes.velocity.shape)
     nodes.displacement[:] = 1e-3 * rng.normal(size=nodes.velocity.shape)
     grid_to_particles(block, nodes.velocity, nodes.displacement, GRID)
     v, u = field(nodes.velocity)[..., :3], field(nodes.displacement)[..., :3]
-    for row, after in zip(particles[::7], block.particles.T[::7]):
+    for row, after in zip(particles[::7], block.particles[::7]):
         weight, offset = weights_of(row)
         gradient = np.einsum('jik,jika,jikb->ab', weight, v, offset) * 4.0 / GRID.dx**2
-        np.testing.assert_allclose(after[6:15].reshape(3, 3), gradient, atol=1e-11)
-        np.testing.assert_allclose(after[3:6], np.einsum('jik,jika->a', weight, v), atol=1e-14)
+        np.testing.assert_allclose(after[6:15].reshape(3, 3), gradient, atol=5e4 * near)
+        np.testing.assert_allclose(after[3:6], np.einsum('jik,jika->a', weight, v), atol=50 * near)
         moved = row[:3] + np.einsum('jik,jika->a', weight, u)
-        np.testing.assert_allclose(after[:3], moved, atol=1e-15)
+        np.testing.assert_allclose(after[:3], moved, atol=max(near * 1e-2, 1e-15))
 
 
-def test_forces_are_those_of_the_new_stress(particles, soil):
+@pytest.mark.parametrize('dtype', TYPES)
+def test_forces_are_those_of_the_new_stress(particles, soil, dtype):
     """Eq. (3) after the stress update, with and without the lead that damps."""
     damping = 2e-4
-    block, nodes, _ = scatter(particles, soil)
+    block, nodes, _ = scatter(particles, soil, dtype=dtype)
+    near = np.finfo(dtype).eps
     rng = np.random.default_rng(7)
     nodes.velocity[:] = 0.1 * rng.normal(size=nodes.velocity.shape)
     strain_and_force(block, nodes, GRID, DT, VOLUME, soil, damping, None)
-    after = block.particles.T
+    after = rows_of(block)
     assert (after[:, columns.VOLUME_RATIO] != particles[:, columns.VOLUME_RATIO]).all()
     stresses = []
     for old, new in zip(particles, after):
@@ -165,12 +186,12 @@ def test_forces_are_those_of_the_new_stress(particles, soil):
         stresses.append(stress + damping * rate)
     expected = force_of(after, stresses)
     found = field(nodes.force)
-    np.testing.assert_allclose(found[..., :3], expected, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(found[..., :3], expected, atol=5e3 * near * np.abs(expected).max())
     # Internal forces push nothing as a whole, and turn nothing: the stress is symmetric.
     scale = np.abs(found[..., :3]).sum()
-    np.testing.assert_allclose(found[..., :3].sum(axis=(0, 1, 2)), 0.0, atol=1e-14 * scale)
+    np.testing.assert_allclose(found[..., :3].sum(axis=(0, 1, 2)), 0.0, atol=50 * near * scale)
     moment = np.cross(places(), found[..., :3]).sum(axis=(0, 1, 2))
-    np.testing.assert_allclose(moment, 0.0, atol=1e-14 * scale)
+    np.testing.assert_allclose(moment, 0.0, atol=50 * near * scale)
 
 
 def test_volume_follows_the_divergence(particles, soil):
@@ -178,7 +199,7 @@ def test_volume_follows_the_divergence(particles, soil):
     nodes.velocity[:] = 0.0
     field(nodes.velocity)[..., 0] = 0.3 * places()[..., 0]
     strain_and_force(block, nodes, GRID, 1e-3, VOLUME, soil, 0.0, None)
-    ratio = block.particles[columns.VOLUME_RATIO] / particles[:, columns.VOLUME_RATIO]
+    ratio = rows_of(block)[:, columns.VOLUME_RATIO] / particles[:, columns.VOLUME_RATIO]
     np.testing.assert_allclose(ratio, 1.0003, rtol=1e-12)
 
 
@@ -242,5 +263,5 @@ def test_fluidity_spreads_as_the_laplacian_says(soil):
     # Particles take the increment of their nodes.
     for n in range(0, len(particles), 31):
         weight, _ = weights_of(particles[n])
-        gained = block.particles[columns.FLUIDITY, n] - particles[n, columns.FLUIDITY]
+        gained = block.particles[n, columns.FLUIDITY] - particles[n, columns.FLUIDITY]
         assert gained == pytest.approx((weight * change).sum(), abs=1e-14)

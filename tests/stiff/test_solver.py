@@ -10,7 +10,8 @@ from mpm import columns, constitutive, experiments, packing, run, scenes, stabil
 from mpm.constitutive import make_soil
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.simulation import Settings
-from mpm.solver import EXCHANGE
+from mpm.solver import EXCHANGE, make_block
+from mpm.transfers import keep_elastic, return_elastic
 
 STIFFNESS = {'E x 0.1': 1.5e5, 'E x 1': 1.5e6, 'E x 10': 1.5e7, 'E x 100': 1.5e8}
 STIFF = pytest.mark.parametrize('modulus', STIFFNESS.values(), ids=STIFFNESS)
@@ -135,11 +136,14 @@ def test_return_mapping_is_defined_everywhere(state, is_nonlocal):
     # A gradient without divergence: shear and spin.
     gradient = rate * np.array([[0.2, 1, 0.5, -0.3, 0.1, 0, 0.4, 1, -0.3]]).T
     fluidity = np.zeros(1) if is_nonlocal else None
-    acting, q = np.zeros((6, 1)), row[:, None].copy()
-    constitutive.update_stress(q, 0, 1, gradient, acting, 1e-4, soil, 2e-5, fluidity)
-    row = q[:, 0]
+    block = make_block(row[None])
+    keep_elastic(block, 0)
+    block.gradient[:: columns.CHUNK] = gradient[:, 0]
+    constitutive.update_stress(block, 0, 1, 1e-4, soil, 2e-5, fluidity)
+    return_elastic(block, 0)
+    row, acting = block.particles[0], block.stress[:: columns.CHUNK]
     assert np.isfinite(row).all() and np.isfinite(acting).all()
-    p = constitutive.pressure_of(row[columns.VOLUME_RATIO], soil.bulk_modulus)
+    p = constitutive.pressure_of(row[columns.VOLUME_RATIO] - 1.0, soil.bulk_modulus)
     s = row[columns.S : columns.S + 6]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     assert p >= 0.0

@@ -1,0 +1,160 @@
+"""Adds raw runs to a dataset that is there: in its subspace, each to the split that it names.
+
+Subspace, statistics and sampled particles stay those of the dataset, so every model that was
+trained on it fits the larger one, too. Long data can so be made part by part, on machines that do
+not keep the raw runs. A run that the dataset holds already is skipped; if both are of one solver
+version they must be equal.
+The larger dataset takes the place of the smaller one at the very end, as a whole.
+
+Examples:
+    python -m pca_tools.append --raw_path=raw/excavation --data_path=datasets/Excavation
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from absl import app, flags
+
+from pca_tools import convert, dataset, files, particles
+from pca_tools.encode import EncodedRun, encode_runs, make_metadata
+from pca_tools.metadata import PROJECTION_KEYS, SPLITS
+from pca_tools.raw_runs import RawRuns
+from pca_tools.splits import given_splits
+
+
+def append(raw_path: str, data_path: str, check_units: bool = True) -> dict[str, Any]:
+    """Adds the runs of a raw folder to a dataset.
+
+    Args:
+        raw_path: raw runs of the same scene and packing; all of them name a split.
+        data_path: a dataset of `convert` with a particle sample; replaced as a whole.
+        check_units: of `convert`.
+
+    Returns:
+        The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
+        that the subspace has.
+
+    Raises:
+        FileNotFoundError: a folder or file is missing.
+        ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, or a
+            run that the dataset holds with other content.
+    """
+    base, space = convert.load_base(data_path)
+    held = read_encoded(data_path, base)
+    runs = RawRuns(raw_path)
+    convert.refuse_other_scene(data_path, base, runs)
+    keys = convert.keys_of(runs)
+    new = _not_held(keys, held, runs, data_path)
+    named = [runs.parameters(index).get('split') for index in new]
+    dealt = given_splits([runs.cases[index] for index in new], named, need_train=False)
+    if dealt is None:
+        raise ValueError(f'{raw_path}: its runs name no split of {SPLITS} in their parameters')
+    runs.check(check_units, convert.progress_bar)
+    sample = particles.read_sample(data_path, next(iter(held)))
+    parts = {split: [new[place] for place in part] for split, part in dealt.items() if part}
+    added = encode_runs(runs, parts, space, space.n_modes, sample.indices, convert.progress_bar)
+    together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
+    together = {split: _numbered(part) for split, part in together.items() if part}
+    metadata = make_metadata(runs, together, space, 1, base)
+    convert.write_dataset(data_path, together, space, sample.indices, metadata, overwrite=True)
+    return metadata
+
+
+def read_encoded(data_path: str, metadata: dict[str, Any]) -> dict[str, list[EncodedRun]]:
+    """Returns split -> the runs of a dataset as the converter had them when it wrote it.
+
+    The truncation error by number of modes is kept for a split, not for a run: each has its mean.
+    """
+    encoded = {}
+    for split, cases in metadata['cases'].items():
+        trajectories = dataset.read_split(data_path, split)
+        sample = particles.read_sample(data_path, split)
+        floors = metadata['projection_floors']
+        floors = dict(zip(floors['modes'], floors[split]))
+        floors = {count: floors[count] for count in floors if count <= metadata['mode_number']}
+        encoded[split] = [
+            EncodedRun(
+                trajectory,
+                cases[index],
+                {key: metadata[key][split][index] for key in PROJECTION_KEYS},
+                floors,
+                sample.packed(index),
+            )
+            for index, trajectory in enumerate(trajectories)
+        ]
+    return encoded
+
+
+def _not_held(
+    keys: Sequence[tuple[Any, str]],
+    held: dict[str, list[EncodedRun]],
+    runs: RawRuns,
+    data_path: str,
+) -> list[int]:
+    """Returns the indices of the runs that the dataset does not hold.
+
+    Raises:
+        ValueError: there is none, or one is held with another path or force.
+    """
+    records = {convert.kind_and_case(run.parameters): run for part in held.values() for run in part}
+    new = []
+    for index, key in enumerate(keys):
+        if key not in records:
+            new.append(index)
+            continue
+        version = runs.parameters(index).get('solver_version')
+        if version != records[key].parameters.get('solver_version'):
+            continue  # the record stays; `refuse_other_scene` has warned of the versions
+        run, record = runs[index], records[key].trajectory
+        is_same = np.array_equal(
+            run.rigid_positions, record.position[:, : record.n_rigid]
+        ) and np.array_equal(run.force, record.force)
+        if not is_same:
+            raise ValueError(
+                f'{data_path}: holds case {runs.cases[index]} with another path or force than the '
+                'raw run; nothing was changed'
+            )
+    if not new:
+        raise ValueError(f'{data_path}: holds all {len(keys)} runs already; nothing was changed')
+    return new
+
+
+def _numbered(part: list[EncodedRun]) -> list[EncodedRun]:
+    """The runs with their places in the split as the keys of their records."""
+    return [
+        dataclasses.replace(run, trajectory=dataclasses.replace(run.trajectory, key=place))
+        for place, run in enumerate(part)
+    ]
+
+
+def define_flags() -> None:
+    """Defines the flags; not at import, so that several commands can be imported together."""
+    flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset that grows.', required=True)
+    flags.DEFINE_bool(
+        'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
+    )
+
+
+def main(argv: Sequence[str]) -> None:
+    """Runs the command."""
+    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
+    values = flags.FLAGS
+    try:
+        metadata = append(values.raw_path, values.data_path, values.check_units)
+    except (ValueError, OSError) as error:
+        sys.exit(f'error: {files.printable(error)}')
+    print(convert.summary(metadata, values.data_path))
+
+
+if __name__ == '__main__':
+    define_flags()
+    app.run(main)
