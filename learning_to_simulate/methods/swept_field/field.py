@@ -81,8 +81,8 @@ class SweptField:
         """
         if not isinstance(self.tool, Blade):
             raise ValueError(
-                f'a swept field of a {self.tool.name} has no C form, FMU or live page yet: they '
-                f'know of blades only; use it from Python (lts.load)'
+                f'a swept field of a {self.tool.name} has no C form and no FMU yet: they know of '
+                f'blades only; use it from Python (lts.load)'
             )
         return self.tool
 
