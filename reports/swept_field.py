@@ -7,7 +7,8 @@ Per run, on the particle sample in full space: errors, penetration, heap, force 
   restart: the run begun anew half-way, on the bed that the model itself predicts there, and on
       the true one; soil error of the second half, beside that of the run in one piece
 
-and once: ten lengths of a run, there and back over the same bed, begun anew after each of them on
+of a wheel also errors of sinkage and torque, beside a height and a force that are held; and once,
+of a blade: ten lengths of a run, there and back over the same bed, begun anew after each of them on
 the predicted bed: what becomes of the bed's height and of particles near its floor.
 
 Examples:
@@ -38,23 +39,22 @@ def resampled(pose, rate: float) -> np.ndarray:
     return np.stack([np.interp(at, np.arange(len(pose)), x) for x in pose.T], axis=1)
 
 
-def soil_error(field, bed, width: float, pose, dt: float, frames, rest, truth) -> np.ndarray:
+def soil_error(field, bed, size, pose, dt: float, frames, rest, truth) -> np.ndarray:
     """Mean squared error [F] (m2) of particles over a path.
 
     Args:
       field: `SweptField`.
       bed: `tool_path.Bed` of one tool.
-      width: of the tool, m.
-      pose: [T, 3] of the tool.
+      size: [S] and pose: [T, K] of the tool.
       dt: between poses, s.
       frames: int [F] of them in which particles are known.
       rest: [P, 3] where these were at first, u, height, distance from the middle plane.
       truth: [F, P, 3] where they are.
     """
-    from learning_to_simulate.methods.swept_field import tool_path
+    from learning_to_simulate.methods.swept_field.tool_path import Frame
 
-    found = tool_path.frames(field.grid, bed, np.array([width]), pose[:, None], dt)
-    chosen = tool_path.Frame(found.bins[frames, 0], found.scalars[frames, 0])
+    _, found = field.frames(bed, size, pose, dt)
+    chosen = Frame(found.bins[frames], found.scalars[frames])
     origin = np.array([pose[0, 0], bed.level[0], 0.0])
     moved = field.displacement(chosen, (rest - origin).astype(np.float32)).mean(axis=0)
     return ((rest + moved - truth) ** 2).mean(axis=(1, 2))
@@ -69,8 +69,9 @@ def steadiness(field, evaluator, split: str, group) -> dict:
       split: of the run.
       group: one-run `RunGroup` of it.
     """
-    from learning_to_simulate.methods.swept_field import beds, tool_path
+    from learning_to_simulate.methods.swept_field import beds
     from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
+    from learning_to_simulate.methods.swept_field.tool_path import Frame
 
     episode = evaluator.episode(int(group.record[0]))
     dt, late, axes = field.scene.dt, episode.frames >= H, field.axes
@@ -79,7 +80,7 @@ def steadiness(field, evaluator, split: str, group) -> dict:
     def error(bed, first, rest, rate=1.0):
         frames = (rate * (episode.frames[first:] - episode.frames[first])).astype(int)
         pose = resampled(episode.pose[episode.frames[first] :], rate)
-        return soil_error(field, bed, episode.width, pose, dt / rate, frames, rest, truth[first:])
+        return soil_error(field, bed, episode.size, pose, dt / rate, frames, rest, truth[first:])
 
     def rms(square):
         return 1e3 * float(np.sqrt(square.mean()))
@@ -91,15 +92,11 @@ def steadiness(field, evaluator, split: str, group) -> dict:
     }
     half = len(episode.frames) // 2
     middle = int(episode.frames[half])
-    found = tool_path.frames(
-        field.grid, episode.bed, np.array([episode.width]), episode.pose[: middle + 1, None], dt
-    )
+    pose, found = field.frames(episode.bed, episode.size, episode.pose[: middle + 1], dt)
     points = evaluator.bed(group)
     origin = np.array([episode.pose[0, 0], episode.level, 0.0])
-    ground = Ground(points, axes.points(points), origin, episode.width)
-    swept = Swept(
-        tool_path.Frame(found.bins[middle], found.scalars[middle]), episode.pose[middle], ground
-    )
+    ground = Ground(points, axes.points(points), origin, episode.size)
+    swept = Swept(Frame(found.bins[middle:], found.scalars[middle:]), pose[middle], ground)
     predicted = FieldSoil(field).particles(swept).astype(np.float64)
     own = axes.points(predicted[np.asarray(evaluator.reader.sample(split).indices)])
     row['second_half_mm'] = rms(whole[half + 1 :])
@@ -107,7 +104,7 @@ def steadiness(field, evaluator, split: str, group) -> dict:
         ('restart_predicted_mm', predicted, own),
         ('restart_true_mm', evaluator.bed(group, middle), truth[half]),
     ):
-        _, bed = beds.ground(field, episode.pose[middle], points, episode.width)
+        _, bed = beds.ground(field, episode.pose[middle], episode.size, points)
         row[name] = rms(error(bed, half, rest)[1:])
     return row
 
@@ -162,14 +159,13 @@ def measure(model, data, split: str) -> dict:
         case = cases[number] if number < len(cases) else {}
         row = {'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
         rows.append(row | steadiness(field, evaluator, split, groups[number]))
+    found = {'runs': rows, 'reliability': summary['reliability']}
+    if field.tool.predicts_height:  # begins anew only where it stands in its own print
+        return found
     # The run that cuts most leaves the most to a bed that is driven over again.
     most = int(np.argmax([row['cut_litre'] for row in rows]))
     poses = getattr(data, split).records[most].rigid_pose.astype(float)
-    return {
-        'runs': rows,
-        'reliability': summary['reliability'],
-        'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses),
-    }
+    return found | {'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses)}
 
 
 def _data_version(data):
@@ -182,13 +178,14 @@ def by_kind(path: str) -> str:
     """A table of the errors by kind of path, from the JSON of this report."""
     rows = files.read_json(path)['runs']
     kinds = sorted({row['kind'] for row in rows})
+    columns = {k: v for k, v in _COLUMNS.items() if k in rows[0]}
     lines = []
     for kind in [*kinds, None]:
         mine = [row for row in rows if kind in (None, row['kind'])]
-        means = [float(np.mean([row[key] for row in mine])) for key in _COLUMNS]
+        means = [float(np.mean([row[key] for row in mine])) for key in columns]
         won = sum(row['soil_mm'] < row['still_mm'] for row in mine)
         lines.append((kind or '**all**', len(mine), *means, f'{won} of {len(mine)}'))
-    header = ('test', 'runs', *_COLUMNS.values(), 'better than still')
+    header = ('test', 'runs', *columns.values(), 'better than still')
     return markdown.table(header, lines)
 
 
@@ -204,6 +201,8 @@ def steady(path: str) -> str:
 
 _COLUMNS = {
     'soil_mm': 'soil, mm', 'still_mm': 'stay still, mm', 'force_l2': 'force',
+    'held_force_l2': 'force held', 'torque_l2': 'torque', 'height_mm': 'height, mm',
+    'held_height_mm': 'height held, mm', 'height_over_radius': 'height over radius',
     'penetration_mm': 'penetration before push-out, mm',
 }  # fmt: skip
 _STEADY = {

@@ -49,6 +49,11 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
+    if registry.of_folder(model_path).live:
+        raise ValueError(
+            f'{model_path}: a swept field has no {kind} form yet; that of a blade has a C form '
+            f'and an FMU'
+        )
     opened = registry.open_model(model_path, data_path, 'test')
     model = opened.model
     by_size = {group.n_rigid: group for group in opened.groups}

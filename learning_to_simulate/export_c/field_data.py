@@ -9,7 +9,7 @@ import numpy as np
 
 from learning_to_simulate.export_c import c_header, c_values, fold
 from learning_to_simulate.methods.swept_field import inputs as inputs_lib
-from learning_to_simulate.methods.swept_field import live, network, quality, tool_path
+from learning_to_simulate.methods.swept_field import live, quality, tool_path
 
 # Fields of lts_field_model.h -> places in `inputs.py`.
 _PLACES = {
@@ -37,8 +37,9 @@ def values(field) -> dict:
       field: `SweptField`.
 
     Raises:
-      ValueError: inputs that the C code does not know.
+      ValueError: inputs, or a tool, that the C code does not know.
     """
+    blade = field.blade
     sizes = {name: len(places) for name, places in _PLACES.items()}
     n_motion = 2 + 3 * (1 + len(tool_path.TIME_SCALES))
     counts = {
@@ -83,9 +84,9 @@ def values(field) -> dict:
         'touch': tool_path.TOUCH,
         'reach': tool_path.REACH,
         'rise': tool_path.RISE,
-        'width': field.blade.width,
-        'blade_radius': field.blade.radius,
-        'length': field.blade.length,
+        'width': blade.width,
+        'blade_radius': blade.radius,
+        'length': blade.length,
         'kept_spacing': field.kept_spacing,
         'spacing': field.spacing,
         'fastest': live.FASTEST,
@@ -113,13 +114,13 @@ def values(field) -> dict:
         'load_first': fold.dense(*_together(*load[0])),
         'load_hidden': _layers(load[1:-1]),
         'load_last': _layers(load[-1:]),
-        'displacement': network.DISPLACEMENT,
-        'force': network.FORCE,
-        'torque': network.TORQUE,
-        'full_width': network.WIDTH,
+        'displacement': inputs_lib.DISPLACEMENT,
+        'force': inputs_lib.FORCE,
+        'torque': inputs_lib.TORQUE,
+        'full_width': inputs_lib.WIDTH,
         'limits': np.stack([low - margin, high + margin]),
         'bits': np.array([c[_bit(name)] for name in tool_path.SCALARS]),
-        'gain_limit': network.GAIN_LIMIT,
+        'gain_limit': inputs_lib.GAIN_LIMIT,
         'bound': np.array(field.calibration.get('force', ())),
         **counts,
         **{name: places for name, places in _PLACES.items()},

@@ -12,8 +12,12 @@ branch net sees the input function as these inputs see the path. That soil under
 from the swept volume alone is an old idea of earthmoving simulators (e.g. Holz et al. 2009,
 VRIPHYS).
 
-tool_path: the state of a path so far, numpy, frame by frame.
-inputs: what both networks see of it, TensorFlow.
+The tool is a blade whose motion is given, or a driven wheel, whose height is predicted from what
+it has driven.
+
+tools: what differs between the two, one class each; the rest of the package asks for neither.
+tool_path, wheel_path: the state of a path so far, numpy, frame by frame.
+inputs, wheel_inputs: what both networks see of it and what they answer, TensorFlow.
 network: both networks, all seeds at once.
 episodes, training: from a dataset to weights.
 field: the trained model; live: one frame a call.

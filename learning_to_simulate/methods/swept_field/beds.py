@@ -22,24 +22,20 @@ class HeightMap(NamedTuple):
     heights: np.ndarray
 
 
-def ground(field, plane, bed=None, width=None, case=None, recorded=None) -> tuple[Ground, Bed]:
+def ground(field, plane, size, bed=None, recorded=None) -> tuple[Ground, Bed]:
     """A bed as the soil and as the path need it.
 
     Args:
       field: `SweptField`.
-      plane: [3] first pose of the tool, see `tool_path`.
+      plane: [K] first pose and size: [S] of the tool, see `tools`.
       bed: [N, 3] particles, m, or a `HeightMap`; None: see `recorded`.
-      width: of the tool, m; None: that of the case, or the usual one.
-      case: parameters of a case, or None.
       recorded: (subspace, modes [r', 3]) of a case's bed; None for the flat bed of the training.
 
     Raises:
-      ValueError: not a bed or a width.
+      ValueError: not a bed.
     """
     axes = field.axes
-    width = (case or {}).get('blade_width_m', field.blade.width) if width is None else width
-    if not 0 < float(width) < np.inf:
-        raise ValueError(f'blade_width is {width}, must be positive')
+    axes = field.axes
     points, kept = field.rest, field.kept_spacing
     if isinstance(bed, HeightMap):
         points = _stretched(field, *_checked(bed))
@@ -52,10 +48,10 @@ def ground(field, plane, bed=None, width=None, case=None, recorded=None) -> tupl
         space, modes = recorded
         points = space.decode(modes[: space.n_modes]).astype(np.float64)
     reader = BedReader(axes, field.grid, kept, field.spacing)
-    surface, level, end = reader.read(points, plane[0], float(width))
+    surface, level, end = reader.read(points, plane[0], field.tool.width_of(size))
     origin = np.array([plane[0], level, 0.0])
     return (
-        Ground(points, axes.points(points), origin, float(width)),
+        Ground(points, axes.points(points), origin, np.asarray(size)),
         Bed(surface[None], np.array([level]), np.array([end])),
     )
 

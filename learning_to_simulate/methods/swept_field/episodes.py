@@ -9,9 +9,9 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate.methods import resting_bed
-from learning_to_simulate.methods.swept_field import tool_path
 from learning_to_simulate.methods.swept_field.axes import Axes
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Blade
+from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
+from learning_to_simulate.methods.swept_field.tools import Tool
 from learning_to_simulate.methods.tool_motion import TravelFrame
 from pca_tools import dataset, particles
 from pca_tools.subspace import Subspace
@@ -24,8 +24,7 @@ class Episode:
     Attributes:
       record: of the run.
       start: first frame.
-      pose: float64 [T, 3] u, height (m), lean (rad) of the tool.
-      width: of the blade, m.
+      pose: float64 [T, K] and size: float64 [S] of the tool, see `tools`.
       surface: float64 [n] of the bed at the grid's offsets from the first place, m.
       level, end: see `tool_path.Bed`.
       frames: int [F], numbers of the frames with particles, from the start.
@@ -37,7 +36,7 @@ class Episode:
     record: int
     start: int
     pose: np.ndarray
-    width: float
+    size: np.ndarray
     surface: np.ndarray
     level: float
     end: float
@@ -118,22 +117,21 @@ class EpisodeReader:
       folder: of the dataset.
       metadata: of it.
       beds: reads the beds.
-      default_blade: where the metadata do not say how wide a blade is.
+      tool: of the field.
 
     Raises:
       FileNotFoundError: no subspace.
     """
 
-    def __init__(self, folder: str, metadata: dict, beds: BedReader, default_blade: Blade):
+    def __init__(self, folder: str, metadata: dict, beds: BedReader, tool: Tool):
         self._folder, self._metadata, self._beds = folder, metadata, beds
-        self._blade = default_blade
+        self._tool = tool
+        self._names = metadata.get('scene', {}).get('context_names', ())
         self.subspace = Subspace.load(f'{folder}/subspace.npz')
 
-    def width(self, split: str, record: int) -> float:
-        """Of the blade of a run, m."""
+    def _case(self, split, record):
         cases = self._metadata.get('cases', {}).get(split, [])
-        case = cases[record] if record < len(cases) else {}
-        return float(case.get('blade_width_m', self._blade.width))
+        return cases[record] if record < len(cases) else {}
 
     def points(self, run, frame: int) -> np.ndarray:
         """float64 [N, 3], m: all particles of a frame, from its modes."""
@@ -169,15 +167,21 @@ class EpisodeReader:
 
     def _episode(self, split, record, run, sample, positions, begin):
         axes, stride = self._beds.axes, sample.frame_stride
-        pose = axes.poses(run.rigid_pose[begin:])
-        width = self.width(split, record)
+        context = None
+        if run.step_context is not None:
+            context = dict(zip(self._names, run.step_context[begin:].astype(np.float64).T))
+        pose = self._tool.poses(axes, run.rigid_pose[begin:], context)
+        first = None if context is None else {k: v[0] for k, v in context.items()}
+        body = run.position[0, : run.n_rigid]
+        size = self._tool.size(axes, self._case(split, record), body, first)
+        width = self._tool.width_of(size)
         surface, level, end = self._beds.read(self.points(run, begin), pose[0, 0], width)
         places = axes.points(positions[begin // stride :])
         return Episode(
             record=record,
             start=begin,
             pose=pose,
-            width=width,
+            size=size,
             surface=surface,
             level=level,
             end=end,
@@ -198,9 +202,10 @@ def spread_over(count: int, limit: int) -> list[int]:
     return [(2 * i + 1) * count // (2 * limit) for i in range(limit)]
 
 
-def frames_of(episodes, grid, dt: float) -> list[tool_path.Frame]:
-    """`tool_path.Frame` of [T, ...] of each episode; those of equal length go together."""
-    found = [None] * len(episodes)
+def frames_of(episodes, tool: Tool, grid, dt: float) -> list[Frame]:
+    """`Frame` of [T, ...] of each episode, along its recorded poses; those of equal length go
+    together."""
+    found: list = [None] * len(episodes)
     by_length: dict[int, list[int]] = {}
     for i, episode in enumerate(episodes):
         by_length.setdefault(len(episode.pose), []).append(i)
@@ -208,7 +213,7 @@ def frames_of(episodes, grid, dt: float) -> list[tool_path.Frame]:
         chosen = [episodes[i] for i in members]
         bed = Bed(*map(np.stack, zip(*((e.surface, e.level, e.end) for e in chosen))))
         pose = np.stack([e.pose for e in chosen], axis=1)
-        frames = tool_path.frames(grid, bed, np.array([e.width for e in chosen]), pose, dt)
+        _, frames = tool.frames(grid, bed, np.stack([e.size for e in chosen]), pose, dt)
         for k, i in enumerate(members):
-            found[i] = tool_path.Frame(frames.bins[:, k], frames.scalars[:, k])
+            found[i] = Frame(frames.bins[:, k], frames.scalars[:, k])
     return found

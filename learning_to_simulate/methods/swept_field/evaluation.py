@@ -8,8 +8,7 @@ import numpy as np
 
 from learning_to_simulate import evaluation
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods.swept_field import quality, soil_physics, tool_path
-from learning_to_simulate.methods.swept_field.episodes import frames_of
+from learning_to_simulate.methods.swept_field import quality, soil_physics
 from learning_to_simulate.methods.swept_field.tool_path import Frame
 
 
@@ -68,7 +67,7 @@ class FieldEvaluator:
         field, axes = self._field, self._field.axes
         record = int(group.record[0])
         episode = self.episode(record)
-        (frames,) = frames_of([episode], field.grid, field.scene.dt)
+        pose, frames = field.frames(episode.bed, episode.size, episode.pose, field.scene.dt)
         sampled, n_rigid = episode.frames, group.n_rigid
         space = self.reader.subspace
         bed = self.bed(group)
@@ -84,25 +83,27 @@ class FieldEvaluator:
         # Soil is computed in the frames that the truth has; a rollout of all would cost the more.
         seconds += soil_seconds * len(frames.scalars) / len(sampled)
         points = rest + origin + moved
-        width = episode.width
         deepest = 0.0
         for i, frame in enumerate(sampled):
-            depth, way = soil_physics.inside(points[i], episode.pose[frame], field.blade, width)
+            depth, way = field.tool.inside(points[i], pose[frame], episode.size)
             deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
         n_bed = len(bed)
         world = axes.world(points[:, n_bed:] - episode.rest)
         sample = self.reader.sample(self._split)
         position = group.position[:, H:].copy()
+        if field.tool.predicts_height:
+            change = (pose - episode.pose)[H:, 1]
+            position[0, :, :n_rigid, axes.up] += change[:, None]
         soil = space.encode(bed + axes.world(points[:, :n_bed] - axes.points(bed)))
         at = np.arange(len(frames.scalars))
         # Modes of the frames between: on the straight line.
         flat = soil.reshape(len(sampled), -1)
         modes = np.stack([np.interp(at, sampled, column) for column in flat.T], axis=-1)
         position[0, :, n_rigid:] = modes.reshape(len(at), *soil.shape[1:])[H:]
-        force, torque = axes.world_loads(loads.mean(axis=0)[H:])
+        force, torque = axes.world_loads(loads.mean(axis=0)[H:, :3])
         late = sampled >= H
         finite = bool(np.isfinite(points).all() and np.isfinite(loads).all())
-        judgement = quality.judge(frames.scalars, field.ranges, 0, finite)
+        judgement = quality.judge(frames.scalars, field.ranges, 0, finite, field.tool.scalars)
         particles = sample[record][:1] + world
         return FieldRollout(
             position,
@@ -115,24 +116,27 @@ class FieldEvaluator:
                 'particle_indices': np.asarray(sample.indices),
                 'predicted_torques': torque.astype(np.float32),
             },
-            self.facts(episode, frames, members[:, :, n_bed:], points[:, n_bed:], loads, deepest),
+            self.facts(
+                episode, pose, frames, members[:, :, n_bed:], points[:, n_bed:], loads, deepest
+            ),
         )
 
-    def facts(self, episode, frames, members, points, loads, deepest) -> dict:
+    def facts(self, episode, pose, frames, members, points, loads, deepest) -> dict:
         """Errors in full space, physics and quality of one run.
 
         Args:
           episode: of the run.
+          pose: [T, K] of the tool, as predicted.
           frames: its `Frame`s.
           members: [M, F, P, 3] predicted displacements of the sample.
           points: [F, P, 3] its predicted places, pushed out.
-          loads: [M, T, 3].
-          deepest: how deep a particle lay in the blade before it was pushed out, m.
+          loads: [M, T, 3 or 4].
+          deepest: how deep a particle lay in the tool before it was pushed out, m.
 
         Returns:
           soil_mm, still_mm, force_l2; penetration_mm before the push-out and in the truth;
-          heap_litre, true_heap_litre, cut_litre at the end; air_force_N, the largest one predicted
-          with the blade clear of all soil; errors and bounds of frames for `reliability`.
+          heap_litre, true_heap_litre at the end; those of the tool, see `tools.Tool.facts`; errors
+          and bounds of frames for `reliability`.
         """
         field, late = self._field, episode.frames >= H
         truth = episode.rest + episode.moved
@@ -140,7 +144,7 @@ class FieldEvaluator:
         load_error = loads.mean(axis=0)[:, :2] - episode.load[:, :2]
         frame_mm = 1e3 * np.sqrt((error**2).mean(axis=(1, 2)))
         true_depth = max(
-            float(soil_physics.inside(p, episode.pose[f], field.blade, episode.width)[0].max())
+            float(field.tool.inside(p, episode.pose[f], episode.size)[0].max())
             for p, f in zip(truth, episode.frames, strict=True)
         )
         volume = field.kept_spacing**3 * len(field.rest) / len(episode.rest)
@@ -151,10 +155,6 @@ class FieldEvaluator:
             )
             for p in (points[-1], truth[-1])
         ]  # fmt: skip
-        bins = frames.bins
-        clear = self.clearance(frames) > 0.03
-        in_air = clear & (bins[..., tool_path.CUT].max(axis=1) == 0)
-        force = np.linalg.norm(loads.mean(axis=0)[:, :2], axis=1)
         return {
             'record': episode.record,
             'soil_mm': float(np.sqrt((frame_mm[late] ** 2).mean())),
@@ -166,7 +166,7 @@ class FieldEvaluator:
                 float(1e3 * np.sqrt(((m - episode.moved)[late] ** 2).mean())) for m in members
             ],
             'force_l2_of_members': [
-                float(np.linalg.norm((m - episode.load)[H:, :2]))
+                float(np.linalg.norm(m[H:, :2] - episode.load[H:, :2]))
                 / float(np.linalg.norm(episode.load[H:, :2]))
                 for m in loads
             ],
@@ -174,10 +174,7 @@ class FieldEvaluator:
             'true_penetration_mm': 1e3 * true_depth,
             'heap_litre': heaps[0],
             'true_heap_litre': heaps[1],
-            'cut_litre': 1e3 * soil_physics.cut_volume(
-                frames.scalars[-1, tool_path.SCALARS.index('area')], episode.width
-            ),
-            'air_force_N': float(force[in_air].max()) if in_air.any() else 0.0,
+            **field.tool.facts(episode, pose, frames, loads.mean(axis=0)),
             'frames': {
                 'soil_error': frame_mm[late].tolist(),
                 'soil_spread': (1e3 * quality.spread(members))[late].tolist(),
@@ -187,11 +184,6 @@ class FieldEvaluator:
                 'force_size': quality.size(loads[..., :2])[H:].tolist(),
             },
         }  # fmt: skip
-
-    def clearance(self, frames) -> np.ndarray:
-        """[T] m, height of the blade's lowest point over the untouched bed's highest."""
-        height = frames.scalars[:, tool_path.SCALARS.index('height')] - self._field.blade.radius
-        return height - frames.bins[..., tool_path.SURFACE].max(axis=1)
 
     def run(self, groups, split: str, progress=iter):
         """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`, with the

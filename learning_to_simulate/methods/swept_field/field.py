@@ -6,17 +6,20 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate.methods.swept_features import SweptGrid
-from learning_to_simulate.methods.swept_field import tool_path
 from learning_to_simulate.methods.swept_field.axes import Axes
-from learning_to_simulate.methods.swept_field.inputs import Inputs
 from learning_to_simulate.methods.swept_field.network import FieldNetwork
 from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
-from learning_to_simulate.methods.swept_field.tool_path import Blade, Frame
+from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
+from learning_to_simulate.methods.swept_field.tools import Blade, Tool
 from learning_to_simulate.scene import Scene
 
 # Frames times particles of one call of the network, so that its memory stays small.
 CHUNK = 120_000
-DEFAULT_GRID = SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75)
+# Bins of a blade, and of a wheel, whose radius is that of the run.
+GRIDS = {
+    'blade': SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75),
+    'wheel': SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5),
+}
 
 
 @dataclasses.dataclass
@@ -27,7 +30,7 @@ class SweptField:
       config: how it was trained.
       scene: of its data.
       axes, grid: see there.
-      blade: the blade where nothing else is said.
+      tool: a blade or a wheel, see `tools`.
       rest: float64 [N, 3], world, m: the bed at rest that it was trained on.
       kept_spacing, spacing: between the particles of `rest` and between those of the solver, m.
       ranges: name of a scalar -> its range over the training paths; see `quality`.
@@ -39,7 +42,7 @@ class SweptField:
     scene: Scene
     axes: Axes
     grid: SweptGrid
-    blade: Blade
+    tool: Tool
     rest: np.ndarray
     kept_spacing: float
     spacing: float
@@ -48,12 +51,13 @@ class SweptField:
     network: FieldNetwork | None = None
 
     def __post_init__(self):
-        inputs = Inputs(self.grid, self.blade.radius)
+        inputs = self.tool.inputs(self.grid)
         if self.network is None:
-            self.network = FieldNetwork(self.config, inputs, input_sizes(inputs, self.grid))
+            sizes = input_sizes(inputs, self.tool, self.grid)
+            self.network = FieldNetwork(self.config, inputs, sizes)
         spec = tf.TensorSpec
-        bins = spec([None, len(self.grid.offsets), tool_path.CHANNELS])
-        scalars = spec([None, len(tool_path.SCALARS)])
+        bins = spec([None, len(self.grid.offsets), self.tool.channels])
+        scalars = spec([None, len(self.tool.scalars)])
         self._gate = tf.function(inputs.gate, [bins, scalars, spec([None, None, 3])], False)
         self._soil, self._load = {}, {}
         self._specs = bins, scalars, spec([None, None, 3])
@@ -68,11 +72,55 @@ class SweptField:
             self._load[members] = tf.function(lambda *x: network.force(*x, members), frame, False)
         return self._soil[members], self._load[members]
 
+    @property
+    def blade(self) -> Blade:
+        """The blade, for what knows of blades only: the forms for use elsewhere.
+
+        Raises:
+          ValueError: another tool.
+        """
+        if not isinstance(self.tool, Blade):
+            raise ValueError(
+                f'a swept field of a {self.tool.name} has no C form and no FMU yet: they know of '
+                f'blades only; use it from Python (lts.load)'
+            )
+        return self.tool
+
+    def context(self, values) -> dict | None:
+        """Name -> [...] of values [..., C] of the scene's context; None for None."""
+        if values is None:
+            return None
+        return dict(zip(self.scene.context_names, np.moveaxis(np.asarray(values), -1, 0)))
+
+    def heights(self, frames: Frame, members: int | None = None) -> np.ndarray:
+        """Change [T] of the tool's height since its first frame (m), where it is predicted; sees
+        only what is given of a path."""
+        return self.loads(frames, members)[..., 3].mean(axis=0).astype(np.float64)
+
+    def frames(self, bed: Bed, size, pose, dt: float, velocity=None) -> tuple[np.ndarray, Frame]:
+        """A whole path of one tool: its poses [T, K], with the height where that is predicted, and
+        `Frame` of [T, ...].
+
+        Args:
+          bed: of one tool.
+          size: [S] and pose: [T, K] of it, see `tools`.
+          dt: between poses, s.
+          velocity: as of `tools.Tool.begin`, of one tool.
+
+        Raises:
+          ValueError: as `tool_path.advance`.
+        """
+        velocity = None if velocity is None else np.asarray(velocity)[None]
+        pose, found = self.tool.frames(
+            self.grid, bed, np.asarray(size)[None], np.asarray(pose)[:, None], dt, velocity,
+            self.heights,
+        )  # fmt: skip
+        return pose[:, 0], Frame(found.bins[:, 0], found.scalars[:, 0])
+
     def warm_up(self, members: int | None = None) -> None:
-        """Compiles what a frame needs, with nothing swept."""
-        bins = np.zeros((1, len(self.grid.offsets), tool_path.CHANNELS), np.float32)
-        bins[..., tool_path.INFLUENCE] = 1.0
-        frame = Frame(bins, np.zeros((1, len(tool_path.SCALARS)), np.float32))
+        """Compiles what a frame needs."""
+        bins = np.ones((1, len(self.grid.offsets), self.tool.channels), np.float32)
+        frame = Frame(bins, np.ones((1, len(self.tool.scalars)), np.float32))
         self.loads(frame, members)
         self.displacement(frame, np.zeros((1, 3)), members)
 
@@ -121,14 +169,15 @@ class SweptField:
         return np.concatenate(parts)
 
     def loads(self, frames: Frame, members: int | None = None) -> np.ndarray:
-        """Force along the way and up (N), torque (N m), float32 [M, T, 3]; needs no particles."""
+        """Force along the way and up (N), torque (N m), of a wheel also the change of its height
+        (m): float32 [M, T, 3 or 4]; needs no particles."""
         return self._functions(members)[1](frames.bins, frames.scalars).numpy()
 
 
-def input_sizes(inputs: Inputs, grid: SweptGrid) -> tuple[int, int]:
+def input_sizes(inputs, tool: Tool, grid: SweptGrid) -> tuple[int, int]:
     """Numbers of inputs of both networks."""
-    bins = tf.zeros([1, len(grid.offsets), tool_path.CHANNELS])
-    scalars = tf.zeros([1, len(tool_path.SCALARS)])
+    bins = tf.zeros([1, len(grid.offsets), tool.channels])
+    scalars = tf.ones([1, len(tool.scalars)])
     return (
         int(inputs.particles(bins, scalars, tf.zeros([1, 1, 3])).shape[-1]),
         int(inputs.force(bins, scalars).shape[-1]),

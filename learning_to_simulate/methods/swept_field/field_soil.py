@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.live import soil
-from learning_to_simulate.methods.swept_field import soil_physics
 from learning_to_simulate.methods.swept_field.tool_path import Frame
 
 
@@ -21,13 +20,13 @@ class Ground(NamedTuple):
       points: float64 [N, 3], world, m.
       places: float64 [N, 3] the same as u, height, distance from the middle plane.
       origin: float64 [3] u of the tool's first place, level of the bed, 0; m.
-      width: of the tool, m.
+      size: float64 [S] of the tool, see `tools`.
     """
 
     points: np.ndarray
     places: np.ndarray
     origin: np.ndarray
-    width: float
+    size: np.ndarray
 
     @property
     def local(self) -> np.ndarray:
@@ -40,7 +39,7 @@ class Swept(NamedTuple):
 
     Attributes:
       frame: `Frame` of [1, ...].
-      pose: float64 [3] u, height (m), lean (rad).
+      pose: float64 [K] of the tool, see `tools`.
       ground: the bed.
     """
 
@@ -77,7 +76,7 @@ class FieldSoil:
         now = np.flatnonzero(moved[:, 0].any(axis=(0, 2)))
         points = ground.points.astype(np.float32)
         there = ground.places[now] + moved[:, 0, now].mean(axis=0)
-        there = soil_physics.pushed_out(there, swept.pose, field.blade, ground.width)
+        there = there + field.tool.inside(there, swept.pose, ground.size)[1]
         points[now] = ground.points[now] + field.axes.world(there - ground.places[now])
         return points
 

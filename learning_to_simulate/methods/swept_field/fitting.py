@@ -8,8 +8,8 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import resting_bed
 from learning_to_simulate.methods.swept_field import episodes as episodes_lib
 from learning_to_simulate.methods.swept_field import field as field_lib
-from learning_to_simulate.methods.swept_field import tool_path, training
-from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.methods.swept_field import tools, training
+from learning_to_simulate.methods.swept_field.tool_path import Frame
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -19,23 +19,19 @@ def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
 
     Raises:
       FileNotFoundError: no runs, subspace or particle sample.
-      ValueError: a scene whose tool does not follow a given path.
+      ValueError: see `tools.for_scene`.
     """
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, None)
     scene.check_one_body('the method swept_field')
-    if scene.rigid_motion != RigidMotion.PRESCRIBED:
-        raise ValueError(
-            f'swept_field needs a tool whose whole motion is given (prescribed); that of '
-            f'{data_path} is {scene.rigid_motion}'
-        )
+    tool = tools.for_scene(scene)
     axes = episodes_lib.find_axes(dataset.read_split(data_path, 'train'), scene.up_axis)
     space = Subspace.load(f'{data_path}/subspace.npz')
     rest = space.initial
     kept = resting_bed.kept_spacing(rest)
     first = next(iter(metadata.get('cases', {}).get('train', [])), {})
     return field_lib.SweptField(
-        config, scene, axes, field_lib.DEFAULT_GRID, tool_path.Blade(), rest, kept,
+        config, scene, axes, field_lib.GRIDS[tool.name], tool, rest, kept,
         resting_bed.solver_spacing(first) or kept,
     )  # fmt: skip
 
@@ -43,7 +39,7 @@ def make_field(config, data_path: str, metadata: dict) -> field_lib.SweptField:
 def reader_of(field, data_path: str, metadata: dict) -> episodes_lib.EpisodeReader:
     """Reads the episodes of a dataset as a field sees them."""
     beds = episodes_lib.BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
-    return episodes_lib.EpisodeReader(data_path, metadata, beds, field.blade)
+    return episodes_lib.EpisodeReader(data_path, metadata, beds, field.tool)
 
 
 def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, dict]:
@@ -60,14 +56,14 @@ def fit(config, data_path: str, metadata: dict) -> tuple[field_lib.SweptField, d
     field = make_field(config, data_path, metadata)
     reader = reader_of(field, data_path, metadata)
     episodes = reader.read('train', config.start_every, config.train_runs)
-    frames = episodes_lib.frames_of(episodes, field.grid, field.scene.dt)
+    frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
     facts = training.Trainer(
-        field.network, config, training.TrainingData(episodes, frames, field.network)
+        field.network, config, training.TrainingData(episodes, frames, field)
     ).run()
     scalars = np.concatenate([f.scalars for f in frames])
     field.ranges = {
         name: [float(scalars[:, i].min()), float(scalars[:, i].max())]
-        for i, name in enumerate(tool_path.SCALARS)
+        for i, name in enumerate(field.tool.scalars)
     }
     facts |= {
         'episodes': len(episodes),
@@ -89,7 +85,7 @@ def left_out(field, episodes, frames) -> dict[str, float]:
     """
     count, number, square, whole = 0, 0, 0.0, 0.0
     for episode, frame in zip(episodes, frames, strict=True):
-        chosen = tool_path.Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
+        chosen = Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
         rests = ~field.may_move(chosen, episode.local_rest)
         size = (episode.moved.astype(np.float64) ** 2).sum(axis=-1)
         count, number = count + int(rests.sum()), number + rests.size
@@ -107,11 +103,10 @@ def sample_errors(field, reader, split: str, members=None) -> list[dict]:
     that stays still."""
     episodes = reader.read(split)
     found = []
-    for episode, frame in zip(
-        episodes, episodes_lib.frames_of(episodes, field.grid, field.scene.dt), strict=True
-    ):
+    for episode in episodes:
+        _, frame = field.frames(episode.bed, episode.size, episode.pose, field.scene.dt)
         late = episode.frames >= H
-        chosen = tool_path.Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
+        chosen = Frame(frame.bins[episode.frames], frame.scalars[episode.frames])
         moved = field.displacement(chosen, episode.local_rest, members)
         loads = field.loads(frame, members)[:, H:, :2]
         truth = episode.load[H:, :2]

@@ -27,6 +27,12 @@ BESIDE, BESIDE_RAMP = 0.3, 0.05
 # 35 degrees on one side of an upright wall.
 HEAP_HEIGHT = float(np.sqrt(2.0 * np.tan(np.radians(35.0))))
 CONTACT_ABOVE, CONTACT_RAMP = 0.02, 0.01
+# Displacements and forces are of the order of these: m, N, N m, for a blade of this width, m.
+DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
+# The load grows a hundredfold where the tool is pressed down: beside its three components the
+# network gives the logarithm of a gain, within these limits.
+OUTPUTS = 4
+GAIN_LIMIT = 4.0
 CONTACT_AROUND = np.array([-0.06, -0.03, 0.0, 0.03, 0.06])
 
 _S = {name: i for i, name in enumerate(tool_path.SCALARS)}
@@ -55,12 +61,19 @@ def at_places(bins, places):
 
 
 class Inputs:
-    """The inputs of one grid of bins.
+    """The inputs of one grid of bins, and what the outputs mean.
 
     Args:
       grid: `swept_features.SweptGrid`.
       radius: of the blade's edge, m.
+
+    Attributes:
+      outputs: of the network of the load.
+      displacement: m, unit of that of the particles.
     """
+
+    outputs = OUTPUTS
+    displacement = DISPLACEMENT
 
     def __init__(self, grid, radius: float):
         self._first, self._spacing = float(grid.offsets[0]), grid.spacing
@@ -160,6 +173,16 @@ class Inputs:
             ],
             axis=-1,
         )  # fmt: skip
+
+    def load_share(self, bins, scalars):
+        """[B, 1] that a load is multiplied by: exactly 0 in the air, in proportion to the width."""
+        return (self.contact(bins, scalars) * 2.0 * scalars[:, _S['half_width']] / WIDTH)[:, None]
+
+    def load_of(self, found, share):
+        """Force along the way and up (N) and torque in their plane (N m), [M, B, 3], from outputs
+        [M, B, 4] and `load_share`."""
+        gain = tf.exp(tf.clip_by_value(found[..., 3:], -GAIN_LIMIT, GAIN_LIMIT))
+        return found[..., :3] * gain * share[None] * tf.constant([FORCE, FORCE, TORQUE])
 
     def _of_tool(self, scalars):
         """Inputs [B, I] that say how the tool stands. Particles do not see how it moves: slow soil

@@ -18,9 +18,8 @@ from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import worse
 from learning_to_simulate.live.live_soil import Beginning
 from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame
-from learning_to_simulate.methods.swept_field import beds, quality, tool_path
+from learning_to_simulate.methods.swept_field import beds, quality
 from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
-from learning_to_simulate.methods.swept_field.tool_path import ToolState
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
@@ -31,16 +30,18 @@ class LiveState(NamedTuple):
     """All that a field knows of its tool.
 
     Attributes:
-      tool: `ToolState` of one tool.
+      tool: state of one tool, see `tools.Tool.begin`.
       ground: the bed that it began on.
       frame: the newest.
       count: frames since the start.
+      context: float64 [C] in that frame, or None.
     """
 
-    tool: ToolState
+    tool: tuple
     ground: Ground
     frame: Frame
     count: int
+    context: np.ndarray | None
 
 
 class LiveField:
@@ -99,7 +100,7 @@ class LiveField:
           pose: of the tool now (see `live.poses`); None for that of the case.
           velocity: [3] or [6] of the tool now; None for one at rest.
           case: of the dataset, for its bed and its tool; None for the flat bed.
-          context: None: a field has none.
+          context: [C] or {name: value}, where the scene has one; None for that of the case.
           bed: None for that of the case; [N, 3] particles, m; or a `beds.HeightMap`.
           blade_width: m; None for that of the case.
 
@@ -109,30 +110,47 @@ class LiveField:
         field = self._field
         chosen = Beginning(field.scene, self._starts, field.scene.n_modes)
         chosen.choose(pose, velocity, case, context)
-        plane = field.axes.poses(chosen.pose)
+        context = field.context(chosen.context)
+        size = self._size(chosen, context, blade_width)
+        plane = field.tool.poses(field.axes, chosen.pose[None], _in_time(context))[0]
         ground, swept_bed = beds.ground(
-            field, plane, bed, blade_width, self._starts.cases[chosen.index],
-            None if case is None else (self._space, self._starts.modes[chosen.index]),
+            field, plane, size, bed,
+            # A driven wheel has sunk in where a recorded one begins.
+            (self._space, self._starts.modes[chosen.index])
+            if case is not None or field.tool.predicts_height
+            else None,
         )  # fmt: skip
-        tool = tool_path.start(
-            field.grid, swept_bed, plane[None], field.axes.velocities(chosen.velocity)[None]
-        )
-        frame = tool_path.frame(field.grid, swept_bed, np.array([ground.width]), tool)
-        judgement = quality.judge(frame.scalars, field.ranges, H - 1)
+        speed = field.tool.velocity(field.axes, chosen.velocity, size)
+        tool, frame = field.tool.begin(field.grid, swept_bed, size[None], plane[None], speed[None])
+        judgement = self._judge(frame, H - 1)
         loads = np.zeros(3)
         self._beginning, self._bed = chosen, swept_bed
         self._state = LiveState(
             tool, ground, self._frame(frame, plane, ground, chosen.pose, loads, None, judgement,
-                                      judgement), 0,
+                                      judgement), 0, chosen.context,
         )  # fmt: skip
         return judgement
+
+    def _size(self, chosen, context, blade_width):
+        """[S] of the tool of a start, of the width that is asked for."""
+        field, case = self._field, self._starts.cases[chosen.index]
+        if blade_width is None:
+            return field.tool.size(field.axes, case, chosen.nodes(chosen.pose), context)
+        if not 0 < float(blade_width) < np.inf:
+            raise ValueError(f'blade_width is {blade_width}, must be positive')
+        return field.blade.size(field.axes, {'blade_width_m': blade_width})
+
+    def _judge(self, frame, number, finite=True):
+        field = self._field
+        return quality.judge(frame.scalars, field.ranges, number, finite, field.tool.scalars)
 
     def step(self, pose, context=None, dt: float | None = None) -> Frame:
         """Moves the tool in a straight line to its next pose.
 
         Args:
-          pose: see `live.poses`.
-          context: None: a field has none.
+          pose: see `live.poses`; of a driven wheel the height is ignored.
+          context: [C] or {name: value} in the coming frame and those after it, where it changes; of
+            a wheel only the load may. None leaves it as it was.
           dt: s; None for the frame time of the training data.
 
         Returns:
@@ -146,16 +164,22 @@ class LiveField:
         """
         before, field = self.state, self._field
         dt = field.scene.dt if dt is None else float(dt)
-        if context is not None:
-            self._beginning.read_context(context)  # says that there is none
+        context = before.context if context is None else self._changed(context, before.context)
         pose = self._beginning.read(pose)
-        plane = field.axes.poses(pose)
+        size = before.ground.size
+        last = before.frame.modes.pose
+        plane = field.tool.poses(field.axes, pose[None], _in_time(field.context(context)), last)[0]
         self._refuse_bad(plane, before, dt)
-        tool = tool_path.advance(field.grid, before.tool, plane[None], dt)
-        frame = tool_path.frame(field.grid, self._bed, np.array([before.ground.width]), tool)
+        tool, (plane,), frame = field.tool.step(
+            field.grid, self._bed, size[None], before.tool, plane[None], dt,
+            lambda known: field.heights(known, self._members),
+        )  # fmt: skip
+        if field.tool.predicts_height:
+            self._refuse_floor(plane, before)
+            pose[field.axes.up] = plane[1]
         loads = field.loads(frame, self._members)
         finite = bool(np.isfinite(loads).all())
-        judgement = quality.judge(frame.scalars, field.ranges, H + before.count, finite)
+        judgement = self._judge(frame, H + before.count, finite)
         if judgement.status != RolloutStatus.OK and self._outside != FLAG:
             if self._outside == RAISE:
                 raise ValueError(
@@ -171,10 +195,10 @@ class LiveField:
             spread, size = (f(loads[..., :2])[0] for f in (quality.spread, quality.size))
             bound = float(quality.bound(spread, size, weights))
         result = self._frame(
-            frame, plane, before.ground, pose, loads.mean(axis=0)[0].astype(np.float64), bound,
+            frame, plane, before.ground, pose, loads.mean(axis=0)[0, :3].astype(np.float64), bound,
             worse(before.frame.judgement, judgement), judgement,
         )  # fmt: skip
-        self._state = LiveState(tool, before.ground, result, before.count + 1)
+        self._state = LiveState(tool, before.ground, result, before.count + 1, context)
         return result
 
     def _frame(self, frame, plane, ground, pose, loads, bound, judgement, now):
@@ -190,17 +214,39 @@ class LiveField:
         if not 0 < dt < np.inf:
             raise ValueError(f'dt is {dt} s: time must go on')
         change = np.abs(plane - before.frame.modes.pose) / dt
+        if field.tool.predicts_height:
+            change[1] = 0.0  # ignored
         if np.hypot(change[0], change[1]) > FASTEST or change[2] > FASTEST_TURN:
             raise ValueError(
                 f'the pose jumps: {np.hypot(change[0], change[1]):.3g} m/s and {change[2]:.3g} '
                 f'rad/s, at most {FASTEST} and {FASTEST_TURN} are taken; call start() anew'
             )
-        floor = before.ground.places[:, 1].min() - field.spacing / 2
-        if plane[1] - field.blade.radius < floor:
+        if not field.tool.predicts_height:
+            self._refuse_floor(plane, before)
+
+    def _refuse_floor(self, plane, before):
+        """Raises ValueError for a tool that would be under the floor."""
+        field, ground = self._field, before.ground
+        floor = ground.places[:, 1].min() - field.spacing / 2
+        lowest = field.tool.lowest(plane, ground.size)
+        if lowest < floor:
             raise ValueError(
-                f'the edge would be at {plane[1] - field.blade.radius:.4g} m, under the floor of '
-                f'the bed at {floor:.4g} m'
+                f'the edge would be at {lowest:.4g} m, under the floor of the bed at {floor:.4g} m'
             )
+
+    def _changed(self, context, before):
+        """The context [C] of a coming frame: only the load of a wheel may change.
+
+        Raises:
+          ValueError: other names, not numbers; another soil or planet; a load that is not positive.
+        """
+        context = self._beginning.read_context(context)
+        now, last = self._field.context(context), self._field.context(before)
+        if other := [n for n in now if n != 'load' and not np.isclose(now[n], last[n])]:
+            raise ValueError(f'{other} cannot change on the way; call start() anew')
+        if not now['load'] > 0:
+            raise ValueError(f'the load is {now["load"]} N, must be positive')
+        return context
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3] of the soil now, world, m; none of it inside the tool."""
@@ -219,3 +265,8 @@ class LiveField:
             f'{moving} of {n} particles may have moved; the other {n - moving} '
             f'({100 * (1 - moving / n):.0f} %) are left out, exactly'
         )
+
+
+def _in_time(context):
+    """A context of one frame as one of a path of that frame."""
+    return None if context is None else {name: value[None] for name, value in context.items()}

@@ -10,7 +10,7 @@ from learning_to_simulate.methods.swept_features import SweptGrid
 from learning_to_simulate.methods.swept_field.axes import Axes
 from learning_to_simulate.methods.swept_field.field import SweptField
 from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
-from learning_to_simulate.methods.swept_field.tool_path import Blade
+from learning_to_simulate.methods.swept_field.tools import TOOLS
 from learning_to_simulate.scene import Scene
 from pca_tools import files
 
@@ -53,7 +53,7 @@ def save(path: str, field: SweptField, data: dict, written: dict | None = None) 
             'field': {
                 'axes': dataclasses.asdict(field.axes),
                 'grid': dataclasses.asdict(field.grid),
-                'blade': dataclasses.asdict(field.blade),
+                field.tool.name: dataclasses.asdict(field.tool),
                 'kept_spacing': field.kept_spacing,
                 'spacing': field.spacing,
                 'ranges': field.ranges,
@@ -82,13 +82,13 @@ def load(path: str) -> SweptField:
         parts = {
             'axes': Axes(**values['axes']),
             'grid': SweptGrid(**values['grid']),
-            'blade': Blade(**values['blade']),
+            'tool': next(t(**values[n]) for n, t in TOOLS.items() if n in values),
             'kept_spacing': float(values['kept_spacing']),
             'spacing': float(values['spacing']),
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
             'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error
     arrays = checkpoints.stored_weights(path)
     with known_shapes.only((w.shape for w in arrays.values()), weights_path):

@@ -3,14 +3,7 @@
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.methods.swept_field import tool_path
-
-# Displacements and forces are of the order of these: m, N, N m.
-DISPLACEMENT, FORCE, TORQUE, WIDTH = 0.03, 100.0, 10.0, 0.4
 OUTPUTS = 3
-# The load grows a hundredfold where the tool is pressed down: beside its three components the
-# network gives the logarithm of a gain, within these limits.
-GAIN_LIMIT = 4.0
 
 
 class Members(tf.Module):
@@ -68,7 +61,8 @@ class FieldNetwork(tf.Module):
         m = config.members
         self.soil = Members(m, [sizes[0], *hidden, OUTPUTS], 2 * config.seed, 'soil')
         hidden = [config.force_latent_size] * 2
-        self.load = Members(m, [sizes[1], *hidden, OUTPUTS + 1], 2 * config.seed + 1, 'load')
+        outputs = inputs.outputs
+        self.load = Members(m, [sizes[1], *hidden, outputs], 2 * config.seed + 1, 'load')
 
     def displacement(self, bins, scalars, rest, members: int | None = None):
         """Displacement [M, B, P, 3] (m; along the way, up, across) of particles; see
@@ -81,22 +75,19 @@ class FieldNetwork(tf.Module):
         moved = tf.reshape(moved, shape) * gate[None, ..., None]
         # Odd across the middle plane: the network sees the distance from it only.
         across = tf.clip_by_value(rest[..., 2:] / 0.05, -1.0, 1.0)
-        return (
-            DISPLACEMENT * moved * tf.concat([tf.ones_like(rest[..., :2]), across], axis=-1)[None]
-        )
+        odd = tf.concat([tf.ones_like(rest[..., :2]), across], axis=-1)
+        return self.inputs.displacement * moved * odd[None]
 
     def force(self, bins, scalars, members: int | None = None):
-        """Force along the way and up (N) and torque in their plane (N m), [M, B, 3]."""
+        """Force along the way and up (N), torque in their plane (N m), of a wheel the change of its
+        height (m): [M, B, 3 or 4]."""
         share = self.load_share(bins, scalars)
         return self.load_of(self.inputs.force(bins, scalars), share, members)
 
     def load_share(self, bins, scalars):
-        """[B] that a load is multiplied by: exactly 0 in the air, in proportion to the width."""
-        width = 2.0 * scalars[:, tool_path.SCALARS.index('half_width')] / WIDTH
-        return self.inputs.contact(bins, scalars) * width
+        """[B, k] that outputs of the load are multiplied by; see `inputs.Inputs.load_share`."""
+        return self.inputs.load_share(bins, scalars)
 
     def load_of(self, seen, share, members: int | None = None):
-        """`force` from its inputs [B, I] and `load_share` [B]."""
-        found = self.load(seen, members)
-        gain = tf.exp(tf.clip_by_value(found[..., 3:], -GAIN_LIMIT, GAIN_LIMIT))
-        return found[..., :3] * gain * share[None, :, None] * tf.constant([FORCE, FORCE, TORQUE])
+        """`force` from its inputs [B, I] and `load_share` [B, k]."""
+        return self.inputs.load_of(self.load(seen, members), share)

@@ -13,7 +13,7 @@ from learning_to_simulate.live import poses, resting_start
 from learning_to_simulate.live.live_soil import Beginning
 from learning_to_simulate.live.path_rollout import SoilRollout, of_recorded_run, velocity_between
 from learning_to_simulate.live.stepping import FLAG
-from learning_to_simulate.methods.swept_field import beds, episodes, quality, tool_path
+from learning_to_simulate.methods.swept_field import beds, quality
 from learning_to_simulate.methods.swept_field.field_soil import (
     FieldSoil,
     Ground,
@@ -51,18 +51,25 @@ class FieldRoller:
         self._soil = FieldSoil(field, subspace)
 
     def beginning(self, path, velocity=None, case=None, context=None):
-        """The start of a path, its poses, and whether it begins on the bed of a case; as
-        `live.path_rollout.PathRoller.beginning`."""
+        """The start of a path, its poses, whether it begins on the bed of a case, and its context
+        [T, C] or None; as `live.path_rollout.PathRoller.beginning`."""
         values = poses.numbers('path', path, (None, 7), (None, 3))
         if len(values) < 2:
             raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
-        scene = self._field.scene
+        scene, contexts = self._field.scene, None
+        if np.ndim(context) == 2 and scene.context_names:
+            shape = (len(values), len(scene.context_names))
+            contexts = poses.numbers('context', context, shape)
+            context = contexts[0]
         chosen = Beginning(scene, self._starts, scene.n_modes)
         chosen.choose(case=case, context=context)
         values = np.stack([chosen.read(pose) for pose in values])
         if velocity is None:
             velocity = velocity_between(values[0], values[1], scene.dt)
-        return chosen.choose(values[0], velocity, case, context), values, case is not None
+        chosen.choose(values[0], velocity, case, context)
+        if contexts is None and chosen.context is not None:
+            contexts = np.repeat(chosen.context[None], len(values), axis=0)
+        return chosen, values, case is not None, contexts
 
     def roll_out(self, begun) -> list[SoilRollout]:
         """Rolls out paths of `beginning`.
@@ -83,28 +90,31 @@ class FieldRoller:
         field, rollout = self._field, evaluator.roll_out(group)
         found = of_recorded_run(group, rollout, field.scene, self._soil, name)
         episode = evaluator.episode(int(group.record[0]))
-        (frames,) = episodes.frames_of([episode], field.grid, field.scene.dt)
+        pose, frames = field.frames(episode.bed, episode.size, episode.pose, field.scene.dt)
         points = evaluator.bed(group)
         origin = np.array([episode.pose[0, 0], episode.level, 0.0])
-        ground = Ground(points, field.axes.points(points), origin, episode.width)
-        swept = _one_by_one(frames, episode.pose, ground, H)
+        ground = Ground(points, field.axes.points(points), origin, episode.size)
+        swept = _one_by_one(frames, pose, ground, H)
         return dataclasses.replace(found, modes=SweptFrames(swept, self._soil))
 
-    def _rolled(self, chosen, path, is_given) -> SoilRollout:
-        field = self._field
-        plane = field.axes.poses(path)
-        recorded = (self._space, self._starts.modes[chosen.index]) if is_given else None
-        ground, swept_bed = beds.ground(
-            field, plane[0], case=self._starts.cases[chosen.index], recorded=recorded
-        )
-        start = field.axes.velocities(chosen.velocity)[None]
-        frames = tool_path.frames(
-            field.grid, swept_bed, np.array([ground.width]), plane[:, None], field.scene.dt, start
-        )
-        frames = Frame(frames.bins[:, 0], frames.scalars[:, 0])
+    def _rolled(self, chosen, path, is_given, contexts) -> SoilRollout:
+        field, case = self._field, self._starts.cases[chosen.index]
+        named = field.context(contexts)
+        first = None if named is None else {name: values[0] for name, values in named.items()}
+        size = field.tool.size(field.axes, case, chosen.nodes(chosen.pose), first)
+        plane = field.tool.poses(field.axes, path, named)
+        recorded = None
+        if is_given or field.tool.predicts_height:
+            recorded = self._space, self._starts.modes[chosen.index]
+        ground, swept_bed = beds.ground(field, plane[0], size, recorded=recorded)
+        start = field.tool.velocity(field.axes, chosen.velocity, size)
+        plane, frames = field.frames(swept_bed, size, plane, field.scene.dt, start)
+        path = path.copy()
+        path[:, field.axes.up] = plane[:, 1]
         loads = field.loads(frames).mean(axis=0)
-        force, _ = field.axes.world_loads(loads)
-        statuses = quality.statuses(frames.scalars, field.ranges, np.isfinite(loads).all(axis=1))
+        force, _ = field.axes.world_loads(loads[:, :3])
+        names, finite = field.tool.scalars, np.isfinite(loads).all(axis=1)
+        statuses = quality.statuses(frames.scalars, field.ranges, finite, names)
         swept = _one_by_one(frames, plane, ground, 1)
         body = np.stack([poses.placed(chosen.body, p) for p in [*chosen.past(), *path[1:]]])
         return SoilRollout(
@@ -112,7 +122,7 @@ class FieldRoller:
             modes=SweptFrames(swept, self._soil),
             force=force[1:].astype(np.float32),
             rigid_nodes=body[H:, chosen.kept],
-            judgement=quality.judge(frames.scalars, field.ranges, H - 1, np.isfinite(loads).all()),
+            judgement=quality.judge(frames.scalars, field.ranges, H - 1, finite.all(), names),
             frame_status=tuple(statuses[1:]),
             body=body,
             scene=field.scene,

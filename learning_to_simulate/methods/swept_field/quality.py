@@ -85,14 +85,17 @@ def _signs(spreads, sizes):
     return np.stack([np.ones(np.shape(spreads)), spreads, sizes], axis=-1)
 
 
-def judge(scalars, ranges: dict, first: int = 0, finite: bool = True) -> Judgement:
+def judge(
+    scalars, ranges: dict, first: int = 0, finite: bool = True, names=tool_path.SCALARS
+) -> Judgement:
     """The status of a path.
 
     Args:
-      scalars: [T, len(SCALARS)] of its frames.
+      scalars: [T, S] of its frames.
       ranges: of the training paths.
       first: number of its first frame.
       finite: whether all that was predicted is.
+      names: S, of the scalars; those of a blade where nothing else is said.
 
     Returns:
       OK: finite, and all scalars within their training ranges, widened by `MARGIN` of themselves
@@ -101,7 +104,7 @@ def judge(scalars, ranges: dict, first: int = 0, finite: bool = True) -> Judgeme
     """
     if not finite:
         return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
-    bad, low, high = _outside(scalars, ranges)
+    bad, low, high = _outside(scalars, ranges, names)
     if not bad.any():
         return Judgement(RolloutStatus.OK)
     frame, which = (int(i) for i in np.argwhere(bad)[0])
@@ -109,20 +112,20 @@ def judge(scalars, ranges: dict, first: int = 0, finite: bool = True) -> Judgeme
         RolloutStatus.EXTRAPOLATING,
         first + frame,
         -1,
-        f'{tool_path.SCALARS[which]} {scalars[frame, which]:.4g} is outside '
+        f'{names[which]} {scalars[frame, which]:.4g} is outside '
         f'[{low[which]:.4g}, {high[which]:.4g}] of training',
     )
 
 
-def statuses(scalars, ranges: dict, finite) -> list[RolloutStatus]:
+def statuses(scalars, ranges: dict, finite, names=tool_path.SCALARS) -> list[RolloutStatus]:
     """The status of each frame alone; arguments as of `judge`, `finite` bool [T]."""
-    found = np.where(_outside(scalars, ranges)[0].any(axis=1), 1, 0)
+    found = np.where(_outside(scalars, ranges, names)[0].any(axis=1), 1, 0)
     kinds = (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE)
     return [kinds[i] for i in np.where(finite, found, 2)]
 
 
-def _outside(scalars, ranges):
+def _outside(scalars, ranges, names):
     """bool [T, S], and the ranges [S] that hold without the margin."""
-    low, high = np.array([ranges[name] for name in tool_path.SCALARS]).T
+    low, high = np.array([ranges[name] for name in names]).T
     extra = MARGIN * (high - low) + 1e-6
     return ~((scalars >= low - extra) & (scalars <= high + extra)), low, high

@@ -20,7 +20,7 @@ def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
     Args:
       points: [P, 3].
       pose: [3].
-      blade: `tool_path.Blade`.
+      blade: `tools.Blade`.
       width: of this blade, m.
 
     Returns:
@@ -35,7 +35,30 @@ def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
     # On the segment itself there is no nearest side: out to the front.
     front = np.array([axis[1], -axis[0]]) / blade.length
     normal = np.where(distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], front)
-    in_plane, beside = blade.radius - distance, width / 2 - np.abs(points[:, 2])
+    return _way_out(points, blade.radius - distance, normal, width)
+
+
+def inside_wheel(points, pose, radius, width) -> tuple[np.ndarray, np.ndarray]:
+    """How deep points lie in a wheel, and the shortest way out; as `inside`.
+
+    Args:
+      points: [P, 3].
+      pose: u and height (m) of the axle first.
+      radius, width: m.
+    """
+    points = np.asarray(points, np.float64)
+    away = points[:, :2] - np.asarray(pose)[:2]
+    distance = np.hypot(away[:, 0], away[:, 1])
+    # On the axle there is no nearest side: down.
+    normal = np.where(
+        distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], [0.0, -1.0]
+    )
+    return _way_out(points, radius - distance, normal, width)
+
+
+def _way_out(points, in_plane, normal, width):
+    """Depth [P] and way [P, 3] from depths [P] and normals [P, 2] in the plane of travel."""
+    beside = width / 2 - np.abs(points[:, 2])
     depth = np.maximum(np.minimum(in_plane, beside), 0.0)
     is_plane = in_plane <= beside
     way = np.zeros_like(points)

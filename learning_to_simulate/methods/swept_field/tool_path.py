@@ -4,7 +4,6 @@ Everything is relative to the first position of the tool along its way and to th
 so shifting the whole scene changes nothing. One frame costs the same however long the path is.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -29,31 +28,6 @@ SCALARS = (
     *(f'{name}_{i}' for i in range(len(TIME_SCALES)) for name in ('speed', 'rise', 'turn')),
     'area', 'foremost', 'half_width', 'end',
 )  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class Blade:
-    """A blade whose lower edge is round.
-
-    Attributes:
-      width: across the way, m.
-      radius: of the edge, half the thickness, m.
-      length: from the middle of the lower to that of the upper edge, m.
-
-    Raises:
-      ValueError: a length that is not positive.
-    """
-
-    width: float = 0.457
-    radius: float = 0.014
-    length: float = 0.277
-
-    def __post_init__(self):
-        for field in dataclasses.fields(self):
-            if not 0 < getattr(self, field.name) < np.inf:
-                raise ValueError(
-                    f'Blade.{field.name} must be positive, got {getattr(self, field.name)}'
-                )
 
 
 class Bed(NamedTuple):
@@ -167,9 +141,9 @@ def frame(grid: SweptGrid, bed: Bed, blade_width, state: ToolState) -> Frame:
     bins[..., SURFACE] = swept.surface - bed.level[:, None]
     bins[..., SINCE] = np.minimum(swept.travelled[:, None] - swept.last, grid.forget)
     bins[..., AREA_BEFORE] = state.area_before
-    spread = _cone(np.minimum(cut / TOUCH, 1.0), grid.spacing / REACH)
+    spread = cone(np.minimum(cut / TOUCH, 1.0), grid.spacing / REACH)
     bins[..., INFLUENCE] = np.clip(3.0 * spread, 0.0, 1.0)
-    bins[..., DISTURBED] = _cone(cut, RISE * grid.spacing)
+    bins[..., DISTURBED] = cone(cut, RISE * grid.spacing)
     scalars = np.concatenate(
         [
             swept.position - np.stack([swept.origin, bed.level], axis=1),
@@ -205,7 +179,7 @@ def frames(grid: SweptGrid, bed: Bed, blade_width, pose, dt: float, velocity=Non
     return Frame(*map(np.stack, zip(*found, strict=True)))
 
 
-def _cone(values, fall):
+def cone(values, fall):
     """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
     index = fall * np.arange(values.shape[1])
     forward = np.maximum.accumulate(values + index, axis=1) - index

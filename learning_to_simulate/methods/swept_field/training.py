@@ -8,11 +8,10 @@ import numpy as np
 import tensorflow as tf
 import tqdm
 
-from learning_to_simulate.methods.swept_field import network
+from learning_to_simulate.methods.swept_field.inputs import FORCE
 
 # A run that moves less than this (root mean square) weighs no more than one that does, m.
 LEAST_MOTION = 0.003
-LEAST_FORCE = 10.0  # N, likewise
 # A particle that ever moves so far is drawn more often, m; the others show that they rest.
 MOVED = 0.001
 MOVER_SHARE = 0.85
@@ -27,10 +26,11 @@ class TrainingData:
     Args:
       episodes: list of `episodes.Episode`, of one number of particles.
       frames: of `episodes.frames_of`.
-      model: `network.FieldNetwork`, for its inputs.
+      field: `SweptField`, for its tool and inputs.
     """
 
-    def __init__(self, episodes, frames, model):
+    def __init__(self, episodes, frames, field):
+        model, tool = field.network, field.tool
         chosen = [e.frames for e in episodes]
         self.bins = np.concatenate([f.bins[c] for f, c in zip(frames, chosen, strict=True)])
         self.scalars = np.concatenate([f.scalars[c] for f, c in zip(frames, chosen, strict=True)])
@@ -47,16 +47,16 @@ class TrainingData:
         share += np.where(count > 0, 1.0 - MOVER_SHARE, 1.0) / n
         self.logits = np.log(share).astype(np.float32)
         self.importance = (1.0 / (n * share)).astype(np.float32)
-        size = np.array([np.sqrt((e.load[:, :2] ** 2).sum(-1).mean()) for e in episodes])
-        weight = 1.0 / np.maximum(size, LEAST_FORCE) ** 2
-        of_frame = np.repeat(weight, [len(e.load) for e in episodes])
+        weight = np.stack([tool.target_weights(e) for e in episodes])
+        of_frame = np.repeat(weight, [len(e.load) for e in episodes], axis=0)
         # Inputs of the loads are few enough to be computed once; frames in the air teach nothing.
         share = np.concatenate([model.load_share(*f).numpy() for f in frames])
-        there = share > 0
+        there = share[:, 0] > 0
         self.load_share = share[there]
         self.load_seen = np.concatenate([model.inputs.force(*f).numpy() for f in frames])[there]
-        self.load = np.concatenate([e.load for e in episodes])[there]
-        self.load_weight = (of_frame / of_frame.mean()).astype(np.float32)[there]
+        self.load = np.concatenate([tool.targets(e) for e in episodes])[there]
+        of_frame /= FORCE**2 * of_frame[:, 0].mean()
+        self.load_weight = of_frame.astype(np.float32)[there]
 
 
 class Trainer:
@@ -130,15 +130,14 @@ class Trainer:
         losses = []
         with tf.GradientTape() as tape:
             error = self._model.displacement(bins, scalars, rest) - moved
-            square = tf.reduce_sum((error / network.DISPLACEMENT) ** 2, axis=-1)
+            square = tf.reduce_sum((error / self._model.inputs.displacement) ** 2, axis=-1)
             # Summed over members, which know nothing of each other.
             losses.append(tf.reduce_sum(tf.reduce_mean(square * weight, axis=(1, 2))))
         self._apply(tape, losses[0], self._model.soil, self._optimizers[0])
         with tf.GradientTape() as tape:
-            scale = tf.constant([network.FORCE, network.FORCE, network.TORQUE])
-            error = (self._model.load_of(seen, share) - load) / scale
-            square = tf.reduce_sum(error**2, axis=-1)
-            losses.append(tf.reduce_sum(tf.reduce_mean(square * load_weight, axis=1)))
+            error = self._model.load_of(seen, share) - load
+            square = tf.reduce_sum(error**2 * load_weight, axis=-1)
+            losses.append(tf.reduce_sum(tf.reduce_mean(square, axis=1)))
         self._apply(tape, losses[1], self._model.load, self._optimizers[1])
         return [loss / self._config.members for loss in losses]
 

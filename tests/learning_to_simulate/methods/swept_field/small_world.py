@@ -9,7 +9,8 @@ from learning_to_simulate.methods.swept_field.axes import Axes
 from learning_to_simulate.methods.swept_field.field import SweptField
 from learning_to_simulate.methods.swept_field.live import LiveField
 from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Blade
+from learning_to_simulate.methods.swept_field.tool_path import Bed
+from learning_to_simulate.methods.swept_field.tools import Blade
 from learning_to_simulate.scene import RigidMotion, Scene
 
 GRID = SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75)

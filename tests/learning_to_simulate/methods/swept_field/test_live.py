@@ -9,6 +9,7 @@ from learning_to_simulate.methods.swept_field.beds import HeightMap
 from learning_to_simulate.methods.swept_field.episodes import BedReader
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.rollout_status import RolloutStatus
+from tests.learning_to_simulate.methods.swept_field import small_wheel
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 
@@ -167,3 +168,55 @@ def test_bad_starts_are_refused(field):
         live.step(pose, dt=-0.1)
     with pytest.raises(ValueError, match='members'):
         world.make_live(field, members=9)
+
+
+@pytest.fixture(scope='module')
+def wheel_field():
+    return small_wheel.make_field()
+
+
+def test_a_wheel_finds_its_own_height_as_in_a_rollout(wheel_field):
+    """Whatever height the user gives after the start; force, torque and soil with it."""
+    field, plane = wheel_field, small_wheel.path()[:, 0]
+    poses, contexts = small_wheel.world_pose(plane), small_wheel.contexts(plane)
+    live = small_wheel.make_live(field)
+    live.start(poses[0])
+    ground, size = live.state.ground, small_wheel.SIZE
+    np.testing.assert_allclose(ground.size, size)
+    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
+    surface, level, end = reader.read(ground.points, plane[0, 0], small_wheel.WIDTH)
+    bed = Bed(surface[None], np.array([level]), np.array([end]))
+    whole, frames = field.frames(bed, size, plane, small_wheel.DT)
+    loads = field.loads(frames).mean(axis=0)
+    for t in range(1, len(poses)):
+        asked = poses[t] + [0, 0.03, 0, 0, 0, 0, 0]
+        answer = live.step(asked, context=contexts[t])
+        force, torque = field.axes.world_loads(loads[t, :3])
+        np.testing.assert_allclose(answer.force, force, atol=1e-2)
+        np.testing.assert_allclose(answer.torque, torque, atol=1e-3)
+        assert answer.pose[1] == pytest.approx(whole[t, 1], abs=1e-6)
+    assert np.abs(whole[:, 1] - plane[:, 1]).max() > 1e-3
+    points = field.axes.points(live.particles())
+    assert np.abs(points - ground.places).max() > 1e-3
+    assert field.tool.inside(points, whole[-1], size)[0].max() < 1e-6
+
+
+def test_only_the_load_of_a_wheel_may_change(wheel_field):
+    poses = small_wheel.world_pose(small_wheel.path()[:, 0])
+    live = small_wheel.make_live(wheel_field)
+    live.start(poses[0])
+    context = dict(zip(small_wheel.NAMES, small_wheel.CONTEXT))
+    force = live.step(poses[1], context=context | {'load': 150.0}).force
+    kept = live.state
+    for changed, message in (
+        ({'gravity': 9.81}, 'gravity'),
+        ({'load': -1.0}, 'load is -1'),
+        ({'slip': 0.2}, 'must name'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            live.step(poses[2], context=context | changed)
+        assert live.state is kept
+    # What was said of the load holds on.
+    assert live.step(poses[2]).modes.pose[3] == 150.0 and np.isfinite(force).all()
+    with pytest.raises(ValueError, match='blades only'):
+        live.start(poses[0], blade_width=0.3)

@@ -11,10 +11,11 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
-from learning_to_simulate.methods.swept_field import fitting, method, settings
+from learning_to_simulate.methods.swept_field import fitting, method, settings, wheel_path
 from pca_tools import convert, dataset, files, raw_writer
 from reports import swept_field as report
 from reports.protocol import rollouts
+from tests.learning_to_simulate.methods.swept_field import small_wheel
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 SMALL = {
@@ -195,3 +196,100 @@ def test_settings_are_checked():
         settings.SweptFieldConfig('swept_field', members=0)
     with pytest.raises(ValueError, match='learning_rate'):
         settings.SweptFieldConfig('swept_field', learning_rate=2.0)
+
+
+def made_up_drive(sunk, split):
+    """Soil goes down with the rut and along with the slip; the wheel sinks as it slips."""
+    plane = small_wheel.path(sunk=sunk)
+    frames = small_wheel.frames(plane)
+    slipped = frames.scalars[:, wheel_path.SCALARS.index('slipped')]
+    plane[:, 0, 1] = plane[0, 0, 1] - 0.4 * slipped
+    frames = small_wheel.frames(plane)
+    points = small_wheel.bed_points()
+    local = small_wheel.AXES.points(points)
+    u, depth = local[:, 0] - plane[0, 0, 0], small_wheel.SURFACE - local[:, 1]
+    share = np.clip(1 - depth / 0.03, 0, 1) * (np.abs(local[:, 2]) < small_wheel.WIDTH / 2)
+    moved = np.zeros((len(plane), len(points), 3))
+    for t, bins in enumerate(frames.bins):
+        new = bins[:, wheel_path.CUT] - bins[:, wheel_path.FIRST_CUT]
+        moved[t, :, 0] = -0.3 * share * np.interp(u, small_wheel.GRID.offsets, bins[:, 5])
+        moved[t, :, 1] = -share * np.interp(u, small_wheel.GRID.offsets, new)
+    load = frames.scalars[:, wheel_path.SCALARS.index('frame_load')]
+    stirred = frames.scalars[:, wheel_path.SCALARS.index('stirred')]
+    loads = np.stack([-0.3 * stirred * load, load, 0.02 * stirred * load], axis=1)
+    force, torque = small_wheel.AXES.world_loads(loads)
+    pose = small_wheel.world_pose(plane[:, 0])
+    contexts = small_wheel.contexts(plane[:, 0])
+    turn = plane[:, 0, 2]
+    body = small_wheel.body()
+    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    placed = np.stack(
+        [cosine * body[:, 0] - sine * body[:, 1], sine * body[:, 0] + cosine * body[:, 1],
+         np.broadcast_to(body[:, 2], (len(turn), 16))], axis=-1,
+    )  # fmt: skip
+    return {
+        'positions': points + small_wheel.AXES.world(moved),
+        'rigid_positions': pose[:, None, :3] + placed,
+        'force': force, 'torque': torque, 'pose': pose, 'split': split, 'kind': 'made_up',
+        'context': dict(zip(small_wheel.NAMES, contexts[0])), 'step_context': contexts,
+    }  # fmt: skip
+
+
+@pytest.fixture(scope='module')
+def wheel_paths(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('made_up_wheel')
+    sinkages = [(0.004, 'train'), (0.006, 'train'), (0.008, 'train'), (0.005, 'valid'),
+                (0.007, 'test')]  # fmt: skip
+    raw_writer.write_raw(
+        str(folder / 'raw'), [made_up_drive(*pair) for pair in sinkages], world.DT, up_axis=1,
+        body='driven',
+    )  # fmt: skip
+    convert.convert(str(folder / 'raw'), str(folder / 'data'), modes=2)
+    config = settings.SweptFieldConfig('swept_field', **(SMALL | {'start_every': 0}))
+    registry.train(str(folder / 'data'), str(folder / 'model'), config)
+    return str(folder / 'data'), str(folder / 'model')
+
+
+def test_training_learns_sinkage_soil_and_force_of_a_wheel(wheel_paths):
+    data, model = wheel_paths
+    (run,) = files.read_json(os.path.join(model, 'metrics.json'))['field']
+    assert run['soil_mm'] < 0.5 * run['still_mm']
+    assert run['force_l2'] < 0.5 * run['held_force_l2'] and run['torque_l2'] < 0.2
+    assert run['height_mm'] < 0.3 * run['held_height_mm']
+    assert 0 < run['height_over_radius'] < 0.05
+    test = lts.load(model).evaluate(lts.Dataset(data).test).summary
+    assert test['field'][0]['height_mm'] < 0.5 * test['field'][0]['held_height_mm']
+    # The body in the rollout stands at the height that was predicted.
+    assert test['mean']['model']['rigid_mse'] < 0.1 * test['mean']['stay_still']['rigid_mse']
+
+
+def test_a_model_folder_of_a_wheel_is_enough_for_paths_and_steps(wheel_paths):
+    data, path = wheel_paths
+    model, run = lts.load(path), dataset.read_split(data, 'test')[0]
+    poses, contexts = run.rigid_pose.astype(float), run.step_context.astype(float)
+    case = model.starts.cases[-1].get('case')
+    rollout = model.rollout(poses, case=case, context=contexts)
+    live = model.stepper()
+    velocity = path_rollout.velocity_between(poses[0], poses[1], live.dt)
+    live.start(poses[0], velocity, case=case, context=contexts[0])
+    frames = [live.step(p, context=c) for p, c in zip(poses[1:], contexts[1:])]
+    np.testing.assert_allclose([f.force for f in frames], rollout.force, atol=2e-3)
+    assert [f.now for f in frames] == list(rollout.frame_status)
+    heights = [f.pose[1] for f in frames]
+    np.testing.assert_allclose(heights, rollout.body[6:, :, 1].mean(axis=1), atol=1e-6)
+    assert heights[-1] < poses[0, 1] - 1e-3
+    np.testing.assert_allclose(frames[-1].particles(), rollout.particles(-1), atol=1e-6)
+    recorded = model.rollout(lts.Dataset(data).test[0])
+    assert len(recorded.modes) == len(poses) - 6
+
+
+def test_the_report_has_the_sinkage_of_a_wheel(wheel_paths, tmp_path):
+    data, path = wheel_paths
+    found = report.measure(lts.load(path), lts.Dataset(data), 'test')
+    (row,) = found['runs']
+    assert 'ten_lengths' not in found
+    for rate in ('half_rate', 'double_rate'):
+        assert row[rate] == pytest.approx(1.0, abs=0.1)
+    files.write_json(str(tmp_path / 'report.json'), found)
+    text = report.by_kind(str(tmp_path / 'report.json'))
+    assert 'height over radius' in text and f'{row["height_mm"]:.3g}' in text

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.methods.swept_field import soil_physics
-from learning_to_simulate.methods.swept_field.tool_path import Blade
+from learning_to_simulate.methods.swept_field.tools import Blade
 
 BLADE, WIDTH = Blade(), 0.3
 POSE = np.array([0.1, 0.2, 0.6])

@@ -5,6 +5,7 @@ import pytest
 
 from learning_to_simulate.methods.swept_field import tool_path
 from learning_to_simulate.methods.swept_field.tool_path import Bed
+from learning_to_simulate.methods.swept_field.tools import Blade
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 
@@ -105,7 +106,7 @@ def test_tools_of_a_batch_know_nothing_of_each_other():
         (lambda s: tool_path.advance(world.GRID, s, [[0.0, 0.2, 0.0]], -0.1), 'time'),
         (lambda s: tool_path.advance(world.GRID, s, [[5.0, 0.2, 0.0]], 0.1), 'do not hold it'),
         (lambda s: tool_path.advance(world.GRID, s, [[0.0, 0.2]], 0.1), 'shape'),
-        (lambda s: tool_path.Blade(width=0.0), 'width must be positive'),
+        (lambda s: Blade(width=0.0), 'width must be positive'),
     ],
 )
 def test_bad_input_is_refused_and_the_state_stays(call, message):
