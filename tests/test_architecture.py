@@ -77,6 +77,14 @@ IMPORTS_WITHOUT = [
         ('learning_to_simulate.learned_simulator', 'learning_to_simulate.rollout'),
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
     ),
+    (  # what a live step loads: a third of the time to the first frame is saved so
+        (
+            'learning_to_simulate.methods.subspace_method',
+            'learning_to_simulate.live.live_soil',
+            'learning_to_simulate.export_c.c_step',
+        ),
+        ('keras', 'scipy', 'sklearn', 'matplotlib'),
+    ),
     (
         (
             'learning_to_simulate.methods.path_ridge',
