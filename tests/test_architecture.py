@@ -31,7 +31,7 @@ MAY_IMPORT = {
     'cluster': ('storage',),
     'mpm': ('storage',),
     'pca_tools': ('storage', 'cluster'),
-    'learning_to_simulate': ('pca_tools',),
+    'learning_to_simulate': ('pca_tools', 'storage.markdown'),
     'nri': (
         'pca_tools',
         'learning_to_simulate.connectivity_utils',
