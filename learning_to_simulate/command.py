@@ -5,7 +5,7 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from absl import app, flags, logging
 
@@ -105,7 +105,7 @@ def import_keras() -> None:
 
 
 @contextlib.contextmanager
-def _absent(*names):
+def _absent(*names: str) -> Iterator[None]:
     """Makes packages that are not loaded yet look as if they were not installed."""
     absent = [name for name in names if name not in sys.modules]
     for name in absent:
