@@ -5,7 +5,6 @@ matrix X, from the matrix itself or from its covariance, summed up run by run.
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
 DIM = 3
 # An SVD holds the matrix, its copy and both factors.
@@ -64,6 +63,8 @@ def decompose_matrix(runs, mean, length, progress):
         # Columns sum to zero already, so the mean that PCA subtracts itself is round-off.
         model = decomposition.PCA(n_components=length, svd_solver='full').fit(matrix)
         return model.singular_values_, model.components_.T, energy
+    from scipy import linalg
+
     # The scalar mean leaves the columns uncentered, and PCA would centre them.
     _, values, vectors = linalg.svd(matrix, full_matrices=False, overwrite_a=True)
     return values[:length], vectors[:length].T, energy
@@ -71,6 +72,8 @@ def decompose_matrix(runs, mean, length, progress):
 
 def decompose_covariance(runs, mean, n_soil, length, progress, crew=None):
     """Returns singular values [S], vectors [N, S] and total energy from the summed covariance."""
+    from scipy import linalg  # as slow to load as numpy, and whoever only reads modes needs it not
+
     if crew is None:
         covariance = sum_covariance((progress(runs, 'covariance'), mean, n_soil))
     else:
@@ -88,6 +91,8 @@ def decompose_covariance(runs, mean, n_soil, length, progress, crew=None):
 
 def sum_covariance(part: tuple) -> np.ndarray:
     """Returns the covariance [N, N] (upper triangle) of some runs, (runs, mean, N)."""
+    from scipy import linalg
+
     runs, mean, n_soil = part
     covariance = np.zeros((n_soil, n_soil), order='F')
     for run in runs:

@@ -31,7 +31,7 @@ MAY_IMPORT = {
     'cluster': ('storage',),
     'mpm': ('storage',),
     'pca_tools': ('storage', 'cluster'),
-    'learning_to_simulate': ('pca_tools',),
+    'learning_to_simulate': ('pca_tools', 'storage.markdown'),
     'nri': (
         'pca_tools',
         'learning_to_simulate.connectivity_utils',
@@ -76,6 +76,14 @@ IMPORTS_WITHOUT = [
     (
         ('learning_to_simulate.learned_simulator', 'learning_to_simulate.rollout'),
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
+    ),
+    (  # what a live step loads: a third of the time to the first frame is saved so
+        (
+            'learning_to_simulate.methods.subspace_method',
+            'learning_to_simulate.live.live_soil',
+            'learning_to_simulate.export_c.c_step',
+        ),
+        ('keras', 'scipy', 'sklearn', 'matplotlib'),
     ),
     (
         (

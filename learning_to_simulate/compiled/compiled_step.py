@@ -1,6 +1,7 @@
 """`CompiledStep`: frames of a model by TensorFlow, the back end of a `stepping.Stepper`."""
 
 import functools
+from typing import Any
 
 import numpy as np
 import tensorflow as tf
@@ -29,10 +30,14 @@ class CompiledStep:
         self._simulator, self._layout = model.simulator, model.layout(n_rigid)
         self._scene = scene = model.simulator.scene
         self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED
-        self._state = self._context = self._shape = self._proposed = None
+        self._state: Any = None
+        self._proposed: Any = None
+        self._context = self._shape = None
         # With a path as an input: the memory of it after the newest frame, of the coming one, and
         # the modes at the start.
-        self._memory = self._coming = self._start = None
+        self._memory: Any = None
+        self._coming: Any = None
+        self._start = None
         dim, shape = self._simulator.dim, (1, self._layout.n_node)
         spec = tf.TensorSpec
         body = spec((1, n_rigid, dim))

@@ -89,14 +89,17 @@ class FoldedStep:
         def rows_of(x):
             return tf.reshape(x, [-1, *x.shape[2:]])
 
-        *rows, paths = [None if x is None else rows_of(x) for x in (*given, path)]
+        offsets, velocities, coming, paths = (
+            None if x is None else rows_of(x) for x in (*given, path)
+        )
         starts = None if start is None else tf.tile(start, [n_frame, 1, 1])
         contexts = context
         if context is not None:
             by_frame = context.shape.rank == 3
             contexts = rows_of(context) if by_frame else tf.tile(context, [n_frame, 1])
         nothing = MovingState(None, None, None, None)
-        self._folded.predict(ahead, Given(*rows, contexts, paths, starts), nothing)
+        all_given = Given(offsets, velocities, coming, contexts, paths, starts)
+        self._folded.predict(ahead, all_given, nothing)
         return ahead.results
 
     def begin(self, state: SimulatorState) -> MovingState:

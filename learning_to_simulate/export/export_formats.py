@@ -105,6 +105,7 @@ class StepFunctions:
         """Inputs of the exported step by name."""
         scene, layout = self.simulator.scene, self.layout
         dim, n = self.simulator.dim, layout.n_rigid
+        shapes: dict[str, tuple[tuple[int, ...], tf.DType]]
         if kind == 'savedmodel':
             shapes = {'position_history': ((H, layout.n_node, dim), tf.float64)}
             if scene.rigid_motion.is_known:

@@ -30,6 +30,7 @@ from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
 from learning_to_simulate.methods import registry
 from pca_tools import files
+from storage import markdown
 
 PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
 TURNS = 5  # the rows of the table take turns, so that a busy moment hits all of them
@@ -145,21 +146,18 @@ def _python_times(stepper, history, context, poses, known, count):
 
 def table(results: dict[str, dict[str, dict]]) -> str:
     """The figures of all models as tables of Markdown."""
-    lines = []
+    tables = []
     for model, rows in results.items():
         reference, first = next(iter(rows.items()))
-        lines += [
-            f'| {model}: CPU time of one core, us | median | p99 | p99/median | of `{reference}` |',
-            '|---|---|---|---|---|',
-        ]
+        header = (f'{model}: CPU time of one core, us', 'median', 'p99', 'p99/median',
+                  f'of `{reference}`')  # fmt: skip
+        lines = []
         for name, row in rows.items():
             median, p99 = row['median_us'], row['p99_us']
-            lines.append(
-                f'| {name} | {median:.1f} | {p99:.1f} | {p99 / median:.2f} | '
-                f'{median / first["median_us"]:.2f} |'
-            )
-        lines.append('')
-    return '\n'.join(lines)
+            ratios = p99 / median, median / first['median_us']
+            lines.append((name, f'{median:.1f}', f'{p99:.1f}', *(f'{x:.2f}' for x in ratios)))
+        tables.append(markdown.table(header, lines) + '\n')
+    return '\n'.join(tables)
 
 
 def define_flags() -> None:

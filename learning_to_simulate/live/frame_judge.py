@@ -44,10 +44,11 @@ class FrameJudge:
         self._n, self._statistics, self._scene = n_rigid, statistics, scene
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
-        low, high = widened(*statistics.position_range, BOUNDS_FACTOR)
+        lowest, highest = statistics.position_range
+        low, high = widened(lowest, highest, BOUNDS_FACTOR)
         self._bounds = low[node_class[self._first :]], high[node_class[self._first :]]
         extra = 1 + 2 * RANGE_MARGIN
-        low, high = widened(*statistics.position_range, extra)
+        low, high = widened(lowest, highest, extra)
         self._start = low[node_class], high[node_class]
         self._force_limit = None if force_limit is None else FORCE_FACTOR * force_limit
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
@@ -57,7 +58,7 @@ class FrameJudge:
                 statistics.given_range, statistics.given_velocity_range,
                 statistics.body_extent_range, statistics.body_speed_range,
             )  # fmt: skip
-            self._limits = [widened(*x, extra) for x in limits]
+            self._limits = [widened(low, high, extra) for low, high in limits]
 
     def start(self, position, context, displacement=None) -> Judgement:
         """The judgement of a start.

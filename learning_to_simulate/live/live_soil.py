@@ -7,6 +7,8 @@
 A frame of the model is `dt` seconds and cannot be divided: between frames hold the last one.
 """
 
+from typing import Any
+
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
@@ -37,7 +39,7 @@ class Beginning:
 
     def __init__(self, scene, starts: Starts, n_modes: int):
         self._scene, self._starts, self._n_modes = scene, starts, n_modes
-        self.index = None
+        self.index: int | None = None
 
     def choose(self, pose=None, velocity=None, case=None, context=None) -> 'Beginning':
         """Takes what a user gives, and the rest from the start of a case; returns itself.
@@ -46,15 +48,16 @@ class Beginning:
           ValueError: no such case, not a pose, a velocity or a context.
         """
         starts, names = self._starts, self._scene.context_names
+        contexts: Any = starts.context  # there is one for every start, or the scene names none
         index = starts.index(case)
         if context is not None:
             context = self.read_context(context)
             if case is None:  # the bed of the most similar case
-                spread = starts.context.std(axis=0)
-                far = (starts.context - context) / np.where(spread > 0, spread, 1.0)
+                spread = contexts.std(axis=0)
+                far = (contexts - context) / np.where(spread > 0, spread, 1.0)
                 index = int((far**2).sum(axis=1).argmin())
         elif names:
-            context = starts.context[index]
+            context = contexts[index]
         reader = self._reader(index)
         pose = starts.pose[index] if pose is None else reader.read(pose)
         velocity = reader.read_velocity(velocity)

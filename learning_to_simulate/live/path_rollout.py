@@ -19,7 +19,7 @@ from learning_to_simulate.live.soil import Soil
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
-from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.scene import RigidMotion, Scene
 from pca_tools import dataset, files
 
 # Paths are padded to a multiple of so many frames, so that few lengths are compiled.
@@ -53,7 +53,7 @@ class SoilRollout:
     judgement: Judgement
     frame_status: tuple[RolloutStatus, ...]
     body: np.ndarray
-    scene: object
+    scene: Scene
     soil: Soil | None
     truth: tuple | None = None
     name: str = 'rollout'

@@ -12,7 +12,6 @@ Inside, poses are float64 [7] of the first form.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 # What a unit quaternion may be off by before it is taken for something else.
 UNIT_TOLERANCE = 1e-3
@@ -155,5 +154,7 @@ def moved_back(pose, velocity, seconds: float) -> np.ndarray:
 
 def quaternion_of(matrix) -> np.ndarray:
     """The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix [3, 3]."""
+    from scipy.spatial.transform import Rotation  # slow to load, and few scenes need it
+
     x, y, z, w = Rotation.from_matrix(matrix).as_quat(canonical=True)
     return np.array([w, x, y, z])

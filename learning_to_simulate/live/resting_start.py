@@ -86,17 +86,22 @@ def collect(data_path: str, nodes: dict) -> Starts:
         groups = reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
         cases = metadata.get('cases', {}).get(split, [])
         stated = [r.rigid_pose for r in dataset.read_split(data_path, split)]
-        if split == 'train' and groups[0].force is not None:
-            force_limit = float(max(np.linalg.norm(g.force, axis=-1).max() for g in groups))
+        forces = [g.force for g in groups if g.force is not None]
+        if split == 'train' and forces:
+            force_limit = float(max(np.linalg.norm(f, axis=-1).max() for f in forces))
         for group in groups:
             for run, record in enumerate(group.record):
                 case = _parameters(cases[record]) if record < len(cases) else {}
                 pose = stated[record]
                 _add(found, case, group, run, None if pose is None else pose[0].astype(float))
+    cases, bodies, kept, poses, modes, contexts = zip(*found)
     return Starts(
-        *(tuple(column) for column in list(zip(*found))[:3]),
-        *(np.stack(column) for column in list(zip(*found))[3:5]),
-        None if found[0][5] is None else np.stack([row[5] for row in found]),
+        cases,
+        bodies,
+        kept,
+        np.stack(poses),
+        np.stack(modes),
+        None if contexts[0] is None else np.stack(contexts),
         force_limit,
     )
 
@@ -165,7 +170,11 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
     source = os.path.join(data_path, SUBSPACE_FILE)
     if os.path.exists(source):
         target = os.path.join(model_path, SUBSPACE_FILE)
-        files.write_atomically(target, lambda name: shutil.copyfile(source, name))
+
+        def copy(name: str) -> None:
+            shutil.copyfile(source, name)
+
+        files.write_atomically(target, copy)
         written.append(SUBSPACE_FILE)
     return {n: files.sha256_of_file(os.path.join(model_path, n)) for n in written}
 

@@ -135,7 +135,8 @@ class Stepper:
         self.judge = FrameJudge(n_rigid, simulator.statistics, self._scene, force_limit)
         self._back_end = back_end or CompiledStep(model, n_rigid, rigid_correction)
         self._lock = threading.Lock()
-        self._pose = self._last = None
+        self._pose: np.ndarray | None = None
+        self._last: Frame | None = None
         self._frame = 0
         self._warm_up(n_rigid)
 

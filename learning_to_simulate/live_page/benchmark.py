@@ -17,6 +17,7 @@ from absl import flags
 
 from learning_to_simulate import command
 from pca_tools import files
+from storage import markdown
 
 WARM_UP = 1.0  # s
 
@@ -100,17 +101,17 @@ def table(path: str) -> str:
 
 def rows(results: dict[str, dict[str, float]]) -> str:
     """The figures of `measure` by model as a table of Markdown."""
+    columns = {
+        'frames/s': 'frame_rate', 'of real time': 'of_real_time', 'received/s': 'received_rate',
+        'kB a frame': 'kilobytes', 'CPU ms a frame': 'cpu_ms', 'possible': 'possible',
+    }  # fmt: skip
+    shares = ('of_real_time', 'possible')  # two digits behind the point
     lines = [
-        '| model | frames/s | of real time | received/s | kB a frame | CPU ms a frame | possible |',
-        '|---|---|---|---|---|---|---|',
-    ]
-    for name, row in results.items():
-        lines.append(
-            f'| {name} | {row["frame_rate"]:.3g} | {row["of_real_time"]:.2f} | '
-            f'{row["received_rate"]:.3g} | {row["kilobytes"]:.3g} | {row["cpu_ms"]:.3g} | '
-            f'{row["possible"]:.2f} |'
-        )
-    return '\n'.join(lines)
+        (name, *(f'{row[key]:.2f}' if key in shares else f'{row[key]:.3g}'
+                 for key in columns.values()))
+        for name, row in results.items()
+    ]  # fmt: skip
+    return markdown.table(('model', *columns), lines)
 
 
 def run(values) -> None:

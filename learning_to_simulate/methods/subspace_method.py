@@ -16,8 +16,6 @@ from learning_to_simulate.methods import registry, resting_bed
 from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training import loop, model_folder, symmetric_copies
-from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -88,6 +86,8 @@ def _with_copies(model, groups, data_path):
     config, scene = model.simulator.config, model.simulator.scene
     if not config.copies:
         return groups
+    from learning_to_simulate.training import symmetric_copies
+
     path = os.path.join(data_path, 'subspace.npz')
     if not scene.rigid_motion.is_known or scene.bodies or not os.path.exists(path):
         raise ValueError(
@@ -100,6 +100,10 @@ def _with_copies(model, groups, data_path):
 
 def train(data_path, model_path, config, options) -> dict:
     """Trains to the end of both stages, or resumes; see `registry.train`."""
+    # A model that is only run waits neither for Keras nor for the rest of training.
+    from learning_to_simulate.training import loop, model_folder
+    from learning_to_simulate.training.trainer import Trainer
+
     registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
@@ -151,6 +155,12 @@ def open_model(
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
     registry.refuse_raw_path(raw_path)
+
+    def one_step_errors():
+        from learning_to_simulate.training.trainer import Trainer
+
+        return Trainer(model, groups).one_step_errors()
+
     model = load(model_path)
     config = model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})
@@ -164,5 +174,5 @@ def open_model(
         groups,
         metadata,
         evaluation.Evaluator(model, metadata, rigid_correction),
-        lambda: Trainer(model, groups).one_step_errors(),
+        one_step_errors,
     )

@@ -5,7 +5,10 @@ import contextlib
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import command
 from learning_to_simulate.config import TrainConfig
+
+command.import_keras()
 
 
 class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):

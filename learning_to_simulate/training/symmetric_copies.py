@@ -78,8 +78,7 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
     middle = float(np.mean([g.position[:, :, : g.n_rigid, across].mean() for g in groups]))
     largest = min(LARGEST_SHIFT, high - low)
     shifts = [
-        shift_of(space, axis, across, rng.uniform(-largest, largest), k % 2)
-        for k in range(SHIFTS)
+        shift_of(space, axis, across, rng.uniform(-largest, largest), k % 2) for k in range(SHIFTS)
     ]
     rest = space.encode(space.initial)
     found = []

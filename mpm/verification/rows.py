@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 from mpm.files import write_whole
 from mpm.versions import SOLVER_VERSION
+from storage import markdown
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Table:
 
     def text(self) -> str:
         """Returns the table as Markdown."""
-        lines = ['| check | figure | expected | within | | CPU s |', '|---|---|---|---|---|---|']
+        rows = []
         for entry in self.entries.values():
             for n, row in enumerate(entry['checks']):
                 bound = ('', '', 'reported')
@@ -102,5 +103,5 @@ class Table:
                     bound = (f'{row["expected"]:.4g}', f'{row["tolerance"]:.2g}', result)
                 name = f'{row["name"]} ({row["note"]})' if row['note'] else row['name']
                 cpu = f'{entry["cpu_s"]:.0f}' if n == 0 else ''
-                lines.append(f'| {name} | {row["figure"]:.4g} | {" | ".join(bound)} | {cpu} |')
-        return '\n'.join(lines)
+                rows.append((name, f'{row["figure"]:.4g}', *bound, cpu))
+        return markdown.table(('check', 'figure', 'expected', 'within', '', 'CPU s'), rows)

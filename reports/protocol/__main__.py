@@ -112,8 +112,8 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
         }
         for m in methods
     ]
-    runs = {split: [] for split in SPLITS}
-    first = {}
+    runs: dict[str, list] = {split: [] for split in SPLITS}
+    first: dict[str, list] = {}
     for split in SPLITS:
         indices = reader.indices(split)
         for truth in progress(reader.read(split)):

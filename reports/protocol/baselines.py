@@ -52,7 +52,8 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
         ),
     ]
     if scene.has_force:
-        mean = np.concatenate([g.force.reshape(-1, g.force.shape[-1]) for g in train]).mean(axis=0)
+        forces = [g.force for g in train if g.force is not None]
+        mean = np.concatenate([f.reshape(-1, f.shape[-1]) for f in forces]).mean(axis=0)
         found.append(
             Baseline(
                 'mean force',

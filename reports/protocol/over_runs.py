@@ -34,24 +34,24 @@ def figures(errors: Sequence[float], baselines: dict[str, Sequence[float]]) -> d
       strictly smaller) and `ratio` (geometric mean over runs of error / baseline's error; None
       where a run failed or an error is 0).
     """
-    errors = np.array(errors, np.float64)
-    failed = int((~np.isfinite(errors)).sum())
-    errors = np.where(np.isfinite(errors), errors, np.inf)
-    result = {
-        'runs': len(errors),
-        'failed': failed,
-        'median': _known(np.median(errors)),
-        'mean': _known(errors.mean()),
-        'worst': _known(errors.max()),
-        'wins': {},
-        'ratio': {},
-    }
+    own = np.array(errors, np.float64)
+    failed = int((~np.isfinite(own)).sum())
+    own = np.where(np.isfinite(own), own, np.inf)
+    wins, ratio = {}, {}
     for name, others in baselines.items():
-        others = np.array(others, np.float64)
-        others = np.where(np.isfinite(others), others, np.inf)
-        result['wins'][name] = int((errors < others).sum())
-        result['ratio'][name] = geometric_mean_ratio(errors, others)
-    return result
+        theirs = np.array(others, np.float64)
+        theirs = np.where(np.isfinite(theirs), theirs, np.inf)
+        wins[name] = int((own < theirs).sum())
+        ratio[name] = geometric_mean_ratio(own, theirs)
+    return {
+        'runs': len(own),
+        'failed': failed,
+        'median': _known(np.median(own)),
+        'mean': _known(own.mean()),
+        'worst': _known(own.max()),
+        'wins': wins,
+        'ratio': ratio,
+    }
 
 
 def geometric_mean_ratio(errors, others) -> float | None:
@@ -68,13 +68,14 @@ def _known(value):
 
 def over_seeds(values: Sequence[float | None]) -> dict | None:
     """Mean and range over seeds, and the values; None where a seed has none."""
-    if any(v is None for v in values) or not values:
+    known = [float(v) for v in values if v is not None]
+    if len(known) < len(values) or not known:
         return None
     return {
-        'mean': float(np.mean(values)),
-        'low': float(min(values)),
-        'high': float(max(values)),
-        'seeds': [float(v) for v in values],
+        'mean': float(np.mean(known)),
+        'low': min(known),
+        'high': max(known),
+        'seeds': known,
     }
 
 

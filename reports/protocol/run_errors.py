@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def run_errors(prediction: RunPrediction, truth, reader, indices) -> dict:
       as `soil_errors`, and `modes_mm` (root mean square within the modes), `force_l2`, `force_n`
       (root mean square per component, N), `torque_l2`, `height_mm`, `status`.
     """
-    errors = {}
+    errors: dict[str, Any] = {}
     if prediction.particles is not None:
         errors |= soil_errors(prediction.particles(truth.frames, indices), truth)
     elif prediction.modes is not None:

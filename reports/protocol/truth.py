@@ -3,6 +3,7 @@ particles that its modes decode to."""
 
 import dataclasses
 import os
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class TruthReader:
                 f'{path}: no such file; errors in full space need the subspace of the records'
             )
         self.subspace = subspace.Subspace.load(path)
-        self._samples = {}
+        self._samples: dict[str, Any] = {}
 
     def sample(self, split: str):
         """The split's particle sample, or None where the dataset holds none."""
