@@ -338,7 +338,7 @@ def test_a_start_by_pose_is_a_reset_from_rest(tmp_path, motion):
     """Poses stand for the points of the start's body, turned and moved."""
     model, (group,), metadata = models.make(tmp_path, motion=motion, context=True)
     n, dt = group.n_rigid, model.simulator.scene.dt
-    found = starts.read(str(tmp_path), metadata, model.simulator.config, n)
+    found = starts.read(str(tmp_path), model.simulator.config, n)
     stepper, other = (c_stepper.CStepper(model, n, starts=found) for _ in range(2))
     start = found[2]
     centre, arms = start['points'].mean(axis=0), start['points'] - start['points'].mean(axis=0)
