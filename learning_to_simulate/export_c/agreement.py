@@ -1,7 +1,7 @@
 """Compares C with TensorFlow's stepper over whole test rollouts, every frame, run by run.
 
 How much of a difference is round-off that a model makes larger is told by a third rollout: that of
-TensorFlow from a start in which every coordinate is off by one unit of float32's last place.
+TensorFlow from a start in which every coordinate is one unit of float32's last place higher.
 
 Example:
   python -m learning_to_simulate.export_c.agreement --output=docs/c/agreement.json \\
@@ -110,6 +110,8 @@ def run(values) -> None:
     """Runs the command with its flags."""
     command.import_tensorflow(num_threads=1)
     found = {}
+    if values.output and os.path.exists(values.output):
+        found = files.read_json(values.output)
     for path in values.models:
         scene = os.path.basename(os.path.dirname(os.path.normpath(path)))
         print(f'comparing {path} ...', flush=True)
@@ -127,5 +129,5 @@ if __name__ == '__main__':
         'Model folders.',
     )  # fmt: skip
     flags.DEFINE_string('data_root', 'datasets', 'Folder of the datasets, named as the scenes.')
-    flags.DEFINE_string('output', None, 'JSON file for the figures.')
+    flags.DEFINE_string('output', None, 'JSON file for the figures; other models in it stay.')
     command.start(run)
