@@ -312,7 +312,7 @@ def main(values, _) -> None:
     data = values.data or [os.path.join('datasets', name) for name in names]
     if len(data) != len(values.models):
         raise ValueError(f'{len(values.models)} models but {len(data)} datasets')
-    kept = []
+    kept: list[dict] = []
     if os.path.exists(values.output_path):
         kept = files.read_json(values.output_path)['models']
     for path, folder in zip(values.models, data):
