@@ -51,7 +51,8 @@ def measure(model_path: str, data_path: str, calls: int) -> dict[str, dict]:
       FileNotFoundError, ValueError: no model or dataset there, or no test run of its size.
       c_library.NoCompiler: there is no C compiler.
     """
-    timed, library = _timed_library()
+    library = timed_library()
+    timed = library.lts_time_calls
     if checkpoints.read_config(model_path)['config'].get('model') == 'swept_field':
         rows = benchmark_field.measure(library, model_path, data_path, calls, TURNS)
         return {name: _row(seconds) for name, seconds in rows.items()}
@@ -100,19 +101,33 @@ def _row(seconds):
     }
 
 
-def _timed_library():
-    """The library with a loop in C that reads the clock around single calls."""
+def timed_library() -> ctypes.CDLL:
+    """The library with the loops of native/bench_calls.c, compiled plainly.
+
+    Raises:
+      c_library.NoCompiler: there is no C compiler.
+    """
     folder = tempfile.mkdtemp(prefix='lts-benchmark-')
     path = os.path.join(folder, 'timed.so')
     extra = [os.path.join(c_header.NATIVE, 'bench_calls.c')]
     c_library.compile_sources(path, c_header.NATIVE, PLAIN_FLAGS, extra)
     library = c_library.declared(ctypes.CDLL(path))
-    pointer, size = ctypes.c_void_p, ctypes.c_size_t
+    pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
+    count, real = ctypes.c_int64, ctypes.c_double
     library.lts_time_calls.argtypes = (
-        pointer, pointer, size, pointer, ctypes.c_int, ctypes.c_int, ctypes.c_int, pointer, size,
-        pointer, pointer, pointer,
+        pointer, pointer, size, pointer, number, number, number, pointer, size, *3 * (pointer,),
     )  # fmt: skip
-    return library.lts_time_calls, library
+    library.lts_time_field.argtypes = (
+        pointer, pointer, size, pointer, number, real, number, pointer, size, pointer, pointer,
+    )  # fmt: skip
+    library.lts_run_on.argtypes = (
+        pointer, pointer, size, pointer, number, number, count, count, pointer, number,
+        *3 * (pointer,),
+    )  # fmt: skip
+    library.lts_run_field_on.argtypes = (
+        pointer, pointer, size, pointer, number, real, count, count, *3 * (pointer,),
+    )  # fmt: skip
+    return library
 
 
 def _c_times(timed, soil, poses, n_frame, calls):

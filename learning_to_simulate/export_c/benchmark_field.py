@@ -7,7 +7,7 @@ import numpy as np
 
 from learning_to_simulate.export_c import c_library, c_values, field_data
 from learning_to_simulate.export_c.c_field import CField
-from learning_to_simulate.export_c.c_soil import KERNELS
+from learning_to_simulate.export_c.c_instance import KERNELS
 from learning_to_simulate.methods.swept_field import model_files, tool_path
 from learning_to_simulate.methods.swept_field.episodes import BedReader
 from learning_to_simulate.methods.swept_field.tool_path import Bed
@@ -64,15 +64,9 @@ def _c_times(library, soil, poses, count, with_particles, dt):
     runs = max(count // n, 1)
     saved, seconds = soil.save(), np.empty((2, runs * n))
     points = np.empty((soil.description.n_soil, 3), np.float32)
-    pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
-    timed = library.lts_time_field
-    timed.argtypes = (
-        pointer, pointer, size, pointer, number, ctypes.c_double, number, pointer, size, pointer,
-        pointer,
-    )  # fmt: skip
     # Fewer particles than frames are of frames spread over the run.
     some = poses[:: len(poses) // n][:n] if with_particles else poses[:n]
-    code = timed(
+    code = library.lts_time_field(
         soil.address, saved, len(saved), np.ascontiguousarray(some).ctypes.data, n,
         dt * (len(poses) // n if with_particles else 1), runs,
         points.ctypes.data if with_particles else None, len(points),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.export_c import c_header, c_library, c_values, field_data
-from learning_to_simulate.export_c.c_soil import KERNELS
+from learning_to_simulate.export_c.c_instance import CInstance
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
@@ -35,45 +35,28 @@ class FieldFrame(NamedTuple):
     status: int
 
 
-class CField:
+class CField(CInstance):
     """One run of a swept field.
 
     Args:
       library: `c_library.declared` of a shared library.
       model: address of its `lts_field_model`.
-      kernel: 'best' or one of `c_soil.KERNELS`.
+      kernel: 'best' or one of `c_instance.KERNELS`.
       members: networks that answer; None: all.
 
     Raises:
       ValueError: a model of another ABI version, a kernel that this machine lacks, no such members.
     """
 
+    PREFIX = 'lts_field_'
+
     def __init__(self, library, model: int, kernel: str = 'best', members: int | None = None):
-        self._c, self._model = library, model
-        d = c_header.structures()['lts_field_description']()
-        self._done(library.lts_field_describe(model, ctypes.addressof(d)))
-        self._d = d
-        self._names = d.scalar_names.decode().split(',')
-        if kernel not in ('best', *KERNELS):
-            raise ValueError(f'kernel is {kernel!r}, must be best, {", ".join(KERNELS)}')
-        self._memory = np.empty(library.lts_field_size(model), np.uint8)
-        soil = ctypes.c_void_p()
-        code = library.lts_field_init(
-            model,
-            self._memory.ctypes.data,
-            self._memory.nbytes,
-            c_header.constants()[f'LTS_{kernel.upper()}'],
-            ctypes.byref(soil),
-        )
-        if code < 0:
-            raise ValueError(f'this machine lacks kernel {kernel!r}')
-        self._soil = soil.value
+        super().__init__(library, model, kernel)
+        self._names = self._d.scalar_names.decode().split(',')
         if members is not None:
-            if not 1 <= members <= d.n_member:
-                raise ValueError(f'members is {members}, must lie in [1, {d.n_member}]')
+            if not 1 <= members <= self._d.n_member:
+                raise ValueError(f'members is {members}, must lie in [1, {self._d.n_member}]')
             self._done(library.lts_field_members(self._soil, members, members))
-        self._result = c_header.structures()['lts_field_result']()
-        self._at_result = ctypes.addressof(self._result)
         # Every call reads from the same array: an address costs a microsecond.
         self._pose = np.empty(7)
         self._at_pose = self._pose.ctypes.data
@@ -98,35 +81,6 @@ class CField:
         from learning_to_simulate.methods.swept_field import model_files
 
         return cls.of(model_files.load(model_path), **options)
-
-    @classmethod
-    def open(cls, path: str, symbol: str, **options) -> 'CField':
-        """Of a shared library that an exported project built.
-
-        Raises:
-          ValueError: no such library, or no such model in it.
-        """
-        try:
-            library = c_library.declared(ctypes.CDLL(path))
-            model = ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
-        except (OSError, ValueError, AttributeError) as error:
-            raise ValueError(f'{path}: no library of the model {symbol} ({error})') from error
-        return cls(library, model, **options)
-
-    @property
-    def description(self):
-        """`lts_field_description`: sizes, the blade, the axes."""
-        return self._d
-
-    @property
-    def address(self) -> int:
-        """Of the `lts_field`, for calls of lts_field.h that have no method here."""
-        return self._soil
-
-    @property
-    def kernel(self) -> str:
-        """Which arithmetic runs, one of `c_soil.KERNELS`."""
-        return KERNELS[self._c.lts_field_kernel(self._soil)]
 
     def start(self, pose, velocity=None, bed=None, blade_width: float | None = None) -> Judgement:
         """Begins where the tool is; returns how the start is to be judged.
@@ -199,30 +153,9 @@ class CField:
     def _take(self, pose):
         self._pose[:] = numbers('pose', pose, (7,))
 
-    def particles(self) -> np.ndarray:
-        """float32 [N, 3] of the soil now, m; none of it inside the blade."""
-        points = np.empty((self._d.n_soil, 3), np.float32)
-        self._done(self._c.lts_field_particles(self._soil, points.ctypes.data, len(points)))
-        return points
-
     def moving(self) -> int:
         """How many particles may have moved; the others are left out, exactly."""
         return self._done(self._c.lts_field_moving(self._soil))
-
-    def height_map(self, origin, cell: float, shape) -> np.ndarray:
-        """As `CSoil.height_map`."""
-        grid = c_header.structures()['lts_grid'](
-            (ctypes.c_double * 2)(*numbers('origin', origin, (2,))),
-            float(cell),
-            (ctypes.c_int32 * 2)(*map(int, shape)),
-        )
-        if not (cell > 0 and min(grid.n) > 0):
-            raise ValueError(f'a grid of {tuple(shape)} cells of {cell} m has no cells')
-        heights = np.empty(tuple(grid.n), np.float32)
-        self._done(
-            self._c.lts_field_height_map(self._soil, ctypes.addressof(grid), heights.ctypes.data)
-        )
-        return heights
 
     @property
     def judgement(self) -> Judgement:
@@ -241,29 +174,5 @@ class CField:
             f'[{found.low:.4g}, {found.high:.4g}] of training',
         )
 
-    def save(self) -> bytes:
-        """The state, for `load_state`."""
-        state = ctypes.create_string_buffer(self._c.lts_field_state_size(self._soil))
-        self._done(self._c.lts_field_save(self._soil, state, len(state)))
-        return state.raw
-
-    def load_state(self, state: bytes) -> None:
-        """Goes back to a saved state; what follows is the same bit by bit.
-
-        Raises:
-          ValueError: damaged bytes, or those of another model; the state stays as it was.
-        """
-        self._done(self._c.lts_field_load(self._soil, state, len(state)))
-
-    def copy_state(self, other: 'CField') -> None:
-        """Takes over the state of another run of the same model.
-
-        Raises:
-          ValueError: a run of another model.
-        """
-        self._done(self._c.lts_field_clone(self._soil, other._soil))
-
-    def _done(self, code):
-        if code < 0:
-            raise ValueError(self._c.lts_error_text(code).decode())
-        return code
+    def _state_size(self):
+        return self._c.lts_field_state_size(self._soil)

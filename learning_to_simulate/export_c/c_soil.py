@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_header, c_library
+from learning_to_simulate.export_c import c_header
+from learning_to_simulate.export_c.c_instance import CInstance
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 
-KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
 _CHECKS = {
     'LTS_OUTSIDE_START': 'coordinate',
@@ -42,7 +42,7 @@ def _checked(name, values, shape):
     return np.ascontiguousarray(numbers(name, values, shape))
 
 
-class CSoil:
+class CSoil(CInstance):
     """One run of a model of the C library.
 
     Args:
@@ -55,78 +55,26 @@ class CSoil:
     """
 
     def __init__(self, library: ctypes.CDLL, model: int, kernel: str = 'best'):
-        self._c, self._model = library, model
-        d = c_header.structures()['lts_description']()
-        self._done(library.lts_describe(model, ctypes.addressof(d)))
-        self._n, self._n_modes, self._n_soil = d.n_rigid, d.n_modes, d.n_soil
-        self._n_start, self._has_force, self._digest = d.n_start, d.has_force, d.digest.decode()
+        super().__init__(library, model, kernel)
+        d = self._d
+        self._n, self._n_modes, self._has_force = d.n_rigid, d.n_modes, d.has_force
         self._motion = _MOTIONS[d.motion]
         names = d.context_names.decode()
         self._context_names = tuple(names.split(',')) if names else ()
-        if kernel not in ('best', *KERNELS):
-            raise ValueError(f'kernel is {kernel!r}, must be best, {", ".join(KERNELS)}')
-        self._memory = np.empty(library.lts_size(model), np.uint8)
-        soil = ctypes.c_void_p()
-        code = library.lts_init(
-            model,
-            self._memory.ctypes.data,
-            self._memory.nbytes,
-            c_header.constants()[f'LTS_{kernel.upper()}'],
-            ctypes.byref(soil),
-        )
-        if code < 0:
-            raise ValueError(f'this machine lacks kernel {kernel!r}')
-        self._soil = soil.value
-        self._result = c_header.structures()['lts_result']()
-        self._at_result = ctypes.addressof(self._result)
         # Every call reads from the same array: an address costs a microsecond.
         self._pose = np.empty((self._n, 3))
         self._at_pose = self._pose.ctypes.data
         self._started = False
 
-    @classmethod
-    def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'CSoil':
-        """A model of a shared library that an exported project built.
-
-        Args:
-          path: of the library.
-          symbol: name of its model, `lts_...`.
-          kernel: of the constructor.
-
-        Raises:
-          ValueError: no such library, or no such model in it.
-        """
-        try:
-            library = c_library.declared(ctypes.CDLL(path))
-            model = ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
-        except (OSError, ValueError, AttributeError) as error:
-            raise ValueError(f'{path}: no library of the model {symbol} ({error})') from error
-        return cls(library, model, kernel)
-
-    @property
-    def model(self) -> int:
-        """Address of the `lts_model`, for another run of it."""
-        return self._model
-
-    @property
-    def address(self) -> int:
-        """Of the `lts_instance`, for calls of lts.h that have no method here."""
-        return self._soil
-
     @property
     def n_soil(self) -> int:
         """N; 0 without a subspace."""
-        return self._n_soil
+        return self._d.n_soil
 
     @property
     def digest(self) -> str:
         """sha256 of all numbers of the model."""
-        return self._digest
-
-    @property
-    def kernel(self) -> str:
-        """Which arithmetic runs, one of `KERNELS`."""
-        return KERNELS[self._c.lts_kernel(self._soil)]
+        return self._d.digest.decode()
 
     def reset(self, history, context=None) -> None:
         """Starts from the last H frames; as `stepping.Stepper.reset`."""
@@ -158,7 +106,7 @@ class CSoil:
         Raises:
           ValueError: no such start, wrong shape, values that are not finite, no rotation.
         """
-        count = self._n_start
+        count = self._d.n_start
         if not -1 <= start < max(count, 1) or not count:
             raise ValueError(f'start is {start}, the model has {count} starts')
         pose, twist, context = (
@@ -220,45 +168,18 @@ class CSoil:
         return Frame(modes, force, points, self._result.status)
 
     def particles(self) -> np.ndarray:
-        """float32 [N, 3] positions of the soil in the newest frame, m.
-
-        Raises:
-          ValueError: before `reset`, or without a subspace.
-        """
+        """As `CInstance.particles`; raises ValueError without a subspace, too."""
         self._require_soil('particles')
-        particles = np.empty((self._n_soil, 3), np.float32)
-        self._done(self._c.lts_particles(self._soil, particles.ctypes.data, self._n_soil))
-        return particles
+        return super().particles()
 
     def height_map(self, origin, cell: float, shape) -> np.ndarray:
-        """Highest particle centre in each cell of a grid across the up axis.
-
-        Args:
-          origin: [2] outer corner of the first cell along the two other axes, m.
-          cell: size of a cell, m.
-          shape: (cells along the first axis, along the second).
-
-        Returns:
-          float32 `shape`, m; NaN where a cell holds no particle.
-
-        Raises:
-          ValueError: as `particles`, or a grid without cells.
-        """
+        """As `CInstance.height_map`; raises as `particles`."""
         self._require_soil('height_map')
-        grid = c_header.structures()['lts_grid'](
-            (ctypes.c_double * 2)(*_checked('origin', origin, (2,))),
-            float(cell),
-            (ctypes.c_int32 * 2)(*map(int, shape)),
-        )
-        if not (cell > 0 and min(grid.n) > 0):
-            raise ValueError(f'a grid of {tuple(shape)} cells of {cell} m has no cells')
-        heights = np.empty(tuple(grid.n), np.float32)
-        self._done(self._c.lts_height_map(self._soil, ctypes.addressof(grid), heights.ctypes.data))
-        return heights
+        return super().height_map(origin, cell, shape)
 
     def _require_soil(self, name):
-        if not self._n_soil or not self._started:
-            missing = 'reset()' if self._n_soil else 'a subspace'
+        if not self.n_soil or not self._started:
+            missing = 'reset()' if self.n_soil else 'a subspace'
             raise ValueError(f'{name}() needs {missing} first')
 
     @property
@@ -294,30 +215,12 @@ class CSoil:
             f'{what} {axis} '.replace('  ', ' ') + limits.format(' m') + ' m',
         )
 
-    def save(self) -> bytes:
-        """The state, for `load_state`; 1 to 5 kB."""
-        state = ctypes.create_string_buffer(self._c.lts_state_size(self._model))
-        self._done(self._c.lts_save(self._soil, state, len(state)))
-        return state.raw
-
     def copy_state(self, other: 'CSoil') -> None:
-        """Takes over the state of another run of the same model.
-
-        Raises:
-          ValueError: a run of another model.
-        """
-        self._done(self._c.lts_clone(self._soil, other._soil))
+        """As `CInstance.copy_state`, and whether it was started."""
+        super().copy_state(other)
         self._started = other._started
 
     def load_state(self, state: bytes) -> None:
-        """Goes back to a saved state; what follows is the same bit by bit.
-
-        Raises:
-          ValueError: damaged bytes, or those of another model; the state stays as it was.
-        """
-        self._done(self._c.lts_load(self._soil, state, len(state)))
+        """As `CInstance.load_state`; a state is of a run that was started."""
+        super().load_state(state)
         self._started = True
-
-    def _done(self, code):
-        if code < 0:
-            raise ValueError(self._c.lts_error_text(code).decode())

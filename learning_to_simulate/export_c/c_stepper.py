@@ -28,7 +28,7 @@ class CStepper(CSoil):
       subspace: turns modes into particles; None if particles are never asked for.
       rigid_correction: whether a predicted body is kept rigid.
       starts: of `starts.read`, for `start`.
-      kernel: 'best' or one of `c_soil.KERNELS`.
+      kernel: 'best' or one of `c_instance.KERNELS`.
 
     Raises:
       ValueError: a model that has no C form, a subspace of another number of modes or particles

@@ -1,27 +1,7 @@
 /* Calls the C interface of a swept field in random order with good and hostile values; run under
  * sanitizers. Usage: fuzz_field SEED CALLS. Prints how often calls succeeded and failed. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-#include FUZZ_HEADER
-
-static uint64_t seed;
-static unsigned pick(unsigned n) { /* xorshift */
-  seed ^= seed << 13;
-  seed ^= seed >> 7;
-  seed ^= seed << 17;
-  return (unsigned)(seed >> 33) % n;
-}
-
-static double hostile(double usual) {
-  const double bad[] = {NAN, INFINITY, -INFINITY, 1e300, -1e300, 1e30, 5e-324, 0.0, -1.0, 1e9};
-  return pick(60) ? usual + 1e-3 * ((double)pick(1000) / 500.0 - 1.0) : bad[pick(10)];
-}
-
-static void *maybe(void *p) { return pick(30) ? p : NULL; }
+#define FUZZ_ODDS 60
+#include "fuzz.h"
 
 int main(int argc, char **argv) {
   const lts_field_model *model = &FUZZ_MODEL;

@@ -36,7 +36,7 @@ def _values(folder, **case):
     space = subspace.fit(
         [np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))], synthetic.N_MODES
     )
-    found = starts.read(str(folder), metadata, model.simulator.config, group.n_rigid)
+    found = starts.read(str(folder), model.simulator.config, group.n_rigid)
     return model_data.values(model, group.n_rigid, space, starts=found)
 
 
@@ -69,6 +69,7 @@ def _fuzz(folder, values, program_name):
         done = subprocess.run([program, seed, str(CALLS // 2)], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr[-3000:]
         good, refused = (int(done.stdout.split()[i]) for i in (0, 2))
+        print(f'{program_name}, seed {seed}: {good} good, {refused} refused')
         # Neither kind of call may be rare, or the test would see one side only.
         assert good > CALLS // 10 and refused > CALLS // 20
 

@@ -7,7 +7,7 @@ import pytest
 
 from learning_to_simulate.export_c import c_library, field_data, project
 from learning_to_simulate.export_c.c_field import CField
-from learning_to_simulate.export_c.c_soil import KERNELS
+from learning_to_simulate.export_c.c_instance import KERNELS
 from learning_to_simulate.methods.swept_field import quality, soil_physics, tool_path
 from learning_to_simulate.methods.swept_field.beds import HeightMap
 from learning_to_simulate.methods.swept_field.episodes import BedReader

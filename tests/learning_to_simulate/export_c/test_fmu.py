@@ -8,7 +8,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from learning_to_simulate.export_c import c_library, c_stepper, fmu, model_data, starts
+from learning_to_simulate.export_c import (
+    c_library,
+    c_stepper,
+    field_data,
+    fmu,
+    model_data,
+    starts,
+)
+from learning_to_simulate.methods.swept_field import model_files
 from tests.learning_to_simulate import models
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
@@ -28,7 +36,7 @@ CASES = {
 def _write(folder, **case):
     """(path of the FMU, model, starts, values)."""
     model, (group, *_), metadata = models.make(folder / 'data', **case)
-    found = starts.read(str(folder / 'data'), metadata, model.simulator.config, group.n_rigid)
+    found = starts.read(str(folder / 'data'), model.simulator.config, group.n_rigid)
     values = model_data.values(model, group.n_rigid, starts=found)
     path = str(folder / 'soil.fmu')
     fmu.write(path, 'lts_small', values)
@@ -105,6 +113,30 @@ def test_is_valid_and_simulates(case, tmp_path):
     force = [n for n in result.dtype.names if '.force.' in n]
     assert len(force) == 3 and all(np.isfinite(result[n]).all() for n in force)
     assert np.abs(result[force[0]][2:]).max() > 0
+
+
+SHIPPED = [
+    *(f'{s}/{n}' for s in ('excavation', 'wheel') for n in ('pcg', 'pcg_thesis', 'fcg_original')),
+    'excavation_v2/swept_field',
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', SHIPPED)
+def test_shipped_models_are_valid_in_both_versions(name, tmp_path):
+    path = os.path.join('models', name)
+    if name.endswith('swept_field'):
+        values = field_data.values(model_files.load(path))
+    else:
+        data = os.path.join('datasets', os.path.dirname(name))
+        model, n, subspace, found = starts.read_model(path, data)
+        values = model_data.values(model, n, subspace, starts=found)
+    for version in fmu.VERSIONS:
+        written = str(tmp_path / f'soil{version}.fmu')
+        fmu.write(written, 'lts_soil', values, version)
+        assert validation.validate_fmu(written) == []
+        result = fmpy.simulate_fmu(written, stop_time=0.1, output_interval=1 / 60)
+        assert all(np.isfinite(result[n]).all() for n in result.dtype.names)
 
 
 def _path(found, twist, dt, n_frame):

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(
 
 def _small(folder, **case):
     model, (group, *_), metadata = models.make(folder, **case)
-    found = starts.read(str(folder), metadata, model.simulator.config, group.n_rigid)
+    found = starts.read(str(folder), model.simulator.config, group.n_rigid)
     return model, group, model_data.values(model, group.n_rigid, starts=found)
 
 

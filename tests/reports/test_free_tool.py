@@ -1,0 +1,82 @@
+"""The measures of a free tool on tools and forces that are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mpm import bodies, contact
+from pca_tools import files
+from reports import free_tool
+
+WHEEL = {'diameter_m': 0.3}
+
+
+def _points(body, x=0.6, y=0.3, lean=0.2, middle=0.4):
+    return bodies.sample_points(body._replace(z_middle=middle), x, y, lean)
+
+
+@pytest.mark.parametrize('scene', ['excavation', 'wheel'])
+def test_soil_inside_is_that_of_the_solver_and_comes_out(scene):
+    body = bodies.make_wheel(0.3, 0.4) if scene == 'wheel' else bodies.make_blade(0.4)
+    points = _points(body)
+    tool = free_tool.Tool(scene, WHEEL, points)
+    rng = np.random.default_rng(0)
+    soil = np.array([0.6, 0.3, 0.4]) + rng.uniform(-0.3, 0.3, (4000, 3))
+    depth, pushed = tool.inside(soil, points)
+    expected = -contact.signed_distances(body, (0.6, 0.3, 0.2), soil)
+    np.testing.assert_allclose(depth, np.maximum(expected, 0.0), atol=1e-8)
+    assert (depth > 0).sum() > 30 and depth.max() <= tool.radius + 1e-9
+    assert tool.inside(pushed, points)[0].max() < 1e-9
+    np.testing.assert_array_equal(pushed[depth == 0], soil[depth == 0])
+    np.testing.assert_allclose(np.linalg.norm(pushed - soil, axis=1), depth, atol=1e-12)
+
+
+def test_other_bodies_are_refused():
+    points = _points(bodies.make_blade(0.4))
+    with pytest.raises(ValueError, match='scene plough'):
+        free_tool.Tool('plough', {}, points)
+    with pytest.raises(ValueError, match='has 19 particles, not 20'):
+        free_tool.Tool('excavation', {}, points[1:])
+    with pytest.raises(ValueError, match='m from those of the tool'):
+        free_tool.Tool('excavation', {}, points * 1.1)
+
+
+def test_penetration_counts_prediction_and_truth():
+    """Truth 4 mm inside in one frame of two, prediction clear of the tool but 1 m off."""
+    points = _points(bodies.make_blade(0.4), lean=0.0)
+    tool = free_tool.Tool('excavation', {}, points)
+    frames = np.repeat(points[None], free_tool.H + 2 * free_tool.EVERY, axis=0)
+    outside, touched = np.array([[1.5, 0.3, 0.4]]), np.array([[0.61, 0.45, 0.4]])
+    modes = [outside] * (free_tool.H + free_tool.EVERY) + [touched] * free_tool.EVERY
+    rollout = SimpleNamespace(
+        truth=(modes, frames, None), body=frames, modes=modes[free_tool.H :],
+        particles=lambda frame: outside,
+    )  # fmt: skip
+    row = free_tool.penetration(tool, rollout, SimpleNamespace(particles=np.asarray))
+    assert row['deepest_mm'] == 0.0 and row['particles'] == 0.0
+    assert row['true_deepest_mm'] == pytest.approx(4.0) and row['true_particles'] == 0.5
+    assert row['error_mm'] == row['pushed_error_mm'] > 300.0
+
+
+def test_a_spike_at_a_stop_and_the_table(tmp_path):
+    force = np.zeros((40, 3))
+    force[:10] = [200.0, 30.0, 0.0]  # before, one frame of -100, then 40
+    force[10] = [-100.0, 30.0, 0.0]
+    force[11:] = [40.0, 30.0, 0.0]
+    model = SimpleNamespace(
+        rollout=lambda path, **_: SimpleNamespace(force=force[: len(path) - 1]),
+        starts=SimpleNamespace(cases=[{'case': 3}]),
+    )
+    found = free_tool.stop(model, np.zeros((21, 7)), 0, None)
+    assert found['spike_N'] == pytest.approx(220.0)
+    assert found['before_N'] == pytest.approx(np.hypot(200.0, 30.0))
+    assert found['settled_N'] == pytest.approx(50.0)
+    row = {f'stop_{k}': v for k, v in found.items()} | {
+        'start_first_N': 1.0, 'start_later_N': 2.0, 'deepest_mm': 3.0, 'true_deepest_mm': 4.0,
+        'particles': 5.0, 'true_particles': 6.0, 'error_mm': 2.0, 'pushed_error_mm': 3.0,
+    }  # fmt: skip
+    path = str(tmp_path / 'free_tool.json')
+    files.write_json(path, {'models': [{'model': 'm', 'runs': [row, row | {'air_N': 7.0}]}]})
+    line = free_tool.table(path).splitlines()[-1]
+    assert line == '| m | 7 | 1 | 2 | 220 | 202 | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'
