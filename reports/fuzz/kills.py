@@ -1,16 +1,18 @@
-"""SIGKILL in training, conversion, export and results: the same command again gives the same files.
+"""SIGKILL in training, conversion, export, results and solver runs: the same command again gives
+the same files.
 
 Named points are all moments before a file of the work folder is opened for writing, renamed,
 removed or made, as Python's audit events name them; beside them lie random moments. After every
-kill the task is given again, without one, and must end with the bytes of an undisturbed run.
+kill the task is given again, without one, and must end with the bytes of an undisturbed run. All
+runs are forks of one process, which has imported what they need. The same command goes on with the
+tasks that it has not finished.
 
 Examples:
     python -m reports kills --count=200 --output_path=docs
 
-    python -m reports kills --count=40 --tasks=training --seed=1
+    python -m reports kills --count=40 --points=0 --tasks=training --seed=1
 """
 
-import collections
 import contextlib
 import io
 import os
@@ -22,6 +24,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Iterator
 
 import tqdm
 from absl import flags
@@ -92,19 +95,29 @@ def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
 
 
 class Plan:
-    """One task with its undisturbed run: named points, duration and result."""
+    """One task with what it does undisturbed: named points, duration and result.
+
+    It is done twice: the first time may compile, and both must end with the same files.
+    """
 
     def __init__(self, name: str, base: str, work: str):
         self.name, self._task = name, kill_tasks.TASKS[name]
         self._base, self._work = base, work
-        folder = self._fresh()
-        start = time.monotonic()
         points_file = os.path.join(work, 'points.json')
-        if _run(self._task, folder, points_file=points_file):
-            raise OSError(f'{name} fails without a kill')
-        self.seconds = time.monotonic() - start
-        self.points = files.read_json(points_file)
-        self._whole = kill_tasks.fingerprint(os.path.join(folder, self._task.result))
+        ends = []
+        for _ in range(2):
+            folder = self._fresh()
+            start = time.monotonic()
+            if _run(self._task, folder, points_file=points_file):
+                raise OSError(f'{name} fails without a kill')
+            self.seconds = time.monotonic() - start
+            ends.append(self._fingerprint(folder))
+        if ends[0] != ends[1]:
+            raise OSError(f'{name} ends with other files each time, without a kill')
+        self.points, self._whole = files.read_json(points_file), ends[0]
+
+    def _fingerprint(self, folder):
+        return self._task.fingerprint(os.path.join(folder, self._task.result))
 
     def _fresh(self):
         folder = os.path.join(self._work, 'folder')
@@ -120,22 +133,24 @@ class Plan:
         killed = _run(self._task, folder, point, kill_after=after) == -signal.SIGKILL
         if code := _run(self._task, folder):
             return killed, f'the same command fails afterwards ({code})'
-        found = kill_tasks.fingerprint(os.path.join(folder, self._task.result))
+        found = self._fingerprint(folder)
         differing = sorted(n for n in {*found, *self._whole} if found.get(n) != self._whole.get(n))
         return killed, f'other files: {", ".join(differing)}' if differing else ''
 
 
-def run(names: list[str], count: int, seed: int) -> dict:
-    """Kills tasks in turn: at each of their named points in an order of the seed, every third time
-    at a random moment.
+def run(
+    moments: dict[str, int], seed: int, points: int | None = None
+) -> Iterator[tuple[str, dict, list]]:
+    """Kills tasks, at their named points and at random moments.
 
     Args:
-        names: of `kill_tasks.TASKS`.
-        count: kills in all.
+        moments: name of `kill_tasks.TASKS` -> kills at random moments; one after the end is drawn
+            again.
         seed: of points and moments.
+        points: named points of each task; None for every one.
 
-    Returns:
-        `tasks`: name -> points, points_hit, named, random, lost; `losses`: list of dicts.
+    Yields:
+        of each task its name, its row (points, named, random, lost) and what was lost.
     """
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
@@ -143,48 +158,54 @@ def run(names: list[str], count: int, seed: int) -> dict:
         os.mkdir(base)
         if _run(None, base):
             raise OSError('the data of the tasks could not be made')
-        plans = []
-        for i, name in enumerate(names):
+        for i, (name, count) in enumerate(moments.items()):
             work = os.path.join(folder, str(i))
             os.mkdir(work)
-            plans.append(Plan(name, base, work))
-        rows = {
-            p.name: {'points': len(p.points), 'points_hit': 0, 'named': 0, 'random': 0, 'lost': 0}
-            for p in plans
-        }
-        losses: list = []
-        turns: collections.Counter[str] = collections.Counter()
-        for number in tqdm.trange(count, unit='kill', disable=None):
-            plan = plans[number % len(plans)]
-            turn = turns[plan.name]
-            turns[plan.name] += 1
-            rng = random.Random(f'{plan.name}:{seed}:{turn}')
-            order = list(range(len(plan.points)))
-            random.Random(f'{plan.name}:{seed}').shuffle(order)
-            at = None if turn % 3 == 2 else order[(turn - turn // 3) % len(order)]
+            yield name, *_kills(Plan(name, base, work), count, seed, points)
+
+
+def _kills(plan, count, seed, points):
+    """Row and losses of one task."""
+    rng = random.Random(f'{plan.name}:{seed}')
+    here = list(range(len(plan.points)))
+    if points is not None:
+        here = rng.sample(here, min(points, len(here)))
+    row: dict = {'points': len(plan.points), 'named': 0, 'random': 0, 'lost': 0}
+    losses = []
+    for at in tqdm.tqdm([*here, *[None] * count], desc=plan.name, unit='kill', disable=None):
+        killed, lost = False, ''
+        while not killed and not lost:
             killed, lost = plan.kill(at, rng)
-            row = rows[plan.name]
-            row['named' if at is not None else 'random'] += killed
-            row['points_hit'] = min(row['named'], len(order))
-            if lost:
-                row['lost'] += 1
-                where = 'a random moment' if at is None else plan.points[at]
-                losses.append({'task': plan.name, 'at': where, 'lost': lost})
-    return {'tasks': rows, 'losses': losses}
+            if at is not None and not killed:
+                lost = 'the point was not reached'
+        row['random' if at is None else 'named'] += killed
+        if lost:
+            row['lost'] += 1
+            where = 'a random moment' if at is None else plan.points[at]
+            losses.append({'task': plan.name, 'at': where, 'lost': lost})
+    return row, losses
 
 
-def table(rows: dict) -> str:
-    """The kills by task, as Markdown."""
-    head = ('task', 'named points', 'of them hit', 'kills there', 'kills at random', 'lost')
-    return markdown.table(head, [[name, *row.values()] for name, row in rows.items()])
+def table(path: str) -> str:
+    """The kills by task in a `kills.json`, as Markdown."""
+    return _table(files.read_json(path)['tasks'])
+
+
+def _table(rows):
+    head = ('task', 'named points', 'kills there', 'kills at random moments', 'something lost')
+    sums = [sum(row[key] for row in rows.values()) for key in ('points', 'named', 'random', 'lost')]
+    return markdown.table(
+        head, [*([name, *row.values()] for name, row in rows.items()), ['**all**', *sums]]
+    )
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_integer('count', 200, 'Kills in all, dealt to the tasks in turn.', 1)
+    flags.DEFINE_integer('count', 200, 'Kills at random moments in all, dealt to the tasks.', 0)
+    flags.DEFINE_integer('points', None, 'Named points of each task; default: every one.', 0)
     flags.DEFINE_integer('seed', 0, 'Seed of points and moments.')
     flags.DEFINE_list('tasks', None, 'Names as in the table; default: all.')
-    flags.DEFINE_string('output_path', None, 'Folder for kills.json and kills.md.')
+    flags.DEFINE_string('output_path', None, 'Folder for kills.json.')
 
 
 def main(values, _) -> int:
@@ -192,18 +213,24 @@ def main(values, _) -> int:
     names = values.tasks or list(kill_tasks.TASKS)
     if unknown := set(names) - set(kill_tasks.TASKS):
         raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')
-    result = run(names, values.count, values.seed)
-    text = table(result['tasks'])
-    if values.output_path:
+    document: dict = {'tasks': {}, 'losses': []}
+    path = values.output_path and os.path.join(values.output_path, 'kills.json')
+    if path:
         os.makedirs(values.output_path, exist_ok=True)
-        head = record.provenance()
-        files.write_json(os.path.join(values.output_path, 'kills.json'), head | result)
-        page = f'# Kills\n`{head["command"]}`\n\n{text}\n'
-        files.write_text(os.path.join(values.output_path, 'kills.md'), page)
-    print(text)
-    for loss in result['losses'][:20]:
+        identity = {'count': values.count, 'points': values.points, 'seed': values.seed}
+        document = record.resume(path, identity, document)
+    share, more = divmod(values.count, len(names))
+    moments = {name: share + (i < more) for i, name in enumerate(names)}
+    todo = {name: n for name, n in moments.items() if name not in document['tasks']}
+    for name, row, losses in run(todo, values.seed, values.points):
+        document['tasks'][name] = row
+        document['losses'] += losses
+        if path:
+            files.write_json(path, document | record.provenance())
+    print(_table(document['tasks']))
+    for loss in document['losses'][:20]:
         print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')
-    return int(bool(result['losses']))
+    return int(bool(document['losses']))
 
 
 if __name__ == '__main__':
