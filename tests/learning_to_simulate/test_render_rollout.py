@@ -50,7 +50,7 @@ def changed(made, tmp_path, **changes):
 
 
 def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
-    """With the judgement of the rollout, which is text."""
+    """With the judgement of the rollout and the digest of its model, which are texts."""
     model, (group, *_), metadata = models.make(tmp_path / 'data')
     function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
     tf.config.run_functions_eagerly(True)
@@ -60,8 +60,11 @@ def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
     finally:
         tf.config.run_functions_eagerly(False)
     summary = evaluation.summarise(results, model, metadata, 'train')
-    (path, _) = evaluation.save_rollouts(str(tmp_path), 'train', results, summary, metadata)
-    assert files.read_npz(path)['status'].dtype.kind == 'U'
+    (path, _) = evaluation.save_rollouts(
+        str(tmp_path), 'train', results, summary, metadata, 64 * 'a'
+    )
+    stored = files.read_npz(path)
+    assert stored['status'].dtype.kind == stored['model_digest'].dtype.kind == 'U'
     assert rollout_frames.load(path, str(tmp_path / 'data')).rigid[TRUTH].shape[1] == 4
 
 
