@@ -68,7 +68,7 @@ def _metadata_of_scene(path: str, stated: Any) -> dict[str, Any]:
         'dt': scene.dt,
         'mode_number': scene.n_modes,
         'n_soil': scene.n_soil,
-        'scene': {'name': scene.name},
+        'scene': {'name': scene.name, 'up_axis': scene.up_axis},
     }
 
 

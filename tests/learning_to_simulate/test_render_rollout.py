@@ -267,6 +267,19 @@ class TestPictures:
         assert (pixels[0] != pixels[1]).any()
         rollout_figures.strip_figure(frames, view, drawn.tolist(), dpi=50).canvas.draw()
 
+    @pytest.mark.parametrize(('up_axis', 'axes'), [(0, (1, 0)), (1, (0, 1)), (2, (0, 2))])
+    def test_upward_axis_is_up(self, made, tmp_path, monkeypatch, up_axis, axes):
+        metadata = json.loads(str(files.read_npz(made[0])['metadata']))
+        metadata['scene']['up_axis'] = up_axis
+        path = changed(made, tmp_path, metadata=np.array(json.dumps(metadata)))
+        frames = rollout_frames.load(path, made[1])
+        monkeypatch.setattr(particle_views, '_SIDE_VIEW_PARTICLES', 10)
+        side = particle_views.setup(frames, None, np.arange(0, N_FRAMES, 20))
+        assert side.plane == axes and len(side.particles) == 10
+        depth = ({0, 1, 2} - set(axes)).pop()
+        away = np.abs(frames.soil(TRUTH, 0)[:, depth] - frames.rigid[TRUTH][0][:, depth].mean())
+        assert set(side.particles) == set(np.argsort(away, kind='stable')[:10])
+
     def test_soil_at_rest_can_be_drawn(self, made, tmp_path):
         arrays = files.read_npz(made[0])
         metadata = json.loads(str(arrays['metadata']))
