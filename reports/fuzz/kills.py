@@ -4,8 +4,8 @@ the same files.
 Named points are all moments before a file of the work folder is opened for writing, renamed,
 removed or made, as Python's audit events name them; beside them lie random moments. After every
 kill the task is given again, without one, and must end with the bytes of an undisturbed run. All
-runs are forks of one process, which has imported what they need. The same command goes on with the
-tasks that it has not finished.
+runs are forks of one process, which has imported what they need. The same command goes on where it
+was stopped.
 
 Examples:
     python -m reports kills --count=200 --output_path=docs
@@ -95,26 +95,19 @@ def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
 
 
 class Plan:
-    """One task with what it does undisturbed: named points, duration and result.
-
-    It is done twice: the first time may compile, and both must end with the same files.
-    """
+    """One task with its undisturbed run: named points, duration and result."""
 
     def __init__(self, name: str, base: str, work: str):
         self.name, self._task = name, kill_tasks.TASKS[name]
         self._base, self._work = base, work
+        folder = self._fresh()
+        start = time.monotonic()
         points_file = os.path.join(work, 'points.json')
-        ends = []
-        for _ in range(2):
-            folder = self._fresh()
-            start = time.monotonic()
-            if _run(self._task, folder, points_file=points_file):
-                raise OSError(f'{name} fails without a kill')
-            self.seconds = time.monotonic() - start
-            ends.append(self._fingerprint(folder))
-        if ends[0] != ends[1]:
-            raise OSError(f'{name} ends with other files each time, without a kill')
-        self.points, self._whole = files.read_json(points_file), ends[0]
+        if _run(self._task, folder, points_file=points_file):
+            raise OSError(f'{name} fails without a kill')
+        self._seconds = time.monotonic() - start
+        self.points = files.read_json(points_file)
+        self._whole = self._fingerprint(folder)
 
     def _fingerprint(self, folder):
         return self._task.fingerprint(os.path.join(folder, self._task.result))
@@ -125,32 +118,46 @@ class Plan:
         shutil.copytree(self._base, folder)
         return folder
 
-    def kill(self, point: int | None, rng: random.Random) -> tuple[bool, str]:
-        """Kills at a named point, or at a random moment; returns whether it was killed, and what
-        was lost ('' for nothing)."""
+    def kill_at(self, point: int) -> str:
+        """Kills at a named point; returns what was lost, '' for nothing."""
         folder = self._fresh()
-        after = None if point is not None else rng.uniform(0.0, self.seconds)
-        killed = _run(self._task, folder, point, kill_after=after) == -signal.SIGKILL
+        if _run(self._task, folder, point) != -signal.SIGKILL:
+            return 'the point was not reached'
+        return self._lost(folder)
+
+    def kill_at_random(self, rng: random.Random) -> str:
+        """Kills at a random moment; one after the end is drawn again. Returns as `kill_at`."""
+        while True:
+            folder, after = self._fresh(), rng.uniform(0.0, self._seconds)
+            if _run(self._task, folder, kill_after=after) == -signal.SIGKILL:
+                return self._lost(folder)
+            self._seconds = after  # the first run may have compiled something
+
+    def _lost(self, folder):
         if code := _run(self._task, folder):
-            return killed, f'the same command fails afterwards ({code})'
+            return f'the same command fails afterwards ({code})'
         found = self._fingerprint(folder)
         differing = sorted(n for n in {*found, *self._whole} if found.get(n) != self._whole.get(n))
-        return killed, f'other files: {", ".join(differing)}' if differing else ''
+        return f'other files: {", ".join(differing)}' if differing else ''
 
 
 def run(
-    moments: dict[str, int], seed: int, points: int | None = None
-) -> Iterator[tuple[str, dict, list]]:
-    """Kills tasks, at their named points and at random moments.
+    rows: dict[str, dict], moments: dict[str, int], seed: int, points: int | None = None
+) -> Iterator[dict | None]:
+    """Kills tasks in turn, at their named points and at random moments.
 
     Args:
-        moments: name of `kill_tasks.TASKS` -> kills at random moments; one after the end is drawn
-            again.
+        rows: task -> `points`, kills so far (`named`, `random`), `lost`; filled in place, so that a
+            run that was stopped goes on.
+        moments: name of `kill_tasks.TASKS` -> kills at random moments.
         seed: of points and moments.
         points: named points of each task; None for every one.
 
     Yields:
-        of each task its name, its row (points, named, random, lost) and what was lost.
+        after each kill what was lost; None for nothing.
+
+    Raises:
+        OSError: a task fails without a kill, or has other points than `rows` say.
     """
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
@@ -158,32 +165,37 @@ def run(
         os.mkdir(base)
         if _run(None, base):
             raise OSError('the data of the tasks could not be made')
+        plans = []
         for i, (name, count) in enumerate(moments.items()):
             work = os.path.join(folder, str(i))
             os.mkdir(work)
-            yield name, *_kills(Plan(name, base, work), count, seed, points)
+            plan = Plan(name, base, work)
+            n = len(plan.points)
+            row = rows.setdefault(name, {'points': n, 'named': 0, 'random': 0, 'lost': 0})
+            if row['points'] != n:
+                raise OSError(f'{name} has {n} points, and had {row["points"]}')
+            order = random.Random(f'{name}:{seed}').sample(
+                range(n), n if points is None else points
+            )
+            plans.append((plan, row, order, count))
+        while todo := [p for p in plans if p[1]['named'] < len(p[2]) or p[1]['random'] < p[3]]:
+            for plan, row, order, count in todo:
+                if row['named'] < len(order):
+                    yield _kill(plan, row, 'named', order[row['named']], seed)
+                if row['random'] < count:
+                    yield _kill(plan, row, 'random', None, seed)
 
 
-def _kills(plan, count, seed, points):
-    """Row and losses of one task."""
-    rng = random.Random(f'{plan.name}:{seed}')
-    here = list(range(len(plan.points)))
-    if points is not None:
-        here = rng.sample(here, min(points, len(here)))
-    row: dict = {'points': len(plan.points), 'named': 0, 'random': 0, 'lost': 0}
-    losses = []
-    for at in tqdm.tqdm([*here, *[None] * count], desc=plan.name, unit='kill', disable=None):
-        killed, lost = False, ''
-        while not killed and not lost:
-            killed, lost = plan.kill(at, rng)
-            if at is not None and not killed:
-                lost = 'the point was not reached'
-        row['random' if at is None else 'named'] += killed
-        if lost:
-            row['lost'] += 1
-            where = 'a random moment' if at is None else plan.points[at]
-            losses.append({'task': plan.name, 'at': where, 'lost': lost})
-    return row, losses
+def _kill(plan, row, kind, point, seed):
+    """One kill: into its row; returns what was lost."""
+    rng = random.Random(f'{plan.name}:{seed}:{row[kind]}')
+    lost = plan.kill_at_random(rng) if point is None else plan.kill_at(point)
+    row[kind] += 1
+    if not lost:
+        return None
+    row['lost'] += 1
+    where = 'a random moment' if point is None else plan.points[point]
+    return {'task': plan.name, 'at': where, 'lost': lost}
 
 
 def table(path: str) -> str:
@@ -221,12 +233,12 @@ def main(values, _) -> int:
         document = record.resume(path, identity, document)
     share, more = divmod(values.count, len(names))
     moments = {name: share + (i < more) for i, name in enumerate(names)}
-    todo = {name: n for name, n in moments.items() if name not in document['tasks']}
-    for name, row, losses in run(todo, values.seed, values.points):
-        document['tasks'][name] = row
-        document['losses'] += losses
+    rows, losses = document['tasks'], document['losses']
+    head = record.provenance()
+    for lost in tqdm.tqdm(run(rows, moments, values.seed, values.points), unit='kill'):
+        losses += [lost] if lost else []
         if path:
-            files.write_json(path, document | record.provenance())
+            files.write_json(path, document | head)
     print(_table(document['tasks']))
     for loss in document['losses'][:20]:
         print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')

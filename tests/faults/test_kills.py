@@ -43,7 +43,10 @@ def broken(folder):
                 open(f'{folder}/results/c', 'w').close()
                 file.write('y' * 100)
 kill_tasks.TASKS = {'broken': kill_tasks.Task(broken, 'results')}
-((name, row, losses),) = kills.run({'broken': 2}, 0)
-sys.exit(0 if losses and row['named'] == row['points'] else 1)
+rows = {}
+losses = [lost for lost in kills.run(rows, {'broken': 2}, 0) if lost]
+(row,) = rows.values()
+assert row['named'] == row['points'] and row['random'] == 2 and row['lost'] == len(losses)
+sys.exit(0 if losses else 1)
 """
     subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True)
