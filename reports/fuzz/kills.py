@@ -88,9 +88,13 @@ def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
     if not pid:
         _child(task, folder, kill_at, points_file)
     if kill_after is not None:
-        time.sleep(kill_after)
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
+        end = time.monotonic() + kill_after
+        while time.monotonic() < end:
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.002)
+        os.kill(pid, signal.SIGKILL)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
@@ -129,9 +133,10 @@ class Plan:
         """Kills at a random moment; one after the end is drawn again. Returns as `kill_at`."""
         while True:
             folder, after = self._fresh(), rng.uniform(0.0, self._seconds)
+            start = time.monotonic()
             if _run(self._task, folder, kill_after=after) == -signal.SIGKILL:
                 return self._lost(folder)
-            self._seconds = after  # the first run may have compiled something
+            self._seconds = time.monotonic() - start  # the first run may have compiled something
 
     def _lost(self, folder):
         if code := _run(self._task, folder):
