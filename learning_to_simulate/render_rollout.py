@@ -47,7 +47,7 @@ def render(
     formats: Iterable[str] = ('png', 'gif', 'mp4'),
     step_stride: int = 3,
     color_by: str = 'speed',
-    plane: str = 'xy',
+    plane: str | None = None,
     label: str = '',
     progress: Callable = lambda frames, label: frames,
 ) -> tuple[RolloutFrames, list[str]]:
@@ -60,7 +60,8 @@ def render(
         formats: some of `FORMATS`.
         step_stride: draw every so many frames.
         color_by: `speed` (mm/s) or `error` (mm).
-        plane: `xy`, `xz` or `zy`.
+        plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
+            from the side, with the scene's upward axis up.
         label: name of the model, for the title of the prediction.
         progress: wraps the frames of a movie, called with them and a label (for a progress bar).
 
@@ -88,7 +89,7 @@ def render_frames(
     formats: Iterable[str],
     step_stride: int = 3,
     color_by: str = 'speed',
-    plane: str = 'xy',
+    plane: str | None = None,
     progress: Callable = lambda frames, label: frames,
 ) -> list[str]:
     """Draws a rollout that is in memory; arguments as of `render`.
@@ -125,7 +126,7 @@ def _write_pictures(
     frames: RolloutFrames,
     drawn: np.ndarray,
     color_by: str,
-    plane: str,
+    plane: str | None,
     progress: Callable,
 ) -> list[str]:
     """Writes PNG, GIF and MP4; returns the paths."""
@@ -175,9 +176,10 @@ def define_flags() -> None:
     flags.DEFINE_enum('color_by', 'speed', COLOR_CHOICES, 'What colours the soil.')
     flags.DEFINE_enum(
         'plane',
-        'xy',
+        None,
         list(rollout_frames.PLANES),
-        'Axes of the view: xy from the side, xz from above, zy along the drive.',
+        'Horizontal and vertical axis of the view; default: from the side, upward axis up. With y '
+        'up xz is from above, zy along the drive.',
     )
     flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')

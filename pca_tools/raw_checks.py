@@ -232,7 +232,7 @@ class Extent:
         outside: share of the soil particles of first and last frames outside the bounds, the
             largest of all runs.
         spacing: median distance of a soil particle to its nearest neighbour, metres.
-        speed: fastest point of soil or body, metres per second.
+        speed, fastest: of the fastest point of soil or body, metres per second; which it is.
     """
 
     low: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, np.inf))
@@ -240,6 +240,7 @@ class Extent:
     outside: float = 0.0
     spacing: float = math.nan
     speed: float = 0.0
+    fastest: str = 'soil'
 
     def add(
         self,
@@ -254,10 +255,11 @@ class Extent:
         self.high = np.maximum(self.high, first.max(axis=0))
         if math.isnan(self.spacing) and len(first) > 1:
             self.spacing = median_spacing(first)
-        for points in (positions, rigid_positions):
+        for name, points in (('soil', positions), ('body', rigid_positions)):
             if points.size and len(points) > 1:
                 step = max(float(np.abs(b - a).max()) for a, b in zip(points[:-1], points[1:]))
-                self.speed = max(self.speed, step / dt)
+                if step / dt > self.speed:
+                    self.speed, self.fastest = step / dt, name
         if bounds is not None:
             ends = np.stack([positions[0], positions[-1]])
             out = np.any((ends < bounds[:, 0]) | (ends > bounds[:, 1]), axis=-1)
@@ -291,8 +293,8 @@ def unit_faults(extent: Extent, bounds: Any, dt: float) -> list[str]:
         faults.append(f'the soil spans {size:.3g} m')
     if extent.speed > SPEED:
         faults.append(
-            f'something moves at {extent.speed:.3g} m/s ({extent.speed * dt:.3g} m in a frame of '
-            f'{dt:.3g} s): the unit of length or dt is wrong'
+            f'the {extent.fastest} moves at {extent.speed:.3g} m/s ({extent.speed * dt:.3g} m in a '
+            f'frame of {dt:.3g} s): the unit of length or dt is wrong'
         )
     if faults:
         faults.append(
@@ -310,9 +312,9 @@ def _span(extent: Extent) -> str:
 
 def _unit_guess(ratio: float) -> str:
     if 200 < ratio < 5000:
-        return '; these look like millimetres: multiply positions by 0.001'
+        return '; these look like millimetres: multiply all positions by 0.001'
     if 20 < ratio <= 200:
-        return '; these look like centimetres: multiply positions by 0.01'
+        return '; these look like centimetres: multiply all positions by 0.01'
     return ''
 
 

@@ -12,7 +12,6 @@ import yaml
 from pca_tools import files
 from reports import documents
 from reports.edges import edge_ablation_report
-from reports.fuzz import report as fuzz
 from reports.stability import cases
 from reports.work_precision import tables
 from reports.work_precision.points import read_document
@@ -33,7 +32,7 @@ WHOLE = {
 }  # fmt: skip
 # Written whole, of records that lie elsewhere or are made new by a long report: tables in them are
 # compared where they have a record, or carry the command.
-BY_COMMAND = {'docs/paper_tables.md', 'docs/stability/stability.md', 'docs/fuzz.md'}
+BY_COMMAND = {'docs/paper_tables.md', 'docs/stability/stability.md'}
 OWN_RECORDS = ('mpm/', 'tests/', 'CHANGELOG')  # of the solver: by `mpm.verify` and the tests
 
 
@@ -49,9 +48,7 @@ def test_files_of_a_report_are_what_its_json_says(name):
     assert path.read_text(encoding='utf-8').strip() == WHOLE[name](path).strip()
 
 
-def test_fuzz_and_stability_tables_are_what_their_json_says():
-    stored = files.read_json(str(ROOT / 'docs/fuzz.json'))
-    assert fuzz.table(stored['counts']) in (ROOT / 'docs/fuzz.md').read_text(encoding='utf-8')
+def test_stability_table_is_what_its_json_says():
     rows = files.read_json(str(ROOT / 'docs/stability/stability.json'))['rows']
     table = cases.markdown([cases.Case(**row) for row in rows])
     assert table in (ROOT / 'docs/stability/stability.md').read_text(encoding='utf-8')

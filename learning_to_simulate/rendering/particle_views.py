@@ -79,19 +79,19 @@ class ViewSetup:
         return float(height / width)
 
 
-def setup(frames: RolloutFrames, plane: str, drawn: np.ndarray) -> ViewSetup:
+def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSetup:
     """Chooses particles, limits and scales for the frames that will be drawn.
 
     Args:
         frames: the rollout.
-        plane: key of `rollout_frames.PLANES`.
+        plane: key of `rollout_frames.PLANES`; None for the view from the side.
         drawn: int [F], the frames.
 
     Returns:
         The setup; it follows from the truth where there is one, so that a poor prediction does not
         change it.
     """
-    axes = PLANES[plane]
+    axes = PLANES[plane or frames.side_view]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     vmax = {'speed': 1.0, 'error': 1.0}
     particles, spacing = np.zeros(0, int), 0.01
@@ -139,11 +139,12 @@ def setup(frames: RolloutFrames, plane: str, drawn: np.ndarray) -> ViewSetup:
 def _chosen_particles(frames: RolloutFrames, axes: tuple[int, int]) -> np.ndarray:
     """Side view: those nearest to the middle plane of the body; other views: all."""
     start = frames.soil(frames.reference, 0)
-    if axes != PLANES['xy'] or len(start) <= _SIDE_VIEW_PARTICLES:
+    if axes != PLANES[frames.side_view] or len(start) <= _SIDE_VIEW_PARTICLES:
         return np.arange(len(start))
     body = frames.rigid[frames.reference][0]
-    middle = (body if len(body) else start)[:, 2].mean()
-    return np.argsort(np.abs(start[:, 2] - middle), kind='stable')[:_SIDE_VIEW_PARTICLES]
+    depth = 3 - sum(axes)
+    middle = (body if len(body) else start)[:, depth].mean()
+    return np.argsort(np.abs(start[:, depth] - middle), kind='stable')[:_SIDE_VIEW_PARTICLES]
 
 
 def _round_up(value: float) -> float:

@@ -14,7 +14,7 @@ from pca_tools.metadata import metadata_problems
 
 DIM = 3
 TRUTH, PREDICTION = 'truth', 'prediction'
-TEXTS = ('metadata', 'scene', 'status', 'status_reason')
+TEXTS = ('metadata', 'scene', 'status', 'status_reason', 'model_digest')
 REQUIRED = ('initial_positions', 'predicted_rollout', 'particle_types')
 TRUE_POSITIONS, TRUE_FORCES = 'ground_truth_rollout', ('initial_forces', 'ground_truth_forces')
 
@@ -68,7 +68,7 @@ def _metadata_of_scene(path: str, stated: Any) -> dict[str, Any]:
         'dt': scene.dt,
         'mode_number': scene.n_modes,
         'n_soil': scene.n_soil,
-        'scene': {'name': scene.name},
+        'scene': {'name': scene.name, 'up_axis': scene.up_axis},
     }
 
 

@@ -23,7 +23,9 @@ from pca_tools.subspace import Subspace
 SUBSPACE_NAME = 'subspace.npz'
 SOIL_PARTICLE_TYPE = 6
 # Views: indices of the horizontal and the vertical axis.
-PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1)}
+PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1), 'yz': (1, 2), 'yx': (1, 0), 'zx': (2, 0)}
+# From the side, by the upward axis: the other two are the first horizontal one and the depth.
+SIDE_VIEWS = 'yx', 'xy', 'xz'
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
@@ -56,6 +58,7 @@ class RolloutFrames:
         projection_mse: m², what the subspace cuts off this run, or None if it is not known.
         subspace: rebuilds the particles, or None: then there is no soil to draw.
         notes: what the reader of a picture should know, one sentence each.
+        up_axis: axis against gravity, 0, 1 or 2.
     """
 
     name: str
@@ -71,6 +74,12 @@ class RolloutFrames:
     projection_mse: float | None
     subspace: Subspace | None
     notes: tuple[str, ...]
+    up_axis: int
+
+    @property
+    def side_view(self) -> str:
+        """Key of `PLANES`: the view from the side, upward axis up."""
+        return SIDE_VIEWS[self.up_axis]
 
     @property
     def n_frames(self) -> int:
@@ -244,6 +253,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         projection_mse=floors[record] if record is not None and record < len(floors) else None,
         subspace=subspace,
         notes=tuple(notes),
+        up_axis=metadata.get('scene', {}).get('up_axis', 1),
     )
 
 
@@ -277,6 +287,7 @@ def of_rollout(rollout) -> RolloutFrames:
         projection_mse=None,
         subspace=None if rollout.soil is None else rollout.soil.subspace,
         notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
+        up_axis=rollout.scene.up_axis,
     )
 
 

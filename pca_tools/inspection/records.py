@@ -207,7 +207,7 @@ def _check_statistics(inspection: Inspection) -> None:
         zero = [axis for axis, value in enumerate(held.get(key, [])) if value == 0]
         if zero:
             inspection.warn(
-                f'{key} is 0 at {zero}: that input is constant and must be left out or floored'
+                f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'
             )
     training = inspection.splits.get('train')
     if training is None:

@@ -134,14 +134,19 @@ def _raise_hang(*_):
 
 @contextlib.contextmanager
 def benches(names: list[str]) -> Iterator[list[Bench]]:
-    """The benches of some targets, their folders in memory where that can be."""
+    """A round of benches of some targets (see `dealt`), their folders in memory where that can
+    be."""
     signal.signal(signal.SIGPROF, _raise_hang)
     with tempfile.TemporaryDirectory(dir=_memory_folder()) as work:
-        yield [Bench(t, os.path.join(work, str(i))) for i, t in enumerate(_chosen(names))]
+        made = {
+            target.name: Bench(target, os.path.join(work, str(i)))
+            for i, target in enumerate(_chosen(names))
+        }
+        yield [made[target.name] for target in _round(names)]
 
 
 def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) -> dict:
-    """Runs inputs `first` .. `last` - 1, dealt to the targets in turn.
+    """Runs inputs `first` .. `last` - 1; number n goes to bench n of the round.
 
     Args:
         made: of `benches`.
@@ -171,10 +176,19 @@ def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) ->
 
 def make_input(names: list[str], seed: int, number: int) -> tuple[str, bytes]:
     """File name and content of input `number`."""
-    chosen = _chosen(names)
     with tempfile.TemporaryDirectory() as work:
-        bench = Bench(chosen[number % len(chosen)], os.path.join(work, '0'))
+        bench = Bench(dealt(names, number), os.path.join(work, '0'))
         return bench.make(seed, number)[:2]
+
+
+def dealt(names: list[str], number: int) -> Target:
+    """The target of input `number`: in rounds, in which each has as many turns as its share."""
+    turns = _round(names)
+    return turns[number % len(turns)]
+
+
+def _round(names):
+    return [target for target in _chosen(names) for _ in range(target.share)]
 
 
 def _chosen(names):

@@ -79,7 +79,8 @@ _CHANGED = {
 
 IMPORT_TARGETS = (
     *(
-        Target(f'import {name}', Promise.OPEN, _writer(name), files, _reader(name), _possible_runs)
+        Target(f'import {name}', Promise.OPEN, _writer(name), files, _reader(name), _possible_runs,
+               share=2 if name == 'deepmind' else 8)
         for name, files in _CHANGED.items()
     ),
     Target('particle sample', Promise.CHECKSUM, _write_sample, ('particles_train.npz',),

@@ -1,26 +1,48 @@
-"""What is killed: training, conversion, export and results, small and as users call them.
+"""What is killed: training, conversion, export, results and solver runs, small and as users call
+them.
 
 Each works in a folder of its own that `prepare` has made, and is given again after a kill. Nothing
-here may run a TensorFlow operation at import: the processes that are killed are forks.
+here may run a TensorFlow operation at import: the processes that are killed are forks. What costs
+seconds and writes nothing is left out: gradients of the training, the comparison of an export with
+TensorFlow, the optimisation by the C compiler. Solver runs are short ones on coarse cells.
 """
 
+import functools
 import os
 import types
 from collections.abc import Callable
 from dataclasses import dataclass
+from unittest import mock
 
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, reading_utils
-from learning_to_simulate.export_c import exporting
+from learning_to_simulate.export_c import c_library, exporting
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.training import loop, trainer
+from mpm import batch, experiments, raw_run, scenes, simulation
 from pca_tools import convert, dataset, files, raw_writer
 
 FRAMES, R, MODES = 12, 4, 3
+SOLVER_FRAMES, SOLVER_CASES = 12, (22, 100, 186)
 TINY = {'latent_size': 4, 'num_steps': 6, 'unroll_steps': 0, 'mode_edges': 4}
+
+
+def fingerprint(path: str) -> dict[str, str]:
+    """Name -> sha256 of the files that a result is made of; arrays by value, logs not."""
+    found = {}
+    for name in sorted(os.listdir(path)):
+        if name.startswith(('.', 'events.')) or name.endswith('.damaged'):
+            continue
+        if name.startswith('ckpt-') and not name.endswith('.json'):
+            found[name] = 'there'  # TensorFlow's files hold times
+        elif name.endswith('.json') and name.startswith('ckpt-'):
+            found[name] = 'there'
+        else:
+            found[name] = files.sha256_of_file(os.path.join(path, name))
+    return found
 
 
 @dataclass(frozen=True)
@@ -30,10 +52,12 @@ class Task:
     Attributes:
         run: does it in the folder; called again after a kill it goes on, or says that it is done.
         result: name below the folder of what it writes.
+        fingerprint: path of the result -> name -> digest of what must be the same.
     """
 
     run: Callable[[str], None]
     result: str
+    fingerprint: Callable[[str], dict[str, str]] = fingerprint
 
 
 def prepare(folder: str) -> None:
@@ -104,7 +128,13 @@ def _train(folder: str) -> None:
 
 def _export(folder: str) -> None:
     if not os.path.exists(f'{folder}/exported'):
-        exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
+        flags = [flag.replace('-O3', '-O0') for flag in c_library.FLAGS]
+        quick = functools.partial(c_library.compile_flat, flags=flags)
+        with (
+            mock.patch.object(exporting.comparing, 'graph', return_value={'skipped': 'here'}),
+            mock.patch.object(c_library, 'compile_flat', quick),
+        ):
+            exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
 
 
 def _save_results(folder: str) -> None:
@@ -131,25 +161,31 @@ def _save(path, count, seed):
     evaluation.save_rollouts(path, 'test', results, {'seed': seed}, {}, f'{seed:064d}')
 
 
+def _solve(folder: str) -> None:
+    with mock.patch.object(scenes, 'FRAMES', SOLVER_FRAMES):
+        batch.generate(
+            experiments.coarse(scenes.EXCAVATION), SOLVER_CASES, f'{folder}/solver',
+            simulation.Settings(), show_progress=False,
+        )  # fmt: skip
+
+
+def _solved(path: str) -> dict[str, str]:
+    """The contents of the runs; files also hold the time that they took."""
+    manifest = raw_run.read_manifest(path)
+    listed = {entry['file']: entry['content'] for entry in manifest['runs']}
+    there = {
+        name: raw_run.content_digest(raw_run.read_run(os.path.join(path, name)))
+        for name in os.listdir(path)
+        if name.startswith('run_')
+    }
+    return {f'manifest {name}': digest for name, digest in listed.items()} | there
+
+
 TASKS = {
     'training': Task(_train, 'training'),
     'conversion': Task(_convert, 'data'),
     'conversion over an older dataset': Task(_convert_again, 'again'),
     'export of an FMU': Task(_export, 'exported'),
     'results over older ones': Task(_save_results, 'results'),
+    'solver runs': Task(_solve, 'solver', _solved),
 }
-
-
-def fingerprint(path: str) -> dict[str, str]:
-    """Name -> sha256 of the files that a result is made of; arrays by value, logs not."""
-    found = {}
-    for name in sorted(os.listdir(path)):
-        if name.startswith(('.', 'events.')) or name.endswith('.damaged'):
-            continue
-        if name.startswith('ckpt-') and not name.endswith('.json'):
-            found[name] = 'there'  # TensorFlow's files hold times
-        elif name.endswith('.json') and name.startswith('ckpt-'):
-            found[name] = 'there'
-        else:
-            found[name] = files.sha256_of_file(os.path.join(path, name))
-    return found

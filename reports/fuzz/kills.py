@@ -1,16 +1,18 @@
-"""SIGKILL in training, conversion, export and results: the same command again gives the same files.
+"""SIGKILL in training, conversion, export, results and solver runs: the same command again gives
+the same files.
 
 Named points are all moments before a file of the work folder is opened for writing, renamed,
 removed or made, as Python's audit events name them; beside them lie random moments. After every
-kill the task is given again, without one, and must end with the bytes of an undisturbed run.
+kill the task is given again, without one, and must end with the bytes of an undisturbed run. All
+runs are forks of one process, which has imported what they need. The same command goes on where it
+was stopped.
 
 Examples:
     python -m reports kills --count=200 --output_path=docs
 
-    python -m reports kills --count=40 --tasks=training --seed=1
+    python -m reports kills --count=40 --points=0 --tasks=training --seed=1
 """
 
-import collections
 import contextlib
 import io
 import os
@@ -22,6 +24,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Iterator
 
 import tqdm
 from absl import flags
@@ -85,9 +88,13 @@ def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
     if not pid:
         _child(task, folder, kill_at, points_file)
     if kill_after is not None:
-        time.sleep(kill_after)
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
+        end = time.monotonic() + kill_after
+        while time.monotonic() < end:
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.002)
+        os.kill(pid, signal.SIGKILL)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
@@ -102,9 +109,12 @@ class Plan:
         points_file = os.path.join(work, 'points.json')
         if _run(self._task, folder, points_file=points_file):
             raise OSError(f'{name} fails without a kill')
-        self.seconds = time.monotonic() - start
+        self._seconds = time.monotonic() - start
         self.points = files.read_json(points_file)
-        self._whole = kill_tasks.fingerprint(os.path.join(folder, self._task.result))
+        self._whole = self._fingerprint(folder)
+
+    def _fingerprint(self, folder):
+        return self._task.fingerprint(os.path.join(folder, self._task.result))
 
     def _fresh(self):
         folder = os.path.join(self._work, 'folder')
@@ -112,30 +122,47 @@ class Plan:
         shutil.copytree(self._base, folder)
         return folder
 
-    def kill(self, point: int | None, rng: random.Random) -> tuple[bool, str]:
-        """Kills at a named point, or at a random moment; returns whether it was killed, and what
-        was lost ('' for nothing)."""
+    def kill_at(self, point: int) -> str:
+        """Kills at a named point; returns what was lost, '' for nothing."""
         folder = self._fresh()
-        after = None if point is not None else rng.uniform(0.0, self.seconds)
-        killed = _run(self._task, folder, point, kill_after=after) == -signal.SIGKILL
+        if _run(self._task, folder, point) != -signal.SIGKILL:
+            return 'the point was not reached'
+        return self._lost(folder)
+
+    def kill_at_random(self, rng: random.Random) -> str:
+        """Kills at a random moment; one after the end is drawn again. Returns as `kill_at`."""
+        while True:
+            folder, after = self._fresh(), rng.uniform(0.0, self._seconds)
+            start = time.monotonic()
+            if _run(self._task, folder, kill_after=after) == -signal.SIGKILL:
+                return self._lost(folder)
+            self._seconds = time.monotonic() - start  # the first run may have compiled something
+
+    def _lost(self, folder):
         if code := _run(self._task, folder):
-            return killed, f'the same command fails afterwards ({code})'
-        found = kill_tasks.fingerprint(os.path.join(folder, self._task.result))
+            return f'the same command fails afterwards ({code})'
+        found = self._fingerprint(folder)
         differing = sorted(n for n in {*found, *self._whole} if found.get(n) != self._whole.get(n))
-        return killed, f'other files: {", ".join(differing)}' if differing else ''
+        return f'other files: {", ".join(differing)}' if differing else ''
 
 
-def run(names: list[str], count: int, seed: int) -> dict:
-    """Kills tasks in turn: at each of their named points in an order of the seed, every third time
-    at a random moment.
+def run(
+    rows: dict[str, dict], moments: dict[str, int], seed: int, points: int | None = None
+) -> Iterator[dict | None]:
+    """Kills tasks in turn, at their named points and at random moments.
 
     Args:
-        names: of `kill_tasks.TASKS`.
-        count: kills in all.
+        rows: task -> `points`, kills so far (`named`, `random`), `lost`; filled in place, so that a
+            run that was stopped goes on.
+        moments: name of `kill_tasks.TASKS` -> kills at random moments.
         seed: of points and moments.
+        points: named points of each task; None for every one.
 
-    Returns:
-        `tasks`: name -> points, points_hit, named, random, lost; `losses`: list of dicts.
+    Yields:
+        after each kill what was lost; None for nothing.
+
+    Raises:
+        OSError: a task fails without a kill, or has other points than `rows` say.
     """
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
@@ -144,47 +171,58 @@ def run(names: list[str], count: int, seed: int) -> dict:
         if _run(None, base):
             raise OSError('the data of the tasks could not be made')
         plans = []
-        for i, name in enumerate(names):
+        for i, (name, count) in enumerate(moments.items()):
             work = os.path.join(folder, str(i))
             os.mkdir(work)
-            plans.append(Plan(name, base, work))
-        rows = {
-            p.name: {'points': len(p.points), 'points_hit': 0, 'named': 0, 'random': 0, 'lost': 0}
-            for p in plans
-        }
-        losses: list = []
-        turns: collections.Counter[str] = collections.Counter()
-        for number in tqdm.trange(count, unit='kill', disable=None):
-            plan = plans[number % len(plans)]
-            turn = turns[plan.name]
-            turns[plan.name] += 1
-            rng = random.Random(f'{plan.name}:{seed}:{turn}')
-            order = list(range(len(plan.points)))
-            random.Random(f'{plan.name}:{seed}').shuffle(order)
-            at = None if turn % 3 == 2 else order[(turn - turn // 3) % len(order)]
-            killed, lost = plan.kill(at, rng)
-            row = rows[plan.name]
-            row['named' if at is not None else 'random'] += killed
-            row['points_hit'] = min(row['named'], len(order))
-            if lost:
-                row['lost'] += 1
-                where = 'a random moment' if at is None else plan.points[at]
-                losses.append({'task': plan.name, 'at': where, 'lost': lost})
-    return {'tasks': rows, 'losses': losses}
+            plan = Plan(name, base, work)
+            n = len(plan.points)
+            row = rows.setdefault(name, {'points': n, 'named': 0, 'random': 0, 'lost': 0})
+            if row['points'] != n:
+                raise OSError(f'{name} has {n} points, and had {row["points"]}')
+            order = random.Random(f'{name}:{seed}').sample(
+                range(n), n if points is None else points
+            )
+            plans.append((plan, row, order, count))
+        while todo := [p for p in plans if p[1]['named'] < len(p[2]) or p[1]['random'] < p[3]]:
+            for plan, row, order, count in todo:
+                if row['named'] < len(order):
+                    yield _kill(plan, row, 'named', order[row['named']], seed)
+                if row['random'] < count:
+                    yield _kill(plan, row, 'random', None, seed)
 
 
-def table(rows: dict) -> str:
-    """The kills by task, as Markdown."""
-    head = ('task', 'named points', 'of them hit', 'kills there', 'kills at random', 'lost')
-    return markdown.table(head, [[name, *row.values()] for name, row in rows.items()])
+def _kill(plan, row, kind, point, seed):
+    """One kill: into its row; returns what was lost."""
+    rng = random.Random(f'{plan.name}:{seed}:{row[kind]}')
+    lost = plan.kill_at_random(rng) if point is None else plan.kill_at(point)
+    row[kind] += 1
+    if not lost:
+        return None
+    row['lost'] += 1
+    where = 'a random moment' if point is None else plan.points[point]
+    return {'task': plan.name, 'at': where, 'lost': lost}
+
+
+def table(path: str) -> str:
+    """The kills by task in a `kills.json`, as Markdown."""
+    return _table(files.read_json(path)['tasks'])
+
+
+def _table(rows):
+    head = ('task', 'named points', 'kills there', 'kills at random moments', 'something lost')
+    sums = [sum(row[key] for row in rows.values()) for key in ('points', 'named', 'random', 'lost')]
+    return markdown.table(
+        head, [*([name, *row.values()] for name, row in rows.items()), ['**all**', *sums]]
+    )
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_integer('count', 200, 'Kills in all, dealt to the tasks in turn.', 1)
+    flags.DEFINE_integer('count', 200, 'Kills at random moments in all, dealt to the tasks.', 0)
+    flags.DEFINE_integer('points', None, 'Named points of each task; default: every one.', 0)
     flags.DEFINE_integer('seed', 0, 'Seed of points and moments.')
     flags.DEFINE_list('tasks', None, 'Names as in the table; default: all.')
-    flags.DEFINE_string('output_path', None, 'Folder for kills.json and kills.md.')
+    flags.DEFINE_string('output_path', None, 'Folder for kills.json.')
 
 
 def main(values, _) -> int:
@@ -192,18 +230,24 @@ def main(values, _) -> int:
     names = values.tasks or list(kill_tasks.TASKS)
     if unknown := set(names) - set(kill_tasks.TASKS):
         raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')
-    result = run(names, values.count, values.seed)
-    text = table(result['tasks'])
-    if values.output_path:
+    document: dict = {'tasks': {}, 'losses': []}
+    path = values.output_path and os.path.join(values.output_path, 'kills.json')
+    if path:
         os.makedirs(values.output_path, exist_ok=True)
-        head = record.provenance()
-        files.write_json(os.path.join(values.output_path, 'kills.json'), head | result)
-        page = f'# Kills\n`{head["command"]}`\n\n{text}\n'
-        files.write_text(os.path.join(values.output_path, 'kills.md'), page)
-    print(text)
-    for loss in result['losses'][:20]:
+        identity = {'count': values.count, 'points': values.points, 'seed': values.seed}
+        document = record.resume(path, identity, document)
+    share, more = divmod(values.count, len(names))
+    moments = {name: share + (i < more) for i, name in enumerate(names)}
+    rows, losses = document['tasks'], document['losses']
+    head = record.provenance()
+    for lost in tqdm.tqdm(run(rows, moments, values.seed, values.points), unit='kill'):
+        losses += [lost] if lost else []
+        if path:
+            files.write_json(path, document | head)
+    print(_table(document['tasks']))
+    for loss in document['losses'][:20]:
         print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')
-    return int(bool(result['losses']))
+    return int(bool(document['losses']))
 
 
 if __name__ == '__main__':

@@ -33,6 +33,7 @@ class Target:
       possible: whether a value could be that of some valid file, judged apart from the reader.
       parts: splits a value into parts; of a CHECKSUM file without a list of its parts, damage may
         lose or repeat whole ones.
+      share: turns in each round of inputs; fewer for a reader that costs many times the others.
     """
 
     name: str
@@ -42,3 +43,4 @@ class Target:
     read: Callable[[str], Any]
     possible: Callable[[Any], bool] = lambda value: True
     parts: Callable[[Any], list] = lambda value: [value]
+    share: int = 8

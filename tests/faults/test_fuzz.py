@@ -1,13 +1,18 @@
 """A bounded part of `python -m reports fuzz`: the same inputs in every run."""
 
 import os
+import pathlib
 import random
+import subprocess
+import sys
 
 import pytest
 
+from pca_tools import files
 from reports.fuzz import bench, mutations, targets
 from reports.fuzz import report as fuzz
 
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = [target.name for target in targets.TARGETS]
 
 
@@ -73,8 +78,9 @@ def test_inputs_are_functions_of_seed_and_number():
     first, other = (bench.make_input(NAMES, seed, 40) for seed in (1, 2))
     assert first != other
     # Whatever was made in between.
-    for number in range(0, 40 * len(NAMES), len(NAMES)):
-        bench.make_input(NAMES, 1, number + NAMES.index('edges.json'))
+    for number in range(200):
+        if bench.dealt(NAMES, number).name == 'edges.json':
+            bench.make_input(NAMES, 1, number)
     assert bench.make_input(NAMES, 1, 40) == first
 
 
@@ -94,6 +100,63 @@ def test_damage_and_forgery_change_files():
         assert sum(change(valid, rng) != valid for _ in range(100)) > 80
 
 
-def test_table_counts_everything():
-    counts = {'edges.json': {'refused': 3, 'equal': 2, 'possible': 1, 'failed': 0}}
-    assert '| edges.json | open | 6 | 3 | 2 | 1 | 0 |' in fuzz.table(counts)
+def test_every_reader_has_its_share_of_a_round(monkeypatch, tmp_path):
+    shares = {'cheap': 3, 'dear': 1}
+    made = [
+        targets.Target(
+            name, targets.Promise.OPEN, Broken.write, ('a.json',), Broken.read_anything, share=share
+        )
+        for name, share in shares.items()
+    ]  # fmt: skip
+    monkeypatch.setattr(bench, 'TARGETS', made)
+    assert [bench.dealt(list(shares), n).name for n in (0, 2, 3, 4)] == [
+        'cheap', 'cheap', 'dear', 'cheap'
+    ]  # fmt: skip
+    with bench.benches(list(shares)) as benches:
+        counts = bench.run_block(benches, 0, 0, 40, str(tmp_path / 'note'))['counts']
+    assert {name: sum(c.values()) for name, c in counts.items()} == {'cheap': 30, 'dear': 10}
+
+
+def part(first, last, commit='a', failures=(), refused=1):
+    counts = {'edges.json': {'refused': refused, 'equal': 2, 'possible': 1, 'failed': 0}}
+    values = {'first': first, 'last': last, 'commit': commit, 'seconds': 1}
+    return values | {'counts': counts, 'failures': list(failures)}
+
+
+def test_a_run_goes_on_with_what_is_missing_or_failed():
+    parts = [part(5000, 10_000, failures=['x']), part(0, 5000), part(12_000, 15_000)]
+    assert list(fuzz.missing(parts, 16_000)) == [
+        (5000, 10_000), (10_000, 12_000), (15_000, 16_000)
+    ]  # fmt: skip
+    assert list(fuzz.missing([], 12_000)) == [(0, 5000), (5000, 10_000), (10_000, 12_000)]
+    assert list(fuzz.missing([part(0, 20_000)], 16_000)) == []
+
+
+def test_parts_of_one_commit_are_joined_and_a_mended_one_replaces_its_failures():
+    parts = fuzz.joined(fuzz.joined([], part(5, 10, failures=['x'])), part(0, 5))
+    assert [(p['first'], p['failures']) for p in parts] == [(0, []), (5, ['x'])]
+    (one,) = fuzz.joined(parts, part(5, 10, refused=3))
+    assert (one['first'], one['last'], one['seconds']) == (0, 10, 2)
+    assert one['counts']['edges.json'] == {'refused': 4, 'equal': 4, 'possible': 2, 'failed': 0}
+    assert len(fuzz.joined([one], part(10, 15, commit='b'))) == 2
+
+
+def test_table_counts_everything(tmp_path):
+    files.write_json(str(tmp_path / 'fuzz.json'), {'parts': [part(0, 4), part(4, 8, refused=3)]})
+    assert '| edges.json | open | 10 | 4 | 4 | 2 | 0 |' in fuzz.table(str(tmp_path / 'fuzz.json'))
+
+
+@pytest.mark.slow
+def test_the_same_command_goes_on(tmp_path):
+    def run(count):
+        subprocess.run(
+            [sys.executable, '-m', 'reports', 'fuzz', f'--count={count}', '--targets=edges.json',
+             f'--output_path={tmp_path}'],
+            cwd=ROOT, check=True,
+        )  # fmt: skip
+        return files.read_json(str(tmp_path / 'fuzz.json'))['parts']
+
+    (first,), (both,) = run(100), run(250)
+    assert (both['first'], both['last']) == (0, 250)
+    assert sum(both['counts']['edges.json'].values()) == 250
+    assert both['counts']['edges.json']['refused'] > first['counts']['edges.json']['refused']

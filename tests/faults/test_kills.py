@@ -13,16 +13,16 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 @pytest.mark.slow
 def test_kills_lose_nothing(tmp_path):
-    tasks = 'training,conversion over an older dataset,results over older ones'
+    tasks = 'training,conversion over an older dataset,results over older ones,solver runs'
     subprocess.run(
-        [sys.executable, '-m', 'reports', 'kills', '--count=12', f'--tasks={tasks}',
-         f'--output_path={tmp_path}'],
+        [sys.executable, '-m', 'reports', 'kills', '--count=8', '--points=4',
+         f'--tasks={tasks}', f'--output_path={tmp_path}'],
         cwd=ROOT, check=True,
     )  # fmt: skip
     found = json.loads((tmp_path / 'kills.json').read_text())
     assert found['losses'] == []
     for row in found['tasks'].values():
-        assert row['points'] > 5 and row['named'] + row['random'] >= 2
+        assert row['points'] > 5 and (row['named'], row['random']) == (4, 2)
 
 
 @pytest.mark.slow
@@ -43,7 +43,10 @@ def broken(folder):
                 open(f'{folder}/results/c', 'w').close()
                 file.write('y' * 100)
 kill_tasks.TASKS = {'broken': kill_tasks.Task(broken, 'results')}
-result = kills.run(['broken'], 12, 0)
-sys.exit(0 if result['losses'] else 1)
+rows = {}
+losses = [lost for lost in kills.run(rows, {'broken': 2}, 0) if lost]
+(row,) = rows.values()
+assert row['named'] == row['points'] and row['random'] == 2 and row['lost'] == len(losses)
+sys.exit(0 if losses else 1)
 """
     subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True)

@@ -50,7 +50,7 @@ def changed(made, tmp_path, **changes):
 
 
 def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
-    """With the judgement of the rollout, which is text."""
+    """With the judgement of the rollout and the digest of its model, which are texts."""
     model, (group, *_), metadata = models.make(tmp_path / 'data')
     function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
     tf.config.run_functions_eagerly(True)
@@ -60,8 +60,11 @@ def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
     finally:
         tf.config.run_functions_eagerly(False)
     summary = evaluation.summarise(results, model, metadata, 'train')
-    (path, _) = evaluation.save_rollouts(str(tmp_path), 'train', results, summary, metadata)
-    assert files.read_npz(path)['status'].dtype.kind == 'U'
+    (path, _) = evaluation.save_rollouts(
+        str(tmp_path), 'train', results, summary, metadata, 64 * 'a'
+    )
+    stored = files.read_npz(path)
+    assert stored['status'].dtype.kind == stored['model_digest'].dtype.kind == 'U'
     assert rollout_frames.load(path, str(tmp_path / 'data')).rigid[TRUTH].shape[1] == 4
 
 
@@ -263,6 +266,19 @@ class TestPictures:
         pixels = np.stack([figure.draw(int(frame)) for frame in drawn])
         assert (pixels[0] != pixels[1]).any()
         rollout_figures.strip_figure(frames, view, drawn.tolist(), dpi=50).canvas.draw()
+
+    @pytest.mark.parametrize(('up_axis', 'axes'), [(0, (1, 0)), (1, (0, 1)), (2, (0, 2))])
+    def test_upward_axis_is_up(self, made, tmp_path, monkeypatch, up_axis, axes):
+        metadata = json.loads(str(files.read_npz(made[0])['metadata']))
+        metadata['scene']['up_axis'] = up_axis
+        path = changed(made, tmp_path, metadata=np.array(json.dumps(metadata)))
+        frames = rollout_frames.load(path, made[1])
+        monkeypatch.setattr(particle_views, '_SIDE_VIEW_PARTICLES', 10)
+        side = particle_views.setup(frames, None, np.arange(0, N_FRAMES, 20))
+        assert side.plane == axes and len(side.particles) == 10
+        depth = ({0, 1, 2} - set(axes)).pop()
+        away = np.abs(frames.soil(TRUTH, 0)[:, depth] - frames.rigid[TRUTH][0][:, depth].mean())
+        assert set(side.particles) == set(np.argsort(away, kind='stable')[:10])
 
     def test_soil_at_rest_can_be_drawn(self, made, tmp_path):
         arrays = files.read_npz(made[0])

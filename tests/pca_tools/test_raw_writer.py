@@ -162,8 +162,14 @@ def test_other_units_of_length_are_found(tmp_path, scale, bounds, text):
 
 
 def test_frame_rate_given_as_dt_is_found(tmp_path):
-    with pytest.raises(ValueError, match='something moves at .* dt is wrong'):
+    with pytest.raises(ValueError, match='the (soil|body) moves at .* dt is wrong'):
         write_raw(str(tmp_path / 'raw'), own_runs(2), 1e-5, up_axis='y')
+
+
+def test_a_body_in_other_units_than_the_soil_is_named(tmp_path):
+    runs = [run | {'rigid_positions': 1000.0 * run['rigid_positions']} for run in own_runs(2)]
+    with pytest.raises(ValueError, match='the body moves at .* unit of length'):
+        write_raw(str(tmp_path / 'raw'), runs, 1 / 60, up_axis='y')
 
 
 def without_up_axis(folder, **scene):

@@ -1,0 +1,27 @@
+"""The trial of an installation: its table, the packages that no digest covers, the code it runs."""
+
+import ast
+import json
+
+import pytest
+
+from run_scripts import try_install
+
+
+def test_table_has_a_row_for_each_python(tmp_path):
+    row = {'python': '3.13.0', 'packages': 51, 'size_mb': 1900, 'install_s': 70, 'smoke_s': 60}
+    path = tmp_path / 'install.json'
+    path.write_text(json.dumps({'rows': [row, row | {'python': '3.11.7'}]}))
+    lines = try_install.table(str(path)).splitlines()
+    assert lines[2] == '| 3.13.0 | 51 | 1900 | 70 | 60 |' and lines[3].startswith('| 3.11.7 |')
+
+
+def test_a_package_without_a_digest_is_named(tmp_path):
+    with pytest.raises(ValueError, match="not in hashes.txt: .'left-pad'"):
+        try_install._hold_against_digests(['false'], {'numpy', 'left_pad'}, str(tmp_path))
+
+
+def test_the_minute_of_use_is_python_and_uses_what_ships():
+    ast.parse(try_install.SMOKE)
+    assert (try_install.ROOT / 'models' / 'excavation' / 'pcg' / 'config.json').exists()
+    assert (try_install.ROOT / 'examples' / 'your_own_data.py').exists()
