@@ -51,7 +51,7 @@ class Tool:
 
     def __init__(self, scene: str, case: dict, points):
         from learning_to_simulate.methods.swept_field.axes import Axes
-        from learning_to_simulate.methods.swept_field.tool_path import Blade
+        from learning_to_simulate.methods.swept_field.tools import Blade
 
         middle = float(points[:, 2].mean())
         if scene == 'excavation':

@@ -43,7 +43,7 @@ def cpu_seconds(checkout: str, scene: str, case: str, folder: str) -> float:
         raise ValueError(
             f'{checkout}: the solver ends with {done.returncode}: {done.stderr[-500:]}'
         )
-    (entry,) = raw_run.read_manifest(folder)['runs']
+    (entry,) = (raw_run.read_manifest(folder) or {})['runs']
     return float(entry['parameters']['solver_cpu_s'])
 
 

@@ -171,7 +171,7 @@ def _solve(folder: str) -> None:
 
 def _solved(path: str) -> dict[str, str]:
     """The contents of the runs; files also hold the time that they took."""
-    manifest = raw_run.read_manifest(path)
+    manifest = raw_run.read_manifest(path) or {'runs': []}
     listed = {entry['file']: entry['content'] for entry in manifest['runs']}
     there = {
         name: raw_run.content_digest(raw_run.read_run(os.path.join(path, name)))

@@ -62,7 +62,7 @@ class Pool:
         self._blocks, self._results = self._context.Queue(), self._context.Queue()
         self._names, self._seed = names, seed
         self._folder = tempfile.TemporaryDirectory()
-        self._workers = {}
+        self._workers: dict = {}
         for slot in range(num_processes):
             self._start(slot)
 
@@ -239,7 +239,8 @@ def main(values, _) -> int:
     names = [name for name in known if values.targets is None or name in values.targets]
     if unknown := set(values.targets or ()) - set(known):
         raise ValueError(f'no readers named {sorted(unknown)}; there are {known}')
-    path, document = values.output_path, {'parts': []}
+    path = values.output_path
+    document: dict = {'parts': []}
     if path:
         os.makedirs(path, exist_ok=True)
         identity = {'seed': values.seed, 'readers': names}
