@@ -108,6 +108,10 @@ class Dataset:
         self.metadata = dataset.read_metadata(self.path)
         self.train, self.valid, self.test = (Split(self.path, name) for name in dataset.SPLITS)
 
+    def __repr__(self) -> str:
+        runs = {name: len(part) for name, part in self.metadata.get('dataset_split', {}).items()}
+        return f'<dataset {self.path!r}: {runs or "runs not listed"}>'
+
     @property
     def subspace(self) -> Subspace | None:
         """Of the soil's modes, or None where the folder has none."""
@@ -155,6 +159,9 @@ class TrainedModel:
         self.model = self._method.load_code().load(path)
         self._at_rest: tuple | None = None
         self._roller: Any = None
+
+    def __repr__(self) -> str:
+        return f'<{self.config.model} model {self.path!r} of the scene {self.scene.name!r}>'
 
     @property
     def scene(self):

@@ -26,7 +26,7 @@ from pca_tools import dataset, files
 FRAME_BLOCK = 64
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class SoilRollout:
     """A predicted run of T' frames after H given ones.
 
@@ -57,6 +57,10 @@ class SoilRollout:
     soil: Soil | None
     truth: tuple | None = None
     name: str = 'rollout'
+
+    def __repr__(self) -> str:
+        reason = f' ({self.reason})' if self.reason else ''
+        return f'<rollout {self.name!r}: {len(self.modes)} frames, {self.status}{reason}>'
 
     @property
     def status(self) -> RolloutStatus:

@@ -62,6 +62,11 @@ class Frame(NamedTuple):
     torque: np.ndarray | None = None
     bound: float | None = None
 
+    def __repr__(self) -> str:
+        force = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(force)} N, ' if force else ''
+        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
     @property
     def status(self) -> RolloutStatus:
         """The worst status since the start, as a rollout file would have it."""

@@ -298,6 +298,19 @@ def test_trained_model_is_self_contained_and_an_old_folder_says_what_to_do(tmp_p
         resting_start.read(path)
 
 
+def test_what_is_printed_fits_on_a_line(blade):
+    model, live, path = blade
+    live.start(path[0], VELOCITY)
+    frame, rollout = live.step(path[1]), model.rollout(path[:8])
+    assert repr(frame).startswith(f'<frame: force {frame.force[0]:.4g}, ') and repr(frame).endswith(
+        'N, ok>'
+    )
+    assert repr(rollout) == "<rollout 'rollout': 7 frames, ok>"
+    assert repr(model) == f"<gns model {model.path!r} of the scene 'excavation'>"
+    data = lts.Dataset('excavation')
+    assert repr(data) == f"<dataset {data.path!r}: {{'train': 32, 'valid': 4, 'test': 4}}>"
+
+
 def test_names_that_are_not_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileNotFoundError, match='shipped are .*excavation/pcg'):
