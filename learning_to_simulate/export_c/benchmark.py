@@ -175,6 +175,11 @@ def table(results: dict[str, dict[str, dict]]) -> str:
     return '\n'.join(tables)
 
 
+def table_of(path: str, model: str) -> str:
+    """The figures of one model of a JSON of this command, for the documents."""
+    return table({model: files.read_json(path)[model]}).rstrip()
+
+
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_list('models', ['models/excavation/pcg', 'models/wheel/pcg'], 'Model folders.')
