@@ -175,9 +175,10 @@ def table(results: dict[str, dict[str, dict]]) -> str:
     return '\n'.join(tables)
 
 
-def table_of(path: str, model: str) -> str:
-    """The figures of one model of a JSON of this command, for the documents."""
-    return table({model: files.read_json(path)[model]}).rstrip()
+def table_of(path: str, number: str) -> str:
+    """The figures of one model of a JSON of this command, the first is '1'; for the documents."""
+    model, rows = list(files.read_json(path).items())[int(number) - 1]
+    return table({model: rows}).rstrip()
 
 
 def define_flags() -> None:
