@@ -63,8 +63,8 @@ class Frame(NamedTuple):
     bound: float | None = None
 
     def __repr__(self) -> str:
-        force = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
-        force = f'force {", ".join(force)} N, ' if force else ''
+        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(values)} N, ' if values else ''
         return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
 
     @property
