@@ -17,6 +17,7 @@ def without_height(values, up_axis: int, mean=np.mean):
     return values - up_vector(values.shape[-1], up_axis) * mean(values, axis=-2, keepdims=True)
 
 
-def height_of(values, up_axis: int, mean=np.mean):
-    """Mean of the up component [...] of values [..., R, D] of the particles of a body."""
-    return mean(values[..., up_axis], axis=-1)
+def height_of(values, up_axis: int, mean=np.mean, axis: int = -1):
+    """Mean of the up component [...] of values [..., R, D] of the particles of a body; `axis` is
+    that of the particles where others lie between them and the components."""
+    return mean(values[..., up_axis], axis=axis)

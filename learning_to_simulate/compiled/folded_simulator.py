@@ -12,7 +12,7 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import features
-from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.body_height import height_of, up_vector
 from learning_to_simulate.compiled.folded_network import (
     MODES,
     RIGID,
@@ -342,8 +342,8 @@ class FoldedSimulator:
             return MovingState(*modes, state.offset[:, :n], state.velocity[:, :n, -body_count:])
         if self.motion == RigidMotion.DRIVEN:
             up = self.simulator.scene.up_axis
-            height = tf.reduce_mean(state.offset[:, :n, up], axis=1, keepdims=True)
-            change = tf.reduce_mean(state.velocity[:, :n, -body_count:, up], axis=1)
+            height = height_of(state.offset[:, :n], up, tf.reduce_mean)[:, None]
+            change = height_of(state.velocity[:, :n, -body_count:], up, tf.reduce_mean, axis=1)
             return MovingState(*modes, height, change)
         none = tf.zeros([state.offset.shape[0], 0])
         return MovingState(*modes, none, none)
