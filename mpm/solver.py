@@ -15,7 +15,8 @@ One interval, velocity Verlet on nodes that move as the material does:
 The half kicks at both ends matter: with whole ones (leapfrog) the periodic smoothing resonates with
 elastic waves of the grid and soil at rest gains energy. Equation numbers: `transfers`, `contact`.
 
-Quadratic B-splines, float64, serial: a run takes one core, runs go side by side.
+Quadratic B-splines, serial: a run takes one core, runs go side by side. Particles are float64; what
+nodes carry, and stress and strain between exchanges, is float32 or float64 (`Solver`).
 """
 
 import math

@@ -8,8 +8,8 @@ particle to node and D = dx2 / 4 the inertia of a quadratic B-spline:
     force       f_i     = -sum_p w_ip V_p sigma_p (x_i - x_p) / D                      (3)
     back        v_p = sum_i w_ip v_i,  C_p = L_p,  x_p += sum_i w_ip u_i               (4)
 
-u_i is the way that node i has gone since the last exchange. A node is four numbers in a row, so
-every sum is over vectors of four (`vectors`).
+u_i is the way that node i has gone since the last exchange. A node is four numbers and the nodes
+along z lie one after another, so the 27 nodes of a particle are nine rows (`vectors`).
 
 Sources:
   APIC: Jiang, Schroeder, Selle, Teran, Stomakhin (2015), ACM Trans. Graph. 34, 51.
@@ -98,9 +98,8 @@ def scatter(grid, base, strides, kept, at, affine):
 
 @numba.njit(inline='always', **JIT)
 def gather(grid, base, strides, kept, at):
-    """Returns the three columns of 4 / dx L_p dx, and sum w g, over the 27 nodes; see `scatter`.
-
-    Column a is sum w g (x_i - x_p)_a / dx, a register of four.
+    """Returns three sums over the 27 nodes, w g (x_i - x_p) / dx along x, y and z, and sum w g; see
+    `scatter`. All are registers of four; the three times 4 / dx are the columns of L_p, eq. (2).
     """
     nothing = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     total, total_i, total_j = nothing, nothing, nothing
@@ -167,7 +166,7 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         half_step: half a time step, s.
         mass, volume: of a particle as packed, kg and m3.
         bulk_modulus: Pa.
-        status: int64 [2]: code and column of the block are set on an error.
+        status: int64 [2]: code and row of the block are set on an error.
 
     Returns:
         First and last node (exclusive) per axis that can have been touched, six integers.

@@ -60,6 +60,29 @@ def at_places(bins, places):
     )
 
 
+def gate_of(here, channels, half_width, rest, below, beside):
+    """Share [B, P] in [0, 1] of its displacement that a particle may show; exactly 0 where nothing
+    has been. Of a blade and of a wheel.
+
+    Args:
+      here: [B, P, channels] at the places of the particles.
+      channels: module that names them: SURFACE, DISTURBED, INFLUENCE.
+      half_width: [B, 1] of the tool, m.
+      rest: [B, P, 3] u from the tool's first place, height over the level, distance from the
+        middle plane (signed), m.
+      below, beside: how far soil moves below what may have been disturbed and beside the tool, and
+        over what way its share grows, m each.
+    """
+    depth = here[..., channels.SURFACE] - rest[..., 1]
+    under = (here[..., channels.DISTURBED] + below[0] - depth) / below[1]
+    across = (half_width + beside[0] - tf.abs(rest[..., 2])) / beside[1]
+    return (
+        here[..., channels.INFLUENCE]
+        * tf.clip_by_value(under, 0.0, 1.0)
+        * tf.clip_by_value(across, 0.0, 1.0)
+    )
+
+
 class Inputs:
     """The inputs of one grid of bins, and what the outputs mean.
 
@@ -95,15 +118,8 @@ class Inputs:
         Returns:
           [B, P].
         """
-        here = self._at(bins, rest[..., 0])
-        depth = here[..., _C.SURFACE] - rest[..., 1]
-        below = (here[..., _C.DISTURBED] + BELOW - depth) / BELOW_RAMP
-        beside = (_scalar(scalars, 'half_width') + BESIDE - tf.abs(rest[..., 2])) / BESIDE_RAMP
-        return (
-            here[..., _C.INFLUENCE]
-            * tf.clip_by_value(below, 0.0, 1.0)
-            * tf.clip_by_value(beside, 0.0, 1.0)
-        )
+        here, half = self._at(bins, rest[..., 0]), _scalar(scalars, 'half_width')
+        return gate_of(here, _C, half, rest, (BELOW, BELOW_RAMP), (BESIDE, BESIDE_RAMP))
 
     def particles(self, bins, scalars, rest):
         """Inputs [B, P, I] of particles; arguments as of `gate`."""

@@ -9,7 +9,7 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate.methods.swept_field import wheel_path
-from learning_to_simulate.methods.swept_field.inputs import at_places
+from learning_to_simulate.methods.swept_field.inputs import at_places, gate_of
 
 # Density of the soil that loads are compared with, kg/m3.
 DENSITY = 1700.0
@@ -56,15 +56,8 @@ class WheelInputs:
     def gate(self, bins, scalars, rest):
         """Share in [0, 1] of its displacement that a particle may show; arguments as of
         `inputs.Inputs.gate`."""
-        here = self._at(bins, rest[..., 0])
-        depth = here[..., _C.SURFACE] - rest[..., 1]
-        below = (here[..., _C.DISTURBED] + BELOW - depth) / BELOW_RAMP
-        beside = (_scalar(scalars, 'half_width') + BESIDE - tf.abs(rest[..., 2])) / BESIDE_RAMP
-        return (
-            here[..., _C.INFLUENCE]
-            * tf.clip_by_value(below, 0.0, 1.0)
-            * tf.clip_by_value(beside, 0.0, 1.0)
-        )
+        here, half = self._at(bins, rest[..., 0]), _scalar(scalars, 'half_width')
+        return gate_of(here, _C, half, rest, (BELOW, BELOW_RAMP), (BESIDE, BESIDE_RAMP))
 
     def particles(self, bins, scalars, rest):
         """Inputs [B, P, I] of particles; arguments as of `gate`."""
