@@ -3,6 +3,7 @@
     python -m mpm.record --output_path=raw --num_processes=2
     python -m mpm.record --list
     python -m mpm.record --output_path=raw --parts=operator --expect=digests.json
+    python -m mpm.record --output_path=raw --held=datasets/excavation_v2,datasets/wheel_v2
 
 Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel, part by part in this order, so that
 what teaches most is there first:
@@ -51,11 +52,17 @@ _NUM_PROCESSES = flags.DEFINE_integer(
     'num_processes', 1, 'Runs at a time, one core each.', lower_bound=1
 )
 _EXPECT = flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
+_HELD = flags.DEFINE_list('held', [], 'Datasets whose runs are not made again.')
 _LIST = flags.DEFINE_bool('list', False, 'Only say what would be made.')
 
 
-def runs_of(part: str, limit: int | None = None) -> tuple:
+def runs_of(part: str, limit: int | None = None, held: dict[str, set[str]] | None = None) -> tuple:
     """Returns the ids of the runs of a part, in the order in which they are made.
+
+    Args:
+        part: one of `PARTS`.
+        limit: only so many from the beginning.
+        held: of `held_by`; these runs are left out, before the limit counts.
 
     Raises:
         ValueError: if there is no such part.
@@ -63,12 +70,32 @@ def runs_of(part: str, limit: int | None = None) -> tuple:
     if part not in PARTS:
         raise ValueError(f'unknown part {part!r}; there are {", ".join(PARTS)}')
     scene, order = PARTS[part]
-    return order(scene)[:limit]
+    left_out = (held or {}).get(scene.name, set())
+    return tuple(case for case in order(scene) if str(case) not in left_out)[:limit]
 
 
-def table(parts, limit: int | None = None) -> str:
+def held_by(datasets) -> dict[str, set[str]]:
+    """Returns scene -> ids of the runs that datasets of the converter hold.
+
+    Raises:
+        FileNotFoundError: a folder without `metadata.json`.
+        ValueError: one that does not name its scene and cases.
+    """
+    held: dict[str, set[str]] = {}
+    for folder in datasets:
+        path = os.path.join(folder, 'metadata.json')
+        metadata = _read_json(path)
+        try:
+            cases = {str(run['case']) for runs in metadata['cases'].values() for run in runs}
+            held.setdefault(metadata['scene']['name'], set()).update(cases)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f'{path}: names no scene and cases of runs') from error
+    return held
+
+
+def table(parts, limit: int | None = None, held: dict[str, set[str]] | None = None) -> str:
     """Returns what the parts hold, by kind and split, as text."""
-    counted = {part: runs_of(part, limit) for part in parts}
+    counted = {part: runs_of(part, limit, held) for part in parts}
     lines = [f'{"part":<16}{"kind":<11}{"runs":>5}' + ''.join(f'{s:>7}' for s in splits.SPLITS)]
     for part, cases in counted.items():
         scene, _ = PARTS[part]
@@ -94,7 +121,13 @@ def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
     return sorted(case for case in found.keys() & expected.keys() if found[case] != expected[case])
 
 
-def make(parts, output_path: str, num_processes: int, limit: int | None) -> dict[str, dict]:
+def make(
+    parts,
+    output_path: str,
+    num_processes: int,
+    limit: int | None,
+    held: dict[str, set[str]] | None = None,
+) -> dict[str, dict]:
     """Makes the parts that are not there yet; returns scene -> run -> digest.
 
     A part whose runs fail does not keep the next from being made.
@@ -104,7 +137,7 @@ def make(parts, output_path: str, num_processes: int, limit: int | None) -> dict
         OSError: see `batch.generate`.
     """
     failures = []
-    for part, cases in {part: runs_of(part, limit) for part in parts}.items():
+    for part, cases in {part: runs_of(part, limit, held) for part in parts}.items():
         scene, _ = PARTS[part]
         folder = os.path.join(output_path, scene.name)
         started = time.time()
@@ -134,12 +167,16 @@ def _write_json(path, content) -> None:
     write_whole(path, write)
 
 
-def _read_digests(path) -> dict[str, dict]:
+def _read_json(path):
     with open(path, encoding='utf-8') as file:
         try:
-            content = json.load(file)
+            return json.load(file)
         except ValueError as error:
             raise ValueError(f'{path}: is no JSON: {error}') from error
+
+
+def _read_digests(path) -> dict[str, dict]:
+    content = _read_json(path)
     if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
         raise ValueError(f'{path}: holds no digests (scene -> run -> digest)')
     return content
@@ -149,13 +186,14 @@ def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
     try:
+        held = held_by(_HELD.value)
         if _LIST.value:
-            print(table(_PARTS.value, _LIMIT.value))
+            print(table(_PARTS.value, _LIMIT.value, held))
             return
         if _OUTPUT_PATH.value is None:
             raise ValueError('give --output_path, or --list to see what would be made')
         expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
-        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, _LIMIT.value)
+        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, _LIMIT.value, held)
     except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)

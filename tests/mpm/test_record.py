@@ -87,3 +87,32 @@ def test_command_lists_what_it_would_make():
 def test_command_refuses_bad_input(arguments, words):
     done = command(*arguments)
     assert done.returncode == 1 and words in done.stderr and 'Traceback' not in done.stderr
+
+
+def dataset(path, content):
+    path.mkdir()
+    (path / 'metadata.json').write_text(content)
+    return str(path)
+
+
+def test_what_datasets_hold_is_left_out(tmp_path):
+    first, second, *_ = record.runs_of('operator')
+    blade = {'train': [{'case': 8}], 'test': [{'case': first}]}
+    blade = json.dumps({'scene': {'name': 'excavation'}, 'cases': blade})
+    wheel = '{"scene": {"name": "wheel"}, "cases": {"valid": [{"case": 5}]}}'
+    held = record.held_by([dataset(tmp_path / 'a', blade), dataset(tmp_path / 'b', wheel)])
+    assert held == {'excavation': {'8', first}, 'wheel': {'5'}}
+    assert record.runs_of('operator', 1, held) == (second,)  # the limit counts what is missing
+    assert set(record.runs_of('excavation_grid')) - set(
+        record.runs_of('excavation_grid', None, held)
+    ) == {8}
+    assert 8 in record.runs_of('wheel_grid', None, held)
+    all_runs, missing = (
+        sum(
+            int(line.split()[2]) for line in record.table(['operator'], None, runs).splitlines()[1:]
+        )
+        for runs in (None, held)
+    )
+    assert missing == all_runs - 1
+    with pytest.raises(ValueError, match='metadata.json: names no scene and cases of runs'):
+        record.held_by([dataset(tmp_path / 'c', '{"cases": []}')])
