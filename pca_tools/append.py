@@ -60,8 +60,8 @@ def append(raw_path: str, data_path: str, check_units: bool = True) -> dict[str,
     parts = {split: [new[place] for place in part] for split, part in dealt.items() if part}
     added = encode_runs(runs, parts, space, space.n_modes, sample.indices, convert.progress_bar)
     together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
-    together = {split: _numbered(part) for split, part in together.items() if part}
-    metadata = make_metadata(runs, together, space, 1, base)
+    together = {split: numbered(part) for split, part in together.items() if part}
+    metadata = make_metadata(runs.world, together, space, 1, base)
     convert.write_dataset(data_path, together, space, sample.indices, metadata, overwrite=True)
     return metadata
 
@@ -125,7 +125,7 @@ def _not_held(
     return new
 
 
-def _numbered(part: list[EncodedRun]) -> list[EncodedRun]:
+def numbered(part: list[EncodedRun]) -> list[EncodedRun]:
     """The runs with their places in the split as the keys of their records."""
     return [
         dataclasses.replace(run, trajectory=dataclasses.replace(run.trajectory, key=place))

@@ -107,7 +107,7 @@ def convert(
     parts = {name: part for name, part in parts.items() if part}
     sampled = particles.choose_particles(space.initial)
     encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
-    metadata = make_metadata(runs, encoded, space, frame_stride, base)
+    metadata = make_metadata(runs.world, encoded, space, frame_stride, base)
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))

@@ -179,13 +179,21 @@ def _make_trajectory(
 
 
 def make_metadata(
-    runs: RawRuns,
+    world: dict[str, Any],
     encoded: dict[str, list[EncodedRun]],
     space: Subspace,
     frame_stride: int,
     base: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """Returns the metadata; with `base` the statistics are those of the dataset to fit in with."""
+    """Returns the metadata of a dataset.
+
+    Args:
+        world: `scene`, `bounds` and `dt` of all runs.
+        encoded: split -> runs.
+        space: their subspace.
+        frame_stride: of the frames that it was fitted to.
+        base: metadata of the dataset to fit in with, whose statistics stay; None: those of train.
+    """
     if base is None:
         moments = motion_statistics([run.trajectory for run in encoded['train']])
     else:
@@ -197,15 +205,15 @@ def make_metadata(
 
     return {
         'schema_version': SCHEMA_VERSION,
-        'scene': runs.scene,
-        'bounds': runs.bounds,
+        'scene': world['scene'],
+        'bounds': world['bounds'],
         'sequence_length': n_frames - 1,
         'frames_stored': n_frames,
         # Only where the runs differ in length: sequence_length is then the longest.
         **({'frames_of_runs': lengths} if differ else {}),
         'default_connectivity_radius': CONNECTIVITY_RADIUS,
         'dim': DIM,
-        'dt': runs.dt,
+        'dt': world['dt'],
         'units': {
             'position': 'm',
             'force': 'N',

@@ -89,6 +89,11 @@ class RawRuns(Sequence):
         self._reference: np.ndarray | None = None
         self._orders: dict[int, np.ndarray] = {}
 
+    @property
+    def world(self) -> dict[str, Any]:
+        """What all runs share: `scene`, `bounds` (m) and `dt` (s)."""
+        return {'scene': self.scene, 'bounds': self.bounds, 'dt': self.dt}
+
     def __len__(self) -> int:
         return len(self._entries)
 

@@ -1,0 +1,86 @@
+"""A dataset with fewer training runs, against the larger one it comes from."""
+
+import numpy as np
+import pytest
+
+from pca_tools import convert, dataset, files, particles, subset
+from pca_tools.subspace import Subspace
+from tests.pca_tools import synthetic
+from tests.pca_tools.test_append import with_split
+
+
+@pytest.fixture
+def whole(tmp_path):
+    """Cases 1, 2, 4, 6 in train, 3 and 7 in valid, 5 in test; 2 and 6 are lifts."""
+
+    def change(case, arrays):
+        with_split(case, arrays, kind='lift' if case in (2, 6) else 'grid')
+
+    raw = synthetic.write_raw_folder(
+        str(tmp_path / 'raw'), 'excavation', range(1, 8), change=change
+    )
+    data = str(tmp_path / 'data')
+    convert.convert(raw, data, modes=5)
+    return data
+
+
+@pytest.mark.parametrize(
+    ('options', 'cases'),
+    [
+        ({'train_runs': 2}, [2, 6]),
+        ({'kinds': ['lift']}, [2, 6]),
+        ({'kinds': ['grid'], 'train_runs': 1}, [4]),
+        ({}, [1, 2, 4, 6]),
+    ],
+)
+def test_runs_are_those_of_the_whole(whole, tmp_path, options, cases):
+    out = str(tmp_path / 'few')
+    few = subset.subset(whole, out, **options)
+    base = files.read_json(f'{whole}/metadata.json')
+    assert few['dataset_split'] == {'train': cases, 'valid': [3, 7], 'test': [5]}
+    for key in (
+        base.keys()
+        - {'dataset_split', 'cases', 'projection_floors', 'frames_of_runs'}
+        - {'projection_mse', 'projection_max_mm', 'motion_mse', 'motion_kept'}
+    ):
+        assert few[key] == base[key], key
+    assert Subspace.load(f'{out}/subspace.npz').digest == base['pca']['digest']
+    for split, mine in few['dataset_split'].items():
+        records, all_records = (dataset.read_split(d, split) for d in (out, whole))
+        sample, whole_sample = (particles.read_sample(d, split) for d in (out, whole))
+        for place, case in enumerate(mine):
+            old = base['dataset_split'][split].index(case)
+            assert records[place].key == place
+            np.testing.assert_array_equal(records[place].position, all_records[old].position)
+            np.testing.assert_array_equal(records[place].force, all_records[old].force)
+            np.testing.assert_array_equal(sample[place], whole_sample[old])
+            assert few['projection_mse'][split][place] == base['projection_mse'][split][old]
+    assert files.check_manifest(out)
+
+
+def test_runs_are_spread_over_all():
+    assert subset.spread_over(10, 0) == subset.spread_over(10, 12) == list(range(10))
+    assert subset.spread_over(10, 5) == [1, 3, 5, 7, 9]
+    assert subset.spread_over(9, 3) == [1, 4, 7]
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        ({'train_runs': 5}, 'has 4 such training runs, 5 were asked for'),
+        ({'kinds': ['grid'], 'train_runs': 3}, 'has 2 such training runs, 3 were asked for'),
+        ({'kinds': ['lift', 'sea']}, r"trains on no \['sea'\], only \['grid', 'lift'\]"),
+    ],
+)
+def test_what_is_not_there_is_refused(whole, tmp_path, options, words):
+    with pytest.raises(ValueError, match=words):
+        subset.subset(whole, str(tmp_path / 'few'), **options)
+    assert not (tmp_path / 'few').exists()
+
+
+def test_a_finished_dataset_is_replaced_only_when_told(whole, tmp_path):
+    out = str(tmp_path / 'few')
+    subset.subset(whole, out, 1)
+    with pytest.raises(ValueError, match='use --overwrite to replace it'):
+        subset.subset(whole, out, 2)
+    assert subset.subset(whole, out, 2, overwrite=True)['dataset_split']['train'] == [2, 6]
