@@ -9,6 +9,11 @@ Examples:
     python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --color_by=error --plane=xz
 
+    # two models beside the truth
+    python -m learning_to_simulate.render_rollout --rollout_path=field/rollout_test_0.npz \\
+        --label=swept_field --beside=mlp_driven=mlp/rollout_test_0.npz \\
+        --data_path=datasets/excavation_v2 --output_path=pictures
+
     # for ParaView: open truth.pvd and prediction.pvd of pictures/rollout_test_0_vtk
     python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --format=vtp
@@ -22,7 +27,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import tqdm
@@ -50,6 +55,7 @@ def render(
     plane: str | None = None,
     label: str = '',
     progress: Callable = lambda frames, label: frames,
+    beside: Mapping[str, str] | None = None,
 ) -> tuple[RolloutFrames, list[str]]:
     """Draws a rollout in one or several formats.
 
@@ -64,6 +70,7 @@ def render(
             from the side, with the scene's upward axis up.
         label: name of the model, for the title of the prediction.
         progress: wraps the frames of a movie, called with them and a label (for a progress bar).
+        beside: name of a model -> rollout of the same run, drawn beside the first (not as `vtp`).
 
     Returns:
         The rollout, and the files written (of the `vtp`, the two collections).
@@ -78,9 +85,14 @@ def render(
     if unknown or not formats:
         raise ValueError(f'--format has {unknown or "no name"}; there are {", ".join(FORMATS)}')
     frames = rollout_frames.load(rollout_path, data_path, label)
+    others = []
+    for name, path in (beside or {}).items():
+        others.append(rollout_frames.load(path, data_path, name))
+        rollout_frames.refuse_other_run(frames, others[-1])
     os.makedirs(output_path, exist_ok=True)
     target = os.path.join(output_path, frames.name)
-    return frames, render_frames(frames, target, formats, step_stride, color_by, plane, progress)
+    written = render_frames(frames, target, formats, step_stride, color_by, plane, progress, others)
+    return frames, written
 
 
 def render_frames(
@@ -91,13 +103,15 @@ def render_frames(
     color_by: str = 'speed',
     plane: str | None = None,
     progress: Callable = lambda frames, label: frames,
+    beside: Sequence[RolloutFrames] = (),
 ) -> list[str]:
-    """Draws a rollout that is in memory; arguments as of `render`.
+    """Draws a rollout that is in memory.
 
     Args:
         frames: the rollout.
         target: path of the files without their endings; its folder must exist.
-        others: as of `render`.
+        formats, step_stride, color_by, plane, progress: as of `render`.
+        beside: other rollouts of the same run.
 
     Returns:
         The files written.
@@ -108,11 +122,13 @@ def render_frames(
     """
     if color_by == 'error' and not frames.has_truth:
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
-    drawn = np.arange(0, frames.n_frames, step_stride)
+    drawn = np.arange(0, min(one.n_frames for one in (frames, *beside)), step_stride)
     written = []
     pictures = [name for name in formats if name != 'vtp']
     if pictures:
-        written += _write_pictures(target, pictures, frames, drawn, color_by, plane, progress)
+        written += _write_pictures(
+            target, pictures, frames, drawn, color_by, plane, progress, beside
+        )
     if 'vtp' in formats:
         folder = f'{target}_vtk'
         vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
@@ -128,6 +144,7 @@ def _write_pictures(
     color_by: str,
     plane: str | None,
     progress: Callable,
+    beside: Sequence[RolloutFrames],
 ) -> list[str]:
     """Writes PNG, GIF and MP4; returns the paths."""
     try:
@@ -146,15 +163,15 @@ def _write_pictures(
     for name in formats:
         path = f'{target}.{name}'
         if name == 'png':
-            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI)
+            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
             files.write_atomically(path, functools.partial(strip.savefig, format='png'))
         elif name == 'gif':
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _GIF_DPI)
+            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _GIF_DPI, beside)
             chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
             samples = [figure.draw(int(frame)) for frame in drawn[chosen]]
             movie_files.write_gif(path, moving(figure, name), frame_seconds, samples)
         else:
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _MP4_DPI)
+            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _MP4_DPI, beside)
             movie_files.write_mp4(path, moving(figure, name), frame_seconds)
         written.append(path)
     return written
@@ -182,12 +199,20 @@ def define_flags() -> None:
         'up xz is from above, zy along the drive.',
     )
     flags.DEFINE_string('label', '', 'Name of the model, for the title of the prediction.')
+    flags.DEFINE_list(
+        'beside', [], 'NAME=FILE of other rollouts of the same run, drawn beside the first.'
+    )
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
 def run(values) -> None:
     """Runs the command with its flags."""
     command.writable_folder(values.output_path)
+    beside = dict(item.partition('=')[::2] for item in values.beside)
+    if '' in beside or '' in beside.values() or len(beside) < len(values.beside):
+        raise ValueError(
+            f'--beside={",".join(values.beside)}: NAME=FILE was expected, each name once'
+        )
     started = time.perf_counter()
     frames, written = render(
         values.rollout_path,
@@ -199,6 +224,7 @@ def run(values) -> None:
         plane=values.plane,
         label=values.label,
         progress=lambda drawn, label: tqdm.tqdm(drawn, desc=label, unit='frame', disable=None),
+        beside=beside,
     )
     print(frames.title)
     print(rollout_captions.summary_line(frames))

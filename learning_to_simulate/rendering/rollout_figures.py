@@ -53,7 +53,7 @@ _STRIP_MOMENTS = (1 / 3, 2 / 3, 1.0)
 
 
 class AnimatedFigure:
-    """Truth, where there is one, and prediction side by side over time.
+    """Truth, where there is one, and one or several predictions side by side over time.
 
     What stands still is drawn once and restored as an image; only what moves is drawn in every
     frame.
@@ -63,23 +63,31 @@ class AnimatedFigure:
         view: shared setup of both views.
         color_by: `speed` or `error`.
         dpi: pixels per inch; the figure is `WIDTH` inches wide.
+        beside: other predictions of the same run; curves and captions are those of the first.
 
     Attributes:
-        views: the `ParticleView` of the truth and that of the prediction.
+        views: the `ParticleView` of the truth and those of the predictions.
     """
 
-    def __init__(self, frames: RolloutFrames, view: ViewSetup, color_by: str, dpi: int):
+    def __init__(
+        self,
+        frames: RolloutFrames,
+        view: ViewSetup,
+        color_by: str,
+        dpi: int,
+        beside: Sequence[RolloutFrames] = (),
+    ):
         self._frames = frames
+        shown = _shown(frames, beside)
         with rc_context(STYLE):
-            page = _Page(n_columns=len(frames.shown), n_rows=1, aspect=view.aspect, dpi=dpi)
+            page = _Page(n_columns=len(shown), n_rows=1, aspect=view.aspect, dpi=dpi)
             page.write_header(frames)
             page.write_footer(frames, view)
             self.views = []
-            for column, which in enumerate(frames.shown):
-                name = _name(frames, which)
+            for column, (one, which, name) in enumerate(shown):
                 axes = page.view_axes(0, column, view, title=name[0].upper() + name[1:])
                 self.views.append(
-                    ParticleView(axes, frames, which, view, color_by, show_key=column == 0)
+                    ParticleView(axes, one, which, view, color_by, show_key=column == 0)
                 )
             if frames.subspace is not None:
                 page.add_color_bar(0, 0, color_by, view)
@@ -113,44 +121,58 @@ class AnimatedFigure:
         return pixels[:height, :width, :3].copy()
 
 
-def strip_figure(frames: RolloutFrames, view: ViewSetup, drawn: Sequence[int], dpi: int) -> Figure:
-    """Draws three moments (columns) of truth, prediction and error (rows) above the curves.
+def strip_figure(
+    frames: RolloutFrames,
+    view: ViewSetup,
+    drawn: Sequence[int],
+    dpi: int,
+    beside: Sequence[RolloutFrames] = (),
+) -> Figure:
+    """Draws three moments (columns) of truth, predictions and error (rows) above the curves.
 
     Args:
         frames: the rollout.
         view: shared setup of all views.
         drawn: the frames to choose the moments from.
         dpi: pixels per inch.
+        beside: other predictions of the same run, a row each; the error is that of the first.
 
     Returns:
         The figure, ready to be saved.
     """
     later = [frame for frame in drawn if frame >= frames.first_predicted] or list(drawn)
     moments = [later[round(share * (len(later) - 1))] for share in _STRIP_MOMENTS]
-    rows = [(which, 'speed', _name(frames, which)) for which in frames.shown]
+    rows = [(one, which, 'speed', name) for one, which, name in _shown(frames, beside)]
+    n_speed = len(rows)
     if frames.subspace is not None and frames.has_truth:
-        rows.append((PREDICTION, 'error', 'error of prediction'))
+        rows.append((frames, PREDICTION, 'error', 'error of prediction'))
     with rc_context(STYLE):
         page = _Page(n_columns=len(moments), n_rows=len(rows), aspect=view.aspect, dpi=dpi)
         page.write_header(frames)
         page.write_footer(frames, view)
         page.write_status().set_text(rollout_captions.summary_line(frames))
-        for row, (which, color_by, label) in enumerate(rows):
+        for row, (one, which, color_by, label) in enumerate(rows):
             for column, frame in enumerate(moments):
                 title = f't = {frames.time[frame]:.2f} s' if row == 0 else ''
                 axes = page.view_axes(row, column, view, title=title, row_label=label)
                 first = row == column == 0
-                ParticleView(axes, frames, which, view, color_by, show_key=first).update(frame)
+                ParticleView(axes, one, which, view, color_by, show_key=first).update(frame)
         if frames.subspace is not None:
-            page.add_color_bar(0, len(frames.shown) - 1, 'speed', view)
+            page.add_color_bar(0, n_speed - 1, 'speed', view)
             if frames.has_truth:
-                page.add_color_bar(2, 2, 'error', view)
+                page.add_color_bar(n_speed, n_speed, 'error', view)
         curves = page.curve_axes(rollout_curves.count(frames))
         rollout_curves.draw(curves, frames, view.plane)
         for axes in curves:
             for frame in moments:
                 axes.axvline(frames.time[frame], color=FAINT, linewidth=0.8, zorder=1)
     return page.figure
+
+
+def _shown(frames: RolloutFrames, beside: Sequence[RolloutFrames]) -> list[tuple]:
+    """(rollout, truth or prediction, name) of each view."""
+    shown = [(frames, which, _name(frames, which)) for which in frames.shown]
+    return shown + [(other, PREDICTION, _name(other, PREDICTION)) for other in beside]
 
 
 def _name(frames: RolloutFrames, which: str) -> str:

@@ -257,6 +257,19 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     )
 
 
+def refuse_other_run(frames: RolloutFrames, other: RolloutFrames) -> None:
+    """Raises ValueError unless another rollout is one of the same run, in the same subspace."""
+    same = frames.has_truth and other.has_truth and frames.title == other.title
+    for given, theirs in ((frames.rigid, other.rigid), (frames.scores, other.scores)):
+        # The shorter one may have been cut before a frame that is not finite.
+        length = min(frames.n_frames, other.n_frames)
+        same = same and np.array_equal(given[TRUTH][:length], theirs[TRUTH][:length])
+    if not same:
+        raise ValueError(
+            f'{other.name} ({other.label}) is no rollout of the run of {frames.name}: {other.title}'
+        )
+
+
 def of_rollout(rollout) -> RolloutFrames:
     """A `path_rollout.SoilRollout` ready to be drawn; of a path there is no truth."""
     start, n_modes = len(rollout.history), rollout.scene.n_modes

@@ -215,6 +215,39 @@ class TestPictures:
         error = 1e3 * np.linalg.norm(frames.soil_error(50)[view.particles], axis=1)
         np.testing.assert_allclose(np.sort(prediction.get_array()), np.sort(error))
 
+    def test_a_second_model_is_drawn_beside_the_first(self, made, frames, view, tmp_path):
+        """Each with its own soil; a strip gets a row more."""
+        arrays = files.read_npz(made[0])
+        shifted = arrays['predicted_rollout'].copy()
+        shifted[:, N_RIGID, 0] += 0.3
+        path = changed(made, tmp_path, predicted_rollout=shifted)
+        other = rollout_frames.load(path, made[1], 'other')
+        figure = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60, beside=[other])
+        assert len(figure.views) == 3 and figure.draw(40).any()
+        for drawn, one in zip(figure.views[1:], (frames, other)):
+            place = one.soil(PREDICTION, 40)[view.particles]
+            order = np.argsort(place[:, 2], kind='stable')
+            np.testing.assert_allclose(drawn.soil.get_offsets(), place[order][:, :2])
+        alone = rollout_figures.strip_figure(frames, view, [0, 20, 40], dpi=50)
+        both = rollout_figures.strip_figure(frames, view, [0, 20, 40], dpi=50, beside=[other])
+        assert len(both.axes) == len(alone.axes) + 3
+        names = [axes.get_ylabel() for axes in both.axes]
+        assert any('prediction (other)' in name for name in names)
+
+        _, written = render_rollout.render(
+            *made[:2], str(tmp_path), formats=['gif'], step_stride=20, beside={'other': path}
+        )
+        assert os.path.getsize(written[0]) > 1000
+
+    def test_a_rollout_of_another_run_is_not_drawn_beside(self, made, tmp_path):
+        arrays = files.read_npz(made[0])
+        moved = arrays['ground_truth_rollout'].copy()
+        moved[5, N_RIGID, 0] += 1e-3
+        path = changed(made, tmp_path, ground_truth_rollout=moved)
+        with pytest.raises(ValueError, match=r'\(other\) is no rollout of the run of'):
+            render_rollout.render(*made[:2], str(tmp_path / 'out'), beside={'other': path})
+        assert not (tmp_path / 'out').exists()
+
     def test_blade_is_a_line_from_the_side_and_a_wheel_a_circle(self, made, tmp_path):
         frames = rollout_frames.load(*made[:2])
         view = particle_views.setup(frames, 'xy', np.arange(N_FRAMES))
@@ -332,6 +365,14 @@ class TestCommand:
             [sys.executable, '-m', 'learning_to_simulate.render_rollout', *arguments],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
+
+    @pytest.mark.parametrize('beside', ['other', '=x.npz', 'a=x.npz,a=y.npz'])
+    def test_what_is_beside_needs_a_name_and_a_file(self, made, tmp_path, beside):
+        done = self.run(
+            f'--rollout_path={made[0]}', f'--data_path={made[1]}', f'--output_path={tmp_path}',
+            f'--beside={beside}',
+        )  # fmt: skip
+        assert done.returncode == 1 and 'NAME=FILE was expected' in done.stderr
 
     def test_writes_all_formats_and_a_summary(self, made, tmp_path):
         done = self.run(
