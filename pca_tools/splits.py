@@ -124,3 +124,11 @@ def _strata_first(
     test = [index for index, chosen in zip(drawn, is_test) if chosen]
     valid = [index for index, chosen in zip(drawn, is_test) if not chosen]
     return test + valid + [index for index in free if index not in drawn]
+
+
+def spread_over(count: int, limit: int) -> list[int]:
+    """Returns the places of `limit` runs spread over `count`, all of them for 0: files are often
+    sorted by kind."""
+    if not limit or limit >= count:
+        return list(range(count))
+    return [(2 * place + 1) * count // (2 * limit) for place in range(limit)]

@@ -19,6 +19,7 @@ from absl import app, flags
 from pca_tools import convert, files, particles
 from pca_tools.append import numbered, read_encoded
 from pca_tools.encode import make_metadata
+from pca_tools.splits import spread_over
 
 
 def subset(
@@ -62,14 +63,6 @@ def subset(
     indices = particles.read_sample(data_path, 'train').indices
     convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
     return metadata
-
-
-def spread_over(count: int, limit: int) -> list[int]:
-    """Returns the places of `limit` runs spread over `count`, all of them for 0: files are often
-    sorted by kind."""
-    if not limit or limit >= count:
-        return list(range(count))
-    return [(2 * place + 1) * count // (2 * limit) for place in range(limit)]
 
 
 def define_flags() -> None:

@@ -199,6 +199,20 @@ def steady(path: str) -> str:
     return markdown.table(('', 'mean', 'least', 'most'), lines)
 
 
+def trials(path: str) -> str:
+    """A table of what was tried, judged on valid runs: means over runs, and on how many the soil
+    was better than in the first row."""
+    rows = files.read_json(path)['rows']
+    first = rows[0]['soil_mm']
+    lines = []
+    for row in rows:
+        won = sum(a < b for a, b in zip(row['soil_mm'], first, strict=True))
+        wins = '' if row is rows[0] else f'{won} of {len(first)}'
+        means = (float(np.mean(row[key])) for key in ('soil_mm', 'force_l2'))
+        lines.append((row['what'], *means, wins))
+    return markdown.table(('inputs', 'soil, mm', 'force', 'better in soil'), lines)
+
+
 _COLUMNS = {
     'soil_mm': 'soil, mm', 'still_mm': 'stay still, mm', 'force_l2': 'force',
     'held_force_l2': 'force held', 'torque_l2': 'torque', 'height_mm': 'height, mm',

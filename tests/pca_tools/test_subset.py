@@ -58,12 +58,6 @@ def test_runs_are_those_of_the_whole(whole, tmp_path, options, cases):
     assert files.check_manifest(out)
 
 
-def test_runs_are_spread_over_all():
-    assert subset.spread_over(10, 0) == subset.spread_over(10, 12) == list(range(10))
-    assert subset.spread_over(10, 5) == [1, 3, 5, 7, 9]
-    assert subset.spread_over(9, 3) == [1, 4, 7]
-
-
 @pytest.mark.parametrize(
     ('options', 'words'),
     [

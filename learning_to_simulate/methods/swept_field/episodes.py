@@ -14,6 +14,7 @@ from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.methods.swept_field.tools import Tool
 from learning_to_simulate.methods.tool_motion import TravelFrame
 from pca_tools import dataset, particles
+from pca_tools.splits import spread_over
 from pca_tools.subspace import Subspace
 
 
@@ -192,14 +193,6 @@ class EpisodeReader:
                 run.force[begin:], None if run.torque is None else run.torque[begin:]
             ).astype(np.float32),
         )
-
-
-def spread_over(count: int, limit: int) -> list[int]:
-    """Records of `limit` runs spread over `count`, all of them for 0: files are often sorted by
-    kind."""
-    if not limit or limit >= count:
-        return list(range(count))
-    return [(2 * i + 1) * count // (2 * limit) for i in range(limit)]
 
 
 def frames_of(episodes, tool: Tool, grid, dt: float) -> list[Frame]:

@@ -143,6 +143,9 @@ class Inputs:
             foremost / 0.15, tf.tanh(foremost / 0.03),
             area_before / 0.01, tf.sqrt(area_before + 1e-6) / 0.1,
             _scalar(scalars, 'end') - u,
+            # Sharper where a particle is carried along or left: the ends of the edge, the cut.
+            tf.tanh((beside - half) / 0.008), tf.exp(-(((beside - half) / 0.02) ** 2)),
+            tf.tanh(above / 0.004), tf.exp(-((above / 0.012) ** 2)),
         ]  # fmt: skip
         per_particle = tf.concat(
             [

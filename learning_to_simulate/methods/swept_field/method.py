@@ -10,10 +10,10 @@ from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.methods.swept_field import episodes, fitting, model_files
+from learning_to_simulate.methods.swept_field import fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
 from learning_to_simulate.training import model_folder
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files, folder_lock, splits
 
 METRICS = 'metrics.json'
 
@@ -45,7 +45,7 @@ def train(data_path, model_path, config, options) -> dict:
             summary['training'] = facts
             files.write_json(os.path.join(model_path, METRICS), summary)
             cases = metadata.get('cases', {}).get('train', [])
-            chosen = episodes.spread_over(len(cases), config.train_runs)
+            chosen = splits.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
             written = resting_start.write(model_path, data_path, {})
             data |= {'force_mean': facts['force_mean'], 'runs': runs}
