@@ -15,6 +15,7 @@ from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry, resting_bed
 from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.methods.registry import OpenedModel
+from learning_to_simulate.penetration import Penetration
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
@@ -185,6 +186,11 @@ def open_model(
         model,
         groups,
         metadata,
-        evaluation.Evaluator(model, metadata, rigid_correction),
+        evaluation.Evaluator(
+            model,
+            metadata,
+            rigid_correction,
+            Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
+        ),
         one_step_errors,
     )
