@@ -6,6 +6,7 @@ the swept field has them, at the poses that the records state; of records withou
 said.
 """
 
+import dataclasses
 import os
 
 import numpy as np
@@ -18,6 +19,7 @@ from pca_tools.subspace import Subspace
 
 EVERY = 8  # frames
 DEEP = 1e-3  # m; less counts as touching
+SAME_TOOL = 1e-3  # m that particles of the body may lie off the tool
 
 
 class Penetration:
@@ -31,7 +33,7 @@ class Penetration:
       scene: of a blade or a driven wheel.
 
     Raises:
-      ValueError: a scene of neither.
+      ValueError: a scene of neither, or a body of another shape.
     """
 
     def __init__(self, data_path: str, metadata: dict, records, split: str, scene):
@@ -40,6 +42,8 @@ class Penetration:
         self._records, self._scene = records, scene
         self._cases = metadata.get('cases', {}).get(split, [])
         self._space = Subspace.load(os.path.join(data_path, 'subspace.npz'))
+        for record in range(len(records)):
+            self._check(record)
 
     @classmethod
     def of_dataset(cls, data_path: str, metadata: dict, split: str, scene) -> 'Penetration | None':
@@ -56,18 +60,36 @@ class Penetration:
         except ValueError:
             return None
 
-    def __call__(self, record: int, group, rollout) -> dict[str, float]:
-        """Of a one-run `RunGroup` and its `Rollout`: `penetration_mm` of the deepest particle and
-        `penetration_particles`, how many are deeper than a millimetre, mean over frames; the same
-        with `true_` before them."""
-        run, n = self._records[record], group.n_rigid
-        names, context = self._scene.context_names, None
+    def _tool_of(self, record):
+        """Size [S] and poses [T, K] of the tool of a run."""
+        run, names, context = self._records[record], self._scene.context_names, None
         if names:
             context = {name: run.step_context[:, i] for i, name in enumerate(names)}
         first = None if context is None else {k: float(v[0]) for k, v in context.items()}
         case = self._cases[record] if record < len(self._cases) else {}
         size = self._tool.size(self._axes, case, run.position[0, : run.n_rigid], first)
-        pose = self._tool.poses(self._axes, run.rigid_pose.astype(np.float64), context)
+        return size, self._tool.poses(self._axes, run.rigid_pose.astype(np.float64), context)
+
+    def _check(self, record):
+        """Raises ValueError where particles of the body lie beside the tool."""
+        size, pose = self._tool_of(record)
+        run, wider = self._records[record], size.copy()
+        points = self._axes.points(run.position[0, : run.n_rigid])
+        tool = self._tool
+        if isinstance(tool, tools.Blade):
+            tool = dataclasses.replace(tool, radius=tool.radius + SAME_TOOL)
+            wider[0] += 2 * SAME_TOOL
+        else:
+            wider[:2] += SAME_TOOL, 2 * SAME_TOOL
+        if not (tool.inside(points, pose[0], wider)[0] > 0).all():
+            raise ValueError(f'record {record}: the body is not the {tool.name} of the solver')
+
+    def __call__(self, record: int, group, rollout) -> dict[str, float]:
+        """Of a one-run `RunGroup` and its `Rollout`: `penetration_mm` of the deepest particle and
+        `penetration_particles`, how many are deeper than a millimetre, mean over frames; the same
+        with `true_` before them."""
+        run, n = self._records[record], group.n_rigid
+        size, pose = self._tool_of(record)
         modes = group.with_left_modes(rollout.position)[0, :, n:]
         lift = np.zeros(len(modes))
         if self._scene.rigid_motion == RigidMotion.DRIVEN:

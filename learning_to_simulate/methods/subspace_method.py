@@ -15,7 +15,6 @@ from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods import registry, resting_bed
 from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.methods.registry import OpenedModel
-from learning_to_simulate.penetration import Penetration
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
@@ -168,6 +167,8 @@ def open_model(
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
     registry.refuse_raw_path(raw_path)
+    # A model that is only run waits for none of it.
+    from learning_to_simulate.penetration import Penetration
 
     def one_step_errors():
         from learning_to_simulate.training.trainer import Trainer

@@ -83,6 +83,15 @@ def test_of_a_wheel_whose_height_is_predicted(tmp_path):
     assert found['penetration_particles'] == found['true_penetration_particles'] == 1.0
 
 
+def test_a_body_of_another_shape_is_refused(tmp_path):
+    """A plate that is not the solver's blade."""
+    pose = np.tile([0.5, 0.3, MIDDLE, 1.0, 0.0, 0.0, 0.0], (N_FRAME, 1))
+    body = pose[:, None, :3] + np.array([[0, 0, -0.1], [0, 0, 0.1], [0.05, 0.2, 0]])
+    soil = np.tile(np.array(OUT), (N_FRAME, 3, 1))
+    with pytest.raises(ValueError, match='record 0: the body is not the blade of the solver'):
+        measure(tmp_path, scene(RigidMotion.PRESCRIBED), recorded(body, soil, pose), soil[H:])
+
+
 def test_a_dataset_without_poses_says_nothing(tmp_path):
     """As does one without a subspace, before a record is read."""
     whole = SimpleNamespace(rigid_motion=RigidMotion.PRESCRIBED, bodies=(), n_soil=3)
