@@ -19,7 +19,8 @@ from pca_tools.subspace import Subspace
 
 EVERY = 8  # frames
 DEEP = 1e-3  # m; less counts as touching
-SAME_TOOL = 1e-3  # m that particles of the body may lie off the tool
+# Particles of a body lie in the box around its tool, up to 5.8 mm beyond a round edge, m.
+SAME_TOOL = 6e-3
 
 
 class Penetration:
