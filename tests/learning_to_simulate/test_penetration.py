@@ -49,7 +49,10 @@ def test_of_a_blade_and_of_the_truth(tmp_path):
     """An upright blade 14 mm to either side of its middle: a particle 4 mm off that is 10 mm in."""
     x = 0.5 - 1e-3 * np.arange(N_FRAME)
     pose = np.stack([x, 0 * x + 0.3, 0 * x + MIDDLE, 0 * x + 1, 0 * x, 0 * x, 0 * x], axis=1)
-    body = pose[:, None, :3] + np.array([[0, 0, -0.1], [0, 0, 0.1], [0, 0.2, 0]])
+    # Markers as the solver's: corners of the box around the round edges.
+    body = pose[:, None, :3] + np.array(
+        [[-0.014, -0.0115, -0.2], [-0.014, 0.2885, 0.2], [0, 0.2, 0]]
+    )
     soil = np.tile(np.array(OUT), (N_FRAME, 3, 1))
     soil[H:, 0] = np.stack([x + 0.004, 0 * x + 0.4, 0 * x + MIDDLE], axis=1)[H:]
     predicted = soil[H:].copy()
