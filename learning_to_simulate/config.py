@@ -180,6 +180,11 @@ class Inputs(Settings):
         return self.conditioned
 
     @property
+    def contact_gate(self) -> bool:
+        """Whether a body shows no force where it is clear of the soil, if training runs are."""
+        return self.conditioned
+
+    @property
     def mean_aggregation(self) -> bool:
         """Whether a node takes the mean of its messages; else their sum, as published."""
         return self.conditioned

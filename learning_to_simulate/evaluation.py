@@ -46,10 +46,12 @@ class Evaluator:
       model: the model.
       metadata: of the dataset; its projection errors are used where it states them.
       rigid_correction: whether predicted bodies are kept rigid.
+      more: what else is said of a run; see `summarise`.
     """
 
-    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True):
+    def __init__(self, model: Model, metadata: dict, rigid_correction: bool = True, more=None):
         self._model, self._metadata, self._correct = model, metadata, rigid_correction
+        self._more = more
         self._functions = {}
 
     def roll_out(self, group):
@@ -67,10 +69,10 @@ class Evaluator:
           results of `roll_out_all`, metrics of `summarise`.
         """
         results = roll_out_all(self.roll_out, groups, progress)
-        return results, summarise(results, self._model, self._metadata, split)
+        return results, summarise(results, self._model, self._metadata, split, self._more)
 
 
-def summarise(results, model, metadata: dict, split: str) -> dict:
+def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
     """The metrics of rolled-out runs: per run, their mean, the trivial predictors and the skill.
 
     Args:
@@ -78,6 +80,8 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
       model: its scene and statistics are read, and the edges of its graphs.
       metadata: of the dataset; says what the subspace cuts off each run, where that is known.
       split: names the projection errors in the metadata.
+      more: called with record, one-run group and rollout, gives further figures of a run by name,
+        e.g. a `penetration.Penetration`; None for none.
     """
     scene, statistics = model.simulator.scene, model.simulator.statistics
     floors = metadata.get('projection_mse', {}).get(split)
@@ -110,6 +114,7 @@ def summarise(results, model, metadata: dict, split: str) -> dict:
             'edges': len(model.layout(group.n_rigid).senders),
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
+            **({} if more is None else more(record, group, rollout)),
         }
     return _summary(methods, floors, scene)
 
@@ -229,6 +234,8 @@ def table(summary: dict) -> str:
         ('force_relative_l2', 'force rel. L2', 1),
         ('force_rmse', 'force RMSE N', 1),
         ('force_abs_mpe', '|MPE| %', 1),
+        ('penetration_mm', 'in the tool mm', 1),
+        ('true_penetration_mm', 'truth mm', 1),
         ('seconds_per_simulated_second', 's per simulated s', 1),
         ('milliseconds_per_step', 'ms/step', 1),
     )

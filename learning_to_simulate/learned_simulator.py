@@ -15,6 +15,7 @@ from learning_to_simulate import features, graph_network, normalization
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
+from learning_to_simulate.contact import Contact
 from learning_to_simulate.edges import tool_depth
 from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -64,6 +65,9 @@ class Layout:
         self.memory = None  # reads the path, where that is an input
         if statistics.path is not None:
             self.memory = PathMemory.of_statistics(statistics.path, scene)
+        self.contact = None  # says where the body feels no soil, where tools leave it
+        if statistics.contact is not None:
+            self.contact = Contact.of_statistics(statistics.contact, statistics.surface, scene)
         counts = [count for _, count in scene.bodies] or [n_rigid]
         if sum(counts) != n_rigid:
             raise ValueError(f'the bodies {scene.bodies} have {sum(counts)} nodes, not {n_rigid}')
@@ -285,6 +289,10 @@ class LearnedSimulator(snt.Module):
         if force is not None:
             s = self.statistics
             force = force * s.force_std.astype(np.float32) + s.force_mean.astype(np.float32)
+            if layout.contact is not None:
+                n = layout.n_rigid
+                body = known.offset + layout.origin[:n].astype(np.float32)
+                force *= layout.contact.share(body, state.offset[:, n:])[:, None]
         return SimulatorState(offset, history), force
 
     def _base_velocity(self, state, known, layout):

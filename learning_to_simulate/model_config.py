@@ -10,6 +10,7 @@ from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
 
 _NUMBER_OF_TYPES = 9
+MAX_PLACES = 10_000
 # What a field of a damaged or foreign file raises where it is read.
 WRONG_FIELD = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
 
@@ -123,13 +124,25 @@ def _check_statistics(statistics, scene):
     shapes = {
         'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
         'force_mean': (force,), 'force_std': (force,),
-        'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,),
+        'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,), 'contact': (2,),
         'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
         'position_range': (2, classes, dim), 'given_range': (2, dim),
         'given_velocity_range': (2, dim),
         'body_extent_range': (2, dim), 'body_speed_range': (2, 1), 'context_range': (2, context),
     }  # fmt: skip
+    if statistics.surface is not None:
+        places = statistics.surface.shape[0] if statistics.surface.ndim else 0
+        _require(0 < places <= MAX_PLACES, 'places of statistics.surface', places)
+        shapes['surface'] = (places, 2 + scene.n_modes * dim)
+    contact, surface = statistics.contact is not None, statistics.surface is not None
+    _require(contact == surface, 'presence of statistics.contact', contact)
+    if contact:
+        axis = float(statistics.contact.flat[0]) if statistics.contact.size else None
+        wanted = set(range(dim)) - {scene.up_axis}
+        _require(axis in wanted, 'axis of statistics.contact', axis)
+        prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
+        _require(prescribed and scene.has_force, 'statistics.contact of the scene', scene.name)
     for field in dataclasses.fields(statistics):
         value = getattr(statistics, field.name)
         if value is None:

@@ -52,6 +52,8 @@ class Statistics:
       body_speed_range: [2, 1] of the given body's RMS displacement, m/frame.
       context_range: [2, C]; None without a context.
       path: [5] of `path_memory.PathMemory.of_statistics`; None where the path is no input.
+      contact, surface: [2] and [P, 2 + r D] of `contact.Contact.of_statistics`; None where a body
+        may show its whole force everywhere.
     """
 
     origin: np.ndarray
@@ -80,6 +82,8 @@ class Statistics:
     log_context_mean: np.ndarray | None
     log_context_std: np.ndarray | None
     path: np.ndarray | None = None
+    contact: np.ndarray | None = None
+    surface: np.ndarray | None = None
 
     def to_json(self) -> dict:
         """Nested lists of float64, exact under `from_json`."""

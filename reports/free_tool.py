@@ -8,8 +8,11 @@ Per model, on a split of its dataset:
       first frame, beside the root mean square error of the 2nd to 60th
   stop: the recorded path up to its middle, then the tool stands: how far the force of the first
       frame lies from the middle of its two neighbours, the largest of the runs
-  inside: soil in the tool, in every 8th frame of rollouts, and in the truth as the modes hold it;
-      the error in full space with such soil pushed out to the nearest face, over that without
+  free: in the frames of rollouts of recorded runs in which the solver has no force: the mean of
+      the predicted one, and in how many of them it is below 2 N
+  inside: soil in the tool, in every 8th frame of rollouts, and in the truth as the dataset's modes
+      hold it; the error in full space with such soil pushed out to the nearest face, over that
+      without
 
 Examples:
     python -m reports free_tool --models=models/excavation/pcg,models/excavation_v2/swept_field \\
@@ -33,6 +36,7 @@ CLEAR = 0.05  # m, of the lowest point above the bed
 RIDE, STAND, AFTER = 60, 30, 60  # frames
 EVERY = 8
 DEEP = 1e-3  # m; less counts as touching
+NO_FORCE, SMALL = 0.1, 2.0  # N, of the solver and of a prediction
 # Where the records come from another tool than the solver's, m.
 SAME_TOOL = 1e-3
 
@@ -89,20 +93,30 @@ class Tool:
         return depth, particles + self._axes.world(way)
 
 
-def penetration(tool: Tool, rollout, soil) -> dict:
+def free(rollout) -> dict:
+    """Of the frames of a rollout of a recorded run in which the truth has no force: how many they
+    are, sum of the predicted sizes in N, and how many of these are below 2 N."""
+    true = np.linalg.norm(rollout.truth[2][H:], axis=1)
+    size = np.linalg.norm(rollout.force, axis=1)[true < NO_FORCE]
+    small = int((size < SMALL).sum())
+    return {'free_frames': len(size), 'free_N': float(size.sum()), 'free_small': small}
+
+
+def penetration(tool: Tool, rollout, soil, recorded) -> dict:
     """Soil in the tool over a rollout of a recorded run.
 
     Args:
       tool: of the run.
       rollout: `SoilRollout` with its truth.
       soil: `Soil` of the dataset, which decodes the truth.
+      recorded: `Trajectory` of the run, with all modes of the dataset.
 
     Returns:
       `deepest_mm` and `particles` (deeper than 1 mm, mean over frames) of the prediction, both with
       `true_` before them of the truth in the modes; `error_mm` and `pushed_error_mm`, root mean
       square distances of prediction and truth in the modes per component.
     """
-    modes, body, _ = rollout.truth
+    body, modes = rollout.truth[1], recorded.position[:, recorded.n_rigid :]
     found: dict[str, list] = {'': [], 'true_': []}
     square, pushed_square = [], []
     for frame in range(0, len(rollout.modes), EVERY):
@@ -257,8 +271,16 @@ def measure(model, data, split: str, n_run: int = 0) -> list[dict]:
                 for k, v in start_in_contact(model, opened, group, path, soil).items()}  # fmt: skip
         row |= {f'stop_{k}': v for k, v in stop(model, path[H - 1 :], index, context).items()}
         run = getattr(data, split)[number]
-        rows.append(row | penetration(tool, model.rollout(run), soil))
+        rollout = model.rollout(run)
+        rows.append(row | free(rollout) | penetration(tool, rollout, soil, recorded))
     return rows
+
+
+def _free(rows):
+    frames, force, small = (
+        sum(row.get(f'free_{name}', 0) for row in rows) for name in ('frames', 'N', 'small')
+    )
+    return f'{force / frames:.3g} ({100 * small / frames:.0f} %)' if frames else ''
 
 
 def table(path: str) -> str:
@@ -275,6 +297,7 @@ def table(path: str) -> str:
             (
                 found['model'],
                 of('air_N', np.max),
+                _free(rows),
                 of('start_first_N', np.mean),
                 of('start_later_N', np.mean),
                 of('stop_spike_N', np.max),
@@ -285,7 +308,8 @@ def table(path: str) -> str:
             )
         )
     header = (
-        'model', 'in the air, N', 'first frame of a start, N', 'later frames, N',
+        'model', 'in the air, N', 'without a true force, N (below 2 N)',
+        'first frame of a start, N', 'later frames, N',
         'spike at a stop, N', 'force before it, N', 'deepest, mm (/ truth)',
         'particles inside (/ truth)', 'error pushed out / as it is',
     )  # fmt: skip

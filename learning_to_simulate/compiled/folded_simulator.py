@@ -193,6 +193,11 @@ class FoldedSimulator:
                 if kind in hidden
             ]
             outputs['force'] = do('force', lambda *x: tf.add_n(x) + self._force.b, *sums)
+            if self.layout.contact is not None:
+                outputs['force'] = do(
+                    'force: contact', self._of_contact,
+                    outputs['force'], given.offset, given.coming, state.modes,
+                )  # fmt: skip
         return outputs
 
     def _biased(self, do, kind, rate, given):
@@ -306,6 +311,11 @@ class FoldedSimulator:
     def _force_part(self, hidden):
         """Share of a kind of nodes in the mean of the decoded forces, N."""
         return tf.matmul(tf.reduce_sum(hidden, axis=1) / self.layout.n_node, self._force.w)
+
+    def _of_contact(self, force, before, coming, modes):
+        """The force that the body may show where it comes to."""
+        body = before + coming + self.layout.origin[self._nodes[RIGID]].astype(np.float32)
+        return force * self.layout.contact.share(body, modes)[:, None]
 
     def advance(self, outputs, state: MovingState, given: Given) -> MovingState:
         """The state after a frame, from `predict`; body velocities in m/frame."""

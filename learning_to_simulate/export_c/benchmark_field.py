@@ -66,8 +66,9 @@ def _c_times(library, soil, poses, count, with_particles, dt):
     points = np.empty((soil.description.n_soil, 3), np.float32)
     # Fewer particles than frames are of frames spread over the run.
     some = poses[:: len(poses) // n][:n] if with_particles else poses[:n]
+    some = np.ascontiguousarray(some)  # kept while its address is in use
     code = library.lts_time_field(
-        soil.address, saved, len(saved), np.ascontiguousarray(some).ctypes.data, n,
+        soil.address, saved, len(saved), some.ctypes.data, n,
         dt * (len(poses) // n if with_particles else 1), runs,
         points.ctypes.data if with_particles else None, len(points),
         *(row.ctypes.data for row in seconds),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from learning_to_simulate import features, rollout_status
+from learning_to_simulate import contact, features, rollout_status
 from learning_to_simulate.export_c import c_header, c_values, network_data
 from learning_to_simulate.learned_simulator import RATE_FLOOR
 from learning_to_simulate.scene import RigidMotion
@@ -105,12 +105,28 @@ def values(
         result[name] = getattr(s, name)[layout.node_class]
     for name in ('context_mean', 'context_std', 'log_context_mean', 'log_context_std'):
         result[name] = getattr(s, name)
+    if layout.contact is not None:
+        result |= _contact(layout.contact)
     result |= _ranges(s, layout.node_class)
     result |= network_data.values(simulator, layout)
     if subspace is not None:
         result |= _particles(model.fitting_subspace(subspace), layout.origin[n_rigid:])
     result |= {'n_start': len(starts), 'starts': [dict(start) for start in starts]}
     return result | {'digest': c_values.digest(result)}
+
+
+def _contact(reader):
+    """Where a body shows no force."""
+    return {
+        'n_place': len(reader.places),
+        'way_axis': reader.axis,
+        'clear': reader.clear,
+        'clear_ramp': contact.RAMP,
+        'clear_slope': contact.SLOPE,
+        'places': reader.places,
+        'place_heights': reader.heights,
+        'place_weights': np.moveaxis(reader.weights, -1, 0),
+    }
 
 
 def _ranges(s, node_class):

@@ -74,13 +74,14 @@ def hull(body) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), triangles.astype(np.int32)
 
 
-def lamp(kind: str, reason: str, rate: float) -> str:
-    """HTML of the status lamp: its colour is also said in words."""
+def lamp(kind: str, reason: str, rate: float, sinkage: float | None = None) -> str:
+    """HTML of the status lamp: its colour is also said in words; with a wheel's sinkage, m."""
     text = WORDS[kind]
+    sunk = '' if sinkage is None else f' &middot; sinkage {1e3 * sinkage:.1f} mm'
     reason = reason.replace('&', '&amp;').replace('<', '&lt;')
     return (
         f'<div role="status" style="padding:4px 12px;font-size:13px;line-height:1.35">'
         f'<span style="display:inline-block;width:12px;height:12px;border-radius:6px;'
-        f'background:{LAMPS[kind]}"></span> <b>{text}</b> &middot; {rate:.0f} frames/s'
+        f'background:{LAMPS[kind]}"></span> <b>{text}</b> &middot; {rate:.0f} frames/s{sunk}'
         f'<br><span>{reason or "&nbsp;"}</span></div>'
     )

@@ -228,9 +228,10 @@ class Panel:
                     self.chart.series = LINES[: len(data)]
                 self.chart.data = data
 
-    def show_lamp(self, moment, rate: float) -> None:
-        """Shows the status."""
-        self._html(drawing.lamp(moment.lamp, moment.reason, rate))
+    def show_lamp(self, session, rate: float) -> None:
+        """Shows the status, and how deep a wheel has sunk in."""
+        moment, sinkage = session.moment, session.sinkage
+        self._html(drawing.lamp(moment.lamp, moment.reason, rate, sinkage))
 
     def say(self, colour: str, text: str) -> None:
         """Shows a text in place of the status."""

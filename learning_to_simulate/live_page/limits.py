@@ -1,5 +1,7 @@
 """`Limits`: what of a wanted motion the training runs cover."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from learning_to_simulate.body_height import without_height
@@ -12,6 +14,25 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)
 INSIDE = 0.9  # of the judge's margin, so that rounding does not lead out of it
 ANGLES = np.deg2rad(np.arange(0.0, 90.5, 0.5))
 AXES = ('along the drive', 'in height')
+
+
+def _of_wheel(field, points):
+    """The ranges of a field's wheel as those of its particles [R, 3] where it starts."""
+    axes, dt, ranges = field.axes, field.scene.dt, field.ranges
+    points = without_height(points, axes.up)
+    places = np.stack([points.min(axis=0), points.max(axis=0)])
+    size = np.linalg.norm((points - places.mean(axis=0))[:, [axes.axis, axes.up]], axis=1).max()
+    places[:, axes.up] = -size, size
+    extent = np.stack([np.zeros(3), np.ptp(places, axis=0)])
+    places[:, axes.axis] += sorted(axes.sign * place for place in ranges['tip'])
+    speed, rim = sorted(axes.sign * v for v in ranges['speed']), np.abs(ranges['rim']).max()
+    velocity = np.stack([np.full(3, -rim), np.full(3, rim)])
+    velocity[:, axes.axis] += speed
+    fastest = np.hypot(rim, np.abs(speed).max())
+    return SimpleNamespace(
+        given_range=places, given_velocity_range=dt * velocity, body_extent_range=extent,
+        body_speed_range=dt * np.array([[0.0], [fastest]]),
+    )  # fmt: skip
 
 
 class Limits:
@@ -40,12 +61,22 @@ class Limits:
         self._body, self._reader, self._dt = body, reader, scene.dt
 
     @classmethod
-    def of(cls, model, body, reader) -> 'Limits | None':
-        """Of a model, or None where it has no such ranges."""
+    def of(cls, model, body, reader, start=(0.0, 0.0, 0.0)) -> 'Limits | None':
+        """Of a model, or None where it has no such ranges.
+
+        Args:
+          model: `api.TrainedModel`.
+          body, reader: of the constructor.
+          start: (x, height, angle) from which the way of a field's wheel is counted.
+        """
         statistics = getattr(getattr(model.model, 'simulator', None), 'statistics', None)
-        if getattr(statistics, 'given_range', None) is None:
-            return None
-        return cls(model.scene, statistics, body, reader)
+        if getattr(statistics, 'given_range', None) is not None:
+            return cls(model.scene, statistics, body, reader)
+        field = getattr(model.model, 'field', None)
+        if field is not None and field.tool.predicts_height:
+            points = poses.placed(body, reader.read(start))
+            return cls(model.scene, _of_wheel(field, points), body, reader)
+        return None
 
     def nodes(self, plane) -> np.ndarray:
         """float64 [R, 3], m, at (x, height, angle); of a driven body without its height."""

@@ -197,7 +197,10 @@ class Page:
             self._soil.points = moment.particles - self._middle
             self._body.position, self._body.wxyz = moment.pose[:3], moment.pose[3:]
             if self._handle is not None and not self._dragging:
-                self._handle.position, self._handle.wxyz = moment.pose[:3], moment.pose[3:]
+                self._handle.position = moment.pose[:3]
+                # The arrow of a wheel points along its way, however far it has turned.
+                can_turn = session.steering.handle[1]
+                self._handle.wxyz = moment.pose[3:] if can_turn else (1.0, 0.0, 0.0, 0.0)
             if moment.force is not None:
                 ends = np.stack([moment.pose[:3], moment.pose[:3]])
                 ends[1] += self._arrow_scale * moment.force
@@ -216,7 +219,7 @@ class Page:
             self.panel.draw_chart()
             self.panel.show_sliders(session)
         if n % LAMP_EVERY == 0 or moment.lamp == STOPPED:
-            self.panel.show_lamp(moment, self.rate())
+            self.panel.show_lamp(session, self.rate())
 
     def height_picture(self):
         """uint8 picture of the height map of the newest frame."""

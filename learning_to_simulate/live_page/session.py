@@ -17,11 +17,14 @@ from learning_to_simulate.live.soil import surface
 from learning_to_simulate.live_page.limits import Limits
 from learning_to_simulate.live_page.recorded import RecordedRuns
 from learning_to_simulate.live_page.steering import BladeSteering, WheelSteering
-from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.rollout_status import BOUNDS_FACTOR, RolloutStatus, widened
 from learning_to_simulate.scene import RigidMotion
 
 # What the lamp can show, from good to bad.
 OK, LIMITED, OUTSIDE, STOPPED = 'ok', 'limited', 'outside', 'stopped'
+# Soil that has moved so many times as far as in any training run is told of; at twice as far,
+# `rollout_status.BOUNDS_FACTOR`, the page stops.
+FAR = 1.5
 # Frames of a run that are kept for its file; then it stops.
 LONGEST = 36_000
 
@@ -128,7 +131,7 @@ class Session:
         if not scene.rigid_motion.is_known:
             return
         body = starts.body[start][starts.kept[start]]
-        self._limits = Limits.of(self.model, body, self._reader)
+        self._limits = Limits.of(self.model, body, self._reader, self._plane)
         if self._angles is None and self.recorded is not None:
             self._angles = self.recorded.angles(self._reader)
         driven = scene.rigid_motion == RigidMotion.DRIVEN
@@ -189,15 +192,22 @@ class Session:
             return self._stay(str(refused))
         if bad:
             self._broken = True
-            return self._stay(f'the prediction left its bounds, reset: {frame.reason}')
+            return self._stay(f'the prediction left its bounds, reset (R): {frame.reason}')
         self._plane = plane
         if pose is not None:
             self._poses.append(pose)
         if not self._outside and frame.now != RolloutStatus.OK:
             self._outside = f'{frame.reason} at {(last.frame + 1) * self.scene.dt:.1f} s'
+        lamp, reason = self._lamp(frame.now, limited)
+        if (far := self._far(frame)) > FAR:
+            lamp = OUTSIDE
+            reason = (
+                f'the soil has moved {far:.1f} times as far as in any training run; at '
+                f'{BOUNDS_FACTOR:g} times the page stops: reset (R)'
+            )
         self.moment = Moment(
             last.frame + 1, (last.frame + 1) * self.scene.dt, frame.particles(), frame.pose,
-            frame.force, frame.torque, *self._lamp(frame.now, limited),
+            frame.force, frame.torque, lamp, reason,
         )  # fmt: skip
         return self.moment
 
@@ -218,8 +228,30 @@ class Session:
             return None, None, ''
         wanted, limited = self.steering.wanted(self._plane), ''
         if self.within and self._limits is not None:
-            wanted, limited = self._limits.step(self._plane, wanted)
+            asked, (wanted, limited) = wanted, self._limits.step(self._plane, wanted)
+            driven = self.scene.rigid_motion == RigidMotion.DRIVEN
+            if driven and asked[0] != self._plane[0] == wanted[0]:
+                # It would turn on the spot and dig itself in.
+                return None, None, f'{limited}: reset (R)'
         return self._reader.read(wanted), wanted, limited
+
+    def _far(self, frame) -> float:
+        """How far the soil has moved, in units of the training runs; 0 of a field."""
+        statistics = getattr(getattr(self.model.model, 'simulator', None), 'statistics', None)
+        hull = getattr(statistics, 'position_range', None)
+        if hull is None:
+            return 0.0
+        low, high = widened(*hull[:, 1:], 1.0)
+        return float(np.abs((2 * frame.modes - low - high) / (high - low)).max())
+
+    @property
+    def sinkage(self) -> float | None:
+        """How deep the lowest point of a driven wheel is below the bed at rest, m; else None."""
+        if self.scene.rigid_motion != RigidMotion.DRIVEN:
+            return None
+        up = self.scene.up_axis
+        radius = np.linalg.norm(self.body()[:, [0, up]], axis=1).max()
+        return self.level + float(radius - self.moment.pose[up])
 
     def _lamp(self, now, limited=''):
         if now != RolloutStatus.OK:

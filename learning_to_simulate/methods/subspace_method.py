@@ -8,7 +8,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils
+from learning_to_simulate import checkpoints, contact, evaluation, normalization, reading_utils
 from learning_to_simulate.checkpoints import load_model as load
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.live import resting_start
@@ -55,6 +55,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         statistics = dataclasses.replace(
             statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
         )
+    if config.contact_gate:
+        statistics = _with_contact(statistics, data_path, groups, scene)
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
     simulator = registry.get(config.model).make_simulator(
@@ -79,6 +81,16 @@ def _path_memory(data_path, metadata, groups, scene):
     frame = PathMemory.of_runs(bodies, scene).frame
     surface = resting_bed.of_dataset(data_path, metadata, frame)
     return PathMemory.of_runs(bodies, scene, surface)
+
+
+def _with_contact(statistics, data_path, groups, scene):
+    """The statistics with what `contact.fit` finds, where there is a subspace and it finds any."""
+    path = os.path.join(data_path, 'subspace.npz')
+    if not os.path.exists(path):
+        return statistics
+    space = Subspace.load(path).truncated(scene.n_modes)
+    found = contact.fit(groups, space, statistics.origin[1:], scene)
+    return dataclasses.replace(statistics, **found.to_statistics()) if found else statistics
 
 
 def _with_copies(model, groups, data_path):
@@ -155,6 +167,8 @@ def open_model(
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
     registry.refuse_raw_path(raw_path)
+    # A model that is only run waits for none of it.
+    from learning_to_simulate.penetration import Penetration
 
     def one_step_errors():
         from learning_to_simulate.training.trainer import Trainer
@@ -173,6 +187,11 @@ def open_model(
         model,
         groups,
         metadata,
-        evaluation.Evaluator(model, metadata, rigid_correction),
+        evaluation.Evaluator(
+            model,
+            metadata,
+            rigid_correction,
+            Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
+        ),
         one_step_errors,
     )

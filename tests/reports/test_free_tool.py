@@ -53,10 +53,21 @@ def test_penetration_counts_prediction_and_truth():
         truth=(modes, frames, None), body=frames, modes=modes[free_tool.H :],
         particles=lambda frame: outside,
     )  # fmt: skip
-    row = free_tool.penetration(tool, rollout, SimpleNamespace(particles=np.asarray))
+    recorded = SimpleNamespace(
+        position=np.concatenate([frames, np.array(modes)], axis=1), n_rigid=frames.shape[1]
+    )
+    row = free_tool.penetration(tool, rollout, SimpleNamespace(particles=np.asarray), recorded)
     assert row['deepest_mm'] == 0.0 and row['particles'] == 0.0
     assert row['true_deepest_mm'] == pytest.approx(4.0) and row['true_particles'] == 0.5
     assert row['error_mm'] == row['pushed_error_mm'] > 300.0
+
+
+def test_forces_where_there_are_none():
+    true = np.zeros((free_tool.H + 4, 3))
+    true[-1] = 50.0
+    force = np.array([[0.0, 0, 0], [0, 1.5, 0], [3, 4, 0], [30, 40, 0]])
+    rollout = SimpleNamespace(truth=(None, None, true), force=force)
+    assert free_tool.free(rollout) == {'free_frames': 3, 'free_N': 6.5, 'free_small': 2}
 
 
 def test_a_spike_at_a_stop_and_the_table(tmp_path):
@@ -79,4 +90,4 @@ def test_a_spike_at_a_stop_and_the_table(tmp_path):
     path = str(tmp_path / 'free_tool.json')
     files.write_json(path, {'models': [{'model': 'm', 'runs': [row, row | {'air_N': 7.0}]}]})
     line = free_tool.table(path).splitlines()[-1]
-    assert line == '| m | 7 | 1 | 2 | 220 | 202 | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'
+    assert line == '| m | 7 |  | 1 | 2 | 220 | 202 | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'

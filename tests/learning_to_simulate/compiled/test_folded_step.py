@@ -15,6 +15,7 @@ from tests.learning_to_simulate import models
 PREDICTED = {'preset': 'pcg_thesis', 'motion': 'predicted', 'rigid_counts': (6,), 'context': True}
 CASES = {
     'prescribed': {},
+    'prescribed, contact': {'contact': True},
     'prescribed, two steps': {'overrides': {'message_passing_steps': 2}},
     'prescribed, history': {'overrides': {'velocity_inputs': 5, 'hidden_layers': 1}},
     'prescribed, no force': {'force': False, 'overrides': {'message_passing_steps': 2}},

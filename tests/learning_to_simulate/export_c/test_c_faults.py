@@ -27,7 +27,7 @@ CASES = {
     'prescribed': {},
     'driven': {'motion': 'driven', 'context': True, 'overrides': {'message_passing_steps': 2}},
     'predicted': {'motion': 'predicted', 'preset': 'pcg_thesis', 'rigid_counts': (6,)},
-    'mlp': {'preset': 'mlp', 'overrides': {'mode_edges': 0}},
+    'mlp': {'preset': 'mlp', 'contact': True, 'overrides': {'mode_edges': 0}},
 }
 
 

@@ -19,6 +19,7 @@ H = 6
 SECOND_ORDER = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
 CASES = {
     'prescribed': {},
+    'contact': {'contact': True},
     'wide velocity history': {'overrides': {'velocity_inputs': 5}},
     'second order': {'overrides': SECOND_ORDER},
     'three steps': {'overrides': {'message_passing_steps': 3, 'latent_size': 20}},
@@ -34,6 +35,7 @@ CASES = {
         'overrides': {'message_passing_steps': 2},
     },
     'mlp': {'preset': 'mlp', 'overrides': {'mode_edges': 0}},
+    'mlp, contact': {'preset': 'mlp', 'contact': True, 'overrides': {'mode_edges': 0}},
     'mlp, driven': {
         'preset': 'mlp',
         'motion': 'driven',

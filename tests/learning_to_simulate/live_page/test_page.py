@@ -99,6 +99,8 @@ def test_another_model_and_one_that_is_not_there(running):
     tab.slide('scene / model', 'wheel')
     tab.wait(lambda: running.page.session.scene.name == 'wheel', PATIENCE)
     tab.wait(lambda: 'slip, %' in tab.gui and running.page.session.moment.frame > 5, PATIENCE)
+    assert abs(running.page.session.plane[2]) > 0.01  # it has turned, its arrow has not
+    assert tuple(running.page._handle.wxyz) == (1.0, 0.0, 0.0, 0.0)
     lightest = float(running.page.session.model.starts.context[:, 2].min())
     tab.slide('load (restarts)', lightest)
     tab.wait(lambda: running.page.session.context['load'] == pytest.approx(lightest), PATIENCE)

@@ -72,6 +72,49 @@ def test_a_wheel_starts_within_the_training_runs_and_standing_is_not():
     assert last.lamp == OUTSIDE and 'displacement of the body' in last.reason
 
 
+def test_a_wheel_at_the_end_of_its_way_stops_before_it_digs_itself_in():
+    shown = sessions.make('wheel')
+    run(shown, 3)
+    side = 0 if shown.forwards < 0 else 1
+    shown._limits.low[0] += 0.18 * (side == 0)
+    shown._limits.high[0] -= 0.18 * (side == 1)
+    moments = run(shown, 200)
+    last = moments[-1]
+    assert last.lamp == STOPPED and last.frame < 200 == len(moments)
+    assert 'held back along the drive: the training runs end at' in last.reason
+    assert last.reason.endswith('reset (R)')
+    turned = shown.plane[2]
+    assert run(shown, 3)[-1].frame == last.frame and shown.plane[2] == turned
+    shown.reset()
+    assert run(shown, 3)[-1].lamp == OK
+
+
+def test_soil_that_leaves_the_training_runs_is_told_of_before_the_page_stops(monkeypatch):
+    shown = sessions.make('wheel')
+    low, high = shown.model.model.simulator.statistics.position_range
+    monkeypatch.setattr(session, 'FAR', 0.6)
+    last = run(shown, 30)[-1]
+    modes = shown._live._stepper._last.modes
+    far = np.abs(2 * modes - (low + high)[1:])[:, 0] / (high - low)[1:, 0]
+    assert far.max() > 0.6 and last.lamp == OUTSIDE
+    assert last.reason.startswith('the soil has moved') and 'at 2 times' in last.reason
+    monkeypatch.setattr(session, 'FAR', 1.5)
+    assert run(shown, 1)[-1].lamp == OK
+
+
+def test_a_wheel_of_a_field_drives_within_its_training_and_shows_its_sinkage():
+    shown = session.Session(lts.load('wheel_v2/swept_field'))
+    start = shown.plane
+    moments = run(shown, 6)
+    assert {m.lamp for m in moments} == {OK}
+    assert (shown.plane[0] - start[0]) * shown.forwards > 0
+    lowest = shown.moment.pose[1] - shown.model.starts.cases[shown.start]['diameter_m'] / 2
+    assert shown.sinkage == pytest.approx(shown.level - lowest, abs=1e-6)
+    assert sessions.make('excavation').sinkage is None
+    ends = shown.travel()
+    assert ends[0] < shown.plane[0] < ends[1] and ends[1] - ends[0] < 0.13
+
+
 def test_without_limits_the_page_says_what_is_unlike_training():
     shown = sessions.make('excavation')
     shown.within = False

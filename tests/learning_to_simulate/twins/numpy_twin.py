@@ -108,7 +108,21 @@ class Twin:
             edges.append(np.append(d, max(np.linalg.norm(d), 1e-6)))
         out = self._network(np.array(nodes), np.array(edges))
         force = out[:, 3:].mean(0) * s.force_std + s.force_mean
+        force = force * self._share(history[-1], next_body)
         return self._integrate(history, velocity, out[:, :3], next_body, rate, driven), force
+
+    def _share(self, now, body):
+        """What a body at [R, 3] may show of its force, with the modes of now."""
+        s, up = self.s, self.scene.up_axis
+        if s.contact is None:
+            return 1.0
+        (axis, clear), least = s.contact, np.inf
+        offset = (now[self.n_rigid :] - s.origin[1:]).ravel()
+        for place, height, *weights in s.surface:
+            surface = height + offset @ weights
+            for point in body:
+                least = min(least, point[up] - surface + 0.5 * abs(point[int(axis)] - place))
+        return float(np.clip((clear + 0.005 - least) / 0.005, 0, 1))
 
     def _network(self, nodes, edges):
         p = 'learned_simulator/encode_process_decode/'

@@ -65,6 +65,7 @@ class WholeStateTwin(Twin):
         body = {0: np.zeros((n, 3)), 1: np.tile(rows[:1], (n, 1))}.get(n_body, rows[:n_body])
         out = np.concatenate([body, rows[n_body : n_body + self.r]])
         force = rows[-1] * s.force_std + s.force_mean
+        force = force * self._share(history[-1], next_body)
         return self._integrate(history, velocity, out, next_body, rate, driven), force
 
     def _mlp_output(self, frames, state):

@@ -65,12 +65,19 @@ struct lts_model {
   int32_t position_inputs, knows_next, rate_scaled, correction; /* correction: keep a predicted body rigid */
   int32_t velocity_inputs, mode_order, rigid_order, has_log_context;
   int32_t has_height, has_surface; /* has_surface: points above it have no edges */
+  int32_t n_place, way_axis;       /* n_place 0: the force is shown wherever the body is */
   double dt, surface, body_speed, rate_floor, height_std, height_velocity_std;
   /* Statistics of nodes, [V][3]. */
   const double *origin;
   const double *position_std, *velocity_mean, *velocity_std, *acceleration_mean, *acceleration_std;
   const double *target_mean, *target_std;
   const double *context_mean, *context_std, *log_context_mean, *log_context_std; /* [C] */
+  /* Where the body is clear of the soil it shows no force: heights of the surface at places along
+   * way_axis, linear in the offsets of the modes. */
+  double clear, clear_ramp, clear_slope;
+  const double *places;                   /* [P] m */
+  const double *place_heights;            /* [P] m, at the modes' origin */
+  const double *place_weights;            /* [P][r][3] */
   /* Ranges, low then high: of nodes [2][V][3], of the given motion [2][3] or [2][1], context [2][C].
    */
   const double *bounds, *start_range;

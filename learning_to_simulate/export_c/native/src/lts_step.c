@@ -76,7 +76,27 @@ static double target_of(const lts_instance *soil, int node, int axis) {
   return mean;
 }
 
-static void read_force(lts_instance *soil) {
+/* Share of its force that the body may show at `points`: 0 where it is clear of the soil about it. */
+static double contact_share(const lts_instance *soil, const double *points) {
+  const lts_model *m = soil->model;
+  const float *modes = soil->state.offset + 3 * m->n_rigid;
+  const int n_weight = 3 * m->n_modes;
+  double clearance = HUGE_VAL;
+  for (int p = 0; p < m->n_place; ++p) {
+    const double *weights = m->place_weights + (size_t)p * n_weight;
+    double height = m->place_heights[p];
+    for (int k = 0; k < n_weight; ++k) height += weights[k] * modes[k];
+    for (int i = 0; i < m->n_rigid; ++i) {
+      const double apart = fabs(points[3 * i + m->way_axis] - m->places[p]);
+      const double above = points[3 * i + m->up_axis] - height + m->clear_slope * apart;
+      if (above < clearance) clearance = above;
+    }
+  }
+  const double share = (m->clear + m->clear_ramp - clearance) / m->clear_ramp;
+  return share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+}
+
+static void read_force(lts_instance *soil, const double *points) {
   const lts_model *m = soil->model;
   const int n_node = lts_n_node(m);
   double *force = soil->state.head->result.force;
@@ -91,6 +111,9 @@ static void read_force(lts_instance *soil) {
       force[axis] += (double)soil->out[LTS_PANEL * i + 3 + axis] / n_node;
     }
   }
+  if (!m->n_place) return;
+  const double share = contact_share(soil, points);
+  for (int axis = 0; axis < 3; ++axis) force[axis] *= share;
 }
 
 static void move_modes(lts_instance *soil) {
@@ -171,7 +194,7 @@ int lts_frame(lts_instance *soil, const double *points, lts_result *result) {
 
   const int frame = ++head->frame;
   int status = points ? lts_check_given(soil, frame, soil->state.given, points) : 0;
-  read_force(soil);
+  read_force(soil, points);
   move_modes(soil);
   if (points) move_given_body(soil, points);
   if (m->motion == LTS_PREDICTED) move_predicted_body(soil);

@@ -1,0 +1,165 @@
+"""Where a body touches no soil it feels none: the share of its force that a body may show.
+
+A network that was never told where the soil ends shows a few newtons in the air. What the modes say
+of the surface does tell: its height at places along the way is nearly linear in their scores, and
+soil stands no steeper than a heap does. So the clearance of a body is one product and a minimum; it
+is a function of a frame alone, and every form of a model computes it alike.
+
+It is fitted to the training runs, where some of them take the tool out of the soil, and is kept in
+the model's statistics. A model without it has no such share, and no operation for it.
+"""
+
+import dataclasses
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.methods.tool_motion import TravelFrame
+from learning_to_simulate.scene import RigidMotion
+from pca_tools.subspace import Subspace
+
+PLACES = 32
+SLOPE = 0.5  # m per m: soil so far away counts as so much lower
+RAMP = 0.005  # m of clearance over which the force fades
+# A force below this share of the root mean square one counts as none.
+NONE_BELOW = 0.01
+# Of the frames with a force, at most so many lie above the clearance that is found; a gate that no
+# such share of all frames is beyond would do nothing but harm.
+LOST, LEAST_CLEAR = 0.001, 0.01
+STRIDE = 8  # of the training frames whose surface is looked at
+RIDGE = 1e-4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Contact:
+    """Reads the clearance of a body from its particles and the modes.
+
+    Attributes:
+      axis, up: of the way, and against gravity.
+      clear: m, the clearance from which the force fades; after `RAMP` more it is exactly 0.
+      places: float32 [P], m, along the way.
+      heights: float32 [P], m, of the surface at the modes' origin.
+      weights: float32 [r, D, P], its change with their offsets.
+    """
+
+    axis: int
+    up: int
+    clear: float
+    places: np.ndarray
+    heights: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of_statistics(cls, contact, surface, scene) -> 'Contact':
+        """The reader of `to_statistics`."""
+        surface = np.asarray(surface, np.float32)
+        weights = surface[:, 2:].T.reshape(scene.n_modes, -1, len(surface))
+        axis, clear = map(float, contact)
+        return cls(int(axis), scene.up_axis, clear, surface[:, 0], surface[:, 1], weights)
+
+    def to_statistics(self) -> dict[str, np.ndarray]:
+        """`contact` [2], axis and clearance, and `surface` [P, 2 + r D], places, heights and
+        weights."""
+        flat = self.weights.reshape(-1, len(self.places)).T
+        surface = np.concatenate([self.places[:, None], self.heights[:, None], flat], axis=1)
+        return {'contact': np.array([self.axis, self.clear]), 'surface': surface.astype(float)}
+
+    def clearance(self, body, modes, total=np.sum, least=np.min):
+        """[B] m, of the body above the soil about it; negative where it is in it.
+
+        Args:
+          body: [B, R, D] particles of the body that are nodes, m.
+          modes: [B, r, D] offsets of the modes from their origin, m.
+          total, least: sum and minimum over axes, of numpy or TensorFlow.
+        """
+        heights = self.heights + total(modes[..., None] * self.weights, axis=(-3, -2))
+        apart = abs(body[..., self.axis, None] - self.places)
+        above = body[..., self.up, None] - heights[:, None] + np.float32(SLOPE) * apart
+        return least(above, axis=(-2, -1))
+
+    def share(self, body, modes):
+        """Tensor [B] in [0, 1], of a force; arguments are tensors as of `clearance`."""
+        clearance = self.clearance(body, modes, tf.reduce_sum, tf.reduce_min)
+        end = np.float32(self.clear + RAMP)
+        return tf.clip_by_value((end - clearance) / np.float32(RAMP), 0.0, 1.0)
+
+
+def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
+    """The reader for training runs.
+
+    Args:
+      groups: `RunGroup`s.
+      subspace: of the modes that are nodes.
+      origin: [r, D] of the modes, m.
+      scene: of the runs.
+
+    Returns:
+      None where there is nothing to find: no force, not one body in space whose whole motion is
+      given, or tools that hardly leave the soil.
+    """
+    is_one = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
+    if not is_one or not scene.has_force or origin.shape[1] != 3:
+        return None
+    bodies = [g.position[:, :, : g.n_rigid] for g in groups]
+    offsets = [g.position[:, :, g.n_rigid :] - origin for g in groups]
+    frames = [TravelFrame.of(body, scene.up_axis) for body in bodies]
+    frame = max(frames, key=frames.count)
+    rows = np.concatenate([x[:, ::STRIDE].reshape(-1, *x.shape[2:]) for x in offsets])
+    surface = _Surface(subspace, origin, frame, bodies)
+    inputs = rows.reshape(len(rows), -1)
+    mean, std = inputs.mean(axis=0), inputs.std(axis=0)
+    std = np.where(std > 0, std, np.inf)  # what never moves says nothing
+    heights = np.stack([surface.heights(x) for x in rows])
+    if np.isnan(heights).any():  # a frame without soil where the bodies are
+        return None
+    x, y = (inputs - mean) / std, heights - heights.mean(axis=0)
+    found = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ y) / std[:, None]
+    reader = Contact(
+        frame.axis,
+        scene.up_axis,
+        0.0,
+        surface.places.astype(np.float32),
+        (heights.mean(axis=0) - mean @ found).astype(np.float32),
+        found.reshape(*rows.shape[1:], -1).astype(np.float32),
+    )
+    clearance = np.concatenate(
+        [reader.clearance(b, o) for bs, os in zip(bodies, offsets) for b, o in zip(bs, os)]
+    )
+    force = np.concatenate([np.linalg.norm(g.force, axis=-1).reshape(-1) for g in groups])
+    felt = clearance[force > NONE_BELOW * np.sqrt((force**2).mean())]
+    if not len(felt):
+        return None
+    clear = float(np.quantile(felt, 1.0 - LOST))
+    if (clearance > clear + RAMP).mean() < LEAST_CLEAR:
+        return None
+    return dataclasses.replace(reader, clear=clear)
+
+
+class _Surface:
+    """Heights [P] of the highest particles about places along the way, as wide as the bodies."""
+
+    def __init__(self, subspace, origin, frame, bodies):
+        self._components = subspace.components
+        mean = np.broadcast_to(subspace.mean, (subspace.n_soil, len(origin[0])))
+        self._mean = mean + subspace.components @ origin
+        self._axis, self._up = frame.axis, frame.up
+        across = 3 - frame.axis - frame.up
+        self._across = across
+        self._low = min(body[..., across].min() for body in bodies)
+        self._high = max(body[..., across].max() for body in bodies)
+        along = subspace.initial[:, frame.axis]
+        edges = np.linspace(along.min(), along.max(), PLACES + 1)
+        self._edges, self.places = edges, (edges[1:] + edges[:-1]) / 2
+
+    def heights(self, offsets) -> np.ndarray:
+        points = self._components @ offsets + self._mean
+        across = points[:, self._across]
+        points = points[(across >= self._low) & (across <= self._high)]
+        slab = np.searchsorted(self._edges, points[:, self._axis]) - 1
+        inside = (slab >= 0) & (slab < PLACES)
+        top = np.full(PLACES, -np.inf)
+        np.maximum.at(top, slab[inside], points[inside, self._up])
+        there = np.isfinite(top)
+        if not there.any():
+            return np.full(PLACES, np.nan)
+        return np.interp(self.places, self.places[there], top[there])
