@@ -129,7 +129,7 @@ def _train(folder: str) -> None:
 
 
 def _export(folder: str) -> None:
-    if not os.path.exists(f'{folder}/exported'):
+    if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
         flags = [flag.replace('-O3', '-O0') for flag in c_library.FLAGS]
         quick = functools.partial(c_library.compile_flat, flags=flags)
         with (
