@@ -103,10 +103,9 @@ class Model:
         return subspace
 
     def create_variables(self, n_rigid: int):
-        """Makes all variables (deterministic in the config's seed) by running one frame of
-        zeros."""
+        """Makes all variables by running one frame of zeros; their values follow TensorFlow's
+        seed, which whoever trains sets. Setting it throws all kernels away, so loading does not."""
         s, layout = self.simulator, self.layout(n_rigid)
-        tf.random.set_seed(s.config.seed)
         state = SimulatorState(
             tf.zeros([1, layout.n_node, s.dim]),
             tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),

@@ -40,6 +40,8 @@ COMMANDS = {
     ),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
+    'import': ('pca_tools.import_data', [], "raw runs from other projects' data"),
+    'export-data': ('pca_tools.export_data', [], 'a dataset or rollouts in their formats'),
     'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),
     'append': ('pca_tools.append', [], 'adds raw runs to a dataset, in its subspace'),
     'inspect': ('pca_tools.inspect', [], 'what is in a dataset, and what is wrong with it'),

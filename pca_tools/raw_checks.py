@@ -339,7 +339,7 @@ def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int
     size = bounds[:, 1] - bounds[:, 0]
     lean = ((bounds[:, 1] - extent.high) - (extent.low - bounds[:, 0])) / size
     axis = int(np.argmax(lean))
-    text = ', '.join(f'{name} {100 * value:.0f} %' for name, value in zip(AXES, lean))
+    text = ', '.join(f'{name} {100 * value:z.0f} %' for name, value in zip(AXES, lean))
     reason = f'free space above the soil less that below it, of the bounds: {text}'
     others = np.delete(lean, axis)
     if lean[axis] < _ASYMMETRY or lean[axis] - others.max() < _ASYMMETRY:

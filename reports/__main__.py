@@ -33,6 +33,7 @@ REPORTS = {
     'nri_stiffness': ('edges.nri_stiffness', 'springs up to the limit of the integrator'),
     'stability_report': ('stability.report', 'stiff and extreme cases, as experiments'),
     'scenes': ('scenes.report', 'scenes of every kind: data, error, time, weights, edges'),
+    'scene_forms': ('scenes.forms', 'the models of those scenes in C and LiteRT, timed or refused'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
     'fuzz': ('fuzz.report', 'damaged and forged files to every reader'),
     'kills': ('fuzz.kills', 'SIGKILL at every point where something is written'),

@@ -116,6 +116,18 @@ def _size(folder):
     return sum(os.lstat(path).st_size for path in paths)
 
 
+def keep(row: dict, path: str) -> None:
+    """Puts a row into an `install.json`, beside those of other Pythons."""
+    file = pathlib.Path(path)
+    rows = json.loads(file.read_text(encoding='utf-8'))['rows'] if file.exists() else []
+    rows = [*(r for r in rows if r['python'] != row['python']), row]
+    rows.sort(key=lambda r: [int(part) for part in r['python'].split('.')])
+    minor = ['python' + '.'.join(r['python'].split('.')[:2]) for r in rows]
+    command = ' '.join(['python run_scripts/try_install.py', *minor, '--output_path=docs'])
+    text = json.dumps({'command': command, 'rows': rows}, indent=2) + '\n'
+    file.write_text(text, encoding='utf-8')
+
+
 def table(path: str) -> str:
     """The rows of an `install.json`, as Markdown."""
     rows = json.loads(pathlib.Path(path).read_text(encoding='utf-8'))['rows']
@@ -131,15 +143,11 @@ def main() -> None:
     parser.add_argument('pythons', nargs='+', help='interpreters')
     parser.add_argument('--output_path', help='folder for install.json')
     values = parser.parse_args()
-    rows = []
     for python in values.pythons:
-        rows.append(try_python(python))
-        print(rows[-1], flush=True)
+        row = try_python(python)
+        print(row, flush=True)
         if values.output_path:
-            names = [os.path.basename(name) for name in values.pythons]
-            command = ' '.join(['python run_scripts/try_install.py', *names])
-            text = json.dumps({'command': command, 'rows': rows}, indent=2) + '\n'
-            pathlib.Path(values.output_path, 'install.json').write_text(text, encoding='utf-8')
+            keep(row, os.path.join(values.output_path, 'install.json'))
 
 
 if __name__ == '__main__':

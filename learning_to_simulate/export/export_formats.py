@@ -242,14 +242,14 @@ def _write_tflite(functions: StepFunctions, folder: str):
     _write_bytes(path, content)
 
     def load():
-        interpreter = _litert_interpreter()(model_path=path)
+        interpreter = litert_interpreter()(model_path=path)
         runner = interpreter.get_signature_runner()
         return lambda **inputs: runner(**inputs), None
 
     return load
 
 
-def _litert_interpreter():
+def litert_interpreter():
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:

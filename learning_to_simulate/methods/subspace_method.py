@@ -7,6 +7,7 @@ import dataclasses
 import os
 
 import numpy as np
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, contact, evaluation, normalization, reading_utils
 from learning_to_simulate.checkpoints import load_model as load
@@ -65,6 +66,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     model = checkpoints.Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
     for group in groups:
         model.layout(group.n_rigid)
+    tf.random.set_seed(config.seed)
     model.create_variables(groups[0].n_rigid)
     if config.zero_decoder:
         simulator.zero_decoder()

@@ -143,6 +143,12 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
                     | {'steps_per_sec': rate, 'lr': float(trainer.learning_rate(i))}.items()
                 ):
                     tf.summary.scalar(name, value, step=i)
+            # Weights come before the checkpoint that says that they are there. The first ones come
+            # after it: weights alone are a finished model, which no training may go on with.
+            due = save or stop.number
+            first = due and not training_state.stored_steps(model_path)
+            if first:
+                state.save(i + 1)
             # While the edges are being learned there is no graph yet that weights belong to.
             learns_edges = close_gates and i < trainer.config.gate_steps
             if save and (last or not stop.number) and not learns_edges:
@@ -151,12 +157,15 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
                         _, summary = training.evaluator.run(training.valid, 'valid')
                         _log_rollout(summary, i, bar)
                     checkpoints.save_weights(model_path, trainer.simulator)
-            if save or stop.number:
+            if due and not first:
                 state.save(i + 1)
             if stop.number and not last:
                 bar.write(f'stopped; step {i + 1} is saved in {model_path}, go on by the same call')
                 raise SystemExit(stop.exit_code)
     if start >= total:
+        if not os.path.exists(os.path.join(model_path, checkpoints.WEIGHTS_FILE)):
+            with trainer.averaging.in_place():
+                checkpoints.save_weights(model_path, trainer.simulator)
         print(f'{model_path}: already trained to step {total}')
     print(f'trained {total} steps: {model_path}')
     return summary

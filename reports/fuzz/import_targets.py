@@ -80,7 +80,7 @@ _CHANGED = {
 IMPORT_TARGETS = (
     *(
         Target(f'import {name}', Promise.OPEN, _writer(name), files, _reader(name), _possible_runs,
-               share=2 if name == 'deepmind' else 8)
+               share={'deepmind': 2, 'npz': 4}.get(name, Target.share))
         for name, files in _CHANGED.items()
     ),
     Target('particle sample', Promise.CHECKSUM, _write_sample, ('particles_train.npz',),

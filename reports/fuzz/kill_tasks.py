@@ -7,7 +7,9 @@ seconds and writes nothing is left out: gradients of the training, the compariso
 TensorFlow, the optimisation by the C compiler. Solver runs are short ones on coarse cells.
 """
 
+import contextlib
 import functools
+import io
 import os
 import types
 from collections.abc import Callable
@@ -27,7 +29,7 @@ from pca_tools import convert, dataset, files, raw_writer
 
 FRAMES, R, MODES = 12, 4, 3
 SOLVER_FRAMES, SOLVER_CASES = 12, (22, 100, 186)
-TINY = {'latent_size': 4, 'num_steps': 6, 'unroll_steps': 0, 'mode_edges': 4}
+TINY = {'latent_size': 4, 'hidden_layers': 1, 'num_steps': 6, 'unroll_steps': 0, 'mode_edges': 4}
 
 
 def fingerprint(path: str) -> dict[str, str]:
@@ -127,7 +129,7 @@ def _train(folder: str) -> None:
 
 
 def _export(folder: str) -> None:
-    if not os.path.exists(f'{folder}/exported'):
+    if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
         flags = [flag.replace('-O3', '-O0') for flag in c_library.FLAGS]
         quick = functools.partial(c_library.compile_flat, flags=flags)
         with (
@@ -161,12 +163,19 @@ def _save(path, count, seed):
     evaluation.save_rollouts(path, 'test', results, {'seed': seed}, {}, f'{seed:064d}')
 
 
-def _solve(folder: str) -> None:
-    with mock.patch.object(scenes, 'FRAMES', SOLVER_FRAMES):
+def _solve(folder: str, frames: int = SOLVER_FRAMES, cases=SOLVER_CASES) -> None:
+    with mock.patch.object(scenes, 'FRAMES', frames):
         batch.generate(
-            experiments.coarse(scenes.EXCAVATION), SOLVER_CASES, f'{folder}/solver',
+            experiments.coarse(scenes.EXCAVATION), cases, f'{folder}/solver',
             simulation.Settings(), show_progress=False,
         )  # fmt: skip
+
+
+def warm(folder: str) -> None:
+    """Loads the compiled solver into this process, for all forks of it: two thirds of a short
+    run."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        _solve(folder, 2, SOLVER_CASES[:1])
 
 
 def _solved(path: str) -> dict[str, str]:

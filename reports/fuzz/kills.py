@@ -14,6 +14,7 @@ Examples:
 """
 
 import contextlib
+import gc
 import io
 import os
 import random
@@ -170,6 +171,11 @@ def run(
         os.mkdir(base)
         if _run(None, base):
             raise OSError('the data of the tasks could not be made')
+        if 'solver runs' in moments:
+            kill_tasks.warm(os.path.join(folder, 'warm'))
+        # What is there now is touched by no collection in a fork: no page of it is copied for one.
+        gc.collect()
+        gc.freeze()
         plans = []
         for i, (name, count) in enumerate(moments.items()):
             work = os.path.join(folder, str(i))

@@ -8,6 +8,7 @@ import dataclasses
 from xml.etree import ElementTree
 
 import numpy as np
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, model_config
 from learning_to_simulate.config import TrainConfig
@@ -50,6 +51,7 @@ def _write_model(folder: str) -> None:
     config = TrainConfig('pcg', latent_size=4, hidden_layers=1)
     simulator = LearnedSimulator(_SCENE, config, _statistics())
     model = checkpoints.Model(simulator, _MASK, None)
+    tf.random.set_seed(0)
     model.create_variables(R)
     checkpoints.save_config(folder, model, R, {'path': 'x', 'sha256': {}})
     checkpoints.save_weights(folder, simulator)

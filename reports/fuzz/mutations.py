@@ -164,9 +164,11 @@ def _forge_npz(data, rng):
         members[name] = _forge_npy(members[name], rng)
     methods = (zipfile.ZIP_DEFLATED,) * 6 + (zipfile.ZIP_STORED, zipfile.ZIP_BZIP2)
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, 'w', rng.choice(methods)) as archive:
+    method = rng.choice(methods)
+    with zipfile.ZipFile(stream, 'w') as archive:
         for member, content in members.items():
-            archive.writestr(member, content)
+            # With a date of its own: by a name alone it takes that of the clock.
+            archive.writestr(zipfile.ZipInfo(member), content, method)
     forged = stream.getvalue()
     if rng.random() < 0.1:  # lie about sizes, flags and methods in the directory of the archive
         if b'PK\x01\x02' not in forged:  # its only member was taken out

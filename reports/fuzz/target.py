@@ -43,4 +43,4 @@ class Target:
     read: Callable[[str], Any]
     possible: Callable[[Any], bool] = lambda value: True
     parts: Callable[[Any], list] = lambda value: [value]
-    share: int = 8
+    share: int = 16

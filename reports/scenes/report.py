@@ -57,6 +57,12 @@ def make(folder: str, name: str) -> lts.Dataset:
     return lts.Dataset(data)
 
 
+def preset(name: str, recipe: dict = RECIPE):
+    """The config of a scene's model."""
+    edges = min(MODE_EDGES, SCENES[name]['modes'] ** 2)
+    return lts.preset('pcg', mode_edges=edges, **recipe)
+
+
 def judge(folder: str, name: str) -> dict:
     """One row: trains, rolls out, draws and exports a scene.
 
@@ -65,8 +71,7 @@ def judge(folder: str, name: str) -> dict:
     """
     data = make(folder, name)
     path, exported, pictures = (os.path.join(folder, name, x) for x in PARTS)
-    edges = min(MODE_EDGES, SCENES[name]['modes'] ** 2)
-    model = lts.train(lts.preset('pcg', mode_edges=edges, **RECIPE), data, path)
+    model = lts.train(preset(name), data, path)
     opened = _opened(path, data.path)
     results, summary = opened.evaluator.run(opened.groups, 'test')
     written = evaluation.save_rollouts(pictures, 'test', results, summary, data.metadata)

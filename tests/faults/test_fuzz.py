@@ -1,11 +1,14 @@
 """A bounded part of `python -m reports fuzz`: the same inputs in every run."""
 
+import io
 import os
 import pathlib
 import random
 import subprocess
 import sys
+import time
 
+import numpy as np
 import pytest
 
 from pca_tools import files
@@ -82,6 +85,18 @@ def test_inputs_are_functions_of_seed_and_number():
         if bench.dealt(NAMES, number).name == 'edges.json':
             bench.make_input(NAMES, 1, number)
     assert bench.make_input(NAMES, 1, 40) == first
+
+
+def test_forged_archives_do_not_depend_on_the_clock(monkeypatch):
+    stream = io.BytesIO()
+    np.savez(stream, a=np.arange(6.0), b=np.ones((2, 3)))
+
+    def forgeries():
+        return [mutations.forge('a.npz', stream.getvalue(), random.Random(i)) for i in range(50)]
+
+    first = forgeries()
+    monkeypatch.setattr(time, 'time', lambda: 1e9)
+    assert forgeries() == first
 
 
 def test_forged_json_does_not_depend_on_the_forgeries_before():

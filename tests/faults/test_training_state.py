@@ -19,8 +19,8 @@ import tensorflow as tf
 
 from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate.training import loop, training_state
 from learning_to_simulate.training import trainer as trainer_module
-from learning_to_simulate.training import training_state
 from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from storage import whole_files
@@ -175,6 +175,30 @@ def test_stop_signals_save_and_release(whole, tmp_path, train, monkeypatch, numb
     assert 'ckpt-6.json' in names and '.lock.json' not in names
     train(tmp_path / 'model')
     assert_same_weights(whole, tmp_path / 'model')
+
+
+@pytest.mark.parametrize('save_every', [4, 12], ids=['on the way', 'at the end'])
+@pytest.mark.parametrize('writer', ['weights', 'checkpoint'])
+def test_end_within_the_first_save_goes_on(whole, data, tmp_path, monkeypatch, save_every, writer):
+    """Killed between weights and checkpoint: the weights alone were taken for a finished model."""
+    path = tmp_path / 'model'
+
+    def run():
+        registry.train(data, str(path), config(), save_every=save_every)
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    place, name = {
+        'weights': (loop.checkpoints, 'save_weights'),
+        'checkpoint': (training_state.TrainingState, 'save'),
+    }[writer]
+    monkeypatch.setattr(Trainer, 'step', cheap_step)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(place, name, killed)
+        run()
+    run()
+    assert_same_weights(whole, path)
 
 
 def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):

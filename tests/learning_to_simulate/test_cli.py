@@ -33,7 +33,10 @@ def test_commands_are_listed():
     assert unknown.returncode == 1 and unknown.stderr.startswith("error: no command 'dig'")
 
 
-@pytest.mark.parametrize('name', ['train', 'evaluate', 'rollout', 'render', 'export', 'add-start'])
+@pytest.mark.parametrize(
+    'name',
+    ['train', 'evaluate', 'rollout', 'render', 'export', 'add-start', 'import', 'export-data'],
+)
 def test_help_needs_no_tensorflow_and_ends_with_0(name):
     done = lts(name, '--help')
     assert done.returncode == 0, done.stderr

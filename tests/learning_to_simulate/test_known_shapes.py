@@ -55,6 +55,12 @@ def test_no_variable_is_made_that_the_weights_do_not_hold(folder, made, forged):
     assert sum(tf.TensorShape(shape).num_elements() for shape in made) <= whole
 
 
+def test_loading_leaves_the_random_numbers_of_the_caller_alone(folder, monkeypatch):
+    """Setting TensorFlow's seed also throws all its kernels away: half of the time of a load."""
+    monkeypatch.setattr(tf.random, 'set_seed', lambda seed: pytest.fail(f'seed {seed} was set'))
+    checkpoints.load_model(str(folder))
+
+
 def test_other_methods_are_held_to_their_weights_too(folder, made):
     change(folder, 'config', model='mlp', adjacency='none')
     with pytest.raises(ValueError, match='weights.npz'):

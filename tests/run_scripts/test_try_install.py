@@ -16,6 +16,18 @@ def test_table_has_a_row_for_each_python(tmp_path):
     assert lines[2] == '| 3.13.0 | 51 | 1900 | 70 | 60 |' and lines[3].startswith('| 3.11.7 |')
 
 
+def test_rows_of_other_pythons_stay(tmp_path):
+    path = str(tmp_path / 'install.json')
+    for version, seconds in (('3.13.0', 1), ('3.9.2', 2), ('3.13.0', 3)):
+        try_install.keep({'python': version, 'install_s': seconds}, path)
+    document = json.loads((tmp_path / 'install.json').read_text())
+    assert [(r['python'], r['install_s']) for r in document['rows']] == [
+        ('3.9.2', 2),
+        ('3.13.0', 3),
+    ]
+    assert 'try_install.py python3.9 python3.13 --output_path=docs' in document['command']
+
+
 def test_a_package_without_a_digest_is_named(tmp_path):
     with pytest.raises(ValueError, match="not in hashes.txt: .'left-pad'"):
         try_install._hold_against_digests(['false'], {'numpy', 'left_pad'}, str(tmp_path))

@@ -5,6 +5,7 @@ import os
 from types import SimpleNamespace
 
 import numpy as np
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, model_config, reading_utils
 from learning_to_simulate.methods.full_space import runs
@@ -61,6 +62,7 @@ def make_model(data_path, metadata, group, config, rigid_motion=None) -> Particl
     rate_scaled = config.rate_scaled and scene.rigid_motion.is_known
     statistics = compute_statistics(group, scene, rate_scaled)
     simulator = ParticleSimulator(scene, config, statistics, (int(types[0]), int(types[-1])))
+    tf.random.set_seed(config.seed)
     simulator.create_variables()
     return ParticleModel(simulator)
 

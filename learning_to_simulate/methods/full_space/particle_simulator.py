@@ -180,8 +180,7 @@ class ParticleSimulator(snt.Module):
         )
 
     def create_variables(self):
-        """Makes all variables, deterministic in the config's seed."""
-        tf.random.set_seed(self.config.seed)
+        """Makes all variables; as `checkpoints.Model.create_variables`."""
         s = self.scene
         width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(s.context_names)
         self._network(
