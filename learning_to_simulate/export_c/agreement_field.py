@@ -57,6 +57,8 @@ def run(values) -> None:
     """Runs the command with its flags."""
     command.import_tensorflow(num_threads=1)
     found = {}
+    if values.output and os.path.exists(values.output):
+        found = files.read_json(values.output)
     for path in values.models:
         scene = os.path.basename(os.path.dirname(os.path.normpath(path)))
         print(f'comparing {path} ...', flush=True)
@@ -72,5 +74,5 @@ if __name__ == '__main__':
         'models', [f'models/{s}_v2/swept_field' for s in ('excavation', 'wheel')], 'Model folders.'
     )
     flags.DEFINE_string('data_root', 'datasets', 'Folder of the datasets, named as the scenes.')
-    flags.DEFINE_string('output', None, 'JSON file for the figures.')
+    flags.DEFINE_string('output', None, 'JSON file for the figures; other models in it stay.')
     command.start(run)

@@ -48,6 +48,7 @@ class CField(CInstance):
       model: address of its `lts_field_model`.
       kernel: 'best' or one of `c_instance.KERNELS`.
       members: networks that answer; None: all.
+      particle_members: those that answer for the particles, where they are fewer.
 
     Raises:
       ValueError: a model of another ABI version, a kernel that this machine lacks, no such members.
@@ -55,23 +56,30 @@ class CField(CInstance):
 
     PREFIX = 'lts_field_'
 
-    def __init__(self, library, model: int, kernel: str = 'best', members: int | None = None):
+    def __init__(
+        self,
+        library,
+        model: int,
+        kernel: str = 'best',
+        members: int | None = None,
+        particle_members: int | None = None,
+    ):
         super().__init__(library, model, kernel)
         self._names = self._d.scalar_names.decode().split(',')
         self._is_wheel = self._d.tool == c_header.constants()['LTS_FIELD_WHEEL']
-        if members is not None:
-            if not 1 <= members <= self._d.n_member:
-                raise ValueError(f'members is {members}, must lie in [1, {self._d.n_member}]')
-            self._done(library.lts_field_members(self._soil, members, members))
+        of_force = self._d.n_member if members is None else members
+        of_particles = of_force if particle_members is None else particle_members
+        for name, count in (('members', of_force), ('particle_members', of_particles)):
+            if not 1 <= count <= self._d.n_member:
+                raise ValueError(f'{name} is {count}, must lie in [1, {self._d.n_member}]')
+        self._done(library.lts_field_members(self._soil, of_force, of_particles))
         # Every call reads from the same array: an address costs a microsecond.
         self._pose = np.empty(7)
         self._at_pose = self._pose.ctypes.data
         self._data = None
 
     @classmethod
-    def of(
-        cls, field, kernel: str = 'best', members: int | None = None, starts=None, subspace=None
-    ) -> 'CField':
+    def of(cls, field, kernel: str = 'best', starts=None, subspace=None, **options) -> 'CField':
         """Of a `SweptField`, with its weights as they are now; `starts` and `subspace` of a wheel
         as of `field_data.values`.
 
@@ -81,7 +89,7 @@ class CField(CInstance):
         """
         values = field_data.values(field, starts, subspace)
         data = c_values.Structure('lts_field_model', values)
-        made = cls(c_library.load(), ctypes.addressof(data.value), kernel, members)
+        made = cls(c_library.load(), ctypes.addressof(data.value), kernel, **options)
         made._data = data
         return made
 

@@ -154,8 +154,7 @@ static void load_of(const lts_field_model *m, const float *out, const float shar
 static void push_out(const lts_field *soil, double point[3]) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;
-  /* From the middle of the lower edge to that of the upper one, m. */
-  const double axis[2] = {-m->length * sin(h->lean), m->length * cos(h->lean)};
+  const double *axis = soil->axis;
   const double rel[2] = {point[0] - h->position[0], point[1] - h->position[1]};
   double along = (rel[0] * axis[0] + rel[1] * axis[1]) / (m->length * m->length);
   along = along < 0.0 ? 0.0 : along > 1.0 ? 1.0 : along;

@@ -89,6 +89,7 @@ struct lts_field {
   lts_field_ground local_of; /* what `local` was computed for */
   float *bins[LTS_CHANNELS]; /* [n_bin], and on either side 2 n_pad times the outermost one */
   float scalars[LTS_MOST_SCALARS];
+  double axis[2]; /* from the middle of a blade's lower edge to that of the upper one, m */
   /* particles at rest as u, height and distance from the middle from the tool's first place and level,
    * with the bin of u and the share of the next one, and their share beside the blade, */
   float *u, *y, *z, *share, *beside; /* [N] */

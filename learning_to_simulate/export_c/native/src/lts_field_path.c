@@ -149,6 +149,8 @@ void lts_field_cone(const double *values, int n, double fall, float scale, float
 void lts_field_see_reach(lts_field *soil) {
   const lts_field_model *m = soil->model;
   double *depth = soil->top, *influence = soil->median;
+  soil->axis[0] = -m->length * sin(soil->head->lean);
+  soil->axis[1] = m->length * cos(soil->head->lean);
   for (int k = 0; k < m->n_bin; ++k) {
     depth[k] = soil->surface[k] - soil->profile[k];
     influence[k] = fmin(depth[k] / m->touch, 1.0);
