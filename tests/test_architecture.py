@@ -104,6 +104,7 @@ IMPORTS_WITHOUT = [
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_c_faults.py',
     'learning_to_simulate/export_c/test_fmu_field.py',
+    'learning_to_simulate/export_c/test_fmu_field_wheel.py',
     'learning_to_simulate/methods/full_space/test_data_parallel.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/test_changing_context.py', 'learning_to_simulate/test_several_bodies.py',

@@ -51,8 +51,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
     if registry.of_folder(model_path).live:
         raise ValueError(
-            f'{model_path}: a swept field has no {kind} form yet; that of a blade has a C form '
-            f'and an FMU'
+            f'{model_path}: a swept field has no {kind} form yet; it has a C form and an FMU'
         )
     opened = registry.open_model(model_path, data_path, 'test')
     model = opened.model

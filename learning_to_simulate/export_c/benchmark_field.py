@@ -1,4 +1,4 @@
-"""Measures a swept field in C beside its networks in TensorFlow; a part of `benchmark`."""
+"""Measures a swept field in C beside its stepper in Python; a part of `benchmark`."""
 
 import ctypes
 import time
@@ -8,9 +8,8 @@ import numpy as np
 from learning_to_simulate.export_c import c_library, c_values, field_data
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_instance import KERNELS
-from learning_to_simulate.methods.swept_field import model_files, tool_path
-from learning_to_simulate.methods.swept_field.episodes import BedReader
-from learning_to_simulate.methods.swept_field.tool_path import Bed
+from learning_to_simulate.live import resting_start
+from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import dataset
 
 
@@ -20,7 +19,7 @@ def measure(library: ctypes.CDLL, model_path: str, data_path: str, calls: int, t
     Args:
       library: with the timing calls of native/bench_calls.c.
       model_path, data_path: a swept field and its dataset.
-      calls: forces of each row in C; particles take a hundredth, TensorFlow a thousandth.
+      calls: forces of each row in C; particles take a hundredth, Python a thousandth.
       turns: in which the rows take turns.
 
     Returns:
@@ -29,12 +28,14 @@ def measure(library: ctypes.CDLL, model_path: str, data_path: str, calls: int, t
     Raises:
       FileNotFoundError, ValueError: no model or dataset there, or a run without poses.
     """
-    field = model_files.load(model_path)
-    poses = dataset.read_split(data_path, 'test')[0].rigid_pose
-    if poses is None:
+    field, parts = field_data.read(model_path)
+    run = dataset.read_split(data_path, 'test')[0]
+    if run.rigid_pose is None:
         raise ValueError(f'{data_path}: the first test run holds no pose of its tool')
-    poses = np.ascontiguousarray(poses, np.float64)
-    data = c_values.Structure('lts_field_model', field_data.values(field))
+    poses = np.ascontiguousarray(run.rigid_pose, np.float64)
+    live = LiveField(field, *resting_start.read(model_path))
+    data = c_values.Structure('lts_field_model', field_data.values(field, **parts))
+    start = _begun(live, data_path, run, poses[0])
     soils = {}
     for kernel in reversed(KERNELS):
         for members in dict.fromkeys((field.config.members, 1)):
@@ -42,7 +43,7 @@ def measure(library: ctypes.CDLL, model_path: str, data_path: str, calls: int, t
                 soil = CField(library, ctypes.addressof(data.value), kernel, members)
             except ValueError:  # a kernel that this machine lacks
                 continue
-            soil.start(poses[0])
+            soil.start(poses[0], **start)
             soils[f'{kernel}, {members} networks'.replace(' 1 networks', ' 1 network')] = soil
     times: dict[str, list] = {}
     for _ in range(turns):
@@ -52,7 +53,7 @@ def measure(library: ctypes.CDLL, model_path: str, data_path: str, calls: int, t
             count = max(calls // turns // 100, 1)
             placed = _c_times(library, soil, poses[1:], count, True, field.scene.dt)[1]
             times.setdefault(f'particles, {name}', []).append(placed)
-        for name, values in _tensorflow(field, poses, max(calls // turns // 1000, 1)).items():
+        for name, values in _python(live, poses, max(calls // turns // 1000, 1)).items():
             times.setdefault(name, []).append(values)
     rows = {name: np.concatenate(parts) for name, parts in times.items()}
     return dict(sorted(rows.items(), key=lambda row: not row[0].startswith('force')))
@@ -65,11 +66,10 @@ def _c_times(library, soil, poses, count, with_particles, dt):
     saved, seconds = soil.save(), np.empty((2, runs * n))
     points = np.empty((soil.description.n_soil, 3), np.float32)
     # Fewer particles than frames are of frames spread over the run.
-    some = poses[:: len(poses) // n][:n] if with_particles else poses[:n]
-    some = np.ascontiguousarray(some)  # kept while its address is in use
+    stride = len(poses) // n if with_particles else 1
+    some = np.ascontiguousarray(poses[::stride][:n])
     code = library.lts_time_field(
-        soil.address, saved, len(saved), some.ctypes.data, n,
-        dt * (len(poses) // n if with_particles else 1), runs,
+        soil.address, saved, len(saved), some.ctypes.data, n, dt * stride, runs,
         points.ctypes.data if with_particles else None, len(points),
         *(row.ctypes.data for row in seconds),
     )  # fmt: skip
@@ -79,27 +79,27 @@ def _c_times(library, soil, poses, count, with_particles, dt):
     return seconds
 
 
-def _tensorflow(field, poses, count):
+def _begun(live, data_path, run, pose):
+    """Begins a run in Python; says how C begins it: the usual blade, or the wheel of that case."""
+    if run.step_context is None:
+        live.start(pose)
+        return {}
+    case = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])[0].get('case')
+    context = run.step_context[0].astype(np.float64)
+    live.start(pose, case=case if case in live.cases else None, context=context)
+    return {'index': live.start_index, 'context': context}
+
+
+def _python(live, poses, count):
     """Seconds of single frames in numpy and TensorFlow."""
-    plane, width = field.axes.poses(poses), np.array([field.blade.width])
-    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
-    surface, level, end = reader.read(field.rest, plane[0, 0], width[0])
-    bed = Bed(surface[None], np.array([level]), np.array([end]))
-    rest = (field.axes.points(field.rest) - [plane[0, 0], level, 0.0]).astype(np.float32)
-    state = tool_path.start(field.grid, bed, plane[:1])
-    field.warm_up()
     force, particles = [], []
-    stride = max(1, (len(plane) - 1) // count)
-    for pose in plane[1::stride][:count]:
+    stride, begun = max(1, (len(poses) - 1) // count), live.state
+    for pose in poses[1::stride][:count]:
         begin = time.process_time()
-        state = tool_path.advance(field.grid, state, pose[None], stride * field.scene.dt)
-        frame = tool_path.frame(field.grid, bed, width, state)
-        field.loads(frame)
+        live.step(pose, dt=stride * live.dt)
         middle = time.process_time()
-        field.displacement(frame, rest)
+        live.particles()
         force.append(middle - begin)
         particles.append(time.process_time() - middle)
-    return {
-        'force, TensorFlow': np.array(force),
-        'particles, TensorFlow': np.array(particles),
-    }
+    live.state = begun
+    return {'force, Python': np.array(force), 'particles, Python': np.array(particles)}

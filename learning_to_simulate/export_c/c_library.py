@@ -133,8 +133,14 @@ def declared(library: ctypes.CDLL) -> ctypes.CDLL:
     of_field = {
         'members': (pointer, number, number),
         'start': (pointer, pointer, pointer, pointer, real),
+        'start_wheel': (pointer, number, *4 * (pointer,)),
+        'start_pose': (pointer, number, pointer),
+        'start_context': (pointer, number, pointer),
+        'set_context': (pointer, pointer),
+        'context': (pointer, pointer),
         'renew': (pointer,),
         'frame': (pointer, pointer, real, pointer),
+        'newest': (pointer, pointer),
         'moving': (pointer,),
     }
     kinds = [('lts_', of_graph), ('lts_field_', of_field)]

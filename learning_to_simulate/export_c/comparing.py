@@ -11,8 +11,7 @@ from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
 from learning_to_simulate.methods import registry
-from learning_to_simulate.methods.swept_field import episodes, soil_physics, tool_path
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
+from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import dataset
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
@@ -65,50 +64,94 @@ def graph(model_path, data_path, model, n_rigid, subspace, name, values) -> dict
     )
 
 
-def field(swept, data_path: str, name: str, values: dict) -> dict:
-    """The same for a swept field: the first test run, against its networks in TensorFlow."""
+def field(live, data_path: str, name: str, values: dict) -> dict:
+    """The same for a swept field: the first test run, against its stepper in Python.
+
+    Args:
+      live: `LiveField` of the model.
+      data_path, name, values: as of `graph`.
+    """
     try:
         soil = _compiled(CField, name, values)
     except c_library.NoCompiler as error:
         return {'skipped': str(error)}
-    poses = dataset.read_split(data_path, 'test')[0].rigid_pose
-    if poses is None:
+    run = dataset.read_split(data_path, 'test')[0]
+    if run.rigid_pose is None:
         return {'skipped': 'the first test run holds no pose of its tool'}
-    poses = poses.astype(np.float64)
-    plane, width = swept.axes.poses(poses), np.array([swept.blade.width])
-    reader = episodes.BedReader(swept.axes, swept.grid, swept.kept_spacing, swept.spacing)
-    surface, level, end = reader.read(swept.rest, plane[0, 0], width[0])
-    bed = Bed(surface[None], np.array([level]), np.array([end]))
-    state = tool_path.start(swept.grid, bed, plane[:1])
-    frames = []
-    for pose in plane[1:]:
-        state = tool_path.advance(swept.grid, state, pose[None], swept.scene.dt)
-        frames.append(tool_path.frame(swept.grid, bed, width, state))
-    seen = Frame(*(np.concatenate(part) for part in zip(*frames)))
-    force, torque = swept.axes.world_loads(swept.loads(seen).mean(axis=0))
-    some = np.unique(np.linspace(1, len(frames) - 1, PARTICLE_FRAMES).astype(int))
-    local = swept.axes.points(swept.rest) - [plane[0, 0], level, 0.0]
-    moved = swept.displacement(Frame(seen.bins[some], seen.scalars[some]), local).mean(axis=0)
-    soil.start(poses[0])
-    of_c, particles, motion = [], [], []
-    for k, pose in enumerate(poses[1:]):
-        of_c.append(np.concatenate(soil.step(pose)[:2]))
-        if k not in some:
-            continue
-        shift = moved[list(some).index(k)]
-        there = swept.axes.points(swept.rest) + shift
-        now = shift.any(axis=1)
-        there[now] = soil_physics.pushed_out(there[now], plane[k + 1], swept.blade, width[0])
-        particles.append(np.abs(swept.axes.points(soil.particles()) - there).max())
-        motion.append(np.abs(shift).max())
-    loads = np.concatenate([force, torque], axis=1)
+    case = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])[0].get('case')
+    row = play_field(soil, live, run, case, max(1, len(run.rigid_pose) // PARTICLE_FRAMES))
     return _judged(
         soil.kernel,
-        len(of_c),
-        max(particles),
-        position=max(particles) / max(motion) if max(motion) > 0 else max(particles),
-        force=_share(np.array(of_c), loads, 0.0),
+        row['frames'],
+        row['particles_m'],
+        position=row['particles_m'] / row['motion_m'] if row['motion_m'] else row['particles_m'],
+        force=row['force'],
     )
+
+
+def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
+    """Largest differences of a swept field in C to Python over a recorded run.
+
+    Args:
+      soil: in C.
+      live: `LiveField` of the same model.
+      run: `dataset.Run` with poses.
+      case: of the run, where a wheel begins.
+      every: so many frames the particles are compared.
+
+    Raises:
+      ValueError: a frame that one of them refuses and the other does not.
+
+    Returns:
+      `frames` until the first that both refuse; `force` and `torque`, shares of the largest;
+      `height_m`, `particles_m`, `motion_m` of the particles; `same_status`, in how many frames.
+    """
+    poses = run.rigid_pose.astype(np.float64)
+    contexts = [None] * len(poses)
+    if run.step_context is None:
+        # The usual blade on the flat bed: what C begins with.
+        live.start(poses[0], blade_width=soil.description.blade_width)
+        soil.start(poses[0])
+    else:
+        contexts = run.step_context.astype(np.float64)
+        # Of runs that start alike one start was kept: its context is the nearest.
+        case = case if case in live.cases else None
+        live.start(poses[0], case=case, context=contexts[0])
+        soil.start(poses[0], index=live.start_index, context=contexts[0])
+    up, before = soil.description.up_axis, soil.particles()
+    rows, same, apart, motion, heights = ([], []), 0, [0.0], [0.0], [0.0]
+    for k, (pose, context) in enumerate(zip(poses[1:], contexts[1:], strict=True), 1):
+        mine, expected = (_refused(one, pose, context) for one in (soil, live))
+        if (mine is None) != (expected is None):
+            raise ValueError(f'frame {k} is refused by {"C" if mine is None else "Python"} alone')
+        if mine is None:  # a place under the floor, say
+            break
+        for found, frame in zip(rows, (mine, expected)):
+            found.append(np.stack([frame.force, frame.torque]))
+        same += (mine.status == 0) == (expected.now == RolloutStatus.OK)
+        heights.append(abs(mine.point[up] - expected.pose[up]))
+        if k % every == 0:
+            points = expected.particles()
+            apart.append(np.abs(soil.particles() - points).max())
+            motion.append(np.abs(points - before).max())
+    force, torque = (_share(*(np.array(found)[:, i] for found in rows), 0.0) for i in range(2))
+    return {
+        'frames': len(rows[0]),
+        'force': force,
+        'torque': torque,
+        'height_m': float(max(heights)),
+        'particles_m': float(max(apart)),
+        'motion_m': float(max(motion)),
+        'same_status': same,
+    }
+
+
+def _refused(stepper, pose, context):
+    """A frame, or None where the pose is refused."""
+    try:
+        return stepper.step(pose, context=context)
+    except ValueError:
+        return None
 
 
 def _compiled(kind, name, values):

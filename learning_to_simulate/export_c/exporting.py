@@ -23,7 +23,8 @@ from learning_to_simulate.export_c import (
     project,
     starts,
 )
-from learning_to_simulate.methods.swept_field import model_files
+from learning_to_simulate.live import resting_start
+from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -87,12 +88,13 @@ def _graph(model_path, data_path, name, n_rigid):
 
 
 def _field(model_path, data_path, name):
-    swept = model_files.load(model_path)
-    values = field_data.values(swept)
+    swept, parts = field_data.read(model_path)
+    values = field_data.values(swept, **parts)
+    live = LiveField(swept, *resting_start.read(model_path))
     return values, {
         'scene': swept.scene.to_json(),
         'members': swept.config.members,
-        'compared': comparing.field(swept, data_path, name, values),
+        'compared': comparing.field(live, data_path, name, values),
     }
 
 

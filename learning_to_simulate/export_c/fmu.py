@@ -60,9 +60,14 @@ def write(path: str, name: str, values: dict, version: int = 2) -> None:
 def _about(values):
     """What the documentation says of a kind of model."""
     if project.is_field(values):
+        begins = (
+            ' The wheel begins where the recorded one of `start` stood, in its own print: its '
+            'place is wheel_load.point; the height of wheel_state.pos is ignored.'
+        )
         return {
             'MOMENT': 'The moment is about the point.',
-            'STEPS': 'A communication step may last any time: nothing is integrated.',
+            'STEPS': 'A communication step may last any time: nothing is integrated.'
+            + begins * project.is_wheel(values),
         }
     return {
         'MOMENT': 'The model has learned no torque, and the moment is 0.',
@@ -108,7 +113,9 @@ def _write_sources(folder, name, values, version):
         f'#include "{name}.h"',
         f'#define FMU_MODEL {name}',
         f'#define FMU_GUID "{fmu_description.guid(values)}"',
-        f'#define FMU_CONTEXT {1 if project.is_field(values) else values["n_context"]}',
+        f'#define FMU_CONTEXT {values.get("n_context", 1)}',
+        '/* Which value of the context is an input; -1: none. */',
+        f'#define FMU_LOAD {values["load"] if project.is_wheel(values) else -1}',
         f'#define FMU_RIGID {values.get("n_rigid", 0)}',
         f'#define FMU_GIVEN {int(given)}',
         f'#define FMU_SOIL {values.get("n_soil", 0)}',

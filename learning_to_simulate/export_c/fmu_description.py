@@ -56,7 +56,7 @@ def guid(values: dict) -> str:
 def body(values: dict) -> str:
     """What the variables call the body."""
     given = values.get('motion', 1) == c_header.constants()['LTS_PRESCRIBED']
-    return 'tool' if given else 'wheel'
+    return 'tool' if given and not project.is_wheel(values) else 'wheel'
 
 
 def grid(values: dict) -> tuple[list[float], list[int]]:
@@ -76,15 +76,23 @@ def grid(values: dict) -> tuple[list[float], list[int]]:
 
 
 def _context(values):
-    """(name, unit, start, text) of the fixed parameters."""
-    if project.is_field(values):
-        return [('blade_width', 'm', values['width'], 'of the blade')]
+    """Parameters, and inputs that are values of the scene."""
+    if project.is_field(values) and not project.is_wheel(values):
+        return [Variable('blade_width', 'm', 'parameter', values['width'], 'of the blade')]
     names = values['context_names'].split(',') if values['n_context'] else []
-    starts = values['starts'][0]['context']
-    return [(name, None, value, 'of the scene') for name, value in zip(names, starts)]
+    found = [
+        Variable(name, None, 'parameter', value, 'of the scene')
+        for name, value in zip(names, values['starts'][0]['context'])
+    ]
+    if project.is_wheel(values):
+        load = values['load']
+        found[load] = found[load]._replace(unit='N', causality='input', text='on the wheel')
+    return found
 
 
 def _first_place(values):
+    if project.is_wheel(values):
+        return values['starts'][0]['pose'][:3]
     if not project.is_field(values):
         return values['starts'][0]['points'].mean(axis=0)
     place = np.empty(3)
@@ -99,6 +107,8 @@ def reals(values: dict) -> list[Variable]:
     is_field, called = project.is_field(values), body(values)
     state, load = f'{called}_state', f'{called}_load'
     point = 'the middle of the lower edge' if is_field else 'the mean of the body points'
+    if project.is_wheel(values):
+        point = 'the axle, its height predicted'
     attitude = 'rotation from upright' if is_field else 'rotation from the start attitude'
     moment = 'about the point' if is_field else '0: the model has learned no torque'
     bound = (
@@ -132,7 +142,7 @@ def reals(values: dict) -> list[Variable]:
         Variable('force_bound', 'N', 'output' if is_field else 'local', None, bound),
         Variable('step_size', 's', 'constant', values['dt'], frame),
     ]
-    return rows + [Variable(n, u, 'parameter', v, text) for n, u, v, text in _context(values)]
+    return rows + _context(values)
 
 
 def _attributes(causality):

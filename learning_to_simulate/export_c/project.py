@@ -25,6 +25,19 @@ _FIELD_TEMPLATES = _TEMPLATES | {
     'cmake/README_field.md.in': 'README.md',
     'examples/field.cpp.in': 'examples/example.cpp',
 }
+# What a project says of a blade, and of a wheel.
+_FIELD_WORDS = (
+    {
+        'TOOL': 'blade',
+        'OUT': 'force, torque',
+        'BEGIN': 'A run begins on the flat bed, on a height map, or on particles;',
+    },
+    {
+        'TOOL': 'wheel and its load',
+        'OUT': 'sinkage, force, torque',
+        'BEGIN': 'A run begins where a recorded wheel stood (`lts_field_start_wheel`);',
+    },
+)
 # Sources of both kinds of models; the others belong to one, by the beginning of their names.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
 
@@ -32,6 +45,11 @@ _SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
 def is_field(values: dict) -> bool:
     """Whether values are those of a swept field, `field_data.values`."""
     return 'n_member' in values
+
+
+def is_wheel(values: dict) -> bool:
+    """Whether values are those of a wheel's swept field."""
+    return is_field(values) and values['tool'] == c_header.constants()['LTS_FIELD_WHEEL']
 
 
 def struct(values: dict) -> str:
@@ -110,7 +128,7 @@ def words(name: str, values: dict) -> dict:
         'RATE': f'{1 / values["dt"]:.4g}',
     }
     if is_field(values):
-        return found | {'MEMBERS': values['n_member']}
+        return found | _FIELD_WORDS[is_wheel(values)] | {'MEMBERS': values['n_member']}
     return found | {
         'RIGID': values['n_rigid'],
         'MOTION': _MOTIONS[values['motion']],

@@ -74,16 +74,13 @@ class SweptField:
 
     @property
     def blade(self) -> Blade:
-        """The blade, for what knows of blades only: the forms for use elsewhere.
+        """The blade, for what blades alone have.
 
         Raises:
           ValueError: another tool.
         """
         if not isinstance(self.tool, Blade):
-            raise ValueError(
-                f'a swept field of a {self.tool.name} has no C form and no FMU yet: they know of '
-                f'blades only; use it from Python (lts.load)'
-            )
+            raise ValueError(f'a blade is asked for, the tool of this field is a {self.tool.name}')
         return self.tool
 
     def context(self, values) -> dict | None:

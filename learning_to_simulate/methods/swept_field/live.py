@@ -91,6 +91,16 @@ class LiveField:
     def state(self, state: LiveState) -> None:
         self._state = state
 
+    @property
+    def cases(self) -> list:
+        """Numbers or names of the recorded starts' cases."""
+        return [values.get('case') for values in self._starts.cases]
+
+    @property
+    def start_index(self) -> int | None:
+        """Which of the recorded starts the run began from; None before `start`."""
+        return self._beginning.index
+
     def start(
         self, pose=None, velocity=None, case=None, context=None, bed=None, blade_width=None
     ) -> Judgement:

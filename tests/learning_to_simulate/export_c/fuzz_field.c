@@ -17,9 +17,12 @@ int main(int argc, char **argv) {
     memory[i] = malloc(size + 1);
     if (lts_field_init(model, memory[i] + 1, size, LTS_BEST, &soil[i]) < 0) return 3;
   }
+  const int is_wheel = d.tool == LTS_FIELD_WHEEL;
   size_t kept = 0;
   long good = 0, bad = 0;
   lts_pose pose = {{d.start[0], d.start[1], d.start[2]}, {1.0, 0.0, 0.0, 0.0}};
+  double usual[8] = {0.0};
+  lts_field_start_context(model, 0, usual);
   for (long call = 0; call < atol(argv[2]); ++call) {
     lts_field *one = soil[pick(2)];
     lts_pose p = pose;
@@ -27,8 +30,9 @@ int main(int argc, char **argv) {
     lts_field_result result;
     lts_judgement judged;
     lts_grid grid = {{hostile(0.0), hostile(0.0)}, hostile(0.02), {0, 0}};
-    double places[8], heights_of[8];
+    double places[8], heights_of[8], context[8];
     int code = 0;
+    for (int i = 0; i < 8; ++i) context[i] = hostile(usual[i]);
     for (int i = 0; i < 2; ++i) grid.n[i] = (int)pick(66) - 1;
     for (int i = 0; i < 3; ++i) {
       p.position[i] = hostile(p.position[i]);
@@ -40,12 +44,17 @@ int main(int argc, char **argv) {
       places[i] = hostile(0.1 * i);
       heights_of[i] = hostile(d.level);
     }
-    switch (pick(14)) {
+    switch (pick(16)) {
       case 0: {
         lts_field_bed bed = {maybe(places), maybe(heights_of), (int)pick(10) - 1, maybe(points)};
         if (bed.n > 8) bed.n = 8;
         for (size_t i = 0; !pick(5) && i < 3 * n; ++i) points[i] = (float)hostile(0.3);
-        code = lts_field_start(one, maybe(&p), maybe(&t), pick(2) ? &bed : NULL, hostile(0.0));
+        if (is_wheel && pick(20)) {
+          code = lts_field_start_wheel(one, (int)pick(4) - 2, pick(2) ? &p : NULL, maybe(&t),
+                                       pick(2) ? &bed : NULL, pick(2) ? context : NULL);
+        } else {
+          code = lts_field_start(one, maybe(&p), maybe(&t), pick(2) ? &bed : NULL, hostile(0.0));
+        }
         pose = code < 0 ? pose : p;
         break;
       }
@@ -76,6 +85,15 @@ int main(int argc, char **argv) {
       }
       case 9: code = lts_field_clone(one, maybe(soil[pick(2)])); break;
       case 10: code = lts_field_members(one, (int)pick(5), (int)pick(5)); break;
+      case 11: {
+        lts_pose at;
+        code = lts_field_start_pose(model, (int)pick(5) - 2, maybe(&at));
+        if (code >= 0) code = lts_field_start_context(model, (int)pick(5) - 2, maybe(context));
+        if (code >= 0) code = lts_field_context(one, maybe(context));
+        if (code >= 0) code = lts_field_newest(one, maybe(&result));
+        break;
+      }
+      case 12: code = lts_field_set_context(one, pick(9) ? usual : maybe(context)); break;
       default:
         code = lts_field_frame(one, maybe(&p), hostile(0.02), maybe(&result));
         if (code >= 0) pose = p;
@@ -84,7 +102,12 @@ int main(int argc, char **argv) {
     if (pick(200) == 0) {
       const lts_pose back = {{d.start[0], d.start[1] - 0.03, d.start[2]}, {1.0, 0.0, 0.0, 0.0}};
       pose = back;
-      lts_field_start(one, &pose, NULL, NULL, 0.0);
+      if (is_wheel) {
+        lts_field_start_pose(model, 0, &pose);
+        lts_field_start_wheel(one, 0, NULL, NULL, NULL, NULL);
+      } else {
+        lts_field_start(one, &pose, NULL, NULL, 0.0);
+      }
     }
   }
   for (int i = 0; i < 2; ++i) free(memory[i]);

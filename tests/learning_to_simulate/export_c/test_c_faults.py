@@ -16,7 +16,7 @@ from learning_to_simulate.export_c import (
 )
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.methods.swept_field import small_world
+from tests.learning_to_simulate.methods.swept_field import small_wheel, small_world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
@@ -79,8 +79,14 @@ def test_random_calls_and_hostile_values_under_sanitizers(case, tmp_path):
     _fuzz(str(tmp_path / 'project'), _values(tmp_path / 'data', **case), 'fuzz_calls.c')
 
 
-def test_random_calls_of_a_swept_field_under_sanitizers(tmp_path):
-    values = field_data.values(small_world.make_field())
+@pytest.mark.parametrize('tool', ['blade', 'wheel'])
+def test_random_calls_of_a_swept_field_under_sanitizers(tool, tmp_path):
+    if tool == 'blade':
+        values = field_data.values(small_world.make_field())
+    else:
+        field = small_wheel.make_field()
+        field.rest = field.rest[::5]  # starts read the whole bed: a few particles will do
+        values = field_data.values(field, **small_wheel.two_starts(field))
     _fuzz(str(tmp_path / 'project'), values, 'fuzz_field.c')
 
 

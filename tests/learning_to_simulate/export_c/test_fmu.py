@@ -16,7 +16,6 @@ from learning_to_simulate.export_c import (
     model_data,
     starts,
 )
-from learning_to_simulate.methods.swept_field import model_files
 from tests.learning_to_simulate import models
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
@@ -118,6 +117,7 @@ def test_is_valid_and_simulates(case, tmp_path):
 SHIPPED = [
     *(f'{s}/{n}' for s in ('excavation', 'wheel') for n in ('pcg', 'pcg_thesis', 'fcg_original')),
     'excavation_v2/swept_field',
+    'wheel_v2/swept_field',
 ]
 
 
@@ -126,7 +126,8 @@ SHIPPED = [
 def test_shipped_models_are_valid_in_both_versions(name, tmp_path):
     path = os.path.join('models', name)
     if name.endswith('swept_field'):
-        values = field_data.values(model_files.load(path))
+        field, parts = field_data.read(path)
+        values = field_data.values(field, **parts)
     else:
         data = os.path.join('datasets', os.path.dirname(name))
         model, n, subspace, found = starts.read_model(path, data)

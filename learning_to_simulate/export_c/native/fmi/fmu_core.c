@@ -123,7 +123,9 @@ const char *fmu_get_reals(fmu_core *c, const unsigned *vr, size_t n, double *val
 
 const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const double *value) {
   for (size_t i = 0; i < n; ++i) {
-    const int is_input = vr[i] < VR_POINT, is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL;
+    const int is_load = FMU_LOAD >= 0 && (int)vr[i] == VR_CONTEXT + FMU_LOAD;
+    const int is_input = vr[i] < VR_POINT || is_load;
+    const int is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL && !is_input;
     if (!is_input && !is_context) return "this real variable cannot be set";
     if (is_context && c->v.now >= FMU_STEPPING) {
       return "a fixed parameter is set after the initialisation";

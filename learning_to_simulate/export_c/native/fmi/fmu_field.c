@@ -25,25 +25,51 @@ void fmu_soil_defaults(double *real) {
   real[VR_ROTATION] = 1.0;
   real[VR_FRAME_TIME] = model.dt;
   real[VR_CONTEXT] = model.blade_width;
+  lts_pose pose;
+  if (lts_field_start_pose(&FMU_MODEL, 0, &pose) < 0) return;
+  memcpy(real + VR_ROTATION, pose.rotation, sizeof pose.rotation);
+  lts_field_start_context(&FMU_MODEL, 0, real + VR_CONTEXT);
 }
 
-int fmu_soil_starts(void) { return 1; }
+int fmu_soil_starts(void) {
+  const int n = described().n_start;
+  return n ? n : 1;
+}
 int fmu_soil_up(void) { return described().up_axis; }
 const char *fmu_soil_digest(void) { return described().digest; }
 
-int fmu_soil_start(fmu_core *c, fmu_answer *answer) {
+static int start_blade(fmu_core *c, const lts_twist *twist) {
   const lts_pose pose = fmu_pose(c);
-  const lts_twist twist = fmu_twist(c);
   const double width = c->v.real[VR_CONTEXT];
   if (!(width > 0.0)) return LTS_ERROR_VALUE;
-  memcpy(answer->point, pose.position, sizeof answer->point);
-  return lts_field_start((lts_field *)c->soil, &pose, &twist, NULL, width);
+  return lts_field_start((lts_field *)c->soil, &pose, twist, NULL, width);
+}
+
+/* A wheel stands where the recorded one did, in its own print: its place is an output. */
+static int start_wheel(fmu_core *c, const lts_twist *twist) {
+  return lts_field_start_wheel((lts_field *)c->soil, c->v.start, NULL, twist, NULL,
+                               c->v.real + VR_CONTEXT);
+}
+
+int fmu_soil_start(fmu_core *c, fmu_answer *answer) {
+  const lts_twist twist = fmu_twist(c);
+  lts_field_result result;
+  const int status = described().tool == LTS_FIELD_WHEEL ? start_wheel(c, &twist)
+                                                         : start_blade(c, &twist);
+  if (status < 0) return status;
+  lts_field_newest((const lts_field *)c->soil, &result);
+  memcpy(answer->point, result.point, sizeof answer->point);
+  return status;
 }
 
 int fmu_soil_step(fmu_core *c, double h, fmu_answer *answer) {
   const lts_pose pose = fmu_pose(c);
   const lts_twist twist = fmu_twist(c);
   lts_field_result result;
+  if (described().tool == LTS_FIELD_WHEEL) {
+    const int bad = lts_field_set_context((lts_field *)c->soil, c->v.real + VR_CONTEXT);
+    if (bad) return bad;
+  }
   const int status = lts_field_advance((lts_field *)c->soil, h, &pose, &twist, &result);
   if (status < 0) return status;
   memcpy(answer->force, result.force, sizeof answer->force);

@@ -108,7 +108,8 @@ int lts_field_read_bed(lts_field *soil, const float *points, double u, double wi
   return LTS_OK;
 }
 
-int lts_field_stretch(const lts_field_model *m, const lts_field_bed *bed, float *points) {
+/* The flat bed, its columns stretched to heights, into particles [N][3]. */
+static int stretch(const lts_field_model *m, const lts_field_bed *bed, float *points) {
   double low = HUGE_VAL, top = -HUGE_VAL, plane[3];
   for (int i = 0; i < m->n_soil; ++i) {
     lts_field_plane(m, m->rest + 3 * i, plane);
@@ -128,5 +129,21 @@ int lts_field_stretch(const lts_field_model *m, const lts_field_bed *bed, float 
     float *height = points + 3 * i + m->up;
     *height = (float)(low + (*height - low) * (wanted - low) / (top - low));
   }
+  return LTS_OK;
+}
+
+int lts_field_take_bed(lts_field *soil, const lts_field_bed *bed, const float **points) {
+  if (bed->n) {
+    if (!bed->places || !bed->heights) return LTS_ERROR_NULL;
+    if (bed->n < 2) return LTS_ERROR_VALUE;
+    soil->placed = 0;
+    *points = soil->points;
+    return stretch(soil->model, bed, soil->points);
+  }
+  if (!bed->particles) return LTS_ERROR_NULL;
+  for (size_t i = 0; i < 3 * (size_t)soil->model->n_soil; ++i) {
+    if (!isfinite(bed->particles[i])) return LTS_ERROR_VALUE;
+  }
+  *points = bed->particles;
   return LTS_OK;
 }

@@ -1,23 +1,6 @@
-/* What the networks see: twin of `inputs.py`, in its order and its float32. */
-#include <math.h>
-
-#include "lts_field_internal.h"
-
-lts_place lts_field_place(const lts_field_model *m, float u) {
-  const float last = (float)(m->n_bin - 1);
-  float place = (u - m->first_bin) / m->bin_width;
-  place = place > 0.0f ? (place < last ? place : last) : 0.0f;
-  lts_place at = {(int)place, 0.0f};
-  if (at.low > m->n_bin - 2) at.low = m->n_bin - 2;
-  at.share = place - (float)at.low;
-  return at;
-}
-
-static inline float between(const float *channel, lts_place at) {
-  return (1.0f - at.share) * channel[at.low] + at.share * channel[at.low + 1];
-}
-
-static float relu(float x) { return x < 0.0f ? 0.0f : x; }
+/* What the networks of a blade see and say: twin of `inputs.py`, in its order and its float32; and how a
+ * blade pushes soil out. */
+#include "lts_field_places.h"
 
 /* Names of a frame's scalars behind its memories. */
 typedef struct {
@@ -29,15 +12,15 @@ static named named_of(const lts_field *soil) {
   return n;
 }
 
-float lts_field_contact(const lts_field *soil) {
+static float contact_of(const lts_field *soil) {
   const lts_field_model *m = soil->model;
   const named s = named_of(soil);
   float surface = -HUGE_VALF;
   for (int k = 0; k < m->n_contact; ++k) {
-    const lts_place at = lts_field_place(m, s.tip + m->contact[k]);
-    surface = fmaxf(surface, between(soil->bins[LTS_SURFACE], at));
+    const lts_place at = lts_place_at(m, s.tip + m->contact[k]);
+    surface = fmaxf(surface, lts_between(soil->bins[LTS_SURFACE], at));
   }
-  const float heap = m->heap_height * sqrtf(relu(s.area));
+  const float heap = m->heap_height * sqrtf(lts_relu(s.area));
   const float clearance = s.height - (float)m->blade_radius - surface;
   const float share = (heap + m->contact_above - clearance) / m->contact_ramp;
   return share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
@@ -47,10 +30,10 @@ float lts_field_contact(const lts_field *soil) {
 static float *of_tool(const lts_field *soil, float *x) {
   const named s = named_of(soil);
   *x++ = s.height / 0.05f;
-  *x++ = relu(s.height) / 0.03f;
+  *x++ = lts_relu(s.height) / 0.03f;
   *x++ = s.lean;
   *x++ = s.area / 0.01f;
-  *x++ = sqrtf(relu(s.area) + 1e-6f) / 0.1f;
+  *x++ = sqrtf(lts_relu(s.area) + 1e-6f) / 0.1f;
   *x++ = (s.foremost - s.tip) / 0.1f;
   *x++ = s.half_width / 0.2f;
   *x++ = s.end - s.tip;
@@ -68,20 +51,20 @@ static float *of_motion(const lts_field *soil, float *x) {
   return x;
 }
 
-void lts_field_force_inputs(const lts_field *soil, float *x) {
+static void force_inputs(const lts_field *soil, float *x) {
   const lts_field_model *m = soil->model;
   const named s = named_of(soil);
   const int n = m->n_edge;
   float *cut = of_motion(soil, of_tool(soil, x)), *surface = cut + n, *low = surface + n, *since = low + n;
   float depth = 0.0f;
   for (int k = 0; k < n; ++k) {
-    const lts_place at = lts_field_place(m, s.tip + m->edge[k]);
-    const float c = between(soil->bins[LTS_CUT], at), top = between(soil->bins[LTS_SURFACE], at);
+    const lts_place at = lts_place_at(m, s.tip + m->edge[k]);
+    const float c = lts_between(soil->bins[LTS_CUT], at), top = lts_between(soil->bins[LTS_SURFACE], at);
     cut[k] = c / 0.03f;
     surface[k] = (top - s.height) / 0.05f;
     low[k] = tanhf((top - c - s.height) / 0.02f);
-    since[k] = expf(-between(soil->bins[LTS_SINCE], at) / m->recent);
-    if (k == n / 2) depth = relu(top - s.height) / 0.05f;
+    since[k] = expf(-lts_between(soil->bins[LTS_SINCE], at) / m->recent);
+    if (k == n / 2) depth = lts_relu(top - s.height) / 0.05f;
   }
   const float *speed = soil->scalars + LTS_SPEED;
   const float size = sqrtf(speed[0] * speed[0] + speed[1] * speed[1] + 1e-8f);
@@ -95,64 +78,24 @@ void lts_field_force_inputs(const lts_field *soil, float *x) {
   *x = tanhf((s.end - s.tip) / 0.1f);
 }
 
-void lts_field_shared_inputs(const lts_field *soil, float *x) { of_tool(soil, x); }
+static void shared_inputs(const lts_field *soil, float *x) { of_tool(soil, x); }
 
-/* Columns of `lts_field_own_inputs` that are a tanh, and those that are an exp, which follow from it:
- * exp(-x) = (1 - t) / (1 + t), t = tanh(x / 2). Their arguments are kept side by side. */
-#define MOST_CURVED 48
-typedef struct {
-  int n, column[MOST_CURVED];
-  float value[MOST_CURVED][LTS_FIELD_ROWS];
-} curves;
-
-static void finish(const lts_field *soil, curves *c, int n, int is_exp, float *out, int ld) {
-  for (int j = 0; j < c->n; ++j) {
-    float *t = c->value[j];
-    for (int row = n; row < LTS_PADDED(n); ++row) t[row] = 0.0f;
-    soil->run->tanh_of(t, LTS_PADDED(n), t);
-    for (int row = 0; row < LTS_PADDED(n) && is_exp; ++row) t[row] = (1.0f - t[row]) / (1.0f + t[row]);
-    for (int row = 0; row < n; ++row) out[row * ld + c->column[j]] = t[row];
-  }
-}
-
-/* Places in whole bins and shares of the next one: added to those of a particle. */
-#define MOST_PLACES 32
-typedef struct {
-  int n, bin[MOST_PLACES];
-  float share[MOST_PLACES];
-} offsets;
-
-static void split(const lts_field_model *m, const float *places, int n, offsets *out) {
-  out->n = n;
-  for (int j = 0; j < n; ++j) {
-    const double bins = (double)places[j] / m->bin, low = floor(bins + 1e-5);
-    out->bin[j] = (int)low;
-    out->share[j] = bins - low < 1e-5 ? 0.0f : (float)(bins - low);
-  }
-}
-
-static inline lts_place moved(lts_place here, const offsets *o, int j) {
-  const float share = here.share + o->share[j];
-  const int more = share >= 1.0f;
-  const lts_place at = {here.low + o->bin[j] + more, share - (float)more};
-  return at;
-}
-
-void lts_field_own_inputs(const lts_field *soil, const int32_t *which, int n, float *out, int ld) {
+static void own_inputs(const lts_field *soil, const int32_t *which, int n, float *out, int ld) {
   const lts_field_model *m = soil->model;
   const named s = named_of(soil);
   const float *cuts = soil->bins[LTS_CUT], *surfaces = soil->bins[LTS_SURFACE];
-  curves tanhs, exps;
-  offsets around, since;
-  split(m, m->around, m->n_around, &around);
-  split(m, m->since, m->n_since, &since);
+  lts_curves tanhs, exps;
+  tanhs.n = exps.n = 0;
+  lts_offsets around, since;
+  lts_split(m, m->around, m->n_around, &around);
+  lts_split(m, m->since, m->n_since, &since);
   for (int row = 0; row < n; ++row) {
     const int i = which[row];
     const float u = soil->u[i], y = soil->y[i], beside = fabsf(soil->z[i]);
     const float behind = s.tip - u, foremost = s.foremost - u;
     const lts_place here = {soil->low[i], soil->share[i]};
-    const float cut = between(cuts, here), surface = between(surfaces, here);
-    const float before = between(soil->bins[LTS_AREA_BEFORE], here), above = y - surface + cut;
+    const float cut = lts_between(cuts, here), surface = lts_between(surfaces, here);
+    const float before = lts_between(soil->bins[LTS_AREA_BEFORE], here), above = y - surface + cut;
     float *x = out + row * ld;
     int k = 0, t = 0, e = 0;
 #define TANH(argument) (tanhs.column[t] = k++, tanhs.value[t++][row] = (argument))
@@ -177,19 +120,60 @@ void lts_field_own_inputs(const lts_field *soil, const int32_t *which, int n, fl
     x[k++] = sqrtf(before + 1e-6f) / 0.1f;
     x[k++] = s.end - u;
     for (int j = 0; j < around.n; ++j) {
-      const lts_place at = moved(here, &around, j);
-      x[k + j] = between(cuts, at) / 0.03f;
-      x[k + around.n + j] = (between(surfaces, at) - surface) / 0.03f;
+      const lts_place at = lts_moved(here, &around, j);
+      x[k + j] = lts_between(cuts, at) / 0.03f;
+      x[k + around.n + j] = (lts_between(surfaces, at) - surface) / 0.03f;
     }
     k += 2 * around.n;
     for (int j = 0; j < since.n; ++j) {
-      EXP_MINUS(between(soil->bins[LTS_SINCE], moved(here, &since, j)) / m->recent);
+      EXP_MINUS(lts_between(soil->bins[LTS_SINCE], lts_moved(here, &since, j)) / m->recent);
     }
     tanhs.n = t;
     exps.n = e;
 #undef TANH
 #undef EXP_MINUS
   }
-  finish(soil, &tanhs, n, 0, out, ld);
-  finish(soil, &exps, n, 1, out, ld);
+  lts_finish(soil, &tanhs, n, 0, out, ld);
+  lts_finish(soil, &exps, n, 1, out, ld);
 }
+
+static int load_share(const lts_field *soil, float share[3]) {
+  share[0] = contact_of(soil) * (2.0f * named_of(soil).half_width / soil->model->full_width);
+  return share[0] > 0.0f;
+}
+
+static void load_of(const lts_field_model *m, const float *out, const float share[3],
+                    double load[LTS_MOST_LOADS]) {
+  const float most = m->gain_limit, gain = expf(fminf(fmaxf(out[3], -most), most));
+  const float scale[3] = {m->force, m->force, m->torque};
+  for (int k = 0; k < 3; ++k) load[k] = out[k] * gain * share[0] * scale[k];
+  load[3] = 0.0;
+}
+
+/* Twin of `soil_physics.inside`. */
+static void push_out(const lts_field *soil, double point[3]) {
+  const lts_field_model *m = soil->model;
+  const lts_field_head *h = soil->head;
+  const double *axis = soil->axis;
+  const double rel[2] = {point[0] - h->position[0], point[1] - h->position[1]};
+  double along = (rel[0] * axis[0] + rel[1] * axis[1]) / (m->length * m->length);
+  along = along < 0.0 ? 0.0 : along > 1.0 ? 1.0 : along;
+  const double away[2] = {rel[0] - along * axis[0], rel[1] - along * axis[1]};
+  const double square = away[0] * away[0] + away[1] * away[1];
+  const double beside = 0.5 * h->ground.width - fabs(point[2]);
+  if (!(square < m->blade_radius * m->blade_radius && beside > 0.0)) return;
+  const double distance = sqrt(square), in_plane = m->blade_radius - distance;
+  if (in_plane > beside) {
+    point[2] += point[2] < 0.0 ? -beside : beside;
+  } else if (distance > 1e-12) {
+    point[0] += in_plane * away[0] / distance;
+    point[1] += in_plane * away[1] / distance;
+  } else { /* on the segment itself there is no nearest side: out to the front */
+    point[0] += in_plane * axis[1] / m->length;
+    point[1] -= in_plane * axis[0] / m->length;
+  }
+}
+
+const lts_field_tool lts_field_blade = {4,          lts_field_see, lts_field_see_reach, force_inputs,
+                                        shared_inputs, own_inputs,    load_share,          load_of,
+                                        push_out};

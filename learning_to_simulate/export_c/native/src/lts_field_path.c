@@ -1,14 +1,13 @@
-/* What a blade has swept so far: twin of `swept_features.py` and `tool_path.py`, for one tool. */
+/* What a blade has swept so far: twin of `swept_features.py` and `tool_path.py`, for one tool; and what a
+ * wheel shares with it. */
 #include <math.h>
 #include <string.h>
 
 #include "lts_field_internal.h"
 
-int lts_field_n_scalar(const lts_field_model *m) { return 10 + 3 * m->n_scale; }
-
 /* Lowest height at `u` of a circle that goes straight from `before` to `after`; infinite where it has
  * not been: the lower envelope of both end circles and, between its ends, of their tangent. */
-static double underside(double u, const double before[2], const double after[2], double radius) {
+double lts_field_underside(double u, const double before[2], const double after[2], double radius) {
   double height = HUGE_VAL;
   for (int end = 0; end < 2; ++end) {
     const double *centre = end ? after : before, away = u - centre[0];
@@ -49,7 +48,7 @@ static void cut(lts_field *soil, const double position[2], double area) {
   const int end = (int)fmin(ceil(high / m->bin) + 1.0, (double)m->n_bin);
   for (int k = begin; k < end; ++k) {
     const double u = h->ground.origin + (m->first + k * m->bin);
-    const double height = underside(u, from, position, m->radius);
+    const double height = lts_field_underside(u, from, position, m->radius);
     const int was_cut = soil->profile[k] < soil->surface[k];
     if (height < soil->profile[k]) soil->profile[k] = height;
     if (!(height < soil->surface[k])) continue;
@@ -78,26 +77,34 @@ void lts_field_begin(lts_field *soil, const double plane[3], const double veloci
   cut(soil, plane, 0.0);
 }
 
-void lts_field_go(lts_field *soil, const double plane[3], double dt) {
-  const lts_field_model *m = soil->model;
+void lts_field_remember(lts_field *soil, double dt) {
   lts_field_head *h = soil->head;
-  h->velocity[0] = (plane[0] - h->position[0]) / dt;
-  h->velocity[1] = (plane[1] - h->position[1]) / dt;
-  h->velocity[2] = (plane[2] - h->lean) / dt;
-  for (int i = 0; i < m->n_scale; ++i) {
-    const double fade = exp(-dt / m->time_scales[i]);
+  for (int i = 0; i < soil->model->n_scale; ++i) {
+    const double fade = exp(-dt / soil->model->time_scales[i]);
     for (int k = 0; k < 3; ++k) {
       h->memory[i][k] = fade * h->memory[i][k] + (1.0 - fade) * h->velocity[k];
     }
   }
+}
+
+void lts_field_go(lts_field *soil, const double plane[3], double dt) {
+  lts_field_head *h = soil->head;
+  h->velocity[0] = (plane[0] - h->position[0]) / dt;
+  h->velocity[1] = (plane[1] - h->position[1]) / dt;
+  h->velocity[2] = (plane[2] - h->lean) / dt;
+  lts_field_remember(soil, dt);
   cut(soil, plane, swept_area(soil));
   h->lean = plane[2];
 }
 
 /* Beyond the bins the outermost ones go on. */
-static void pad(const lts_field_model *m, float *channel) {
-  for (int k = 1; k <= 2 * m->n_pad; ++k) channel[-k] = channel[0];
-  for (int k = 0; k <= 2 * m->n_pad; ++k) channel[m->n_bin + k] = channel[m->n_bin - 1];
+void lts_field_pad(lts_field *soil) {
+  const lts_field_model *m = soil->model;
+  for (int i = 0; i < LTS_CHANNELS; ++i) {
+    float *channel = soil->bins[i];
+    for (int k = 1; k <= 2 * m->n_pad; ++k) channel[-k] = channel[0];
+    for (int k = 0; k <= 2 * m->n_pad; ++k) channel[m->n_bin + k] = channel[m->n_bin - 1];
+  }
 }
 
 void lts_field_see(lts_field *soil) {
@@ -124,8 +131,8 @@ void lts_field_see(lts_field *soil) {
   *s++ = (float)(h->ground.end - h->ground.origin);
 }
 
-/* The largest of all values, each lowered by `fall` per bin of distance; in place, by way of out. */
-static void cone(const double *values, int n, double fall, float scale, float most, float *out) {
+/* The largest of all values, each lowered by `fall` per bin of distance; times `scale`, in [0, most]. */
+void lts_field_cone(const double *values, int n, double fall, float scale, float most, float *out) {
   double best = -HUGE_VAL;
   for (int k = 0; k < n; ++k) {
     best = fmax(best - fall, values[k]);
@@ -142,11 +149,13 @@ static void cone(const double *values, int n, double fall, float scale, float mo
 void lts_field_see_reach(lts_field *soil) {
   const lts_field_model *m = soil->model;
   double *depth = soil->top, *influence = soil->median;
+  soil->axis[0] = -m->length * sin(soil->head->lean);
+  soil->axis[1] = m->length * cos(soil->head->lean);
   for (int k = 0; k < m->n_bin; ++k) {
     depth[k] = soil->surface[k] - soil->profile[k];
     influence[k] = fmin(depth[k] / m->touch, 1.0);
   }
-  cone(influence, m->n_bin, m->bin / m->reach, 3.0f, 1.0f, soil->bins[LTS_INFLUENCE]);
-  cone(depth, m->n_bin, m->rise * m->bin, 1.0f, HUGE_VALF, soil->bins[LTS_DISTURBED]);
-  for (int k = 0; k < LTS_CHANNELS; ++k) pad(m, soil->bins[k]);
+  lts_field_cone(influence, m->n_bin, m->bin / m->reach, 3.0f, 1.0f, soil->bins[LTS_INFLUENCE]);
+  lts_field_cone(depth, m->n_bin, m->rise * m->bin, 1.0f, HUGE_VALF, soil->bins[LTS_DISTURBED]);
+  lts_field_pad(soil);
 }

@@ -1,4 +1,4 @@
-/* Particles: which may have moved, where they are, none inside the blade. */
+/* Particles: which may have moved, where they are, none inside the tool. */
 #include <math.h>
 #include <string.h>
 
@@ -8,7 +8,7 @@
 static void make_local(lts_field *soil) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;
-  if (soil->has_local && soil->local_is_of_bed == h->has_bed && !h->has_bed &&
+  if (soil->has_local && soil->local_is_of_bed == h->has_bed &&
       !memcmp(&soil->local_of, &h->ground, sizeof h->ground)) {
     return;
   }
@@ -39,8 +39,8 @@ static int find_moving(lts_field *soil) {
   const float *disturbed = soil->bins[LTS_DISTURBED];
   int n = 0;
   make_local(soil);
-  lts_field_see(soil);
-  lts_field_see_reach(soil);
+  soil->tool->see(soil);
+  soil->tool->see_reach(soil);
   for (int i = 0; i < m->n_soil; ++i) {
     const int low = soil->low[i];
     const float s = soil->share[i], r = 1.0f - s;
@@ -61,7 +61,7 @@ static void displacement(lts_field *soil, const int32_t *which, int n, float *me
   const lts_field_model *m = soil->model;
   const lts_kernels *run = soil->run;
   const int ld = LTS_PADDED(m->n_seen), latent = LTS_PADDED(m->latent);
-  lts_field_own_inputs(soil, which, n, soil->seen, ld);
+  soil->tool->own_inputs(soil, which, n, soil->seen, ld);
   for (int i = 0; i < 3 * n; ++i) mean[i] = 0.0f;
   for (int member = 0; member < soil->of_particles; ++member) {
     float *a = soil->a, *b = soil->b;
@@ -83,44 +83,18 @@ static void displacement(lts_field *soil, const int32_t *which, int n, float *me
   for (int i = 0; i < 3 * n; ++i) mean[i] /= (float)soil->of_particles;
 }
 
-/* Out of the blade, by the shortest way; twin of `soil_physics.inside`. `axis`: from the middle of its
- * lower edge to that of the upper one, m. */
-static void push_out(const lts_field *soil, const double axis[2], double point[3]) {
-  const lts_field_model *m = soil->model;
-  const lts_field_head *h = soil->head;
-  const double rel[2] = {point[0] - h->position[0], point[1] - h->position[1]};
-  double along = (rel[0] * axis[0] + rel[1] * axis[1]) / (m->length * m->length);
-  along = along < 0.0 ? 0.0 : along > 1.0 ? 1.0 : along;
-  const double away[2] = {rel[0] - along * axis[0], rel[1] - along * axis[1]};
-  const double square = away[0] * away[0] + away[1] * away[1];
-  const double beside = 0.5 * h->ground.width - fabs(point[2]);
-  if (!(square < m->blade_radius * m->blade_radius && beside > 0.0)) return;
-  const double distance = sqrt(square), in_plane = m->blade_radius - distance;
-  if (in_plane > beside) {
-    point[2] += point[2] < 0.0 ? -beside : beside;
-  } else if (distance > 1e-12) {
-    point[0] += in_plane * away[0] / distance;
-    point[1] += in_plane * away[1] / distance;
-  } else { /* on the segment itself there is no nearest side: out to the front */
-    point[0] += in_plane * axis[1] / m->length;
-    point[1] -= in_plane * axis[0] / m->length;
-  }
-}
-
-/* Brings `points` up to the newest state. */
-static void place(lts_field *soil) {
+void lts_field_place_particles(lts_field *soil) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;
   if (soil->placed) return;
   const float *rest = h->has_bed ? soil->bed : m->rest;
   const int across = 3 - m->axis - m->up, n = find_moving(soil);
-  const double axis[2] = {-m->length * sin(h->lean), m->length * cos(h->lean)};
   float mean[3 * LTS_FIELD_ROWS];
   memcpy(soil->points, rest, 3 * (size_t)m->n_soil * sizeof *rest);
   if (n) {
     lts_dense shared = m->soil_shared;
     shared.columns = soil->of_particles * LTS_PADDED(m->latent);
-    lts_field_shared_inputs(soil, soil->shared);
+    soil->tool->shared_inputs(soil, soil->shared);
     soil->run->dense(&shared, soil->shared, m->n_shared, 1, soil->bias, shared.columns, LTS_NORMED,
                      NULL, NULL);
   }
@@ -136,7 +110,7 @@ static void place(lts_field *soil) {
       for (int k = 0; k < 3; ++k) {
         now[k] = old[k] + (double)(size * mean[3 * row + k] * (k == 2 ? odd : 1.0f));
       }
-      push_out(soil, axis, now);
+      soil->tool->push_out(soil, now);
       float *point = soil->points + 3 * i;
       point[m->axis] = (float)(m->sign * now[0]);
       point[m->up] = (float)now[1];
@@ -151,7 +125,7 @@ int lts_field_particles(lts_field *soil, float *out, size_t count) {
   if (error) return error;
   if (!out) return LTS_ERROR_NULL;
   if (count != (size_t)soil->model->n_soil) return LTS_ERROR_VALUE;
-  place(soil);
+  lts_field_place_particles(soil);
   memcpy(out, soil->points, 3 * count * sizeof *out);
   return LTS_OK;
 }
@@ -167,23 +141,8 @@ int lts_field_height_map(lts_field *soil, const lts_grid *grid, float *out) {
   if (!grid || !out) return LTS_ERROR_NULL;
   const int bad = lts_check_grid(grid);
   if (bad) return bad;
-  place(soil);
+  lts_field_place_particles(soil);
   lts_clear_heights(grid, out);
   lts_raise_heights(grid, soil->model->up, soil->points, soil->model->n_soil, out);
   return LTS_OK;
-}
-
-int lts_field_renew(lts_field *soil) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
-  const lts_pose pose = soil->head->pose;
-  place(soil);
-  const lts_field_bed bed = {NULL, NULL, 0, soil->points};
-  const lts_field_model *m = soil->model;
-  const double *velocity = soil->head->velocity;
-  lts_twist twist = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
-  twist.linear[m->axis] = m->sign * velocity[0];
-  twist.linear[m->up] = velocity[1];
-  twist.angular[3 - m->axis - m->up] = m->turn * velocity[2];
-  return lts_field_start(soil, &pose, &twist, &bed, soil->head->ground.width);
 }

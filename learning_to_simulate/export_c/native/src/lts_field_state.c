@@ -6,6 +6,10 @@
 
 static int is_usable(const lts_field_model *m) { return m && m->abi == LTS_ABI; }
 
+static const lts_field_tool *tool_of(const lts_field_model *m) {
+  return m->tool == LTS_FIELD_WHEEL ? &lts_field_wheel : &lts_field_blade;
+}
+
 int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   if (!m || !out) return LTS_ERROR_NULL;
   if (!is_usable(m)) return LTS_ERROR_MODEL;
@@ -19,6 +23,11 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.travel_axis = m->axis;
   d.travel_sign = m->sign;
   d.has_bound = m->bound != NULL;
+  d.tool = m->tool;
+  d.n_context = m->n_context;
+  d.n_start = m->n_start;
+  d.roll_sign = -m->turn;
+  d.load = m->load;
   d.dt = m->dt;
   d.blade_width = m->width;
   d.blade_radius = m->blade_radius;
@@ -30,16 +39,18 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.start[m->axis] = m->sign * m->start_u;
   d.start[m->up] = m->start_height + m->blade_radius + 0.01;
   d.start[3 - m->axis - m->up] = m->middle;
+  if (m->n_start) memcpy(d.start, m->starts[0].pose, sizeof d.start);
   d.name = m->name;
   d.digest = m->digest;
   d.scalar_names = m->scalar_names;
+  d.context_names = m->context_names;
   *out = d;
   return LTS_OK;
 }
 
 size_t lts_field_bytes(const lts_field_model *m, int has_bed) {
   size_t bytes = lts_aligned(sizeof(lts_field_head), 8);
-  bytes += 4 * (size_t)m->n_bin * sizeof(double);
+  bytes += (size_t)(tool_of(m)->n_row * m->n_bin) * sizeof(double);
   return bytes + (has_bed ? lts_aligned(3 * (size_t)m->n_soil * sizeof(float), 8) : 0);
 }
 
@@ -55,8 +66,13 @@ size_t lts_field_lay_out(const lts_field_model *m, char *base, lts_field *soil) 
     soil->surface = (double *)(void *)(state + lts_aligned(sizeof(lts_field_head), 8));
     soil->profile = soil->surface + bins;
     soil->last = soil->profile + bins;
-    soil->area_before = soil->last + bins;
-    soil->bed = (float *)(void *)(soil->area_before + bins);
+    soil->area_before = soil->first = soil->last + bins;
+    if (m->tool == LTS_FIELD_WHEEL) {
+      soil->slid = soil->first + bins;
+      soil->shear = soil->slid + bins;
+      soil->peak = soil->shear + bins;
+    }
+    soil->bed = (float *)(void *)(state + lts_field_bytes(m, 0));
   }
   at += lts_aligned(lts_field_bytes(m, 1), LTS_ALIGNMENT);
 #define TAKE(field, type, count)                             \
@@ -84,6 +100,7 @@ size_t lts_field_lay_out(const lts_field_model *m, char *base, lts_field *soil) 
   TAKE(top, double, 2 * n > bins ? 2 * n : bins)
   TAKE(median, double, 2 * n > bins ? 2 * n : bins)
   TAKE(heights, double, bins)
+  TAKE(before, char, lts_field_bytes(m, 0))
 #undef TAKE
   return at;
 }
@@ -107,6 +124,7 @@ int lts_field_init(const lts_field_model *m, void *memory, size_t size, int kern
   lts_field_lay_out(m, base, soil);
   soil->model = m;
   soil->run = run;
+  soil->tool = tool_of(m);
   soil->kernel = found;
   soil->of_force = soil->of_particles = m->n_member;
   soil->magic = LTS_FIELD_MAGIC;

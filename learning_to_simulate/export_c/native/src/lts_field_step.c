@@ -4,8 +4,7 @@
 
 #include "lts_field_internal.h"
 
-/* u, height and lean of an upright tool; 0 where the pose has no numbers or no rotation. */
-static int plane_of(const lts_field_model *m, const lts_pose *pose, double plane[3]) {
+int lts_field_plane_of(const lts_field_model *m, const lts_pose *pose, double plane[3]) {
   double up[3] = {0.0, 0.0, 0.0};
   lts_pose unit;
   if (!lts_usable_pose(pose, &unit)) return 0;
@@ -17,52 +16,10 @@ static int plane_of(const lts_field_model *m, const lts_pose *pose, double plane
   return 1;
 }
 
-/* Load of the networks into `result`, of mean and spread; needs `lts_field_see`. */
-static void find_load(lts_field *soil, lts_field_result *result) {
-  const lts_field_model *m = soil->model;
-  const lts_kernels *run = soil->run;
-  const int latent = LTS_PADDED(m->load_latent), n = soil->of_force;
-  const float share = lts_field_contact(soil);
-  double mean[3] = {0.0, 0.0, 0.0}, square[3] = {0.0, 0.0, 0.0};
-  if (share > 0.0f) {
-    lts_dense first = m->load_first;
-    first.columns = n * latent;
-    lts_field_force_inputs(soil, soil->seen);
-    run->dense(&first, soil->seen, m->n_force, 1, soil->a, first.columns, LTS_SILU, NULL, NULL);
-    const float scale[3] = {m->force, m->force, m->torque};
-    const float half_width = soil->scalars[m->n_scalar - 2];
-    for (int member = 0; member < n; ++member) {
-      float *x = soil->a + member * latent, *y = soil->b + member * latent;
-      for (int k = 0; k < m->n_load_hidden; ++k) {
-        const lts_dense *layer = &m->load_hidden[member * m->n_load_hidden + k];
-        run->dense(layer, x, latent, 1, y, latent, LTS_SILU, NULL, NULL);
-        float *other = x;
-        x = y;
-        y = other;
-      }
-      run->dense(&m->load_last[member], x, latent, 1, soil->out, LTS_PANEL, LTS_NORMED, NULL, NULL);
-      const float most = m->gain_limit, gain = expf(fminf(fmaxf(soil->out[3], -most), most));
-      for (int k = 0; k < 3; ++k) {
-        const double load = soil->out[k] * gain * (share * (2.0f * half_width / m->full_width)) *
-                            scale[k];
-        const double away = load - mean[k]; /* Welford's mean and spread */
-        mean[k] += away / (member + 1);
-        square[k] += away * (load - mean[k]);
-      }
-    }
-  }
-  const int across = 3 - m->axis - m->up;
-  memset(result->force, 0, sizeof result->force);
-  memset(result->torque, 0, sizeof result->torque);
-  result->force[m->axis] = m->sign * mean[0];
-  result->force[m->up] = mean[1];
-  result->torque[across] = m->turn * mean[2];
-  result->force_bound = 0.0;
-  if (m->bound) {
-    const double spread = sqrt(0.5 * (square[0] + square[1]) / n);
-    const double size = sqrt(0.5 * (mean[0] * mean[0] + mean[1] * mean[1]));
-    result->force_bound = m->bound[0] + m->bound[1] * spread + m->bound[2] * size;
-  }
+void lts_field_rates(const lts_field_model *m, const lts_twist *twist, double velocity[3]) {
+  velocity[0] = twist ? m->sign * twist->linear[m->axis] : 0.0;
+  velocity[1] = twist ? twist->linear[m->up] : 0.0;
+  velocity[2] = twist ? m->turn * twist->angular[3 - m->axis - m->up] : 0.0;
 }
 
 /* Status of the newest frame, and why. */
@@ -80,7 +37,9 @@ static int judge(lts_field *soil, const lts_field_result *result) {
     status |= m->bits[i];
   }
   for (int k = 0; k < 3; ++k) {
-    if (isfinite(result->force[k]) && isfinite(result->torque[k])) continue;
+    if (isfinite(result->force[k]) && isfinite(result->torque[k]) && isfinite(result->point[k])) {
+      continue;
+    }
     const lts_judgement found = {LTS_NON_FINITE,    soil->head->frame, -1,      -1,
                                  result->force[k], -HUGE_VAL,         HUGE_VAL};
     *judged = found;
@@ -89,17 +48,50 @@ static int judge(lts_field *soil, const lts_field_result *result) {
   return status;
 }
 
-/* What the newest state looks like; `with_load`: also what the tool feels. */
-static int answer(lts_field *soil, int with_load) {
+/* Judges the newest state; needs `see`. */
+static int answer(lts_field *soil) {
+  const lts_field_model *m = soil->model;
   lts_field_head *head = soil->head;
   lts_field_result *result = &head->result;
+  if (m->tool == LTS_FIELD_WHEEL) head->pose.position[m->up] = head->position[1];
   memcpy(result->point, head->pose.position, sizeof result->point);
   result->frame = head->frame;
-  lts_field_see(soil);
-  if (with_load) find_load(soil, result);
   result->status = judge(soil, result);
   soil->placed = 0;
   return result->status;
+}
+
+int lts_field_begin_on(lts_field *soil, const lts_pose *pose, const double plane[4],
+                       const double velocity[3], const float *points, int has_bed, double width,
+                       const lts_field_drive *drive, const double *context) {
+  const lts_field_model *m = soil->model;
+  const size_t n = 3 * (size_t)m->n_soil;
+  lts_field_ground ground;
+  const int bad = lts_field_read_bed(soil, points, plane[0], width, soil->heights, &ground);
+  if (bad) return bad;
+  lts_field_head *head = soil->head;
+  double values[LTS_FIELD_CONTEXT] = {0.0}; /* `context` may be that of the head */
+  for (int i = 0; i < m->n_context; ++i) values[i] = context[i];
+  lts_field_drive sizes; /* likewise */
+  memset(&sizes, 0, sizeof sizes);
+  if (drive) sizes = *drive;
+  memset(head, 0, lts_aligned(sizeof *head, 8));
+  memcpy(soil->surface, soil->heights, (size_t)m->n_bin * sizeof *soil->surface);
+  if (has_bed) memmove(soil->bed, points, n * sizeof *points);
+  if (has_bed) soil->has_local = 0;
+  head->started = 1;
+  head->has_bed = has_bed;
+  head->ground = ground;
+  head->pose = *pose;
+  head->drive = sizes;
+  memcpy(head->context, values, sizeof values);
+  if (drive) {
+    lts_field_wheel_begin(soil, plane, velocity);
+  } else {
+    lts_field_begin(soil, plane, velocity);
+  }
+  soil->tool->see(soil);
+  return answer(soil);
 }
 
 int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twist,
@@ -108,49 +100,56 @@ int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twis
   if (error) return error;
   if (!pose) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
-  const size_t n = 3 * (size_t)m->n_soil;
-  double plane[3];
-  if (!plane_of(m, pose, plane) || (twist && !lts_usable_twist(twist))) return LTS_ERROR_VALUE;
+  double plane[4], velocity[3];
+  if (m->tool != LTS_FIELD_BLADE) return LTS_ERROR_CALL;
+  if (!lts_field_plane_of(m, pose, plane) || (twist && !lts_usable_twist(twist))) {
+    return LTS_ERROR_VALUE;
+  }
   if (!(blade_width >= 0.0 && isfinite(blade_width))) return LTS_ERROR_VALUE;
-  const double width = blade_width > 0.0 ? blade_width : m->width;
   const float *points = m->rest;
-  if (bed && bed->n) {
-    if (!bed->places || !bed->heights) return LTS_ERROR_NULL;
-    if (bed->n < 2) return LTS_ERROR_VALUE;
-    const int bad = lts_field_stretch(m, bed, soil->points);
-    soil->placed = 0;
-    if (bad) return bad;
-    points = soil->points;
-  } else if (bed) {
-    if (!bed->particles) return LTS_ERROR_NULL;
-    for (size_t i = 0; i < n; ++i) {
-      if (!isfinite(bed->particles[i])) return LTS_ERROR_VALUE;
-    }
-    points = bed->particles;
-  }
-  /* The state is written once nothing can fail. */
-  lts_field_ground ground;
-  const int bad = lts_field_read_bed(soil, points, plane[0], width, soil->heights, &ground);
+  const int bad = bed ? lts_field_take_bed(soil, bed, &points) : LTS_OK;
   if (bad) return bad;
+  lts_field_rates(m, twist, velocity);
+  return lts_field_begin_on(soil, pose, plane, velocity, points, bed != NULL,
+                            blade_width > 0.0 ? blade_width : m->width, NULL, NULL);
+}
+
+int lts_field_renew(lts_field *soil) {
+  const int error = lts_field_check_started(soil);
+  if (error) return error;
+  const lts_field_head *h = soil->head;
+  const lts_pose pose = h->pose;
+  const double plane[4] = {h->position[0], h->position[1],
+                           soil->model->tool == LTS_FIELD_WHEEL ? h->drive.turned : h->lean,
+                           h->drive.load};
+  const double velocity[3] = {h->velocity[0], h->velocity[1], h->velocity[2]};
+  const lts_field_drive *drive = soil->model->tool == LTS_FIELD_WHEEL ? &h->drive : NULL;
+  lts_field_place_particles(soil);
+  return lts_field_begin_on(soil, &pose, plane, velocity, soil->points, 1, h->ground.width, drive,
+                            h->context);
+}
+
+/* A wheel goes on: what is given first, then the height that follows from it. The state is put back where
+ * that is refused. */
+static int go_wheel(lts_field *soil, const double plane[4], double dt) {
+  const lts_field_model *m = soil->model;
   lts_field_head *head = soil->head;
-  memset(head, 0, lts_aligned(sizeof *head, 8));
-  memcpy(soil->surface, soil->heights, (size_t)m->n_bin * sizeof *soil->surface);
-  if (bed) {
-    memmove(soil->bed, points, n * sizeof *points);
-    soil->has_local = 0;
+  const lts_field_drive *d = &head->drive;
+  const size_t size = lts_field_bytes(m, 0);
+  const double from[2] = {head->position[0], head->position[1]};
+  lts_field_result result = head->result;
+  memcpy(soil->before, head, size);
+  lts_field_wheel_drive(soil, plane, dt);
+  soil->tool->see(soil);
+  const double height = d->first_height + lts_field_find_load(soil, &result);
+  if (height - d->radius < head->ground.floor) {
+    memcpy(head, soil->before, size);
+    return LTS_ERROR_PLACE;
   }
-  head->started = 1;
-  head->has_bed = bed != NULL;
-  head->ground = ground;
-  head->pose = *pose;
-  double velocity[3] = {0.0, 0.0, 0.0};
-  if (twist) {
-    velocity[0] = m->sign * twist->linear[m->axis];
-    velocity[1] = twist->linear[m->up];
-    velocity[2] = m->turn * twist->angular[3 - m->axis - m->up];
-  }
-  lts_field_begin(soil, plane, velocity);
-  return answer(soil, 0);
+  head->result = result;
+  lts_field_wheel_sink(soil, from, height);
+  soil->tool->see(soil); /* height and area have changed */
+  return LTS_OK;
 }
 
 int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_result *result) {
@@ -158,20 +157,30 @@ int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_
   if (error) return error;
   if (!pose) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
+  const int is_wheel = m->tool == LTS_FIELD_WHEEL;
   lts_field_head *head = soil->head;
-  double plane[3];
-  if (!plane_of(m, pose, plane) || !(dt > 0.0 && isfinite(dt))) return LTS_ERROR_VALUE;
-  const double speed = hypot(plane[0] - head->position[0], plane[1] - head->position[1]) / dt;
-  if (!(speed <= m->fastest && fabs(plane[2] - head->lean) / dt <= m->fastest_turn)) {
-    return LTS_ERROR_JUMP;
-  }
+  double plane[4];
+  if (!lts_field_plane_of(m, pose, plane) || !(dt > 0.0 && isfinite(dt))) return LTS_ERROR_VALUE;
+  if (is_wheel) lts_field_wheel_plane(soil, plane);
+  const double rise = is_wheel ? 0.0 : plane[1] - head->position[1];
+  const double turn = plane[2] - (is_wheel ? head->drive.turned : head->lean);
+  const double speed = hypot(plane[0] - head->position[0], rise) / dt;
+  if (!(speed <= m->fastest && fabs(turn) / dt <= m->fastest_turn)) return LTS_ERROR_JUMP;
   const double offset = plane[0] - head->ground.origin, last = m->first + (m->n_bin - 1) * m->bin;
-  if (plane[1] - m->blade_radius < head->ground.floor) return LTS_ERROR_PLACE;
-  if (offset - m->radius < m->first || offset + m->radius > last) return LTS_ERROR_PLACE;
-  lts_field_go(soil, plane, dt);
+  const double radius = is_wheel ? head->drive.radius : m->radius;
+  if (!is_wheel && plane[1] - m->blade_radius < head->ground.floor) return LTS_ERROR_PLACE;
+  if (!(offset - radius >= m->first && offset + radius <= last)) return LTS_ERROR_PLACE;
+  if (is_wheel) {
+    const int bad = go_wheel(soil, plane, dt);
+    if (bad) return bad;
+  } else {
+    lts_field_go(soil, plane, dt);
+    soil->tool->see(soil);
+    lts_field_find_load(soil, &head->result);
+  }
   head->pose = *pose;
   if (head->frame < INT32_MAX) ++head->frame;
-  const int status = answer(soil, 1);
+  const int status = answer(soil);
   if (result) *result = head->result;
   return status;
 }
@@ -186,6 +195,14 @@ int lts_field_advance(lts_field *soil, double h, const lts_pose *pose, const lts
   if (!(h > 0.0 && isfinite(h))) return LTS_ERROR_VALUE;
   lts_moved_pose(&coming, twist, h, &coming);
   return lts_field_frame(soil, &coming, h, result);
+}
+
+int lts_field_newest(const lts_field *soil, lts_field_result *result) {
+  const int error = lts_field_check_started(soil);
+  if (error) return error;
+  if (!result) return LTS_ERROR_NULL;
+  *result = soil->head->result;
+  return result->status;
 }
 
 int lts_field_judge(const lts_field *soil, lts_judgement *out) {

@@ -104,6 +104,33 @@ class FlatBed:
         return bed_points()
 
 
+class BentBeds:
+    """A subspace of beds: the flat one, and two modes that bend it."""
+
+    n_modes = 4
+
+    def __init__(self, points):
+        x = points[:, :1]
+        self.mean = points
+        self.components = np.concatenate([x - 0.3, np.sin(20 * x), 0 * x, 0 * x], axis=1)
+
+    def decode(self, modes):
+        """[N, 3] m."""
+        return self.components @ np.asarray(modes, np.float64) + self.mean
+
+
+def two_starts(field) -> dict:
+    """`starts` and `subspace` of two wheels of different size on two beds and soils."""
+    modes = np.zeros((2, 4, 3))
+    modes[1, :2, 1] = 0.02, 0.003
+    pose = np.stack([world_pose(path()[0, 0])] * 2)
+    starts = Starts(
+        ({'case': 7}, {'case': 8}), (body(), 0.8 * body()), (np.arange(16),) * 2, pose, modes,
+        np.array([CONTEXT, [9.81, 30.0, 200.0]]), None,
+    )  # fmt: skip
+    return {'starts': starts, 'subspace': BentBeds(field.rest)}
+
+
 def make_live(field, **options) -> LiveField:
     """Steps the field with a wheel on the bed of its one start."""
     modes = np.zeros((1, field.scene.n_modes, 3))

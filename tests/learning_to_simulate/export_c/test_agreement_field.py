@@ -1,0 +1,31 @@
+"""Shipped swept fields in C against Python over whole test runs, and the table of that."""
+
+import pytest
+
+from learning_to_simulate.export_c import agreement_field, c_library
+from pca_tools import files
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+)
+@pytest.mark.parametrize('scene', ['excavation_v2', 'wheel_v2'])
+def test_shipped_fields_over_whole_test_runs(scene):
+    rows = agreement_field.measure(f'models/{scene}/swept_field', f'datasets/{scene}')
+    for row in rows:
+        assert row['frames'] > 40 and row['same_status'] == row['frames']
+        # Measured 7.4e-6, 6e-8 m and 4e-7 m on the wheel's grid; 2.9e-6 and 9e-7 m on a blade.
+        assert row['force'] <= 1e-5 and row['height_m'] <= 1e-6
+        assert row['particles_m'] <= 2e-6 and row['motion_m'] > 1e-3
+
+
+def test_the_table_has_the_largest_of_all_runs(tmp_path):
+    row = {
+        'frames': 10, 'force': 3e-6, 'torque': 1e-6, 'height_m': 1e-8, 'particles_m': 1e-7,
+        'motion_m': 0.01, 'same_status': 9,
+    }  # fmt: skip
+    path = str(tmp_path / 'agreement.json')
+    files.write_json(path, {'m': [row, row | {'frames': 5, 'force': 4e-6, 'same_status': 5}]})
+    line = agreement_field.table(path).splitlines()[-1]
+    assert line == '| m | 2 | 15 | 4.0e-6 | 1.0e-6 | 1.0e-8 | 1.0e-7 | 14 of 15 |'
