@@ -21,7 +21,7 @@ _RATES = ('speed', 'rise', 'turn')
 _SCALARS = ('tip', 'height', 'lean', *_RATES)
 _LAST_SCALARS = ('area', 'foremost', 'half_width', 'end')
 # Inputs of a particle and of the force that no list of places counts.
-_OWN, _OF_TOOL, _OF_EDGE = 15, 8, 7
+_OWN, _OF_TOOL, _OF_EDGE = 19, 8, 7
 
 
 def values(field) -> dict:

@@ -119,6 +119,11 @@ static void own_inputs(const lts_field *soil, const int32_t *which, int n, float
     x[k++] = before / 0.01f;
     x[k++] = sqrtf(before + 1e-6f) / 0.1f;
     x[k++] = s.end - u;
+    const float past_end = beside - s.half_width;
+    TANH(past_end / 0.008f);
+    EXP_MINUS((past_end / 0.02f) * (past_end / 0.02f));
+    TANH(above / 0.004f);
+    EXP_MINUS((above / 0.012f) * (above / 0.012f));
     for (int j = 0; j < around.n; ++j) {
       const lts_place at = lts_moved(here, &around, j);
       x[k + j] = lts_between(cuts, at) / 0.03f;
