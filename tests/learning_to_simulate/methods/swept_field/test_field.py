@@ -39,6 +39,9 @@ def twin(bins, scalars, rest):
         np.tanh((abs(z) - s['half_width']) / 0.1),
         above / 0.05, np.tanh(above / 0.01), foremost / 0.15, np.tanh(foremost / 0.03),
         before / 0.01, np.sqrt(before + 1e-6) / 0.1, s['end'] - u,
+        np.tanh((abs(z) - s['half_width']) / 0.008),
+        np.exp(-(((abs(z) - s['half_width']) / 0.02) ** 2)),
+        np.tanh(above / 0.004), np.exp(-((above / 0.012) ** 2)),
     ]  # fmt: skip
     values += [at(C.CUT, u + d) / 0.03 for d in inputs_lib.AROUND]
     values += [(at(C.SURFACE, u + d) - surface) / 0.03 for d in inputs_lib.AROUND]

@@ -218,5 +218,5 @@ def test_only_the_load_of_a_wheel_may_change(wheel_field):
         assert live.state is kept
     # What was said of the load holds on.
     assert live.step(poses[2]).modes.pose[3] == 150.0 and np.isfinite(force).all()
-    with pytest.raises(ValueError, match='blades only'):
+    with pytest.raises(ValueError, match='a blade is asked for, the tool of this field is a wheel'):
         live.start(poses[0], blade_width=0.3)

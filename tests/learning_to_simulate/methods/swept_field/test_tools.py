@@ -104,7 +104,7 @@ def test_the_tool_of_a_scene():
         tools.for_scene(dataclasses.replace(scene, context_names=('load',)))
 
 
-def test_what_knows_blades_only_is_refused_a_wheel():
-    with pytest.raises(ValueError, match='wheel has no C form'):
+def test_a_wheel_is_no_blade():
+    with pytest.raises(ValueError, match='the tool of this field is a wheel'):
         _ = world.make_field().blade
     assert small_world.make_field().blade == Blade()
