@@ -134,7 +134,9 @@ def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
             points = expected.particles()
             apart.append(np.abs(soil.particles() - points).max())
             motion.append(np.abs(points - before).max())
-    force, torque = (_share(*(np.array(found)[:, i] for found in rows), 0.0) for i in range(2))
+    force = torque = 0.0
+    if rows[0]:  # a wheel may be refused at once, where both find it under the floor
+        force, torque = (_share(*(np.array(found)[:, i] for found in rows), 0.0) for i in range(2))
     return {
         'frames': len(rows[0]),
         'force': force,
