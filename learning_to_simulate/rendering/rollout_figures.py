@@ -145,7 +145,7 @@ def strip_figure(
     rows = [(one, which, 'speed', name) for one, which, name in _shown(frames, beside)]
     n_speed = len(rows)
     if frames.subspace is not None and frames.has_truth:
-        rows.append((frames, PREDICTION, 'error', 'error of prediction'))
+        rows.append((frames, PREDICTION, 'error', f'error of {_name(frames, PREDICTION)}'))
     with rc_context(STYLE):
         page = _Page(n_columns=len(moments), n_rows=len(rows), aspect=view.aspect, dpi=dpi)
         page.write_header(frames)
