@@ -13,17 +13,18 @@ from learning_to_simulate.export_c import comparing, field_data
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field.live import LiveField
-from pca_tools import dataset, files
+from pca_tools import dataset, files, splits
 from storage import markdown
 
 PARTICLES_EVERY = 40
 
 
-def measure(model_path: str, data_path: str) -> list[dict]:
+def measure(model_path: str, data_path: str, limit: int = 0) -> list[dict]:
     """One row for each test run, see `comparing.play_field`, with its `kind` and `case`.
 
     Args:
       model_path, data_path: a swept field and its dataset.
+      limit: only so many runs, spread over test; 0: all.
 
     Raises:
       FileNotFoundError, ValueError: no model or dataset there.
@@ -34,8 +35,9 @@ def measure(model_path: str, data_path: str) -> list[dict]:
     soil = CField.of(field, **parts)
     cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
     rows = []
-    for record, run in enumerate(dataset.read_split(data_path, 'test')):
-        case = cases[record] if record < len(cases) else {}
+    runs = dataset.read_split(data_path, 'test')
+    for record in splits.spread_over(len(runs), limit):
+        run, case = runs[record], cases[record] if record < len(cases) else {}
         row = comparing.play_field(soil, live, run, case.get('case'), PARTICLES_EVERY)
         rows.append({'kind': case.get('kind'), 'case': case.get('case'), **row})
     return rows
