@@ -51,8 +51,17 @@ class Contact:
 
     @classmethod
     def of_statistics(cls, contact, surface, scene) -> 'Contact':
-        """The reader of `to_statistics`."""
-        surface = np.asarray(surface, np.float32)
+        """The reader of `to_statistics`.
+
+        Raises:
+          ValueError: shapes that do not fit the modes.
+        """
+        surface, width = np.asarray(surface, np.float32), 2 + 3 * scene.n_modes
+        if np.shape(contact) != (2,) or surface.ndim != 2 or surface.shape[1] != width:
+            raise ValueError(
+                f'the statistics contact and surface have shapes {np.shape(contact)} and '
+                f'{surface.shape}, (2,) and (P, {width}) were expected'
+            )
         weights = surface[:, 2:].T.reshape(scene.n_modes, -1, len(surface))
         axis, clear = map(float, contact)
         return cls(int(axis), scene.up_axis, clear, surface[:, 0], surface[:, 1], weights)
