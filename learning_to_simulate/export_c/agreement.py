@@ -106,8 +106,8 @@ def table(path: str) -> str:
     return '\n'.join(lines).replace('e-0', 'e-')
 
 
-def run(values) -> None:
-    """Runs the command with its flags."""
+def run(values, measure=measure) -> None:
+    """Runs the command with its flags: `measure` of each model, into one JSON file."""
     command.import_tensorflow(num_threads=1)
     found = {}
     if values.output and os.path.exists(values.output):

@@ -4,12 +4,12 @@ Example:
   python -m learning_to_simulate.export_c.agreement_field --output=docs/c/agreement_field.json
 """
 
-import os
+import functools
 
 from absl import flags
 
 from learning_to_simulate import command
-from learning_to_simulate.export_c import comparing, field_data
+from learning_to_simulate.export_c import agreement, comparing, field_data
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field.live import LiveField
@@ -55,26 +55,10 @@ def table(path: str) -> str:
     return markdown.table((*header, 'status agrees'), lines)
 
 
-def run(values) -> None:
-    """Runs the command with its flags."""
-    command.import_tensorflow(num_threads=1)
-    found = {}
-    if values.output and os.path.exists(values.output):
-        found = files.read_json(values.output)
-    for path in values.models:
-        scene = os.path.basename(os.path.dirname(os.path.normpath(path)))
-        print(f'comparing {path} ...', flush=True)
-        found[os.path.normpath(path)] = measure(path, os.path.join(values.data_root, scene))
-        if values.output:
-            files.write_json(values.output, found)
-    for name, rows in found.items():
-        print(name, *rows, sep='\n  ')
-
-
 if __name__ == '__main__':
     flags.DEFINE_list(
         'models', [f'models/{s}_v2/swept_field' for s in ('excavation', 'wheel')], 'Model folders.'
     )
     flags.DEFINE_string('data_root', 'datasets', 'Folder of the datasets, named as the scenes.')
     flags.DEFINE_string('output', None, 'JSON file for the figures; other models in it stay.')
-    command.start(run)
+    command.start(functools.partial(agreement.run, measure=measure))

@@ -7,7 +7,7 @@ import numpy as np
 
 from learning_to_simulate.export_c import c_library, c_values, field_data
 from learning_to_simulate.export_c.c_field import CField
-from learning_to_simulate.export_c.c_instance import KERNELS
+from learning_to_simulate.export_c.c_instance import KERNELS, KernelLacks
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import dataset
@@ -41,7 +41,7 @@ def measure(library: ctypes.CDLL, model_path: str, data_path: str, calls: int, t
         for members in dict.fromkeys((field.config.members, 1)):
             try:
                 soil = CField(library, ctypes.addressof(data.value), kernel, members)
-            except ValueError:  # a kernel that this machine lacks
+            except KernelLacks:
                 continue
             soil.start(poses[0], **start)
             soils[f'{kernel}, {members} networks'.replace(' 1 networks', ' 1 network')] = soil

@@ -10,6 +10,10 @@ from learning_to_simulate.live.poses import numbers
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 
 
+class KernelLacks(ValueError):
+    """This machine lacks the instructions of a kernel."""
+
+
 class CInstance:
     """One run of a model, in memory of its own.
 
@@ -40,7 +44,7 @@ class CInstance:
             ctypes.byref(soil),
         )
         if code < 0:
-            raise ValueError(f'this machine lacks kernel {kernel!r}')
+            raise KernelLacks(f'this machine lacks kernel {kernel!r}')
         self._soil = soil.value
         self._result = c_header.structures()[f'{self.PREFIX}result']()
         # Every call uses the same structure: an address costs a microsecond.
