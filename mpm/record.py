@@ -4,6 +4,7 @@
     python -m mpm.record --list
     python -m mpm.record --output_path=raw --parts=operator --expect=digests.json
     python -m mpm.record --output_path=raw --held=datasets/excavation_v2,datasets/wheel_v2
+    python -m mpm.record --output_path=raw --splits=valid,test
 
 Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel, part by part in this order, so that
 what teaches most is there first:
@@ -25,6 +26,9 @@ import os
 import sys
 import time
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
 
 from absl import app, flags, logging
 
@@ -53,25 +57,41 @@ _NUM_PROCESSES = flags.DEFINE_integer(
 )
 _EXPECT = flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
 _HELD = flags.DEFINE_list('held', [], 'Datasets whose runs are not made again.')
+_SPLITS = flags.DEFINE_list(
+    'splits', list(splits.SPLITS), f'Only runs of these splits: {",".join(splits.SPLITS)}.'
+)
 _LIST = flags.DEFINE_bool('list', False, 'Only say what would be made.')
 
 
-def runs_of(part: str, limit: int | None = None, held: dict[str, set[str]] | None = None) -> tuple:
-    """Returns the ids of the runs of a part, in the order in which they are made.
+class Selection(NamedTuple):
+    """Which runs of a part are meant."""
 
-    Args:
-        part: one of `PARTS`.
-        limit: only so many from the beginning.
-        held: of `held_by`; these runs are left out, before the limit counts.
+    limit: int | None = None  # only so many from the beginning of what the others leave
+    held: Mapping[str, set[str]] = MappingProxyType({})  # of `held_by`; these are left out
+    splits: Sequence[str] = splits.SPLITS
+
+
+ALL = Selection()
+
+
+def runs_of(part: str, selection: Selection = ALL) -> tuple:
+    """Returns the ids of the selected runs of a part, in the order in which they are made.
 
     Raises:
-        ValueError: if there is no such part.
+        ValueError: if there is no such part or split.
     """
     if part not in PARTS:
         raise ValueError(f'unknown part {part!r}; there are {", ".join(PARTS)}')
+    if unknown := set(selection.splits) - set(splits.SPLITS):
+        raise ValueError(f'unknown splits {sorted(unknown)}; there are {", ".join(splits.SPLITS)}')
     scene, order = PARTS[part]
-    left_out = (held or {}).get(scene.name, set())
-    return tuple(case for case in order(scene) if str(case) not in left_out)[:limit]
+    left_out = selection.held.get(scene.name, set())
+    chosen = [
+        case
+        for case in order(scene)
+        if str(case) not in left_out and splits.split_of(scene, case) in selection.splits
+    ]
+    return tuple(chosen[: selection.limit])
 
 
 def held_by(datasets) -> dict[str, set[str]]:
@@ -93,9 +113,9 @@ def held_by(datasets) -> dict[str, set[str]]:
     return held
 
 
-def table(parts, limit: int | None = None, held: dict[str, set[str]] | None = None) -> str:
-    """Returns what the parts hold, by kind and split, as text."""
-    counted = {part: runs_of(part, limit, held) for part in parts}
+def table(parts, selection: Selection = ALL) -> str:
+    """Returns what the selected runs of the parts are, by kind and split, as text."""
+    counted = {part: runs_of(part, selection) for part in parts}
     lines = [f'{"part":<16}{"kind":<11}{"runs":>5}' + ''.join(f'{s:>7}' for s in splits.SPLITS)]
     for part, cases in counted.items():
         scene, _ = PARTS[part]
@@ -122,22 +142,18 @@ def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
 
 
 def make(
-    parts,
-    output_path: str,
-    num_processes: int,
-    limit: int | None,
-    held: dict[str, set[str]] | None = None,
+    parts, output_path: str, num_processes: int, selection: Selection = ALL
 ) -> dict[str, dict]:
-    """Makes the parts that are not there yet; returns scene -> run -> digest.
+    """Makes the selected runs of the parts that are not there yet; returns scene -> run -> digest.
 
     A part whose runs fail does not keep the next from being made.
 
     Raises:
-        ValueError: an unknown part, or runs that failed; see `batch.generate`.
+        ValueError: an unknown part or split, or runs that failed; see `batch.generate`.
         OSError: see `batch.generate`.
     """
     failures = []
-    for part, cases in {part: runs_of(part, limit, held) for part in parts}.items():
+    for part, cases in {part: runs_of(part, selection) for part in parts}.items():
         scene, _ = PARTS[part]
         folder = os.path.join(output_path, scene.name)
         started = time.time()
@@ -186,14 +202,14 @@ def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
     try:
-        held = held_by(_HELD.value)
+        selection = Selection(_LIMIT.value, held_by(_HELD.value), _SPLITS.value)
         if _LIST.value:
-            print(table(_PARTS.value, _LIMIT.value, held))
+            print(table(_PARTS.value, selection))
             return
         if _OUTPUT_PATH.value is None:
             raise ValueError('give --output_path, or --list to see what would be made')
         expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
-        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, _LIMIT.value, held)
+        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection)
     except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)

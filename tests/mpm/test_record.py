@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mpm import batch, record, scenes
+from mpm import batch, record, scenes, splits
 from mpm.experiments import coarse
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ def small(monkeypatch):
 
 
 def make(path, parts=('operator', 'wheel_free', 'excavation_grid'), limit=2):
-    return record.make(list(parts), str(path), 1, limit)
+    return record.make(list(parts), str(path), 1, record.Selection(limit))
 
 
 def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, monkeypatch, capsys):
@@ -31,7 +31,7 @@ def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, mo
     assert capsys.readouterr().out.count('2 new runs') == 3
     assert set(found) == {'excavation', 'wheel'}
     assert set(found['wheel']) == {'slip_0000', 'stops_0001'}
-    grid = [str(case) for case in record.runs_of('excavation_grid', 2)]
+    grid = [str(case) for case in record.runs_of('excavation_grid', record.Selection(2))]
     assert set(found['excavation']) == {'smooth_0000', 'stops_0001', *grid}
     kept = json.loads((tmp_path / 'wheel' / record.DIGESTS).read_text())
     assert kept == {'wheel': found['wheel']}
@@ -62,6 +62,15 @@ def test_other_content_is_found():
     assert record.compare({'lift_0003': 'aa', '7': 'xx', '9': 'dd'}, expected) == ['7']
 
 
+def test_splits_share_the_runs_of_a_part():
+    parts = [record.runs_of('operator', record.Selection(splits=[s])) for s in splits.SPLITS]
+    assert [len(part) for part in parts] == [180, 20, 50]
+    assert set().union(*parts) == set(record.runs_of('operator'))
+    assert {splits.split_of(scenes.EXCAVATION, case) for case in parts[2]} == {'test'}
+    first = record.Selection(limit=3, splits=['test'])
+    assert record.runs_of('operator', first) == parts[2][:3]  # the limit counts these alone
+
+
 def command(*arguments):
     return subprocess.run(
         [sys.executable, '-m', 'mpm.record', *arguments], capture_output=True, text=True, cwd=ROOT
@@ -81,6 +90,7 @@ def test_command_lists_what_it_would_make():
     [
         ([], 'give --output_path, or --list'),
         (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, wheel_free"),
+        (['--splits=exam', '--list'], "unknown splits ['exam']; there are train, valid, test"),
         (['--expect=nothing.json', '--output_path=x'], "No such file or directory: 'nothing.json'"),
     ],
 )
@@ -102,16 +112,15 @@ def test_what_datasets_hold_is_left_out(tmp_path):
     wheel = '{"scene": {"name": "wheel"}, "cases": {"valid": [{"case": 5}]}}'
     held = record.held_by([dataset(tmp_path / 'a', blade), dataset(tmp_path / 'b', wheel)])
     assert held == {'excavation': {'8', first}, 'wheel': {'5'}}
-    assert record.runs_of('operator', 1, held) == (second,)  # the limit counts what is missing
-    assert set(record.runs_of('excavation_grid')) - set(
-        record.runs_of('excavation_grid', None, held)
-    ) == {8}
-    assert 8 in record.runs_of('wheel_grid', None, held)
+    missing = record.Selection(held=held)
+    # The limit counts what is missing.
+    assert record.runs_of('operator', missing._replace(limit=1)) == (second,)
+    whole = set(record.runs_of('excavation_grid'))
+    assert whole - set(record.runs_of('excavation_grid', missing)) == {8}
+    assert 8 in record.runs_of('wheel_grid', missing)
     all_runs, missing = (
-        sum(
-            int(line.split()[2]) for line in record.table(['operator'], None, runs).splitlines()[1:]
-        )
-        for runs in (None, held)
+        sum(int(line.split()[2]) for line in record.table(['operator'], runs).splitlines()[1:])
+        for runs in (record.Selection(), missing)
     )
     assert missing == all_runs - 1
     with pytest.raises(ValueError, match='metadata.json: names no scene and cases of runs'):
