@@ -47,6 +47,9 @@ class Scene:
       connectivity_radius: length that scales edge features of the published presets, m.
       bodies: (name, number of nodes) of several bodies in the order of their nodes, all of given
         motion; () of one or none. Of each there is a force [D], one behind the other.
+
+    Raises:
+      ValueError: a name that cannot be printed, which XML and C could not hold either.
     """
 
     name: str
@@ -60,6 +63,11 @@ class Scene:
     up_axis: int = 1
     connectivity_radius: float = 0.025
     bodies: tuple[tuple[str, int], ...] = ()
+
+    def __post_init__(self):
+        names = (self.name, *self.context_names, *(name for name, _ in self.bodies))
+        if bad := [name for name in names if not str(name).isprintable()]:
+            raise ValueError(f'names of a scene are printable text, got {bad[0]!r}')
 
     @classmethod
     def from_metadata(cls, metadata, *, rigid_particle_type=None, rigid_motion=None) -> 'Scene':
@@ -123,7 +131,7 @@ class Scene:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
                 'A graph network of modes (--preset=pcg) learns on them, rolls out recorded runs, '
-                'steps by particles (live.stepping.Stepper) and exports as SavedModel'
+                'steps by particles (live.stepping.Stepper) and exports as SavedModel or LiteRT'
             )
 
     def to_json(self) -> dict:

@@ -75,7 +75,7 @@ class TrainingState:
         all.
 
         Newer damaged ones are reported and set aside under names that end in `.damaged`, and so is
-        a first one that was never finished.
+        a first one that was never finished. All but the newest `KEPT` ones are deleted.
 
         Raises:
           ValueError: there are checkpoints and all of them are damaged, or the newest whole one is
@@ -90,6 +90,7 @@ class TrainingState:
                 continue
             self._read(step)
             self._set_aside(damaged)
+            self._remove_old()  # a kill may have come between the last save and its own removal
             return step
         if len(damaged) == 1 and not os.path.exists(
             os.path.join(self._path, f'ckpt-{next(iter(damaged))}.json')
@@ -171,6 +172,9 @@ class TrainingState:
                 f'{self._path}: the checkpoint of step {step} could not be written ({reason}); '
                 'those of before stay'
             ) from error
+        self._remove_old()
+
+    def _remove_old(self):
         for old in stored_steps(self._path)[KEPT:]:
             for file in self._files_of(old):
                 os.remove(os.path.join(self._path, file))

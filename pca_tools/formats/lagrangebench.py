@@ -84,8 +84,8 @@ def _runs_of(path: str, split: str) -> Iterator[FullSpaceRun]:
 def _run_of(group, name: str, split: str, where: str) -> FullSpaceRun:
     import h5py
 
-    key = next((k for k in ('position', 'positions') if _is_dataset(group, k)), None)
-    if key is None or not _is_dataset(group, 'particle_type'):
+    key = next((k for k in ('position', 'positions') if _is_dataset(group, k, where)), None)
+    if key is None or not _is_dataset(group, 'particle_type', where):
         held = sorted(group) if isinstance(group, h5py.Group) else type(group).__name__
         raise ValueError(f'{where}: holds {held}; position and particle_type were expected')
     stored = group[key]
@@ -103,13 +103,13 @@ def _run_of(group, name: str, split: str, where: str) -> FullSpaceRun:
         raise ValueError(f'{where}: has the unknown particle types {unknown}')
     mapped = np.array([_TYPES.get(kind, kind) for kind in theirs[kept].tolist()], np.int64)
     material = None
-    if _is_dataset(group, 'material_property'):
+    if _is_dataset(group, 'material_property', where):
         material = np.broadcast_to(group['material_property'][()], (len(mapped),))
     run = FullSpaceRun(name, split, positions[:, kept], mapped, material=material)
     return check_run(run, where)
 
 
-def _is_dataset(group, key: str) -> bool:
+def _is_dataset(group, key: str, where: str) -> bool:
     import h5py
 
     # Of this file only: a link to another one would be followed.
@@ -117,7 +117,13 @@ def _is_dataset(group, key: str) -> bool:
         group.get(key, getlink=True), (h5py.HardLink, h5py.SoftLink)
     ):
         return False
-    return isinstance(group.get(key), h5py.Dataset) and not group[key].external
+    if not isinstance(group.get(key), h5py.Dataset) or group[key].external:
+        return False
+    try:
+        _ = group[key].dtype
+    except ValueError as error:
+        raise ValueError(f'{where}: {key} holds numbers that numpy has not ({error})') from error
+    return True
 
 
 def write(folder: str, data: FullSpaceData) -> None:

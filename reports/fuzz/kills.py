@@ -23,6 +23,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections.abc import Iterator
@@ -68,6 +69,9 @@ def _child(task, folder, kill_at=None, points_file=None) -> None:
         count += 1
         points.append(name)
 
+    # The lock of progress bars is one for all forks: a process killed while it holds it would stop
+    # all others, this program too.
+    tqdm.tqdm.set_lock(threading.RLock())
     code = 1
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

@@ -18,7 +18,7 @@ import pytest
 
 from learning_to_simulate import connectivity_utils
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.scene import Scene
+from learning_to_simulate.scene import RigidMotion, Scene
 from mpm import files as mpm_files
 from nri import data as nri_data
 from pca_tools import dataset, files, subspace
@@ -271,3 +271,26 @@ def test_periodic_boundaries_that_are_no_list_are_refused(tmp_path):
     (tmp_path / 'metadata.json').write_text('{"periodic_boundary_conditions": 3}')
     with pytest.raises(ValueError, match='metadata.json: periodic_boundary_conditions is 3'):
         lagrangebench.read(str(tmp_path), full_space.ReadOptions(dt=0.1))
+
+
+def test_numbers_that_numpy_has_not_are_refused(tmp_path):
+    h5py = pytest.importorskip('h5py')
+    kind = h5py.h5t.IEEE_F32LE.copy()
+    kind.set_ebias(90_000)  # an exponent far beyond those of any machine
+    with h5py.File(tmp_path / 'train.h5', 'w') as file:
+        run = file.create_group('00000')
+        run['particle_type'] = np.zeros(2, np.int32)
+        h5py.h5d.create(run.id, b'position', kind, h5py.h5s.create_simple((4, 2, 3)))
+    (tmp_path / 'metadata.json').write_text('{}')
+    with pytest.raises(ValueError, match='train.h5: 00000: position holds numbers that numpy has'):
+        list(lagrangebench.read(str(tmp_path), full_space.ReadOptions(dt=0.1)).runs())
+
+
+@pytest.mark.parametrize('name', ['a\0b', '\ud800', 'two\nlines'])
+def test_names_that_cannot_be_printed_are_refused(name):
+    """XML, and so the description of an FMU, has no such characters."""
+    fields = dict(n_modes=2, rigid_motion=RigidMotion('none'), rigid_edges=(), has_force=False)
+    fields |= dict(n_soil=9, dt=0.1)
+    for names in ({'name': name}, {'context_names': (name,)}, {'bodies': ((name, 3),)}):
+        with pytest.raises(ValueError, match='names of a scene are printable text, got'):
+            Scene(**{'name': 'bin', 'context_names': ()} | fields | names)

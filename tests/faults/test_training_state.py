@@ -270,6 +270,14 @@ def test_leftovers_of_a_killed_writer_are_removed(model, train):
     assert 'notes.tmp' in names
 
 
+def test_an_old_checkpoint_half_deleted_is_deleted_by_a_finished_training(model, train):
+    before = training_state.stored_steps(str(model))
+    (model / 'ckpt-4.index').write_text('its json went first, then the process was killed')
+    assert training_state.stored_steps(str(model)) == [*before, 4]
+    train(model)
+    assert training_state.stored_steps(str(model)) == before
+
+
 @pytest.mark.parametrize('name', ['a[1]', 'a*', 'what?', 'a[!b]*'])
 def test_folder_names_that_are_patterns_resume(whole, tmp_path, train, monkeypatch, capsys, name):
     def step(self, i):
