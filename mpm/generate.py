@@ -45,9 +45,9 @@ _OPERATOR_SEEDS = flags.DEFINE_string(
 _KINDS = flags.DEFINE_string(
     'kinds',
     None,
-    'Kinds of these paths; a seed s has the kind number s modulo their count. All: '
+    'Kinds of these paths; a seed s has the kind number s modulo their count. There are '
     + '; '.join(f'{name}: {",".join(kinds)}' for name, kinds in catalogue.KINDS.items())
-    + '.',
+    + ". Without the flag all but 'halts' take turns.",
 )
 _PATH = flags.DEFINE_list('path', [], 'CSV files of paths: time_s, x_m, y_m, angle_deg [, load_N].')
 _BLADE_WIDTH = flags.DEFINE_float(

@@ -10,6 +10,7 @@ Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel, part by part in thi
 what teaches most is there first:
 
     operator          250 paths of the blade (50 of each kind)
+    halts             24 more of them that halt within a frame
     wheel_free        160 free drives of the wheel (40 of each kind)
     excavation_grid   the 250 published cases
     wheel_grid        the 243 published cases
@@ -41,6 +42,7 @@ from mpm.simulation import Settings
 # Part -> (scene, its runs in order).
 PARTS = {
     'operator': (scenes.EXCAVATION, splits.seed_runs),
+    'halts': (scenes.EXCAVATION, splits.halt_runs),
     'wheel_free': (scenes.WHEEL, splits.seed_runs),
     'excavation_grid': (scenes.EXCAVATION, splits.grid_runs),
     'wheel_grid': (scenes.WHEEL, splits.grid_runs),

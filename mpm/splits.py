@@ -11,7 +11,8 @@ from mpm.motions import catalogue
 
 SPLITS = ('train', 'valid', 'test')
 # Runs of each kind of free motion; seeds count through the kinds.
-RUNS_PER_KIND = {'excavation': 50, 'wheel': 40}
+RUNS_PER_KIND = {'excavation': 50, 'wheel': 40}  # of the kinds that take turns
+HALTS = 24  # runs of the blade that halts within a frame
 # Of the n-th run of a kind: (divisor, remainder) that put it into test and into valid.
 _TEST, _VALID = {'excavation': (5, 1), 'wheel': (6, 1)}, {'excavation': (12, 3), 'wheel': (8, 4)}
 
@@ -23,7 +24,8 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
         scene: the scene.
         case: the number of a case of the grid, or the id of a seed, or any other id.
 
-    Seeds: of 50 blade paths of a kind 10 are test and 4 valid, of 40 wheel drives 7 and 5.
+    Seeds: of 50 blade paths of a kind 10 are test and 4 valid, of the 24 that halt 8 and 4, of 40
+    wheel drives 7 and 5.
     Grids: a linear code over the levels, so that each level of each parameter is met equally often
     in test and in valid: excavation 25 and 25 of 250 (each pair of depth and speed once), wheel 27
     and 27 of 243. The demo cases are test cases.
@@ -34,7 +36,9 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
         kind, seed = catalogue.parse(scene, case)
     except ValueError:
         return None
-    kinds = catalogue.KINDS[scene.name]
+    kinds = catalogue.TURNS[scene.name]
+    if kind not in kinds:
+        return _split_of_halt(seed) if seed < HALTS else None
     number = seed // len(kinds)
     # The record holds each seed with one kind.
     if number >= RUNS_PER_KIND[scene.name] or kinds[seed % len(kinds)] != kind:
@@ -44,6 +48,12 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
         if number % divisor == remainder:
             return split
     return 'train'
+
+
+def _split_of_halt(seed: int) -> str:
+    if seed % 3 == 1:
+        return 'test'
+    return 'valid' if seed % 6 == 3 else 'train'
 
 
 def _excavation_split(case: int) -> str:
@@ -65,8 +75,13 @@ def seed_runs(scene: scenes.Scene) -> tuple:
 
     Kinds take turns and splits are spread: any beginning of the list is a set in proportion.
     """
-    count = RUNS_PER_KIND[scene.name] * len(catalogue.KINDS[scene.name])
+    count = RUNS_PER_KIND[scene.name] * len(catalogue.TURNS[scene.name])
     return catalogue.select_seeds(scene, f'0-{count - 1}')
+
+
+def halt_runs(scene: scenes.Scene) -> tuple:
+    """Returns the ids of the record's runs of the kind `halts`, in the order of their seeds."""
+    return catalogue.select_seeds(scene, f'0-{HALTS - 1}', 'halts')
 
 
 def grid_runs(scene: scenes.Scene) -> tuple:

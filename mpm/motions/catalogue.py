@@ -13,6 +13,8 @@ from mpm.motions.drive import Drive
 from mpm.motions.recording import Recording, recorded_drive
 
 KINDS = {'excavation': operator_paths.KINDS, 'wheel': wheel_drives.KINDS}
+# The kinds that take turns among seeds, where none is named.
+TURNS = {'excavation': operator_paths.TURNS, 'wheel': wheel_drives.KINDS}
 
 
 @dataclass(frozen=True)
@@ -86,13 +88,13 @@ def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> t
     Args:
         scene: the scene.
         seeds: numbers and ranges separated by commas, such as '3,9000-9009'.
-        kinds: kinds separated by commas, None: all of the scene. A seed's kind is
+        kinds: kinds separated by commas, None: those of `TURNS`. A seed's kind is
             kinds[seed % len(kinds)].
 
     Raises:
         ValueError: an unknown kind, or seeds that are no numbers or named twice.
     """
-    chosen = KINDS[scene.name] if kinds is None else tuple(k.strip() for k in kinds.split(','))
+    chosen = TURNS[scene.name] if kinds is None else tuple(k.strip() for k in kinds.split(','))
     unknown = [kind for kind in chosen if kind not in KINDS[scene.name]]
     if unknown:
         raise ValueError(

@@ -10,6 +10,8 @@ lift: a cut, out of the soil, back or on in the air, and a second cut.
 disturbed: any of the above on a bed that an earlier pass has cut. That pass is simulated before the
     first recorded frame (`Drive.lead_in`), so the record begins on a bed that is not flat, as live
     use does; the blade rests above the soil at its frame 0.
+halts: a smooth path that halts two to four times within one frame and goes on within one, as a
+    lever that is let go or a mouse does it. This kind has no turn among the seeds of the others.
 """
 
 import math
@@ -21,7 +23,8 @@ from mpm.motions import checks, grid
 from mpm.motions.drive import Drive
 from mpm.motions.levels import Levels
 
-KINDS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')
+TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
+KINDS = (*TURNS, 'halts')
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
@@ -35,6 +38,7 @@ FRONT_ROOM, BACK_ROOM = 0.20, 0.12  # m
 BACK_DEPTH, BACK_SPEED = 0.02, 0.02  # m, m/s: less is no push
 SECOND_CUT_FRAMES = 45
 LEAST_REVERSE = 0.02  # m
+LONGEST_HALT = 0.8  # s
 STEPS_CHECKED = 8  # a frame, of a path that has just been drawn
 TRIES = 200
 
@@ -123,11 +127,11 @@ def _draw(rng, scene, kind) -> tuple[Drive, dict]:
     lead_in, plot = 0, kind
     if kind == 'disturbed':
         lead_in, start_x = _earlier_pass(rng, story, start_x)
-        plot = rng.choice(KINDS[:-1])
+        plot = rng.choice(TURNS[:-1])
     begin = story.time
-    {'smooth': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift}[plot](
-        rng, story, begin + _DURATION
-    )
+    tell = {'smooth': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift}
+    tell.get(plot, _smooth)(rng, story, begin + _DURATION)
+    clock = _halting_clock(rng) if kind == 'halts' else np.asarray
     speed, depth, lean = (
         Levels(np.array(story.times), np.array(values))
         for values in (story.speeds, story.depths, story.lean)
@@ -136,10 +140,11 @@ def _draw(rng, scene, kind) -> tuple[Drive, dict]:
     surface = scene.bin.surface + blade.radius
 
     def pose(times):
+        times = clock(times)
         x = start_x - speed.integral(times)
         return np.stack([x, surface - depth(times), np.radians(-lean(times))], axis=1)
 
-    shown = begin + np.linspace(0.0, _DURATION, _FRAMES)
+    shown = clock(begin + np.linspace(0.0, _DURATION, _FRAMES))
     parameters = {
         'plot': str(plot),
         'blade_width_m': width,
@@ -233,6 +238,18 @@ def _lift(rng, story, end) -> None:
     story.go(rng.uniform(0.2, 0.4), 0.0 if back else 0.03)
     story.go(rng.uniform(0.5, 0.8), _cut_speed(rng), rng.uniform(0.02, 0.08))
     story.go(max(end - story.time, 0.3), _cut_speed(rng))
+
+
+def _halting_clock(rng):
+    """Draws a clock that stands for a while now and then: times [T] (s) of a run to its path's."""
+    frame = 1.0 / scenes.FRAME_RATE
+    times, rates, time = [0.0], [1.0], rng.uniform(0.8, 1.6)
+    for _ in range(rng.integers(2, 5)):
+        halt = rng.uniform(0.2, LONGEST_HALT)
+        times += [time, time + frame, time + frame + halt, time + 2 * frame + halt]
+        rates += [1.0, 0.0, 0.0, 1.0]
+        time = times[-1] + rng.uniform(0.4, 1.0)
+    return Levels(np.array(times), np.array(rates)).integral
 
 
 def _earlier_pass(rng, story, start_x) -> tuple[int, float]:

@@ -39,9 +39,12 @@ def test_seeds_hold_what_is_asked():
     runs = splits.seed_runs(scenes.EXCAVATION)
     by_kind = Counter(catalogue.parse(scenes.EXCAVATION, c)[0] for c in runs)
     assert len(runs) >= 200 and min(by_kind[k] for k in ('lift', 'reverse', 'disturbed')) >= 50
-    for kind in catalogue.KINDS['excavation']:
+    for kind in catalogue.TURNS['excavation']:
         found = counts(scenes.EXCAVATION, [c for c in runs if c.startswith(kind)])
         assert found['test'] == 10 and found['valid'] == 4
+    halts = splits.halt_runs(scenes.EXCAVATION)
+    assert counts(scenes.EXCAVATION, halts) == {'train': 12, 'valid': 4, 'test': 8}
+    assert splits.split_of(scenes.EXCAVATION, 'halts_0024') is None
     runs = splits.seed_runs(scenes.WHEEL)
     found = counts(scenes.WHEEL, runs)
     assert len(runs) >= 120 and found['test'] >= 25 and found['valid'] >= 20
@@ -67,7 +70,7 @@ def test_what_the_record_does_not_hold_has_no_split(scene):
     new = catalogue.select_seeds(scene, f'{last + 1}-{last + 20},9000-9009')
     assert counts(scene, new) == {None: 30}
     # The seed is known, but with another kind.
-    kinds = catalogue.KINDS[scene.name]
+    kinds = catalogue.TURNS[scene.name]
     assert splits.split_of(scene, f'{kinds[0]}_0000') is not None
     assert splits.split_of(scene, f'{kinds[1]}_0000') is None
     assert splits.split_of(scene, 'path_mine') is None

@@ -46,6 +46,10 @@ def test_seeds_take_turns_through_the_kinds():
     assert catalogue.select_seeds(scenes.EXCAVATION, '9000-9004, 3') == (
         'smooth_9000', 'stops_9001', 'reverse_9002', 'lift_9003', 'disturbed_9004', 'lift_0003',
     )  # fmt: skip
+    assert catalogue.select_seeds(scenes.EXCAVATION, '9000-9001', 'halts') == (
+        'halts_9000',
+        'halts_9001',
+    )
     assert catalogue.select_seeds(scenes.WHEEL, '4,5', 'stops,reverse') == (
         'stops_0004',
         'reverse_0005',

@@ -91,8 +91,10 @@ def test_each_kind_shows_what_it_is_for(paths):
         assert is_below.sum() > 60  # a second in the soil at least
         plot = parameters['plot']
         assert kind in ('disturbed', plot)
-        if plot in ('smooth', 'stops'):
+        if plot in ('smooth', 'stops', 'halts'):
             assert forward.min() > -1e-9
+        within_a_frame = (forward[:-2] > 0.03) & (np.abs(forward[2:]) < 1e-9)
+        assert within_a_frame.any() == (plot == 'halts')
         if plot == 'stops':
             still = (np.abs(forward) < 1e-3) & is_below[1:]
             assert still[10:].sum() >= 2 * 15
