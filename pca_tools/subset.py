@@ -6,12 +6,13 @@ particles stay those of the larger dataset, so errors of both are of one truth.
 Examples:
     python -m pca_tools.subset --data_path=datasets/excavation_v2 --train_runs=28 --output_path=few
     python -m pca_tools.subset --data_path=datasets/excavation_v2 --kinds=grid --output_path=grid
+    python -m pca_tools.subset --data_path=whole --kinds=grid:20,lift,stops --output_path=thinned
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from absl import app, flags
@@ -26,7 +27,7 @@ def subset(
     data_path: str,
     output_path: str,
     train_runs: int = 0,
-    kinds: Sequence[str] = (),
+    kinds: Mapping[str, int] | Sequence[str] = (),
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Writes a dataset with fewer training runs.
@@ -35,7 +36,8 @@ def subset(
         data_path: a dataset of `convert` with a particle sample.
         output_path: the smaller one.
         train_runs: so many, spread over those of the kinds; 0: all of them.
-        kinds: of training runs; none: all.
+        kinds: of training runs, each with how many of its runs, spread over them; 0 or no number:
+            all of the kind. None: all kinds.
         overwrite: replace a finished dataset.
 
     Returns:
@@ -45,19 +47,19 @@ def subset(
         FileNotFoundError: a file is missing.
         ValueError: a kind that the dataset does not have, or fewer runs than are asked for.
     """
+    limits = kinds if isinstance(kinds, Mapping) else dict.fromkeys(kinds, 0)
     convert.refuse_occupied_output(output_path, overwrite)
     base, space = convert.load_base(data_path)
     held = read_encoded(data_path, base)
     found = [run.parameters.get('kind') or 'run' for run in held['train']]
-    if unknown := set(kinds) - set(found):
+    if unknown := limits.keys() - set(found):
         raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(set(found))}')
-    chosen = [run for run, kind in zip(held['train'], found) if not kinds or kind in kinds]
-    if not 0 <= train_runs <= len(chosen):
-        raise ValueError(
-            f'{data_path}: has {len(chosen)} such training runs, {train_runs} were asked for'
-        )
-    places = spread_over(len(chosen), train_runs)
-    parts = held | {'train': numbered([chosen[place] for place in places])}
+    places = [] if limits else list(range(len(found)))
+    for kind, limit in limits.items():
+        of_kind = [place for place, name in enumerate(found) if name == kind]
+        places += _spread(of_kind, limit, f'{data_path}: runs of the kind {kind}')
+    chosen = _spread(sorted(places), train_runs, f'{data_path}: such training runs')
+    parts = held | {'train': numbered([held['train'][place] for place in chosen])}
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
     metadata = make_metadata(world, parts, space, 1, base)
     indices = particles.read_sample(data_path, 'train').indices
@@ -65,12 +67,33 @@ def subset(
     return metadata
 
 
+def _spread(places: list[int], limit: int, what: str) -> list[int]:
+    if not 0 <= limit <= len(places):
+        raise ValueError(f'{what}: there are {len(places)}, {limit} were asked for')
+    return [places[n] for n in spread_over(len(places), limit)]
+
+
+def kinds_of(texts: Sequence[str]) -> dict[str, int]:
+    """Returns kind -> number of runs, 0 for all, of texts such as `grid:20` and `lift`.
+
+    Raises:
+        ValueError: a number that is none or not positive, or a kind twice.
+    """
+    limits = {}
+    for text in texts:
+        kind, colon, number = text.partition(':')
+        if kind in limits or (colon and not (number.isdecimal() and int(number))):
+            raise ValueError(f'kinds are named once, as lift or grid:20, got {",".join(texts)}')
+        limits[kind] = int(number or 0)
+    return limits
+
+
 def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
-    flags.DEFINE_list('kinds', [], 'Kinds of training runs; default: all.')
+    flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20: so many; default: all.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
@@ -81,7 +104,11 @@ def main(argv: Sequence[str]) -> None:
     values = flags.FLAGS
     try:
         metadata = subset(
-            values.data_path, values.output_path, values.train_runs, values.kinds, values.overwrite
+            values.data_path,
+            values.output_path,
+            values.train_runs,
+            kinds_of(values.kinds),
+            values.overwrite,
         )
     except (ValueError, OSError) as error:
         sys.exit(f'error: {files.printable(error)}')

@@ -6,8 +6,9 @@ Per model, on a split of its dataset:
       the largest force after the first ten frames and in all
   start: begun in the middle of recorded runs, from the recorded soil: error of the force in the
       first frame, beside the root mean square error of the 2nd to 60th
-  stop: the recorded path up to its middle, then the tool stands: how far the force of the first
-      frame lies from the middle of its two neighbours, the largest of the runs
+  halts: in recorded runs, where the tool halts within a frame: the error of the force from that
+      frame to 0.1 s later, beside that of all other frames in contact (root mean squares), and the
+      true force before and after
   free: in the frames of rollouts of recorded runs in which the solver has no force: the mean of
       the predicted one, and in how many of them it is below 2 N
   inside: soil in the tool, in every 8th frame of rollouts, and in the truth as the dataset's modes
@@ -31,12 +32,17 @@ from mpm import bodies
 from pca_tools import dataset, files, rigid_fit
 from reports import command, markdown, record
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 CLEAR = 0.05  # m, of the lowest point above the bed
-RIDE, STAND, AFTER = 60, 30, 60  # frames
+RIDE, AFTER, AFTER_HALT = 60, 60, 6  # frames
 EVERY = 8
 DEEP = 1e-3  # m; less counts as touching
 NO_FORCE, SMALL = 0.1, 2.0  # N, of the solver and of a prediction
+HALT_KEYS = (
+    'halts', 'halt_before_N', 'halt_after_N', 'halt_square', 'halt_frames', 'other_square',
+    'other_frames',
+)  # fmt: skip
+FAST, STILL = 0.03, 1e-6  # m/s, m a frame
 # Where the records come from another tool than the solver's, m.
 SAME_TOOL = 1e-3
 
@@ -136,20 +142,19 @@ def penetration(tool: Tool, rollout, soil, recorded) -> dict:
     return rows
 
 
-def path_of(model, points) -> tuple[np.ndarray, int]:
-    """Poses [T, 7], as `stepper().start` takes them, of a recorded body [T, R, 3], and the start
-    that has this body."""
+def path_of(model, points) -> np.ndarray:
+    """Poses [T, 7], as `stepper().start` takes them, of a recorded body [T, R, 3]."""
     from learning_to_simulate.live import poses
 
     starts = model.starts
-    for index, body in enumerate(starts.body):
+    for body in starts.body:
         if len(body) == len(points[0]):
             motions = [rigid_fit.fit_rigid_motion(body, p) for p in points]
             if motions[0].residual <= SAME_TOOL:
                 return np.array(
                     [np.concatenate([m.translation, poses.quaternion_of(m.rotation)])
                      for m in motions]
-                ), index  # fmt: skip
+                )  # fmt: skip
     raise ValueError('no start of the model has the body of the run')
 
 
@@ -174,23 +179,41 @@ def air(model, path, lowest: float, bed: float) -> dict | None:
     return {'air_N': float(size.max()), 'air_settled_N': float(size[10:].max())}
 
 
-def stop(model, path, index: int, context) -> dict:
-    """Forces at a sudden stop half-way.
+def halts(rollout, dt: float) -> dict:
+    """Of a rollout of a recorded run: how well it follows the force where the tool halts within a
+    frame. The solver's force falls there, by more than half in two frames.
+
+    Args:
+      rollout: `SoilRollout` with its truth.
+      dt: s, a frame.
 
     Returns:
-      `before_N`, `spike_N`, `settled_N`: sizes of the last force on the way, of how far the first
-      one of the standing tool lies from the middle of its neighbours, and of the last one.
+      `halts`: number of them; `halt_before_N`, `halt_after_N`: sums of the true forces in the last
+      frame of full speed and 0.1 s after the halt; `halt_square`, `halt_frames`: sum of the squared
+      errors between, and how many; `other_square`, `other_frames`: of all others in contact.
     """
-    half = len(path) // 2
-    whole = np.concatenate([path[: half + 1], np.repeat(path[half : half + 1], STAND, axis=0)])
-    # The velocity of the first frames; the case is that of the start.
-    case = model.starts.cases[index].get('case')
-    force = model.rollout(whole, case=case, context=context).force
-    last, first, second = force[half - 1 : half + 2]
+    body, force = rollout.truth[1], np.linalg.norm(rollout.truth[2], axis=1)
+    square = ((np.asarray(rollout.force) - rollout.truth[2][H:]) ** 2).sum(axis=1)
+    way = np.abs(np.diff(body, axis=0)).max(axis=(1, 2))  # [T - 1], from frame k to k + 1
+    fast, still = way > FAST * dt, way < STILL
+    # The velocity falls within a frame, of which two of the recorded ones may see a part.
+    sudden = np.zeros_like(fast)
+    sudden[4:] = fast[2:-2] & (way[2:-2] > 0.8 * way[:-4])  # not slowing down before
+    halted = [k for k in range(H + 1, len(way) - AFTER_HALT)
+              if sudden[k] and not still[k] and still[k + 1 : k + AFTER_HALT].all()]  # fmt: skip
+    within = np.zeros(len(force), bool)
+    for k in halted:
+        within[k : k + AFTER_HALT + 1] = True
+    within = within[H:]
+    others = ~within & (force[H:] > NO_FORCE)
     return {
-        'before_N': float(np.linalg.norm(last)),
-        'spike_N': float(np.linalg.norm(first - (last + second) / 2)),
-        'settled_N': float(np.linalg.norm(force[-1])),
+        'halts': len(halted),
+        'halt_before_N': float(sum(force[k - 1] for k in halted)),
+        'halt_after_N': float(sum(force[k + AFTER_HALT] for k in halted)),
+        'halt_square': float(square[within].sum()),
+        'halt_frames': int(within.sum()),
+        'other_square': float(square[others].sum()),
+        'other_frames': int(others.sum()),
     }
 
 
@@ -261,18 +284,17 @@ def measure(model, data, split: str, n_run: int = 0) -> list[dict]:
         recorded = getattr(data, split).records[number]
         points = recorded.position[:, : recorded.n_rigid].astype(np.float64)
         tool = Tool(model.scene.name, case, points[0])
-        path, index = path_of(model, points)
+        path = path_of(model, points)
         bed = float(soil.particles(recorded.position[0, recorded.n_rigid :])[:, up].max())
         lowest = float(tool.pose(points[0])[up]) - tool.radius
-        context = group.context_at(H, 0)
         row = {'case': case.get('case', number), 'kind': case.get('kind') or 'grid'}
         row |= air(model, path[H:], lowest, bed) or {}
         row |= {f'start_{k}': v
                 for k, v in start_in_contact(model, opened, group, path, soil).items()}  # fmt: skip
-        row |= {f'stop_{k}': v for k, v in stop(model, path[H - 1 :], index, context).items()}
         run = getattr(data, split)[number]
         rollout = model.rollout(run)
-        rows.append(row | free(rollout) | penetration(tool, rollout, soil, recorded))
+        row |= free(rollout) | halts(rollout, model.scene.dt)
+        rows.append(row | penetration(tool, rollout, soil, recorded))
     return rows
 
 
@@ -281,6 +303,18 @@ def _free(rows):
         sum(row.get(f'free_{name}', 0) for row in rows) for name in ('frames', 'N', 'small')
     )
     return f'{force / frames:.3g} ({100 * small / frames:.0f} %)' if frames else ''
+
+
+def _halt(rows):
+    total = {key: sum(row.get(key, 0) for row in rows) for key in HALT_KEYS}
+    if not total['halts']:
+        return ('',) * 3
+    forces = (total[f'halt_{when}_N'] / total['halts'] for when in ('before', 'after'))
+    at, other = (
+        float(np.sqrt(total[f'{where}_square'] / total[f'{where}_frames']))
+        for where in ('halt', 'other')
+    )
+    return at, other, '{:.0f} to {:.0f}'.format(*forces)
 
 
 def table(path: str) -> str:
@@ -300,8 +334,7 @@ def table(path: str) -> str:
                 _free(rows),
                 of('start_first_N', np.mean),
                 of('start_later_N', np.mean),
-                of('stop_spike_N', np.max),
-                of('stop_before_N', np.mean),
+                *_halt(rows),
                 f'{of("deepest_mm", np.max):.1f} / {of("true_deepest_mm", np.max):.1f}',
                 f'{of("particles", np.mean):.1f} / {of("true_particles", np.mean):.1f}',
                 of('pushed_error_mm', np.mean) / of('error_mm', np.mean),
@@ -310,7 +343,7 @@ def table(path: str) -> str:
     header = (
         'model', 'in the air, N', 'without a true force, N (below 2 N)',
         'first frame of a start, N', 'later frames, N',
-        'spike at a stop, N', 'force before it, N', 'deepest, mm (/ truth)',
+        'at a sudden halt, N', 'elsewhere, N', 'true force falls, N', 'deepest, mm (/ truth)',
         'particles inside (/ truth)', 'error pushed out / as it is',
     )  # fmt: skip
     return markdown.table(header, lines)

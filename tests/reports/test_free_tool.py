@@ -70,24 +70,31 @@ def test_forces_where_there_are_none():
     assert free_tool.free(rollout) == {'free_frames': 3, 'free_N': 6.5, 'free_small': 2}
 
 
-def test_a_spike_at_a_stop_and_the_table(tmp_path):
-    force = np.zeros((40, 3))
-    force[:10] = [200.0, 30.0, 0.0]  # before, one frame of -100, then 40
-    force[10] = [-100.0, 30.0, 0.0]
-    force[11:] = [40.0, 30.0, 0.0]
-    model = SimpleNamespace(
-        rollout=lambda path, **_: SimpleNamespace(force=force[: len(path) - 1]),
-        starts=SimpleNamespace(cases=[{'case': 3}]),
-    )
-    found = free_tool.stop(model, np.zeros((21, 7)), 0, None)
-    assert found['spike_N'] == pytest.approx(220.0)
-    assert found['before_N'] == pytest.approx(np.hypot(200.0, 30.0))
-    assert found['settled_N'] == pytest.approx(50.0)
-    row = {f'stop_{k}': v for k, v in found.items()} | {
+def test_force_at_a_halt_and_the_table(tmp_path):
+    """Two halts: one within a frame, one that takes ten; only the first one counts."""
+    n, dt = 120, 1 / 60
+    speed = np.full(n - 1, 0.1)
+    speed[30], speed[31:60] = 0.06, 0.0
+    speed[80:90] = np.linspace(0.1, 0.0, 10)
+    speed[90:] = 0.0
+    body = np.zeros((n, 5, 3))
+    body[1:, :, 0] = np.cumsum(speed * dt)[:, None]
+    true = np.zeros((n, 3))
+    true[:, 0], true[31:60, 0] = 200.0, 50.0
+    force = true[free_tool.H :] + [0.0, 3.0, 0.0]
+    force[30 - free_tool.H : 37 - free_tool.H, 1] = 40.0
+    found = free_tool.halts(SimpleNamespace(truth=(None, body, true), force=force), dt)
+    assert found['halts'] == 1 and found['halt_frames'] == 7
+    assert found['other_frames'] == n - free_tool.H - 7
+    assert (found['halt_before_N'], found['halt_after_N']) == (200.0, 50.0)
+    row = found | {
         'start_first_N': 1.0, 'start_later_N': 2.0, 'deepest_mm': 3.0, 'true_deepest_mm': 4.0,
         'particles': 5.0, 'true_particles': 6.0, 'error_mm': 2.0, 'pushed_error_mm': 3.0,
     }  # fmt: skip
     path = str(tmp_path / 'free_tool.json')
-    files.write_json(path, {'models': [{'model': 'm', 'runs': [row, row | {'air_N': 7.0}]}]})
-    line = free_tool.table(path).splitlines()[-1]
-    assert line == '| m | 7 |  | 1 | 2 | 220 | 202 | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'
+    old = {k: v for k, v in row.items() if not k.startswith(('halt', 'other'))}
+    models = [{'model': 'm', 'runs': [row, row | {'air_N': 7.0}]}, {'model': 'old', 'runs': [old]}]
+    files.write_json(path, {'models': models})
+    new, before = free_tool.table(path).splitlines()[-2:]
+    assert new == '| m | 7 |  | 1 | 2 | 40 | 3 | 200 to 50 | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'
+    assert before == '| old |  |  | 1 | 2 |  |  |  | 3.0 / 4.0 | 5.0 / 6.0 | 1.5 |'
