@@ -67,19 +67,12 @@ def import_data(
         counts = {split: len(ids) for split, ids in metadata['dataset_split'].items()}
         return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
     data = detect.FORMATS[kind].read(folder, full_space.ReadOptions(dt=dt))
-    if data.dt is None:
-        raise ValueError(f'{data.source}: does not say its time step: give --dt, seconds a frame')
     body = body or full_space.body_motion(data)
     bounds = _three_bounds(data.bounds, length_scale)
-    up = data.up_axis if up_axis is None else up_axis
-    if up is None:
-        up, reason = full_space.find_up_axis(data, bounds) if bounds else (None, 'it has no bounds')
-        if up is None:
-            raise ValueError(
-                f'{data.source}: does not say which axis points up, and it cannot be inferred '
-                f'({reason}): give --up_axis=0, 1 or 2'
-            )
-        data.notes.append(f'{AXES[up]} is taken for the upward axis: {reason}')
+    up, note = _up_axis(data, bounds) if up_axis is None else (up_axis, None)
+    if lacking := _lacking(data, up, note):
+        raise ValueError(f'{data.source}: does not say {", and ".join(lacking.values())}')
+    data.notes += [note] if note else []
     runs = _scaled(full_space.raw_mappings(data, body), length_scale, force_scale)
     raw_writer.write_raw(
         output_path, tqdm(runs, desc='import', unit='run'), data.dt, up_axis=up, body=body,
@@ -91,6 +84,42 @@ def import_data(
         f'next: python -m pca_tools.convert --raw_path={output_path} --output_path=DATASET'
     )
     return '\n'.join(lines)
+
+
+def _up_axis(data: full_space.FullSpaceData, bounds) -> tuple[int | None, str | None]:
+    """The axis that the data state, or else the one that they show; and how that is known."""
+    if data.up_axis is not None:
+        return data.up_axis, None
+    up, reason = full_space.find_up_axis(data, bounds) if bounds else (None, 'it has no bounds')
+    return up, reason if up is None else f'{AXES[up]} is taken for the upward axis: {reason}'
+
+
+def _lacking(data: full_space.FullSpaceData, up: int | None, reason: str | None) -> dict[str, str]:
+    """Flags that somebody has to give, and what each says."""
+    lacking = {}
+    if data.dt is None:
+        lacking['--dt=SECONDS'] = 'its time step: give --dt, seconds a frame'
+    if up is None:
+        lacking['--up_axis=0|1|2'] = (
+            f'which axis points up, and it cannot be inferred ({reason}): give --up_axis=0, 1 or 2'
+        )
+    return lacking
+
+
+def explain(folder: str, format_name: str | None = None) -> str:
+    """Returns what a folder is and what to do with it, with the flags that it needs.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: data that are not known, or damaged.
+    """
+    kind = format_name or detect.detect(folder)
+    text = detect.explain(kind, folder)
+    if kind in detect.FORMATS:
+        data = detect.FORMATS[kind].read(folder, full_space.ReadOptions())
+        lacking = _lacking(data, *_up_axis(data, _three_bounds(data.bounds, 1.0)))
+        text += ''.join(f' {flag}' for flag in lacking)
+    return text
 
 
 def _scaled(
@@ -142,7 +171,7 @@ def main(argv: Sequence[str]) -> None:
         sys.exit('usage: python -m pca_tools.import_data FOLDER --output_path=RAW')
     try:
         if values.output_path is None:
-            print(detect.explain(values.format or detect.detect(argv[1]), argv[1]))
+            print(explain(argv[1], values.format))
             return
         text = import_data(
             argv[1], values.output_path, format_name=values.format, dt=values.dt,

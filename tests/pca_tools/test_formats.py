@@ -12,7 +12,7 @@ import pytest
 from pca_tools import convert, dataset, files
 from pca_tools.export_data import export_data, full_space_of
 from pca_tools.formats import detect, full_space
-from pca_tools.import_data import import_data
+from pca_tools.import_data import explain, import_data
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
 from tests.pca_tools.commands import REPOSITORY, run_command
@@ -194,6 +194,14 @@ def test_what_the_data_do_not_say_is_asked_for(excavation, raw_excavation, tmp_p
         import_data(out, str(tmp_path / 'raw'), check_units=False)
     import_data(out, str(tmp_path / 'raw'), up_axis=1, check_units=False)
     assert RawRuns(str(tmp_path / 'raw')).dt == pytest.approx(4 / 60)
+
+
+def test_all_that_is_lacking_is_said_at_once_and_by_the_name(tmp_path):
+    np.savez(tmp_path / 'run.npz', positions=np.random.default_rng(0).random((5, 8, 3)))
+    both = 'does not say its time step: give --dt, .* and which axis points up.* give --up_axis'
+    with pytest.raises(ValueError, match=both):
+        import_data(str(tmp_path), str(tmp_path / 'raw'))
+    assert explain(str(tmp_path)).endswith('--output_path=RAW --dt=SECONDS --up_axis=0|1|2')
 
 
 def test_differing_particles_and_moving_walls_are_refused(tmp_path):
