@@ -28,6 +28,8 @@ def start(run: Callable, n_argument: int = 0) -> None:
     def main(argv):
         if len(argv) > n_argument + 1:
             sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
+        if not flags.FLAGS['verbosity'].present:  # TensorFlow tells of every checkpoint it writes
+            logging.set_verbosity(logging.WARNING)
         try:
             return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
         except (ValueError, OSError) as error:

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from absl import flags, logging
 
 from learning_to_simulate import command, metrics, normalization, presets, reading_utils
 from pca_tools import dataset
@@ -21,6 +22,20 @@ def test_a_command_cannot_be_made_to_control_the_terminal(monkeypatch):
         command.start(fail)
     text = ended.value.code
     assert text.startswith('error: no scene named \\x1b[2J\\x07xxx') and len(text) < 5000
+
+
+@pytest.mark.parametrize(('argument', 'level'), [('', logging.WARNING), ('-v=0', logging.INFO)])
+def test_a_command_leaves_out_the_remarks_of_libraries_unless_asked(monkeypatch, argument, level):
+    found = []
+    monkeypatch.setattr(sys, 'argv', ['command', argument][: 1 + bool(argument)])
+    before = logging.get_verbosity()
+    try:
+        with pytest.raises(SystemExit):
+            command.start(lambda _: found.append(logging.get_verbosity()))
+    finally:
+        flags.FLAGS['verbosity'].unparse()
+        logging.set_verbosity(before)
+    assert found == [level]
 
 
 def test_messages_are_escaped_and_cut():
