@@ -199,8 +199,15 @@ def _model_method(name, paths, data_path, reader, folder):
     return {'name': name, 'baseline': False, 'about': about, 'seeds': seeds}
 
 
-def protocol(data_path: str, values) -> dict:
-    """The document of one dataset; see `judge`."""
+def protocol(data_path: str, values, models: dict[str, list[str]] | None = None) -> dict:
+    """The document of one dataset; see `judge`.
+
+    Args:
+      data_path: its folder.
+      values: flags of the command.
+      models: name -> folders of its seeds; those in `values.train` are presets that are trained
+        there. None: as the flags say.
+    """
     from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
 
     reader = TruthReader(data_path)
@@ -221,7 +228,7 @@ def protocol(data_path: str, values) -> dict:
         }
         for b in baselines.fit_all(reader)
     ]
-    found = _models_of(scene, values)
+    found = _models_of(scene, values) if models is None else models
     folder = _make_models(found, data_path, values, scene)
     for name, paths in found.items():
         methods.append(_model_method(name, paths, data_path, reader, folder))

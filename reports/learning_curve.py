@@ -1,0 +1,151 @@
+"""What more training runs bring: the protocol's errors, trained on fewer and fewer of them.
+
+Each size is a dataset of its own in the same subspace (`pca_tools.subset`, runs spread over all),
+on which models and baselines are trained as by `reports.protocol`; valid chooses, and the test runs
+that judge are the same for all sizes.
+
+Examples:
+    python -m reports learning_curve --train=swept_field,pcg --data_path=datasets/excavation_v2 \\
+        --work_path=/tmp/curve --output_path=docs/learning_curve     # goes on where it stopped
+    python -m reports documents docs/swept_field.md                  # its tables
+"""
+
+import os
+
+import numpy as np
+from absl import flags
+
+from pca_tools import files, subset
+from reports import command, markdown, record
+from reports.protocol import __main__ as protocol
+from reports.protocol import over_runs
+
+SCHEMA_VERSION = 1
+QUANTITIES = {'soil_mm': 'soil, mm', 'force_l2': 'force'}
+GRID, DRIVEN = 'grid', 'driven'  # kinds of runs: of constant speed, and all others
+
+
+def condense(document: dict, split: str = 'test') -> dict:
+    """Means over the runs of a split, of each method.
+
+    Args:
+      document: of `protocol.protocol`.
+      split: of it.
+
+    Returns:
+      `grid` and `driven` (those there are) -> `runs`, and quantity -> method -> one value a seed.
+      Runs whose soil hardly moves count for the force alone, as in the protocol.
+    """
+    runs, found = document['runs'][split], {}
+    for kind in (GRID, DRIVEN):
+        chosen = [i for i, run in enumerate(runs) if (run['kind'] == GRID) == (kind == GRID)]
+        if not chosen:
+            continue
+        found[kind] = {'runs': len(chosen)} | {q: {} for q in QUANTITIES}
+        for quantity in QUANTITIES:
+            judged = [
+                i for i in chosen
+                if quantity != 'soil_mm' or runs[i]['motion_mm'] >= over_runs.QUIET_MM
+            ]  # fmt: skip
+            for method in document['methods']:
+                errors = [[s['runs'][split][i].get(quantity) for i in judged]
+                          for s in method['seeds']]  # fmt: skip
+                if judged and None not in sum(errors, []):
+                    found[kind][quantity][method['name']] = [float(np.mean(e)) for e in errors]
+    return found
+
+
+def measure(data_path: str, size: int, values) -> dict:
+    """Trains and judges on `size` runs, 0 for all; returns a row of the JSON.
+
+    Args:
+      data_path: dataset with a particle sample.
+      size: number of training runs.
+      values: flags of the command.
+
+    Raises:
+      ValueError: fewer training runs than asked for, or a training that failed; what is made stays.
+    """
+    work = os.path.join(values.work_path, f'{size or "all"}')
+    folder = os.path.join(work, 'data')
+    if not os.path.exists(os.path.join(folder, 'manifest.json')):
+        subset.subset(data_path, folder, size, subset.kinds_of(values.kinds), overwrite=True)
+    models = {name: [os.path.join(work, f'{name}_{seed}') for seed in range(values.num_seeds)]
+              for name in values.train}  # fmt: skip
+    document = protocol.protocol(folder, values, models)
+    return {'train_runs': document['data']['train_runs'], 'test': condense(document)}
+
+
+def table(path: str, kind: str) -> str:
+    """Mean errors of the test runs of a kind by number of training runs; (low to high) over seeds
+    where there are several."""
+
+    def cell(seeds):
+        mean = f'{np.mean(seeds):.3g}'
+        return mean if len(seeds) < 2 else f'{mean} ({min(seeds):.3g} to {max(seeds):.3g})'
+
+    rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
+    columns = [
+        (quantity, name) for quantity in QUANTITIES for name in rows[-1]['test'][kind][quantity]
+    ]
+    lines = [
+        (row['train_runs'], *(cell(row['test'][kind][q][n]) if n in row['test'][kind][q] else ''
+                              for q, n in columns))
+        for row in rows
+    ]  # fmt: skip
+    header = ('training runs', *(f'{name}: {QUANTITIES[quantity]}' for quantity, name in columns))
+    return markdown.table(header, lines)
+
+
+def draw(path: str, picture: str) -> None:
+    """Draws soil and force against the number of training runs; dashed: runs of constant speed."""
+    from matplotlib import figure
+
+    rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
+    drawn = figure.Figure(figsize=(9, 3.6), layout='constrained')
+    for axes, (quantity, title) in zip(drawn.subplots(1, 2), QUANTITIES.items(), strict=True):
+        for kind, style in ((DRIVEN, '-'), (GRID, '--')):
+            names = list(rows[-1]['test'].get(kind, {}).get(quantity, {}))
+            for number, name in enumerate(names):
+                points = [(row['train_runs'], np.mean(row['test'][kind][quantity][name]))
+                          for row in rows if name in row['test'][kind][quantity]]  # fmt: skip
+                label = name if style == '-' or DRIVEN not in rows[-1]['test'] else None
+                axes.plot(*zip(*points, strict=True), f'o{style}', color=f'C{number}', label=label)
+        axes.set(xscale='log', yscale='log', xlabel='training runs', ylabel=title)
+        axes.set_xticks(*(2 * [[row['train_runs'] for row in rows]]))
+        axes.minorticks_off()
+        axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize='small')
+    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('data_path', None, 'Dataset with a particle sample.', required=True)
+    flags.DEFINE_list('sizes', ['7', '14', '28', '56', '112', '0'], 'Training runs; 0: all.')
+    flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20; default: all.')
+    flags.DEFINE_list('train', ['swept_field'], 'Presets that are trained on each size.')
+    flags.DEFINE_integer('num_seeds', 1, 'Seeds of each.', 1)
+    command.define_workers('Models trained and rolled out at a time.')
+    flags.DEFINE_string('work_path', None, 'Folder for trainings; calls resume.', required=True)
+    flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
+
+
+def main(values, _) -> None:
+    """Runs the command."""
+    if bad := [size for size in values.sizes if not size.isdecimal()]:
+        raise ValueError(f'--sizes are numbers of runs, got {bad}')
+    path = f'{values.output_path}.json'
+    held = files.read_json(path) if os.path.exists(path) else {'rows': {}}
+    for size in values.sizes:
+        if size not in held['rows']:
+            held['rows'][size] = measure(values.data_path, int(size), values)
+            head = {'schema_version': SCHEMA_VERSION, 'record': record.provenance()}
+            files.write_json(path, head | {'rows': held['rows']})
+    draw(path, f'{values.output_path}.png')
+    for kind in held['rows'][values.sizes[-1]]['test']:
+        print(f'\n{kind}\n{table(path, kind)}')
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)
