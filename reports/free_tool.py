@@ -254,7 +254,7 @@ def start_in_contact(model, opened, group, path, soil) -> dict:
     }
 
 
-def measure(model, data, split: str, n_run: int = 0) -> list[dict]:
+def measure(model, data, split: str, n_run: int = 0, kinds=()) -> list[dict]:
     """Rows of all runs of a split; see the module.
 
     Args:
@@ -262,6 +262,7 @@ def measure(model, data, split: str, n_run: int = 0) -> list[dict]:
       data: `api.Dataset`.
       split: of it.
       n_run: so many runs, spread over the split; 0: all.
+      kinds: of runs; none: all.
 
     Raises:
       ValueError: a scene whose tool is not known, or another tool than the solver's.
@@ -276,6 +277,9 @@ def measure(model, data, split: str, n_run: int = 0) -> list[dict]:
         (g.select(i) for g in opened.groups for i in range(len(g.record))),
         key=lambda g: int(g.record[0]),
     )
+    if kinds:
+        cases = data.metadata['cases'][split]
+        groups = [g for g in groups if cases[int(g.record[0])].get('kind') in kinds]
     if 0 < n_run < len(groups):
         groups = [groups[i] for i in np.linspace(0, len(groups) - 1, n_run).astype(int)]
     for group in tqdm.tqdm(groups, desc='runs'):
@@ -354,6 +358,7 @@ def define_flags() -> None:
     flags.DEFINE_list('models', None, 'Model folders.', required=True)
     flags.DEFINE_list('data', None, 'Their datasets; default: datasets/<scene of the path>.')
     flags.DEFINE_enum('split', 'test', dataset.SPLITS, 'Runs that are looked at.')
+    flags.DEFINE_list('kinds', [], 'Kinds of runs; default: all.')
     flags.DEFINE_integer('runs', 0, 'So many runs, spread over the split; 0: all.', 0)
     flags.DEFINE_string(
         'output_path', None, 'JSON file to write; other models in it stay.', required=True
@@ -374,7 +379,8 @@ def main(values, _) -> None:
         kept = files.read_json(values.output_path)['models']
     for path, folder in zip(values.models, data):
         print(f'measuring {path} ...', flush=True)
-        rows = measure(api.TrainedModel(path), api.Dataset(folder), values.split, values.runs)
+        opened = api.TrainedModel(path), api.Dataset(folder)
+        rows = measure(*opened, values.split, values.runs, values.kinds)
         head = {'schema_version': SCHEMA_VERSION, **record.provenance(values.num_threads)}
         name = os.path.normpath(path)
         kept = [found for found in kept if found['model'] != name]

@@ -21,7 +21,7 @@ from reports.protocol import __main__ as protocol
 from reports.protocol import over_runs
 
 SCHEMA_VERSION = 1
-QUANTITIES = {'soil_mm': 'soil, mm', 'force_l2': 'force'}
+QUANTITIES = {'soil_mm': 'soil, mm', 'force_l2': 'force, rel. L2'}
 GRID, DRIVEN = 'grid', 'driven'  # kinds of runs: of constant speed, and all others
 
 
@@ -111,11 +111,13 @@ def draw(path: str, picture: str) -> None:
                           for row in rows if name in row['test'][kind][quantity]]  # fmt: skip
                 label = name if style == '-' or DRIVEN not in rows[-1]['test'] else None
                 axes.plot(*zip(*points, strict=True), f'o{style}', color=f'C{number}', label=label)
-        axes.set(xscale='log', yscale='log', xlabel='training runs', ylabel=title)
+        axes.set(xscale='log', xlabel='training runs', ylabel=title)
+        axes.set_ylim(bottom=0.0)
         axes.set_xticks(*(2 * [[row['train_runs'] for row in rows]]))
         axes.minorticks_off()
         axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize='small')
+    drawn.suptitle('test; solid: driven freely, dashed: constant speed', fontsize='small')
     files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 

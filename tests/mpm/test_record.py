@@ -89,7 +89,7 @@ def test_command_lists_what_it_would_make():
     ('arguments', 'words'),
     [
         ([], 'give --output_path, or --list'),
-        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, wheel_free"),
+        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, halts, wheel_free"),
         (['--splits=exam', '--list'], "unknown splits ['exam']; there are train, valid, test"),
         (['--expect=nothing.json', '--output_path=x'], "No such file or directory: 'nothing.json'"),
     ],

@@ -79,7 +79,12 @@ def test_a_curve_goes_on_where_it_stopped(made, tmp_path, monkeypatch, capsys):
     path = f'{values.output_path}.json'
     assert files.read_json(path)['rows']['0']['train_runs'] == 28
     lines = learning_curve.table(path, 'driven').splitlines()
-    columns = ('field: soil, mm', 'path ridge: soil, mm', 'field: force', 'path ridge: force')
+    columns = (
+        'field: soil, mm',
+        'path ridge: soil, mm',
+        'field: force, rel. L2',
+        'path ridge: force, rel. L2',
+    )
     assert lines[0] == f'| training runs | {" | ".join(columns)} |'
     assert lines[2:] == [
         '| 7 | 8 (4 to 12) | 4 | 0.6 (0.3 to 0.9) | 0.3 |',
