@@ -30,6 +30,7 @@ from reports import command, markdown, record
 
 SCHEMA_VERSION = 2
 LENGTHS = 10
+ROOM = 0.03  # m, of the bins behind a start, for the tool itself
 _RATES = {'half_rate': 0.5, 'double_rate': 2.0}
 
 
@@ -153,19 +154,28 @@ def measure(model, data, split: str) -> dict:
     _, summary = evaluator.run(opened.groups, split, lambda x: tqdm.tqdm(x, desc='runs'))
     cases = data.metadata.get('cases', {}).get(split, [])
     groups = {int(g.record[i]): g.select(i) for g in opened.groups for i in range(len(g.record))}
-    rows = []
-    for fact in tqdm.tqdm(summary['field'], desc='steadiness', disable=None):
-        number = fact.pop('record')
+    rows, numbers = [], [fact.pop('record') for fact in summary['field']]
+    steps = tqdm.tqdm(summary['field'], desc='steadiness', disable=None)
+    for number, fact in zip(numbers, steps, strict=True):
         case = cases[number] if number < len(cases) else {}
         row = {'case': case.get('case', number), 'kind': case.get('kind', 'run')} | fact
         rows.append(row | steadiness(field, evaluator, split, groups[number]))
     found = {'runs': rows, 'reliability': summary['reliability']}
     if field.tool.predicts_height:  # begins anew only where it stands in its own print
         return found
+    records = getattr(data, split).records
+    paths = [records[number].rigid_pose.astype(float) for number in numbers]
+    fitting = [k for k in range(len(rows)) if _way_back(paths[k]) < field.grid.behind - ROOM]
+    if not fitting:
+        return found
     # The run that cuts most leaves the most to a bed that is driven over again.
-    most = int(np.argmax([row['cut_litre'] for row in rows]))
-    poses = getattr(data, split).records[most].rigid_pose.astype(float)
-    return found | {'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, poses)}
+    most = max(fitting, key=lambda k: rows[k]['cut_litre'])
+    return found | {'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, paths[most])}
+
+
+def _way_back(poses) -> float:
+    """How far, m, the places of a path [T, 7] lie from its end, where the way back begins."""
+    return float(np.linalg.norm(poses[:, :3] - poses[-1, :3], axis=1).max())
 
 
 def _data_version(data):
