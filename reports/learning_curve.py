@@ -36,7 +36,8 @@ def condense(document: dict, split: str = 'test') -> dict:
       `grid` and `driven` (those there are) -> `runs`, and quantity -> method -> one value a seed.
       Runs whose soil hardly moves count for the force alone, as in the protocol.
     """
-    runs, found = document['runs'][split], {}
+    runs = document['runs'][split]
+    found: dict[str, dict] = {}
     for kind in (GRID, DRIVEN):
         chosen = [i for i, run in enumerate(runs) if (run['kind'] == GRID) == (kind == GRID)]
         if not chosen:
