@@ -38,10 +38,6 @@ RIDE, AFTER, AFTER_HALT = 60, 60, 6  # frames
 EVERY = 8
 DEEP = 1e-3  # m; less counts as touching
 NO_FORCE, SMALL = 0.1, 2.0  # N, of the solver and of a prediction
-HALT_KEYS = (
-    'halts', 'halt_before_N', 'halt_after_N', 'halt_square', 'halt_frames', 'other_square',
-    'other_frames',
-)  # fmt: skip
 FAST, STILL = 0.03, 1e-6  # m/s, m a frame
 # Where the records come from another tool than the solver's, m.
 SAME_TOOL = 1e-3
@@ -310,12 +306,14 @@ def _free(rows):
 
 
 def _halt(rows):
-    total = {key: sum(row.get(key, 0) for row in rows) for key in HALT_KEYS}
-    if not total['halts']:
+    def total(key):
+        return sum(row.get(key, 0) for row in rows)
+
+    if not total('halts'):
         return ('',) * 3
-    forces = (total[f'halt_{when}_N'] / total['halts'] for when in ('before', 'after'))
+    forces = (total(f'halt_{when}_N') / total('halts') for when in ('before', 'after'))
     at, other = (
-        float(np.sqrt(total[f'{where}_square'] / total[f'{where}_frames']))
+        float(np.sqrt(total(f'{where}_square') / total(f'{where}_frames')))
         for where in ('halt', 'other')
     )
     return at, other, '{:.0f} to {:.0f}'.format(*forces)

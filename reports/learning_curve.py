@@ -7,7 +7,6 @@ that judge are the same for all sizes.
 Examples:
     python -m reports learning_curve --train=swept_field,pcg --data_path=datasets/excavation_v2 \\
         --work_path=/tmp/curve --output_path=docs/learning_curve     # goes on where it stopped
-    python -m reports documents docs/swept_field.md                  # its tables
 """
 
 import os
@@ -80,20 +79,14 @@ def measure(data_path: str, size: int, values) -> dict:
 def table(path: str, kind: str) -> str:
     """Mean errors of the test runs of a kind by number of training runs; (low to high) over seeds
     where there are several."""
-
-    def cell(seeds):
-        mean = f'{np.mean(seeds):.3g}'
-        return mean if len(seeds) < 2 else f'{mean} ({min(seeds):.3g} to {max(seeds):.3g})'
-
     rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
     columns = [
         (quantity, name) for quantity in QUANTITIES for name in rows[-1]['test'][kind][quantity]
     ]
-    lines = [
-        (row['train_runs'], *(cell(row['test'][kind][q][n]) if n in row['test'][kind][q] else ''
-                              for q, n in columns))
-        for row in rows
-    ]  # fmt: skip
+    lines = []
+    for row in rows:
+        seeds = (row['test'][kind][quantity].get(name) for quantity, name in columns)
+        lines.append((row['train_runs'], *(markdown.span(s) if s else '' for s in seeds)))
     header = ('training runs', *(f'{name}: {QUANTITIES[quantity]}' for quantity, name in columns))
     return markdown.table(header, lines)
 

@@ -64,7 +64,7 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr(learning_curve.protocol, 'protocol', protocol)
     values = SimpleNamespace(
         data_path='data', sizes=['7', '0'], kinds=['lift:2'], train=['field'], num_seeds=2,
-        work_path=str(tmp_path / 'work'), output_path=str(tmp_path / 'curve'),
+        work_path=str(tmp_path / 'sizes'), output_path=str(tmp_path / 'curve'),
     )  # fmt: skip
     return values, judged
 
@@ -75,7 +75,7 @@ def test_a_curve_goes_on_where_it_stopped(made, tmp_path, monkeypatch, capsys):
     learning_curve.main(values, None)
     values.sizes = ['7', '0']
     learning_curve.main(values, None)
-    assert judged == [f'{tmp_path}/work/7/data', f'{tmp_path}/work/all/data']
+    assert judged == [f'{tmp_path}/sizes/7/data', f'{tmp_path}/sizes/all/data']
     path = f'{values.output_path}.json'
     assert files.read_json(path)['rows']['0']['train_runs'] == 28
     lines = learning_curve.table(path, 'driven').splitlines()
