@@ -107,7 +107,9 @@ def _lacking(data: full_space.FullSpaceData, up: int | None, reason: str | None)
 
 
 def explain(folder: str, format_name: str | None = None) -> str:
-    """Returns what a folder is and what to do with it, with the flags that it needs.
+    """Returns what a folder is and what to do with it, with the flags that it surely needs.
+
+    No run is read: where there are bounds the upward axis may follow from all of them.
 
     Raises:
         FileNotFoundError: there is no such folder.
@@ -117,7 +119,7 @@ def explain(folder: str, format_name: str | None = None) -> str:
     text = detect.explain(kind, folder)
     if kind in detect.FORMATS:
         data = detect.FORMATS[kind].read(folder, full_space.ReadOptions())
-        lacking = _lacking(data, *_up_axis(data, _three_bounds(data.bounds, 1.0)))
+        lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
         text += ''.join(f' {flag}' for flag in lacking)
     return text
 

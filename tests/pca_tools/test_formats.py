@@ -204,6 +204,20 @@ def test_all_that_is_lacking_is_said_at_once_and_by_the_name(tmp_path):
     assert explain(str(tmp_path)).endswith('--output_path=RAW --dt=SECONDS --up_axis=0|1|2')
 
 
+def test_a_folder_is_named_without_reading_its_runs(
+    excavation, raw_excavation, tmp_path, monkeypatch
+):
+    out = written(excavation, raw_excavation, tmp_path, 'deepmind')
+
+    def read_all(*_):
+        raise AssertionError('all runs are read')
+
+    monkeypatch.setattr('pca_tools.formats.full_space.find_up_axis', read_all)
+    assert explain(out).endswith('--output_path=RAW')
+    with pytest.raises(AssertionError, match='all runs are read'):
+        import_data(out, str(tmp_path / 'raw'))
+
+
 def test_differing_particles_and_moving_walls_are_refused(tmp_path):
     def data_of(*runs, **extra):
         return full_space.FullSpaceData('here', lambda: iter(runs), 0.1, **extra)
