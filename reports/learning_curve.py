@@ -70,9 +70,7 @@ def measure(data_path: str, size: int, values) -> dict:
     folder = os.path.join(work, 'data')
     if not os.path.exists(os.path.join(folder, 'manifest.json')):
         subset.subset(data_path, folder, size, subset.kinds_of(values.kinds), overwrite=True)
-    models = {name: [os.path.join(work, f'{name}_{seed}') for seed in range(values.num_seeds)]
-              for name in values.train}  # fmt: skip
-    document = protocol.protocol(folder, values, models)
+    document = protocol.protocol(folder, values, protocol.trained_here(values, work))
     return {'train_runs': document['data']['train_runs'], 'test': condense(document)}
 
 
@@ -120,7 +118,9 @@ def define_flags() -> None:
     flags.DEFINE_string('data_path', None, 'Dataset with a particle sample.', required=True)
     flags.DEFINE_list('sizes', ['7', '14', '28', '56', '112', '0'], 'Training runs; 0: all.')
     flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20; default: all.')
-    flags.DEFINE_list('train', ['swept_field'], 'Presets that are trained on each size.')
+    flags.DEFINE_list(
+        'train', ['swept_field'], 'Presets that are trained on each size, as of `reports.protocol`.'
+    )
     flags.DEFINE_integer('num_seeds', 1, 'Seeds of each.', 1)
     command.define_workers('Models trained and rolled out at a time.')
     flags.DEFINE_string('work_path', None, 'Folder for trainings; calls resume.', required=True)

@@ -11,6 +11,10 @@ Examples:
     python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/tmp/protocol \\
         --output_path=docs/protocol
 
+    # presets with other flags of the training are methods of their own
+    python -m reports.protocol --data_path=datasets/excavation_v2 --work_path=/tmp/protocol \\
+        --train='swept_field,mlp --modes=8,pcg --modes=8' --output_path=docs/protocol
+
     # the same on 8 processes, or on a cluster (docs/cluster.md)
     python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/shared/protocol \\
         --output_path=docs/protocol --cluster=local:8
@@ -139,12 +143,18 @@ def _models_of(scene, values):
         if not path:
             raise ValueError(f'--model={item}: NAME=FOLDER was expected')
         found.setdefault(name, []).append(path)
-    for preset in values.train:
-        folder = os.path.join(values.work_path, 'models', scene)
-        found[preset] = [
-            os.path.join(folder, f'{preset}_{seed}') for seed in range(values.num_seeds)
+    return found | trained_here(values, os.path.join(values.work_path, 'models', scene))
+
+
+def trained_here(values, folder: str) -> dict[str, list[str]]:
+    """Method of --train -> the model folders of its seeds, under `folder`."""
+    return {
+        name: [
+            os.path.join(folder, f'{rollouts.name_of_folder(name)}_{seed}')
+            for seed in range(values.num_seeds)
         ]
-    return found
+        for name in values.train
+    }
 
 
 def _make_models(found, data_path, values, scene) -> str:
@@ -157,7 +167,7 @@ def _make_models(found, data_path, values, scene) -> str:
     jobs = []
     for name, paths in found.items():
         for seed, path in enumerate(map(os.path.abspath, paths)):
-            own = [f'--preset={name}', f'--seed={seed}', '--num_threads=1']
+            own = [*rollouts.training_flags(name), f'--seed={seed}', '--num_threads=1']
             flags_ = own if name in values.train else None
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
     failed = []
@@ -254,7 +264,10 @@ def define_flags() -> None:
         'model', [], 'NAME=FOLDER of a trained model; a name may be repeated with its seeds. '
         'Default: models/<scene>/*.'
     )  # fmt: skip
-    flags.DEFINE_list('train', [], 'Presets that are trained here, with several seeds.')
+    flags.DEFINE_list(
+        'train', [], 'Presets that are trained here, with several seeds; "PRESET --FLAG=VALUE" '
+        'with other flags of the training.',
+    )  # fmt: skip
     flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
     command.define_workers('Models trained and rolled out at a time.')
     flags.DEFINE_string(

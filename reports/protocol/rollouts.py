@@ -2,6 +2,8 @@
 every method of the registry."""
 
 import os
+import re
+import shlex
 import subprocess
 import sys
 
@@ -29,6 +31,23 @@ def make(job: tuple) -> None:
         train(data_path, model_path, flags)
     for split in splits:
         roll_out(data_path, model_path, split, folder)
+
+
+def training_flags(name: str) -> list[str]:
+    """Flags of the training of a method of --train, `PRESET` or `PRESET --FLAG=VALUE ...`.
+
+    Raises:
+      ValueError: what follows the preset is no flag.
+    """
+    preset, *others = shlex.split(name) or ['']
+    if not preset or not all(other.startswith('--') for other in others):
+        raise ValueError(f'--train={name}: PRESET or PRESET --FLAG=VALUE was expected')
+    return [f'--preset={preset}', *others]
+
+
+def name_of_folder(name: str) -> str:
+    """A method of --train as part of a path."""
+    return re.sub(r'\W+', '_', name)
 
 
 def train(data_path: str, model_path: str, flags: list[str]) -> None:
