@@ -2,7 +2,9 @@
 
 `path`: pose, velocity, deepest and foremost point so far, swept area (a blade), or travel, turn,
 slip, their rates, logarithms of the context and the size (a wheel). `swept` adds the profile of the
-deepest cut in bins that stand still (a blade; a wheel's height is not known, so nor is its rut).
+deepest cut, from where the tool began; `bed` adds where on the bed that was and the profile at
+places that are the same in all runs, as the particles of the modes are (a blade; a wheel's height
+is not known, so nor is its rut).
 """
 
 import dataclasses
@@ -14,7 +16,7 @@ from learning_to_simulate.methods import swept_features, tool_motion
 from learning_to_simulate.methods.tool_motion import TravelFrame
 from learning_to_simulate.scene import RigidMotion, Scene
 
-SETS = ('path', 'swept')
+SETS = ('path', 'swept', 'bed')
 # Half the thickness of the blade of the scenes; only how far its cut reaches past it hangs on it.
 EDGE_RADIUS = 0.014
 PROFILE_BINS = 15
@@ -28,8 +30,9 @@ class PathInputs:
       scene: what exists.
       frame: the way of travel, of the training runs.
       surface: height of the resting bed, m.
-      reach: [2] smallest and largest travel of the training runs from their start, m; the bins of
-        `swept` are spread over it.
+      reach: [2] smallest and largest travel of the training runs from their start, m; the profile
+        of `swept` is spread over it.
+      places: [2] smallest and largest place along the way of the training runs, m; likewise of `bed`.
       grid: bins of the swept profile.
     """
 
@@ -37,6 +40,7 @@ class PathInputs:
     frame: TravelFrame
     surface: float
     reach: tuple[float, float]
+    places: tuple[float, float]
     grid: swept_features.SweptGrid
 
     @classmethod
@@ -59,7 +63,8 @@ class PathInputs:
             ahead=float(travel.max()) + span / 2 + 0.2,
         )
         reach = (float(travel.min()), float(travel.max()))
-        return cls(scene, frame, float(surface), reach, grid)
+        places = (min(float(x.min()) for x in u), max(float(x.max()) for x in u))
+        return cls(scene, frame, float(surface), reach, places, grid)
 
     @property
     def sets(self) -> tuple[str, ...]:
@@ -74,8 +79,7 @@ class PathInputs:
         """
         body = group.position[:, :, : group.n_rigid]
         if self.scene.rigid_motion == RigidMotion.PRESCRIBED:
-            path, profile = self._blade(body)
-            parts = [path] if name == 'path' else [path, profile]
+            parts = self._blade(body, name)
         else:
             hidden = tool_motion.hidden_height(body, self.scene, H)
             parts = [self._wheel(hidden)]
@@ -85,11 +89,17 @@ class PathInputs:
             parts.append(np.broadcast_to(_context(by_frame), shape))
         return np.concatenate(parts, axis=-1)
 
-    def _blade(self, body):
+    def _blade(self, body, name):
         tip, lean = tool_motion.blade_pose(body, self.frame)
         dt, n_frame = self.scene.dt, body.shape[1]
         state = swept_features.start(self.grid, tip[:, 0], self.surface)
-        places = tip[:, :1, 0] + np.linspace(*self.reach, PROFILE_BINS)
+        begun = tip[:, :1, 0]
+        if name == 'bed':
+            places = np.broadcast_to(
+                np.linspace(*self.places, PROFILE_BINS), (len(tip), PROFILE_BINS)
+            )
+        else:
+            places = begun + np.linspace(*self.reach, PROFILE_BINS)
         path, profile = [], []
         lowest = tip[:, 0, 1]
         for t in range(n_frame):
@@ -110,7 +120,12 @@ class PathInputs:
             )
             cut = swept_features.profile_at(self.grid, state, places) - self.surface
             profile.append(cut)
-        return np.moveaxis(np.array(path), 2, 0), np.stack(profile, axis=1)
+        parts = [np.moveaxis(np.array(path), 2, 0)]
+        if name != 'path':
+            parts.append(np.stack(profile, axis=1))
+        if name == 'bed':
+            parts.append(np.broadcast_to(begun[:, None], (len(tip), n_frame, 1)))
+        return parts
 
     def _wheel(self, body):
         centre, turned, radius, width = tool_motion.wheel_pose(body, self.frame)
@@ -133,6 +148,7 @@ class PathInputs:
             'frame': dataclasses.asdict(self.frame),
             'surface': self.surface,
             'reach': list(self.reach),
+            'places': list(self.places),
             'grid': dataclasses.asdict(self.grid),
         }
 
@@ -144,6 +160,7 @@ class PathInputs:
             TravelFrame(**values['frame']),
             float(values['surface']),
             tuple(map(float, values['reach'])),
+            tuple(map(float, values['places'])),
             swept_features.SweptGrid(**values['grid']),
         )
 

@@ -52,16 +52,23 @@ class Regression:
     offset: np.ndarray | None = None
 
     @classmethod
-    def fit(cls, inputs: str, x, y, gamma: float, alpha: float) -> 'Regression':
-        """Fits outputs y [n, O] to inputs x [n, I]; `gamma` is per number of inputs."""
+    def fit(cls, inputs: str, x, y, gamma: float, alphas) -> list['Regression']:
+        """Fits outputs y [n, O] to inputs x [n, I] with each ridge; `gamma` is per number of inputs.
+
+        All have the same kernel.
+        """
         from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
 
         shift, scale = x.mean(axis=0), x.std(axis=0)
         scale = np.where(scale > 1e-9 * np.maximum(np.abs(shift), 1.0), scale, 1.0)
-        samples = (x - shift) / scale
+        parts = (shift, scale, (x - shift) / scale)
         gamma = gamma / x.shape[1]
-        model = KernelRidge(alpha=alpha, kernel='rbf', gamma=gamma).fit(samples, y)
-        return cls(inputs, gamma, alpha, shift, scale, samples, np.asarray(model.dual_coef_))
+        gram = _kernel(parts[2], parts[2], gamma)
+        return [
+            cls(inputs, gamma, alpha, *parts,
+                np.asarray(KernelRidge(alpha=alpha, kernel='precomputed').fit(gram, y).dual_coef_))
+            for alpha in alphas
+        ]  # fmt: skip
 
     def columns(self, which: slice, offset) -> 'Regression':
         """The regression of some of the outputs; they share all but the dual coefficients."""
@@ -70,23 +77,24 @@ class Regression:
         )
 
     def predict(self, x) -> np.ndarray:
-        """Outputs [S, T - H, O] of frames H .. T - 1 from inputs [S, T, I] of all frames.
+        """Outputs [S, T - H, O] of frames H .. T - 1 from inputs [S, T, I] of all frames."""
+        return self.since_start(self(x[:, H - 1 :]))
+
+    def since_start(self, values) -> np.ndarray:
+        """Outputs [S, T - H, O] from what is regressed for frames H - 1 .. T - 1.
 
         Changes since the last given frame begin there: what is regressed for it is taken off.
         """
-        values = self(x[:, H - 1 :])
         return values[:, 1:] - values[:, :1] if self.offset is None else values[:, 1:] + self.offset
+
+    def kernel(self, x) -> np.ndarray:
+        """[..., n] of inputs [..., I] and the samples."""
+        flat = ((x - self.shift) / self.scale).reshape(-1, x.shape[-1])
+        return _kernel(flat, self.samples, self.gamma).reshape(*x.shape[:-1], -1)
 
     def __call__(self, x) -> np.ndarray:
         """Outputs [..., O] at inputs [..., I]."""
-        flat = ((x - self.shift) / self.scale).reshape(-1, x.shape[-1])
-        square = (
-            (flat**2).sum(axis=1)[:, None]
-            + (self.samples**2).sum(axis=1)
-            - 2.0 * flat @ self.samples.T
-        )
-        values = np.exp(-self.gamma * np.maximum(square, 0.0)) @ self.dual
-        return values.reshape(*x.shape[:-1], -1)
+        return self.kernel(x) @ self.dual
 
 
 class PathRidge:
@@ -152,20 +160,25 @@ class PathRidge:
         }
         best: dict[str, tuple] = {}
         choices = []
-        for inputs, gamma, alpha in progress(list(itertools.product(reader.sets, gammas, alphas))):
-            whole = Regression.fit(inputs, _samples(seen[inputs][0], stride), y, gamma, alpha)
-            for i, (target, offset) in enumerate(offsets.items()):
-                regression = whole.columns(slice(*ends[i : i + 2]), offset)
-                output = open_loop.FORCE if target == _FREE_FORCE else target
-                error = _error(
-                    [regression.predict(x) for x in seen[inputs][1]], [t[target] for t in truth]
-                )
-                choices.append(
-                    {'output': output, 'target': target, 'inputs': inputs, 'gamma': gamma,
-                     'alpha': alpha, 'valid_error': error}
-                )  # fmt: skip
-                if output not in best or error < best[output][0]:
-                    best[output] = (error, regression)
+        for inputs, gamma in progress(list(itertools.product(reader.sets, gammas))):
+            wholes = Regression.fit(inputs, _samples(seen[inputs][0], stride), y, gamma, alphas)
+            kernels = [wholes[0].kernel(x[:, H - 1 :]) for x in seen[inputs][1]]
+            for whole in wholes:
+                values = [kernel @ whole.dual for kernel in kernels]
+                for i, (target, offset) in enumerate(offsets.items()):
+                    which = slice(*ends[i : i + 2])
+                    regression = whole.columns(which, offset)
+                    output = open_loop.FORCE if target == _FREE_FORCE else target
+                    error = _error(
+                        [regression.since_start(v[..., which]) for v in values],
+                        [t[target] for t in truth],
+                    )
+                    choices.append(
+                        {'output': output, 'target': target, 'inputs': inputs, 'gamma': gamma,
+                         'alpha': whole.alpha, 'valid_error': error}
+                    )  # fmt: skip
+                    if output not in best or error < best[output][0]:
+                        best[output] = (error, regression)
         return cls(scene, reader, {n: r for n, (_, r) in best.items()}, choices)
 
     def predict(self, group, cases=None) -> open_loop.Prediction:
@@ -230,6 +243,17 @@ class PathRidge:
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise ValueError(f'{path}: is not a path_ridge model ({error!r})') from error
         return cls(scene, reader, regressions, about['choices'])
+
+
+def _kernel(a, b, gamma):
+    """exp(-gamma |a - b|^2) [n_a, n_b] of scaled inputs; in place, since these are large."""
+    square = a @ b.T
+    square *= -2.0
+    square += (a**2).sum(axis=1)[:, None]
+    square += (b**2).sum(axis=1)
+    np.maximum(square, 0.0, out=square)
+    square *= -gamma
+    return np.exp(square, out=square)
 
 
 def _check(r):

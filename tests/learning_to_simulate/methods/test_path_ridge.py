@@ -28,7 +28,7 @@ def test_a_regression_is_the_closed_form():
     """dual = (K + alpha I)^-1 y on inputs of mean 0 and deviation 1."""
     rng = np.random.default_rng(0)
     x, y = rng.normal(3.0, [1.0, 50.0, 0.0], (40, 3)), rng.normal(size=(40, 2))
-    regression = Regression.fit('path', x, y, gamma=0.6, alpha=0.03)
+    regression = Regression.fit('path', x, y, gamma=0.6, alphas=[1.0, 0.03])[1]
     scaled = (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)
 
     def kernel(a, b):
