@@ -32,7 +32,7 @@ class PathInputs:
       surface: height of the resting bed, m.
       reach: [2] smallest and largest travel of the training runs from their start, m; the profile
         of `swept` is spread over it.
-      places: [2] smallest and largest place along the way of the training runs, m; likewise of `bed`.
+      places: [2] smallest and largest place along the way of the training runs, m; of `bed`.
       grid: bins of the swept profile.
     """
 

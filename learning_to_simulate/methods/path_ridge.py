@@ -53,9 +53,9 @@ class Regression:
 
     @classmethod
     def fit(cls, inputs: str, x, y, gamma: float, alphas) -> list['Regression']:
-        """Fits outputs y [n, O] to inputs x [n, I] with each ridge; `gamma` is per number of inputs.
+        """Fits outputs y [n, O] to inputs x [n, I], once with each ridge and all with one kernel.
 
-        All have the same kernel.
+        `gamma` is per number of inputs.
         """
         from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
 
