@@ -46,13 +46,13 @@ def measure(model_path: str, data_path: str, limit: int = 0) -> list[dict]:
 def table(path: str) -> str:
     """The largest of all runs of each model, from a JSON file of this command."""
     lines = []
+    keys = 'force', 'torque', 'height_m', 'particles_m', 'c_to_twin_m', 'python_to_twin_m'
     for model, rows in files.read_json(path).items():
-        worst = [f'{max(row[key] for row in rows):.1e}'.replace('e-0', 'e-') for key in
-                 ('force', 'torque', 'height_m', 'particles_m')]  # fmt: skip
+        worst = [f'{max(row[key] for row in rows):.1e}'.replace('e-0', 'e-') for key in keys]
         frames, same = (sum(row[key] for row in rows) for key in ('frames', 'same_status'))
         lines.append((model, len(rows), frames, *worst, f'{same} of {frames}'))
     header = 'model', 'runs', 'frames', 'force', 'torque', 'height, m', 'particles, m'
-    return markdown.table((*header, 'status agrees'), lines)
+    return markdown.table((*header, 'C to twin, m', 'Python to twin, m', 'status agrees'), lines)
 
 
 if __name__ == '__main__':

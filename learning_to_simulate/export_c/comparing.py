@@ -104,7 +104,8 @@ def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
 
     Returns:
       `frames` until the first that both refuse; `force` and `torque`, shares of the largest;
-      `height_m`, `particles_m`, `motion_m` of the particles; `same_status`, in how many frames.
+      `height_m`, `particles_m`, `motion_m` of the particles; `c_to_twin_m` and `python_to_twin_m`,
+      of the particles to `twin_particles`; `same_status`, in how many frames.
     """
     poses = run.rigid_pose.astype(np.float64)
     contexts = [None] * len(poses)
@@ -120,6 +121,7 @@ def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
         soil.start(poses[0], index=live.start_index, context=contexts[0])
     up, before = soil.description.up_axis, soil.particles()
     rows, same, apart, motion, heights = ([], []), 0, [0.0], [0.0], [0.0]
+    to_twin = [(0.0, 0.0)]
     for k, (pose, context) in enumerate(zip(poses[1:], contexts[1:], strict=True), 1):
         mine, expected = (_refused(one, pose, context) for one in (soil, live))
         if (mine is None) != (expected is None):
@@ -132,7 +134,9 @@ def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
         heights.append(abs(mine.point[up] - expected.pose[up]))
         if k % every == 0:
             points = expected.particles()
-            apart.append(np.abs(soil.particles() - points).max())
+            mine, twin = soil.particles(), twin_particles(live.soil, expected.modes)
+            apart.append(np.abs(mine - points).max())
+            to_twin.append((np.abs(mine - twin).max(), np.abs(points - twin).max()))
             motion.append(np.abs(points - before).max())
     force = torque = 0.0
     if rows[0]:  # a wheel may be refused at once, where both find it under the floor
@@ -144,8 +148,32 @@ def play_field(soil: CField, live, run, case: int | None, every: int) -> dict:
         'height_m': float(max(heights)),
         'particles_m': float(max(apart)),
         'motion_m': float(max(motion)),
+        'c_to_twin_m': float(max(c for c, _ in to_twin)),
+        'python_to_twin_m': float(max(python for _, python in to_twin)),
         'same_status': same,
     }
+
+
+def twin_particles(soil, swept) -> np.ndarray:
+    """float64 [N, 3], m: `FieldSoil.particles` of a `Swept` with the networks in float64 numpy.
+
+    Their inputs and shares are those of TensorFlow, in float32.
+    """
+    field, ground = soil.field, swept.ground
+    network, local = field.network, ground.local
+    of_frame = swept.frame.bins, swept.frame.scalars, local[None]
+    values = network.inputs.particles(*of_frame).numpy()[0].astype(np.float64)[None]
+    for i, (weight, bias) in enumerate(network.soil.layers):
+        if i:
+            values = values / (1.0 + np.exp(-values))  # silu
+        values = values @ weight.numpy()[: soil.members].astype(np.float64)
+        values += bias.numpy()[: soil.members]
+    gate = network.inputs.gate(*of_frame).numpy()[0].astype(np.float64)
+    moved = network.inputs.displacement * gate[:, None] * values.mean(axis=0)
+    moved[:, 2] *= np.clip(local[:, 2] / 0.05, -1.0, 1.0)
+    there = ground.places + moved
+    there += field.tool.inside(there, swept.pose, ground.size)[1]
+    return ground.points + field.axes.world(there - ground.places)
 
 
 def _refused(stepper, pose, context):

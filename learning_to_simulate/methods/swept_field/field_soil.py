@@ -57,12 +57,12 @@ class FieldSoil:
       members: networks that answer; None: all.
 
     Attributes:
-      subspace: as given.
+      field, subspace, members: as given.
       extent: float64 [2, 2], m: of the bed at rest seen from above; what a height map spans.
     """
 
     def __init__(self, field, subspace=None, members: int | None = None):
-        self._field, self.subspace, self._members = field, subspace, members
+        self.field, self.subspace, self.members = field, subspace, members
         self.extent = soil.plan_extent(field.rest, field.axes.up)
 
     def particles(self, swept) -> np.ndarray:
@@ -70,8 +70,8 @@ class FieldSoil:
         the tool."""
         if not isinstance(swept, Swept):
             return np.stack([self.particles(one) for one in swept])
-        field, ground = self._field, swept.ground
-        moved = field.displacement(swept.frame, ground.local, self._members)
+        field, ground = self.field, swept.ground
+        moved = field.displacement(swept.frame, ground.local, self.members)
         # Those that rest are as they were given, to the last bit.
         now = np.flatnonzero(moved[:, 0].any(axis=(0, 2)))
         points = ground.points.astype(np.float32)
@@ -82,7 +82,7 @@ class FieldSoil:
 
     def height_map(self, swept: Swept, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface, m; as `live.soil.Soil.height_map`."""
-        return soil.surface(self.particles(swept), self.extent, self._field.axes.up, nx, nz)
+        return soil.surface(self.particles(swept), self.extent, self.field.axes.up, nx, nz)
 
     def modes(self, swept) -> np.ndarray:
         """float64 [T, r, 3] scores, m, of frames.
