@@ -4,7 +4,7 @@ Train fits the baselines, valid chooses (the median seed, the ridge), test is on
 are rolled out by `learning_to_simulate.train --mode=eval_rollout`, each in a process of its own.
 
 Examples:
-    # the shipped models of both scenes and all baselines: docs/protocol/<scene>.json and tables
+    # the shipped models of both scenes and all baselines: docs/protocol/<dataset>.json and tables
     python -m reports.protocol --work_path=/tmp/protocol --output_path=docs/protocol
 
     # and five seeds of an MLP, trained here; a second call goes on
@@ -131,19 +131,25 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
     return {'data': data_facts(reader, first), 'runs': runs, 'methods': judged}
 
 
-def _models_of(scene, values):
-    """name -> model folders, from --model or the shipped ones of the scene."""
+def _name_of(data_path):
+    """What the dataset is called: its folder. Datasets of two versions are of one scene."""
+    return os.path.basename(os.path.abspath(data_path))
+
+
+def _models_of(dataset_name, values):
+    """Method -> model folders, from --model or those shipped for the dataset."""
     found: dict[str, list] = {}
     given = values.model
     if not given:
-        shipped = sorted(glob.glob(os.path.join(record.ROOT, 'models', scene, '*')))
+        shipped = sorted(glob.glob(os.path.join(record.ROOT, 'models', dataset_name, '*')))
         given = [f'{os.path.basename(path)}={path}' for path in shipped]
     for item in given:
         name, _, path = item.partition('=')
         if not path:
             raise ValueError(f'--model={item}: NAME=FOLDER was expected')
         found.setdefault(name, []).append(path)
-    return found | trained_here(values, os.path.join(values.work_path, 'models', scene))
+    folder = os.path.join(values.work_path, 'models', dataset_name)
+    return found | trained_here(values, folder)
 
 
 def trained_here(values, folder: str) -> dict[str, list[str]]:
@@ -157,13 +163,13 @@ def trained_here(values, folder: str) -> dict[str, list[str]]:
     }
 
 
-def _make_models(found, data_path, values, scene) -> str:
+def _make_models(found, data_path, values) -> str:
     """Trains the models of --train and rolls all out, side by side; returns the rollouts' folder.
 
     Raises:
       ValueError: some failed; the others are made, and the same call goes on.
     """
-    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', scene))
+    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', _name_of(data_path)))
     jobs = []
     for name, paths in found.items():
         for seed, path in enumerate(map(os.path.abspath, paths)):
@@ -221,7 +227,7 @@ def protocol(data_path: str, values, models: dict[str, list[str]] | None = None)
     from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
 
     reader = TruthReader(data_path)
-    scene = reader.metadata.get('scene', {}).get('name', os.path.basename(data_path))
+    scene = reader.metadata.get('scene', {}).get('name', _name_of(data_path))
     print(f'{data_path}: fitting baselines', flush=True)
     methods = [
         {
@@ -238,8 +244,8 @@ def protocol(data_path: str, values, models: dict[str, list[str]] | None = None)
         }
         for b in baselines.fit_all(reader)
     ]
-    found = _models_of(scene, values) if models is None else models
-    folder = _make_models(found, data_path, values, scene)
+    found = _models_of(_name_of(data_path), values) if models is None else models
+    folder = _make_models(found, data_path, values)
     for name, paths in found.items():
         methods.append(_model_method(name, paths, data_path, reader, folder))
 
@@ -262,7 +268,7 @@ def define_flags() -> None:
     )
     flags.DEFINE_multi_string(
         'model', [], 'NAME=FOLDER of a trained model; a name may be repeated with its seeds. '
-        'Default: models/<scene>/*.'
+        'Default: models/<dataset>/*.'
     )  # fmt: skip
     flags.DEFINE_list(
         'train', [], 'Presets that are trained here, with several seeds; "PRESET --FLAG=VALUE" '
@@ -273,7 +279,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'work_path', None, 'Folder for trainings and rollouts; calls resume.', required=True
     )
-    flags.DEFINE_string('output_path', None, 'Folder for <scene>.json.', required=True)
+    flags.DEFINE_string('output_path', None, 'Folder for <dataset>.json.', required=True)
 
 
 def main(values, _) -> None:
@@ -281,10 +287,10 @@ def main(values, _) -> None:
     os.makedirs(values.output_path, exist_ok=True)
     for data_path in values.data_path:
         document = protocol(data_path, values)
-        path = os.path.join(values.output_path, f'{document["scene"]}.json')
+        path = os.path.join(values.output_path, f'{_name_of(data_path)}.json')
         files.write_json(path, document)
         for quantity in document['summary']['test']['all']:
-            print(f'\n{document["scene"]}, test, {quantity}')
+            print(f'\n{_name_of(data_path)}, test, {quantity}')
             print(tables.quantity_table(document, 'test', quantity))
         print(f'wrote {path}', flush=True)
 

@@ -40,7 +40,7 @@ def training_flags(name: str) -> list[str]:
       ValueError: what follows the preset is no flag.
     """
     preset, *others = shlex.split(name) or ['']
-    if not preset or not all(other.startswith('--') for other in others):
+    if not preset or preset[0] == '-' or not all(other.startswith('--') for other in others):
         raise ValueError(f'--train={name}: PRESET or PRESET --FLAG=VALUE was expected')
     return [f'--preset={preset}', *others]
 

@@ -9,7 +9,7 @@ import pytest
 
 from learning_to_simulate import metrics
 from pca_tools import dataset, files, particles, subspace
-from reports import documents
+from reports import documents, record
 from reports.protocol import __main__ as command
 from reports.protocol import baselines, rollouts, run_errors, tables
 from reports.protocol.truth import DECODED, PARTICLES, TruthReader
@@ -252,3 +252,19 @@ def test_input_that_cannot_be_judged_is_refused(tmp_path):
     values = types.SimpleNamespace(model=['nameless'], train=[], work_path='x', num_seeds=1)
     with pytest.raises(ValueError, match='NAME=FOLDER'):
         command._models_of('wheel', values)
+
+
+def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
+    values = types.SimpleNamespace(
+        model=[], train=['mlp --modes=8', 'pcg'], work_path='work', num_seeds=2
+    )
+    found = command._models_of('wheel_v2', values)
+    assert [os.path.relpath(p, record.ROOT) for p in found['swept_field']] == [
+        'models/wheel_v2/swept_field'
+    ]
+    assert 'fcg_original' not in found  # that is a model of the scene's first dataset
+    assert found['mlp --modes=8'] == [f'work/models/wheel_v2/mlp_modes_8_{i}' for i in (0, 1)]
+    assert rollouts.training_flags('mlp --modes=8') == ['--preset=mlp', '--modes=8']
+    for bad in ('', 'mlp modes=8', '--modes=8'):
+        with pytest.raises(ValueError, match='--FLAG=VALUE'):
+            rollouts.training_flags(bad)
