@@ -1,12 +1,13 @@
 """Error against time on driven runs: what a method costs a frame, beside its errors.
 
-The errors are those of a protocol's JSON, test runs that are not of the grid. Times are of one path
-of the test runs, a whole rollout on one thread, all models in turns: until the load of all frames is
-there, and until all particles are.
+The errors are those of a protocol's JSON, test runs that are not of the grid. Times are of a whole
+rollout of one test run's path, all models in turns: until the load of all frames is there, and until
+all particles are.
 
 Examples:
     python -m reports driven_times --data_path=datasets/excavation_v2 \\
-        --protocol=docs/protocol/excavation_v2.json --output_path=docs/protocol/excavation_v2_times \\
+        --protocol=docs/protocol/excavation_v2.json \\
+        --output_path=docs/protocol/excavation_v2_times \\
         --model=swept_field=models/excavation_v2/swept_field --model=mlp_driven=/tmp/mlp_driven_0
     python -m reports documents README.md     # the table, from the JSON
 """
@@ -44,14 +45,13 @@ def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) ->
 
     cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
     runs = dataset.read_split(data_path, 'test')
-    driven = [
-        run for run, case in zip(runs, cases, strict=False)
-        if case.get('kind') not in (learning_curve.GRID, 'disturbed') and run.rigid_pose is not None
-    ]  # fmt: skip
-    if not driven:
+    other = learning_curve.GRID, 'disturbed'
+    for run, case in zip(runs, cases, strict=False):
+        if case.get('kind') not in other and run.rigid_pose is not None:
+            poses, context = run.rigid_pose.astype(np.float64), run.step_context
+            break
+    else:
         raise ValueError(f'{data_path}: no test run on a flat bed, off the grid, with poses')
-    poses = driven[0].rigid_pose.astype(np.float64)
-    context = driven[0].step_context
     jobs = {}
     for name, folder in models.items():
         model = lts.load(folder)
