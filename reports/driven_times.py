@@ -1,7 +1,7 @@
 """Error against time on driven runs: what a method costs a frame, beside its errors.
 
-The errors are those of a protocol's JSON, test runs that are not of the grid. Times are of a whole
-rollout of one test run's path, all models in turns: until the load of all frames is there, and until
+The errors are those of a JSON of `reports.protocol`, test runs off the grid. Times are of a whole
+rollout of one test run, all models in turns: until the load of all frames is there, and until
 all particles are.
 
 Examples:
