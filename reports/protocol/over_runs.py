@@ -17,6 +17,7 @@ QUANTITIES = {
     'force_l2': 'force, relative L2',
     'height_mm': "body's height, mm",
     'torque_l2': 'torque, relative L2',
+    'pitch_l2': 'torque in the plane of travel, relative L2',
 }
 ALL = 'all'
 

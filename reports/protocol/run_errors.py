@@ -83,7 +83,8 @@ def run_errors(prediction: RunPrediction, truth, reader, indices) -> dict:
 
     Returns:
       as `soil_errors`, and `modes_mm` (root mean square within the modes), `force_l2`, `force_n`
-      (root mean square per component, N), `torque_l2`, `height_mm`, `status`.
+      (root mean square per component, N), `torque_l2`, `pitch_l2` (of the torque about
+      the axis across the body's way), `height_mm`, `status`.
     """
     errors: dict[str, Any] = {}
     if prediction.particles is not None:
@@ -101,6 +102,8 @@ def run_errors(prediction: RunPrediction, truth, reader, indices) -> dict:
         errors['force_n'] = float(np.sqrt(((prediction.force - truth.force) ** 2).mean()))
     if prediction.torque is not None and truth.torque is not None:
         errors['torque_l2'] = relative_l2(prediction.torque, truth.torque)
+        pitch = (torque[:, truth.across] for torque in (prediction.torque, truth.torque))
+        errors['pitch_l2'] = relative_l2(*pitch)
     if prediction.height is not None and truth.height is not None:
         errors['height_mm'] = float(1e3 * np.sqrt(((prediction.height - truth.height) ** 2).mean()))
     if prediction.status is not None:

@@ -35,6 +35,7 @@ class Truth:
       force: float64 [T - H, 3], N, or None.
       height: float64 [T - H] of the body's mean particle, m, or None where it is given.
       torque: float64 [T - H, 3] about the body's reference point, N m, or None.
+      across: the horizontal axis across the body's way.
       dt: s per frame.
       spacing: between particles of the solver, m.
     """
@@ -52,6 +53,7 @@ class Truth:
     force: np.ndarray | None
     height: np.ndarray | None
     torque: np.ndarray | None
+    across: int
     dt: float
     spacing: float
 
@@ -151,10 +153,17 @@ class TruthReader:
             force=None if run.force is None else run.force[H:].astype(np.float64),
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
+            across=_across(body, up),
             dt=float(metadata['dt']),
             spacing=resting_bed.solver_spacing(case)
             or resting_bed.kept_spacing(self.subspace.initial),
         )
+
+
+def _across(body, up):
+    """The horizontal axis along which a body [T, R, 3] moves least; the last one without a body."""
+    moved = np.ptp(body.mean(axis=1), axis=0) if body.shape[1] else np.zeros(3)
+    return min((axis for axis in (2, 1, 0) if axis != up), key=lambda axis: moved[axis])
 
 
 def _of_run(values, split, record):

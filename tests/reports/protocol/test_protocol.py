@@ -121,13 +121,17 @@ def test_force_height_and_torque_are_judged_where_both_sides_have_them(folder):
     full = truth.__class__(
         **{**vars(truth), 'height': np.zeros(count), 'torque': np.ones((count, 3))}
     )
+    assert full.across == 2  # it travels along x, and y is up
+    torque = np.zeros((count, 3))
+    torque[:, full.across] = 0.75
     prediction = run_errors.RunPrediction(
-        force=1.5 * truth.force, height=np.full(count, 2e-3), torque=np.zeros((count, 3))
+        force=1.5 * truth.force, height=np.full(count, 2e-3), torque=torque
     )
     found = run_errors.run_errors(prediction, full, reader, reader.indices('test'))
     assert found['force_l2'] == pytest.approx(0.5)
     assert found['force_n'] == pytest.approx(0.5 * np.sqrt((truth.force**2).mean()))
-    assert found['height_mm'] == pytest.approx(2.0) and found['torque_l2'] == pytest.approx(1.0)
+    assert found['height_mm'] == pytest.approx(2.0) and found['pitch_l2'] == pytest.approx(0.25)
+    assert found['torque_l2'] == pytest.approx(np.sqrt((1 + 1 + 0.25**2) / 3))
     found = run_errors.run_errors(prediction, truth, reader, reader.indices('test'))
     assert set(found) == {'force_l2', 'force_n'}
 
