@@ -44,6 +44,20 @@ def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -
     return markdown.table(header, cells)
 
 
+def kind_table(document: dict, split: str, quantity: str) -> str:
+    """Mean error of all methods by kind of run, and over all runs."""
+    summary = {k: v[quantity] for k, v in document['summary'][split].items() if quantity in v}
+    kinds = [*sorted(summary.keys() - {ALL}), ALL]
+    of_kind = [next(iter(summary[kind].values()))['runs'] for kind in kinds]
+    header = ['method', *(f'{kind} ({n})' for kind, n in zip(kinds, of_kind, strict=True))]
+    rows = []
+    for method in document['methods']:
+        if (name := method['name']) in summary[ALL]:
+            shown = f'*{name}*' if method['baseline'] else _about(document, method)
+            rows.append([shown, *(_span(summary[kind][name]['mean']) for kind in kinds)])
+    return markdown.table(header, rows)
+
+
 def horizon_table(document: dict, split: str) -> str:
     """Median error after given times, and runs that pass the spacing of the particles."""
     rows = []
@@ -106,6 +120,11 @@ def facts(path: str) -> str:
 def quantity(path: str, split: str, name: str, kind: str = ALL) -> str:
     """`quantity_table` of a stored document."""
     return quantity_table(files.read_json(path), split, name, kind)
+
+
+def by_kind(path: str, split: str, name: str) -> str:
+    """`kind_table` of a stored document."""
+    return kind_table(files.read_json(path), split, name)
 
 
 def horizons(path: str, split: str) -> str:

@@ -249,6 +249,22 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
         documents.render(f'<!-- table: reports.protocol.tables:quantity {path} test none -->\n')
 
 
+def test_errors_by_kind_are_means_over_the_runs_of_a_kind(judged):
+    runs = [run | {'kind': kind} for run, kind in zip(judged['runs']['test'], ('grid', 'lift'))]
+    split = tables.complete(judged | {'runs': judged['runs'] | {'test': runs}})
+    lines = tables.kind_table(split, 'test', 'force_l2').splitlines()
+    assert lines[0] == '| method | grid (1) | lift (1) | all (2) |'
+    row = next(line for line in lines if line.startswith('| *path ridge*')).split(' | ')[1:]
+    errors = [
+        run['force_l2'] for m in judged['methods'] if m['name'] == 'path ridge'
+        for run in m['seeds'][0]['runs']['test']
+    ]  # fmt: skip
+    shown = [float(cell.strip(' |')) for cell in row]
+    assert shown == pytest.approx([*errors, np.mean(errors)], rel=5e-3)
+    # One kind alone: all runs.
+    assert tables.kind_table(judged, 'test', 'force_l2').startswith('| method | all (2) |')
+
+
 def test_input_that_cannot_be_judged_is_refused(tmp_path):
     path = synthetic.write_dataset(tmp_path / 'data')
     with pytest.raises(FileNotFoundError, match='subspace'):
