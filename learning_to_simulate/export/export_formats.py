@@ -124,7 +124,7 @@ class StepFunctions:
     def concrete_step(self, kind: str, compiled: bool):
         """The step as a concrete function; `compiled` by XLA."""
         python = self.step if kind == 'savedmodel' else self.state_step
-        function = tf.function(python, jit_compile=compiled or None, autograph=False)
+        function = tf.function(python, jit_compile=compiled or None)
         return function.get_concrete_function(**self.step_signature(kind))
 
     def inputs(self, kind: str, group, frame: int) -> dict[str, np.ndarray]:
@@ -211,7 +211,7 @@ def _write_saved_model(functions: StepFunctions, folder: str):
             [functions.simulator.scene.n_modes, functions.simulator.dim], tf.float64, name='modes'
         )
         signatures['reconstruct'] = tf.function(
-            functions.reconstruct, jit_compile=True, autograph=False
+            functions.reconstruct, jit_compile=True
         ).get_concrete_function(spec)
     holder = tf.Module(name='exported')  # Nothing but the weights goes into the file as an object.
     holder.weights = functions.simulator.trainable_variables

@@ -70,8 +70,6 @@ def test_report_in_miniature(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, 'SCENES', ('excavation',))
     monkeypatch.setattr(solver_cases, 'STIFFNESS', (0.1, 1.0))
     monkeypatch.setattr(solver_cases, 'GRAVITIES', (0.0, 100.0))
-    monkeypatch.setattr(solver_cases, 'STEP_SHARES', (1.0, 0.5))
-    monkeypatch.setattr(solver_cases, 'CFL_NUMBERS', (0.8, 2.0))  # one within, one beyond
     parts = list(stability_report.PARTS)
     rows = stability_report.report(parts, True, str(tmp_path), str(tmp_path / 'work'))
     assert {row.outcome for row in rows} >= {cases.HOLDS, cases.REFUSED, cases.FLAGGED}
