@@ -164,6 +164,7 @@ class NriModel(snt.Module):
                 self.encode(self.normalized(features), is_training=False)
             ),
             jit_compile=True,
+            autograph=False,
         )
 
     def _check(self):

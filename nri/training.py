@@ -68,7 +68,7 @@ class Trainer:
         self._edges = None if train.edges is None else tf.constant(train.edges)
         self._order = (-1, None)
         self._step = self._compile(variables)
-        self._validation_losses = tf.function(model.losses, jit_compile=True)
+        self._validation_losses = tf.function(model.losses, jit_compile=True, autograph=False)
 
     @property
     def total_steps(self) -> int:
@@ -90,7 +90,7 @@ class Trainer:
         config, model = self.config, self.model
         offsets = tf.range(config.window) * config.stride
 
-        @tf.function(jit_compile=True)
+        @tf.function(jit_compile=True, autograph=False)
         def train_step(samples, step):
             run, start = samples // self._n_start, samples % self._n_start
             frames = tf.gather(self._frames, (run * self._n_frame + start)[:, None] + offsets)

@@ -49,7 +49,7 @@ def _force_error(force, predicted_force, weight):
     if force is None:
         return None
     error = tf.reduce_sum((predicted_force - force) ** 2, axis=-1)
-    return tf.reduce_mean(tf.reduce_mean(tf.reshape(error, [len(error), -1]), axis=1) * weight)
+    return tf.reduce_mean(tf.reduce_mean(tf.reshape(error, [error.shape[0], -1]), axis=1) * weight)
 
 
 def _total(motion, force):

@@ -115,7 +115,8 @@ class Trainer:
         if step >= config.num_steps:
             size, length = config.unroll_batch_size, config.unroll_length
 
-        @tf.function(jit_compile=True)  # as in the training step: its draws need not be eager ones
+        # Compiled as in the training step: its draws need not be eager ones.
+        @tf.function(jit_compile=True, autograph=False)
         def picks(step):
             seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
             return tensors.picks(size, INPUT_SEQUENCE_LENGTH + length, seed)
@@ -127,7 +128,7 @@ class Trainer:
         variables = self.simulator.trainable_variables
         config, gates = self.config, self.gates if gated else None
 
-        @tf.function(jit_compile=True)
+        @tf.function(jit_compile=True, autograph=False)
         def train_step(step):
             window_seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
             noise_seed = tf.stack([config.seed * 8 + _NOISE_STREAM, step])
@@ -167,7 +168,7 @@ class Trainer:
         rows = []
         for index, tensors in enumerate(self._tensors):
 
-            @tf.function(jit_compile=True)
+            @tf.function(jit_compile=True, autograph=False)
             def errors(i, tensors=tensors, index=index):
                 return self._single_step_losses(
                     tensors, 64, tf.stack([_EVALUATION_STREAM + index, i]), None

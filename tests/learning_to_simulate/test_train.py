@@ -14,11 +14,11 @@ import pytest
 from learning_to_simulate import checkpoints, evaluation, presets
 from learning_to_simulate.methods import registry
 from learning_to_simulate.training.trainer import Trainer
-from pca_tools import files
+from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-SHORT = {'latent_size': 16, 'num_steps': 30, 'unroll_steps': 6, 'unroll_length': 3, 'mode_edges': 5}
+SHORT = {'latent_size': 16, 'num_steps': 30, 'unroll_steps': 6, 'unroll_length': 2, 'mode_edges': 5}
 
 
 def command(*args):
@@ -32,7 +32,11 @@ def run(*args):
 
 @pytest.fixture(scope='module')
 def data(tmp_path_factory):
-    return synthetic.write_dataset(tmp_path_factory.mktemp('data'), rigid_counts=(4, 6))
+    """Bodies of two sizes in the test runs only: each size is compiled anew in every training."""
+    folder = synthetic.write_dataset(tmp_path_factory.mktemp('data'))
+    both = synthetic.write_dataset(tmp_path_factory.mktemp('both'), rigid_counts=(4, 6))
+    shutil.copy(dataset.split_path(both, 'test'), dataset.split_path(folder, 'test'))
+    return folder
 
 
 @pytest.fixture(scope='module')
@@ -65,9 +69,10 @@ def test_rollout_command_writes_results_that_agree(data, trained, tmp_path):
     assert 'constant_velocity' in done.stdout and 'ms/step' in done.stdout
     summary = json.loads((out / 'metrics.json').read_text())
     errors = []
-    for i, row in enumerate(summary['runs']['model']):
+    for i, (row, size) in enumerate(zip(summary['runs']['model'], (4, 6), strict=True)):
         values = files.read_npz(str(out / f'rollout_test_{i}.npz'))
         n_rigid = (values['particle_types'] != 6).sum()
+        assert n_rigid == size
         assert values['initial_positions'].shape == (6, n_rigid + synthetic.N_MODES, 3)
         assert values['predicted_forces'].shape == (synthetic.N_FRAMES - 6, 3)
         difference = (values['predicted_rollout'] - values['ground_truth_rollout'])[:, n_rigid:]

@@ -176,7 +176,9 @@ class ParticleSimulator(snt.Module):
         types = (tf.float32, tf.float32, tf.int32, tf.int32)
         # One trace for graphs of any size: edges come and go with every frame.
         self._compiled = tf.function(
-            self._network, input_signature=[tf.TensorSpec(*spec) for spec in zip(shapes, types)]
+            self._network,
+            input_signature=[tf.TensorSpec(*spec) for spec in zip(shapes, types)],
+            autograph=False,
         )
 
     def create_variables(self):

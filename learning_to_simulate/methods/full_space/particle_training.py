@@ -42,7 +42,7 @@ class ParticleTrainer:
         self.averaging = WeightAverages(
             self.simulator.trainable_variables, self.config.weight_average
         )
-        self._compiled = tf.function(self._train_step, reduce_retracing=True)
+        self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
 
     @property
     def total_steps(self) -> int:
