@@ -7,7 +7,7 @@ What is mapped, each by its definition:
     E and nu of the soil's K and G -> the same; `rigid` leaves E at Newton's default, 1e15 Pa
     tau <= mu_s p, tau = |dev sigma| / sqrt(2) -> `friction` = mu_s: Newton's `YieldParamVec` holds
         p sqrt(3/2) and mu sqrt(2/3), stress vectors have the norm |sigma| / sqrt(2): the same cone
-    mu(I) -> left out: with I below 0.01 in these cuts it adds less than 0.01 to mu_s
+    mu(I) -> left out: at 500 Pa and 11 / s (the blade's speed over a cell) it adds 0.005 to mu_s
     no tension, cohesion, dilatancy, hardening -> Newton's defaults
     sticky walls and floor -> an open box with a friction of 1000, as no collider is sticky there
     blade, a stadium drawn out along z, friction 0.3 -> its outline as a mesh on a kinematic body
