@@ -1,5 +1,6 @@
 """Files that appear whole or not at all, in folders with one writer."""
 
+import json
 import zipfile
 
 import numpy as np
@@ -11,11 +12,22 @@ from storage.whole_files import write_file as write_whole
 
 __all__ = [
     'MAX_BYTES', 'TEMPORARY', 'one_writer', 'read_arrays', 'remove_temporary', 'write_arrays',
-    'write_whole',
+    'write_json', 'write_whole',
 ]  # fmt: skip
 
 # A run of 5000 particles has 20 MB.
 MAX_BYTES = 2**30
+
+
+def write_json(path: str, content: dict) -> None:
+    """Writes a JSON document, whole or not at all."""
+
+    def write(temporary):
+        with open(temporary, 'w', encoding='utf-8') as file:
+            json.dump(content, file, indent=1)
+            file.write('\n')
+
+    write_whole(path, write)
 
 
 def write_arrays(path: str, **arrays: np.ndarray) -> None:

@@ -12,7 +12,7 @@ import os
 import numpy as np
 
 from mpm import scenes
-from mpm.files import read_arrays, write_arrays, write_whole
+from mpm.files import read_arrays, write_arrays, write_json
 from mpm.run import RawRun
 
 MANIFEST = 'manifest.json'
@@ -113,13 +113,7 @@ def write_manifest(folder: str, scene: scenes.Scene, runs: list[dict]) -> None:
         'bounds': [list(axis) for axis in scene.bin.bounds],
         'runs': sorted(runs, key=lambda run: run['file']),
     }
-
-    def write(temporary):
-        with open(temporary, 'w', encoding='utf-8') as file:
-            json.dump(content, file, indent=1)
-            file.write('\n')
-
-    write_whole(os.path.join(folder, MANIFEST), write)
+    write_json(os.path.join(folder, MANIFEST), content)
 
 
 def read_manifest(folder: str) -> dict | None:

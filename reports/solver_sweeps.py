@@ -68,7 +68,12 @@ def drive(scene, case, particles, frames, parameter, value):
         for _ in tqdm(range(frames), desc=f'{parameter} {value:g}', unit='frame', leave=False):
             force.append(made.frame()[0])
             deepest = max(deepest, made.penetration()['deepest_cells'])
-    return np.array(force), surface(made, scene.bin), deepest, time.process_time() - started
+    return (
+        np.array(force),
+        surface(made.positions(), scene.bin),
+        deepest,
+        time.process_time() - started,
+    )
 
 
 def measure(scene, case: int, frames: int, path: str) -> dict:

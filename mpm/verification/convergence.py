@@ -32,13 +32,13 @@ def drive(scene: scenes.Scene, case: int, frames: int, settings: Settings):
     return np.array([simulation.frame()[0] for _ in bar]), simulation
 
 
-def surface(simulation, box: scenes.Bin) -> np.ndarray:
-    """Returns the height [x, z] (m) of the soil's surface over squares of about 27 mm.
+def surface(positions: np.ndarray, box: scenes.Bin) -> np.ndarray:
+    """Returns the height [x, z] (m) of the surface of soil [N, 3] (m) over squares of about 27 mm.
 
     The highest particle of each square: a mean would depend on how many there are.
     """
     cells = [round(box.size[axis] / 0.027) for axis in (0, 2)]
-    x = simulation.positions()
+    x = positions
     low, size = scenes.CORNER, np.array(box.size)[[0, 2]]
     square = np.clip(((x[:, [0, 2]] - low) / size * cells).astype(int), 0, np.array(cells) - 1)
     height = np.full(cells, scenes.CORNER)
@@ -67,7 +67,7 @@ def short_cut(option: str, scene: scenes.Scene, case: int, frames: int) -> list[
     change = force[:, 0].mean() / without[:, 0].mean() - 1.0
     name = f'{scene.name} {case}: {SHORT_CUTS[option]}'
     note = f'{frames} frames, {without[:, 0].mean():.1f} N'
-    apart = surface(simulation, scene.bin) - surface(other, scene.bin)
+    apart = surface(simulation.positions(), scene.bin) - surface(other.positions(), scene.bin)
     rms = 1e3 * float(np.sqrt((apart**2).mean()))
     return [
         Check(f'{name}, change of the mean force', change, 0.0, 0.01, note),
@@ -93,7 +93,7 @@ def finer_cells(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
     force, simulation = drive(scene, case, frames, Settings())
     fine, other = drive(finer, case, frames, Settings())
     ratio = fine[:, 0].mean() / force[:, 0].mean()
-    apart = surface(other, finer.bin) - surface(simulation, box)
+    apart = surface(other.positions(), finer.bin) - surface(simulation.positions(), box)
     name = f'{scene.name} {case}: cells x {FINER}'
     note = f'{frames} frames, {force[:, 0].mean():.1f} N before'
     return [

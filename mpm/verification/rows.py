@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-from mpm.files import write_whole
+from mpm.files import write_json
 from mpm.versions import SOLVER_VERSION
 from storage import markdown
 
@@ -77,14 +77,7 @@ class Table:
             'checks': [asdict(check) | {'passed': check.passed} for check in checks],
             'cpu_s': round(time.process_time() - started, 1),
         }
-        content = {'solver_version': SOLVER_VERSION, 'entries': self.entries}
-
-        def write(temporary):
-            with open(temporary, 'w', encoding='utf-8') as file:
-                json.dump(content, file, indent=1)
-                file.write('\n')
-
-        write_whole(self._path, write)
+        write_json(self._path, {'solver_version': SOLVER_VERSION, 'entries': self.entries})
 
     @property
     def failed(self) -> list[str]:

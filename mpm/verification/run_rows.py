@@ -144,19 +144,22 @@ def saw_tooth(force: np.ndarray, speed: float, dx: float) -> float:
     return float(amplitude / abs(force.mean()))
 
 
-def cutting_force(run: raw_run.RawRun) -> np.ndarray:
-    """Returns the force [T] along x of a run while it cuts at its speed and about level.
+def cutting_frames(parameters: dict, count: int) -> np.ndarray:
+    """Returns which of the first `count` frames cut at the run's speed and about level, int [K].
 
     The first quarter of that stretch is left out: the draft still builds up.
     """
-    path = grid.make_drive(scenes.EXCAVATION, run.parameters).pose(
-        np.arange(len(run.force)) / scenes.FRAME_RATE
-    )
+    path = grid.make_drive(scenes.EXCAVATION, parameters).pose(np.arange(count) / scenes.FRAME_RATE)
     step = np.diff(path[:, :2], axis=0)
-    way = run.parameters['speed_m_s'] / scenes.FRAME_RATE
+    way = parameters['speed_m_s'] / scenes.FRAME_RATE
     is_steady = (np.abs(-step[:, 0] - way) < 1e-6 * way) & (np.abs(step[:, 1]) < LEVEL * way)
     steady = np.flatnonzero(is_steady) + 1
-    return run.force[steady[len(steady) // 4 :], 0].astype(np.float64)
+    return steady[len(steady) // 4 :]
+
+
+def cutting_force(run: raw_run.RawRun) -> np.ndarray:
+    """Returns the force [K] (N) along x of a run in its `cutting_frames`."""
+    return run.force[cutting_frames(run.parameters, len(run.force)), 0].astype(np.float64)
 
 
 def saw_tooth_case(case: int, raw_path: str) -> list[Check]:

@@ -29,8 +29,8 @@ def test_surface_is_the_highest_soil_of_each_square(coarse_excavation, excavatio
     force, simulation = convergence.drive(coarse_excavation, 186, 2, Settings())
     assert force.shape == (2, 3)
     box = coarse_excavation.bin
-    height = convergence.surface(simulation, box)
+    height = convergence.surface(simulation.positions(), box)
     assert height.shape == (30, 22)
     assert np.median(height) == pytest.approx(box.surface, abs=0.02)
     simulation.particles[7, :3] = [scenes.CORNER + 0.79, 0.31, scenes.CORNER + 0.59]
-    assert convergence.surface(simulation, box)[-1, -1] == 0.31
+    assert convergence.surface(simulation.positions(), box)[-1, -1] == 0.31
