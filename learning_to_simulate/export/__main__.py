@@ -1,4 +1,4 @@
-"""Writes a trained simulator as SavedModel, LiteRT or ONNX; see `exporting`.
+"""Writes a trained model as SavedModel, LiteRT or ONNX; see `exporting`.
 
 Examples:
   python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
@@ -7,6 +7,10 @@ Examples:
   # small runtimes; need the extra: pip install -e .[deploy]
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
+
+  # the swept field of a blade; see docs/swept_field.md
+  python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
+      --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
 """
 
 from absl import flags
@@ -27,11 +31,12 @@ def summary(description: dict, output_path: str) -> str:
         f'step: first call {compared["first_call_s"]:.3g} s, then '
         f'{compared["ms_per_step_median"]:.3g} ms',
     ]
-    if 'particles_difference_m' in compared:
-        lines.append(
-            f'reconstruct: largest difference {compared["particles_difference_m"]:.2g} m, '
-            f'{compared["ms_per_reconstruction"]:.3g} ms'
-        )
+    for name, key in (('reconstruct', 'ms_per_reconstruction'), ('particles', 'ms_per_particles')):
+        if key in compared:
+            lines.append(
+                f'{name}: largest difference {compared["particles_difference_m"]:.2g} m, '
+                f'{compared[key]:.3g} ms'
+            )
     return '\n'.join(lines)
 
 
@@ -42,14 +47,19 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
     flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
+    flags.DEFINE_integer('members', None, 'Networks of a swept field; default: all.', 1)
+    flags.DEFINE_integer(
+        'n_particles', None, 'Particles of a swept field; default: all of its bed.', 1
+    )
 
 
 def run(values) -> None:
     """Runs the command with its flags."""
     command.import_tensorflow()
     description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
-    )
+        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
+        values.members, values.n_particles,
+    )  # fmt: skip
     print(summary(description, values.output_path))
 
 

@@ -1,9 +1,10 @@
-"""Exports a trained simulator so that it runs without this project: SavedModel, LiteRT or ONNX.
+"""Exports a trained model so that it runs without this project: SavedModel, LiteRT or ONNX.
 
 A SavedModel has flat signatures: `step` (the last H frames and the body's coming pose in; modes,
 force and body out) and `reconstruct` (modes in, soil particles out). LiteRT and ONNX have no
 float64 worth using, so their `step` carries the state itself: float32 offsets from `origin` and
-float32 velocities. `export.json` beside the model says what every input and output is. What was
+float32 velocities. The swept field of a blade has the same functions in all three, see
+`field_functions`. `export.json` beside the model says what every input and output is. What was
 written is loaded again and compared with the source model on recorded runs; beyond round-off the
 export is refused.
 """
@@ -26,7 +27,15 @@ COMPARED_STEPS = 8
 FORMATS = ('savedmodel', 'tflite', 'onnx')
 
 
-def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
+def export(
+    model_path: str,
+    data_path: str,
+    output_path: str,
+    kind: str,
+    n_rigid: int | None = None,
+    members: int | None = None,
+    n_particles: int | None = None,
+) -> dict:
     """Writes an exported model, compares it with its source and describes it.
 
     Args:
@@ -35,6 +44,8 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       output_path: folder to write; must be absent or empty.
       kind: one of `FORMATS`.
       n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest.
+      members: of a swept field, networks that answer; None for all.
+      n_particles: of a swept field, P of its `particles`; None for those of its bed at rest.
 
     Returns:
       the description that is also in `export.json`.
@@ -44,15 +55,44 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
         absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
     """
     from learning_to_simulate import checkpoints
-    from learning_to_simulate.export import export_formats
+    from learning_to_simulate.export import export_formats, field_exporting
     from learning_to_simulate.methods import registry
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
     if registry.of_folder(model_path).live:
-        raise ValueError(
-            f'{model_path}: a swept field has no {kind} form yet; it has a C form and an FMU'
+        if n_rigid is not None:
+            raise ValueError(f'n_rigid is {n_rigid}: a swept field has no rigid nodes')
+        functions, write_and_compare = field_exporting.open_field(
+            model_path, data_path, members, n_particles
         )
+    else:
+        if (members, n_particles) != (None, None):
+            raise ValueError('members and n_particles are those of a swept field')
+        functions, write_and_compare = _open_simulator(model_path, data_path, n_rigid)
+    description = {}
+
+    def fill(folder):
+        concrete = functions.concrete(kind)
+        load = export_formats.WRITERS[kind](concrete, functions.variables, folder)
+        description.update(functions.describe(kind))
+        weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
+        description['weights_sha256'] = files.sha256_of_file(weights)
+        start = time.perf_counter()
+        loaded = load()
+        description['load_s'] = time.perf_counter() - start
+        description['compared'] = write_and_compare(loaded, kind, folder)
+        files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
+
+    files.write_folder_atomically(output_path, fill)
+    return description
+
+
+def _open_simulator(model_path, data_path, n_rigid):
+    """The functions of a model in a subspace, and what compares them as they were written."""
+    from learning_to_simulate.export import step_functions
+    from learning_to_simulate.methods import registry
+
     opened = registry.open_model(model_path, data_path, 'test')
     model = opened.model
     by_size = {group.n_rigid: group for group in opened.groups}
@@ -62,23 +102,9 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
             f'{data_path}: no test run has {n_rigid} rigid nodes, there are {sorted(by_size)}'
         )
     space = _read_subspace(data_path, model)
-    functions = export_formats.StepFunctions(model.simulator, model.layout(n_rigid), space)
+    functions = step_functions.StepFunctions(model.simulator, model.layout(n_rigid), space)
     group = by_size[n_rigid].select(0)
-    description = {}
-
-    def fill(folder):
-        load = export_formats.WRITERS[kind](functions, folder)
-        description.update(functions.describe(kind))
-        weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
-        description['weights_sha256'] = files.sha256_of_file(weights)
-        start = time.perf_counter()
-        step, reconstruct = load()
-        description['load_s'] = time.perf_counter() - start
-        description['compared'] = _compare(functions, step, reconstruct, kind, group, space)
-        files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
-
-    files.write_folder_atomically(output_path, fill)
-    return description
+    return functions, lambda loaded, kind, _: _compare(functions, loaded, kind, group, space)
 
 
 def _read_subspace(data_path, model):
@@ -88,7 +114,7 @@ def _read_subspace(data_path, model):
     return model.fitting_subspace(subspace.Subspace.load(path))
 
 
-def _compare(functions, step, reconstruct, kind, group, space):
+def _compare(functions, loaded, kind, group, space):
     """Differences to the source over steps from recorded histories, and times per call.
 
     Raises:
@@ -101,15 +127,15 @@ def _compare(functions, step, reconstruct, kind, group, space):
     for k in np.linspace(H, n_frame - 1, COMPARED_STEPS).astype(int):
         inputs = functions.inputs(kind, group, k)
         start = time.perf_counter()
-        outputs = {name: np.asarray(value) for name, value in step(**inputs).items()}
+        outputs = {name: np.asarray(value) for name, value in loaded['step'](**inputs).items()}
         seconds.append(time.perf_counter() - start)
         before = group.position[0, k - 1]
         if kind == 'savedmodel':
             moved.append(outputs['next_position'] - before)
         else:
-            moved.append(outputs['velocity'][:, -1])
+            moved.append(outputs[functions.output_name(kind, 'velocity')][:, -1])
         if scene.has_force:
-            forces.append(outputs['force'])
+            forces.append(outputs[functions.output_name(kind, 'force')])
         velocity, force = functions.source_step(group, k)
         expected.append(velocity)
         expected_forces.append(force)
@@ -126,9 +152,13 @@ def _compare(functions, step, reconstruct, kind, group, space):
         'ms_per_step_median': 1e3 * float(np.median(seconds[1:])),
     }
     bad = {name: d for name, d in differences.items() if not d <= TOLERANCE}
-    if space is not None and reconstruct is not None:
+    if 'reconstruct' in loaded:
         modes = group.position[0, :, n:]
-        particles = [np.asarray(reconstruct(modes[k])) for k in (0, n_frame - 1)]
+
+        def reconstruct(scores):
+            return np.asarray(loaded['reconstruct'](modes=scores)['particles'])
+
+        particles = [reconstruct(modes[k]) for k in (0, n_frame - 1)]
         apart = max(
             float(np.abs(p - space.decode(modes[k])).max())
             for p, k in zip(particles, (0, n_frame - 1))
@@ -136,7 +166,7 @@ def _compare(functions, step, reconstruct, kind, group, space):
         values |= {'particles_difference_m': apart, 'particles_tolerance_m': RECONSTRUCT_TOLERANCE}
         start = time.perf_counter()
         for frame in modes[:COMPARED_STEPS]:
-            np.asarray(reconstruct(frame))
+            reconstruct(frame)
         values['ms_per_reconstruction'] = 1e3 * (time.perf_counter() - start) / COMPARED_STEPS
         if not apart <= RECONSTRUCT_TOLERANCE:
             bad['particles_m'] = apart

@@ -48,8 +48,6 @@ def values(field, starts=None, subspace=None) -> dict:
     soil, load = (_numpy(net) for net in (field.network.soil, field.network.load))
     w, b = soil[0]
     own_weights, shared = w[:, : counts['n_seen']], w[:, counts['n_seen'] :]
-    low, high = np.array([field.ranges[name] for name in names]).T
-    margin = quality.MARGIN * (high - low) + 1e-6
     reach = max(np.abs(places[name]).max() for name in ('around', 'since'))
     result = {
         'abi': c['LTS_ABI'],
@@ -91,7 +89,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'load_first': fold.dense(*_together(*load[0])),
         'load_hidden': _layers(load[1:-1]),
         'load_last': _layers(load[-1:]),
-        'limits': np.stack([low - margin, high + margin]),
+        'limits': quality.limits(field.ranges, names),
         'bits': np.array([c[of_tool['bit'](name)] for name in names]),
         'bound': np.array(field.calibration.get('force', ())),
         **counts,

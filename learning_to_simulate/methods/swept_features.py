@@ -6,14 +6,18 @@ how far the tool has travelled since it was last there. One frame costs the same
 path is, and two calls in a row equal one call over the joined path.
 
 Coordinates: u (m) along the way of travel, y (m) upwards. Bins are counted from the first position
-of the tool, so shifting path and bed together changes nothing but the coordinates. Pure numpy; the
-same functions for TensorFlow graphs are in `swept_features_tf.py`.
+of the tool, so shifting path and bed together changes nothing but the coordinates.
+
+`xp` is numpy, or `tensors` in a TensorFlow graph: shapes are static there, and nothing is refused.
 """
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+
+# Less than any length, m, and a number in float32.
+TINY = 1e-37
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,20 +90,50 @@ class SweptBed(NamedTuple):
         return self.position[:, 0]
 
 
-def start(grid: SweptGrid, position, surface) -> SweptBed:
+class Finer(NamedTuple):
+    """What the differences of float32 positions do not tell of a motion, from one who knows.
+
+    Attributes:
+      step: [B, 2] position after it minus before it, m.
+      away: two of [B, n], u of the bins minus that of the centre before and after it, m.
+    """
+
+    step: np.ndarray
+    away: tuple[np.ndarray, np.ndarray]
+
+
+def start(grid: SweptGrid, position, surface, xp=np) -> SweptBed:
     """The state before any motion: the circle has been where it is now.
 
     Args:
       grid: the bins.
       position: [B, 2] first u and y of the centre, m.
       surface: height of the bed, m: a number, [B] or, where the bed is not flat, [B, n] at
-        `position[:, :1] + grid.offsets`.
+        `position[:, :1] + grid.offsets`. In a graph [B, n].
+      xp: numpy or `tensors`.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
-    position = _checked(position, (None, 2), 'position')
-    n_tool, n_bin = len(position), len(grid.offsets)
+    if xp is np:
+        position = _checked(position, (None, 2), 'position')
+        surface = _checked_surface(surface, len(position), len(grid.offsets))
+    zero = xp.zeros_like(position[:, 0])
+    state = SweptBed(
+        origin=position[:, 0],
+        surface=surface,
+        profile=surface,
+        last=xp.full_like(surface, -grid.forget),
+        position=position,
+        velocity=xp.zeros_like(position),
+        travelled=zero,
+        foremost=position[:, 0],
+    )
+    return _cut(grid, state, position, None, xp, None)
+
+
+def _checked_surface(surface, n_tool, n_bin):
+    """float64 [B, n] of a bed in one of its forms."""
     surface = np.asarray(surface, np.float64)
     if surface.shape not in ((), (n_tool,), (n_tool, n_bin)):
         raise ValueError(
@@ -110,21 +144,10 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
         raise ValueError('surface holds NaN or infinite heights')
     if surface.ndim == 1:
         surface = surface[:, None]
-    surface = np.broadcast_to(surface, (n_tool, n_bin)).copy()
-    state = SweptBed(
-        origin=position[:, 0],
-        surface=surface,
-        profile=surface,
-        last=np.full((n_tool, n_bin), -grid.forget),
-        position=position,
-        velocity=np.zeros((n_tool, 2)),
-        travelled=np.zeros(n_tool),
-        foremost=position[:, 0],
-    )
-    return _cut(grid, state, position)
+    return np.broadcast_to(surface, (n_tool, n_bin)).copy()
 
 
-def advance(grid: SweptGrid, state: SweptBed, position, dt: float) -> SweptBed:
+def advance(grid: SweptGrid, state: SweptBed, position, dt, xp=np, finer=None) -> SweptBed:
     """Moves the tools in a straight line to their next positions.
 
     Args:
@@ -132,36 +155,51 @@ def advance(grid: SweptGrid, state: SweptBed, position, dt: float) -> SweptBed:
       state: before the frame; it is not changed.
       position: [B, 2] next u and y of the centre, m.
       dt: duration of the frame, s.
+      xp: numpy or `tensors`.
+      finer: `Finer`, where positions are float32.
 
     Raises:
       ValueError: a position that is not finite, or whose underside reaches beyond the bins.
     """
-    position = _checked(position, state.position.shape, 'position')
+    if xp is np:
+        position = _checked(position, state.position.shape, 'position')
+        _refuse_outside(grid, state, position)
+    return _cut(grid, state, position, dt, xp, finer)
+
+
+def leaves_bins(grid: SweptGrid, state: SweptBed, position):
+    """Bool [B]: tools whose underside reaches beyond the bins at a position [B, 2]."""
     low, high = grid.offsets[[0, -1]]
     offset = position[:, 0] - state.origin
-    if (outside := (offset - grid.radius < low) | (offset + grid.radius > high)).any():
+    return (offset - grid.radius < low) | (offset + grid.radius > high)
+
+
+def _refuse_outside(grid, state, position):
+    outside = leaves_bins(grid, state, position)
+    if outside.any():
         tool = int(np.argmax(outside))
+        low, high = grid.offsets[[0, -1]]
+        offset = position[:, 0] - state.origin
         raise ValueError(
             f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
             f'{grid.radius:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
         )
-    return _cut(grid, state, position, dt)
 
 
-def _cut(grid, state, position, dt=None):
+def _cut(grid, state, position, dt, xp, finer):
     """The state after the circle's centre has gone straight to `position`."""
-    step = position - state.position
-    length = np.hypot(step[:, 0], step[:, 1])
+    step, away = (position - state.position, None) if finer is None else finer
+    length = xp.hypot(step[:, 0], step[:, 1])
     travelled = state.travelled + length
     bins = state.origin[:, None] + grid.offsets
-    height = underside(bins, state.position, position, grid.radius)
+    height = underside(bins, state.position, position, grid.radius, xp, away)
     passed = height < state.surface
-    foremost = np.where(
-        passed.any(axis=1), np.maximum(state.foremost, position[:, 0]), state.foremost
+    foremost = xp.where(
+        xp.any(passed, axis=1), xp.maximum(state.foremost, position[:, 0]), state.foremost
     )
     return state._replace(
-        profile=np.minimum(state.profile, height),
-        last=np.where(passed, travelled[:, None], state.last),
+        profile=xp.minimum(state.profile, height),
+        last=xp.where(passed, travelled[:, None], state.last),
         position=position,
         velocity=state.velocity if dt is None else step / dt,
         travelled=travelled,
@@ -169,31 +207,34 @@ def _cut(grid, state, position, dt=None):
     )
 
 
-def underside(u, before, after, radius):
+def underside(u, before, after, radius, xp=np, away=None):
     """Lowest height [B, n] at places u [B, n] of a circle that moves straight from one centre to
-    another [B, 2]; infinite where it has not been. All in m.
+    another [B, 2]; infinite where it has not been. All in m; `away` as of `Finer`.
 
     It is the lower envelope of both end circles and, between their tangent points, of the tangent.
     """
-    height = np.full(u.shape, np.inf)
-    for centre in (before, after):
-        square = radius**2 - (u - centre[:, :1]) ** 2
+    height = xp.full_like(u, np.inf)
+    # The edge of the circle is upright: a bin there falls by half a circle, or not at all.
+    away = (u - before[:, :1], u - after[:, :1]) if away is None else away
+    for centre, distance in zip((before, after), away, strict=True):
+        square = radius**2 - distance**2
         inside = square >= 0
-        height = np.where(
-            inside, np.minimum(height, centre[:, 1:] - np.sqrt(np.maximum(square, 0.0))), height
+        height = xp.where(
+            inside, xp.minimum(height, centre[:, 1:] - xp.sqrt(xp.maximum(square, 0.0))), height
         )
     step = after - before
-    length = np.hypot(step[:, :1], step[:, 1:])
+    length = xp.hypot(step[:, :1], step[:, 1:])
     # Unit normal of the way, downwards: the tangent is the way moved by radius along it.
-    sign = np.where(step[:, :1] < 0, -1.0, 1.0)
-    normal = sign * np.stack([step[:, 1], -step[:, 0]], axis=1) / np.maximum(length, 1e-300)
+    one = xp.ones_like(length)
+    sign = xp.where(step[:, :1] < 0, -one, one)
+    normal = sign * xp.stack([step[:, 1], -step[:, 0]], axis=1) / xp.maximum(length, TINY)
     left = before + radius * normal
-    along = (u - left[:, :1]) * np.sign(step[:, :1])
-    width = np.abs(step[:, :1])
-    share = along / np.maximum(width, 1e-300)
-    tangent = left[:, 1:] + np.clip(share, 0.0, 1.0) * step[:, 1:]
+    along = (u - left[:, :1]) * xp.sign(step[:, :1])
+    width = xp.abs(step[:, :1])
+    share = along / xp.maximum(width, TINY)
+    tangent = left[:, 1:] + xp.clip(share, 0.0, 1.0) * step[:, 1:]
     between = (along >= 0) & (along <= width) & (width > 0)
-    return np.where(between, np.minimum(height, tangent), height)
+    return xp.where(between, xp.minimum(height, tangent), height)
 
 
 def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:
@@ -214,9 +255,9 @@ def since_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:
     return _gathered(since, index)
 
 
-def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
+def swept_area(grid: SweptGrid, state: SweptBed, xp=np):
     """[B] area (m2) between the untouched surface and the deepest cut."""
-    return grid.spacing * (state.surface - state.profile).sum(axis=1)
+    return grid.spacing * xp.sum(state.surface - state.profile, axis=1)
 
 
 def _bin(grid, origin, u):

@@ -1,4 +1,7 @@
-"""Between the world's axes and those of a swept field: along the way, up, across."""
+"""Between the world's axes and those of a swept field: along the way, up, across.
+
+`xp` is numpy, or `tensors` in a TensorFlow graph.
+"""
 
 import dataclasses
 
@@ -39,52 +42,43 @@ class Axes:
         is_cyclic = (self.axis, self.up, self.across) in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
         return self.sign if is_cyclic else -self.sign
 
-    def points(self, points) -> np.ndarray:
+    def points(self, points, xp=np):
         """Points [..., 3] of the world (m) as u, height, distance from the middle plane."""
-        points = np.asarray(points, np.float64)
-        return np.stack(
-            [
-                self.sign * points[..., self.axis],
-                points[..., self.up],
-                points[..., self.across] - self.middle,
-            ],
-            axis=-1,
-        )
+        return self.local(xp.asarray(points, np.float64), xp) - np.array([0.0, 0.0, self.middle])
 
-    def world(self, vectors) -> np.ndarray:
-        """Vectors [..., 3] along, up, across in the world's axes."""
-        vectors = np.asarray(vectors)
-        found = np.empty_like(vectors)
-        found[..., self.axis] = self.sign * vectors[..., 0]
-        found[..., self.up] = vectors[..., 1]
-        found[..., self.across] = vectors[..., 2]
-        return found
+    def local(self, vectors, xp=np):
+        """Vectors [..., 3] of the world along, up, across."""
+        parts = [self.sign * vectors[..., self.axis], vectors[..., self.up]]
+        return xp.stack([*parts, vectors[..., self.across]], axis=-1)
 
-    def poses(self, pose) -> np.ndarray:
+    def world(self, vectors, xp=np):
+        """Vectors [..., 3] along, up, across in the world's axes; the inverse of `local`."""
+        vectors = xp.asarray(vectors)
+        parts = {
+            self.axis: self.sign * vectors[..., 0],
+            self.up: vectors[..., 1],
+            self.across: vectors[..., 2],
+        }
+        return xp.stack([parts[i] for i in range(3)], axis=-1)
+
+    def poses(self, pose, xp=np):
         """u, height (m) and lean (rad) [..., 3] of poses [..., 7]: position (m) and unit quaternion
         (w, x, y, z) of an upright tool."""
-        pose = np.asarray(pose, np.float64)
-        w, v = pose[..., 3:4], pose[..., 4:]
-        top = np.zeros_like(v)
-        top[..., self.up] = 1.0
-        # Rotation by a unit quaternion: t + 2 w (v x t) + 2 v x (v x t).
-        twist = np.cross(v, top)
-        top = top + 2.0 * (w * twist + np.cross(v, twist))
-        along, height = self.sign * top[..., self.axis], top[..., self.up]
-        return np.stack(
-            [
-                self.sign * pose[..., self.axis],
-                pose[..., self.up],
-                np.arctan2(-along, height),
-            ],
-            axis=-1,
+        pose = xp.asarray(pose, np.float64)
+        w, along, up, across = (
+            pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across)
         )
+        # Where the rotation takes the upward axis: two elements of its matrix.
+        tilt = 2.0 * (along * up - self.sign * self._turn * (w * across))
+        height = 1.0 - 2.0 * (along**2 + across**2)
+        lean = xp.arctan2(-self.sign * tilt, height)
+        return xp.stack([self.sign * pose[..., self.axis], pose[..., self.up], lean], axis=-1)
 
-    def velocities(self, velocity) -> np.ndarray:
+    def velocities(self, velocity, xp=np):
         """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's
         linear and angular ones [..., 6]."""
-        velocity = np.asarray(velocity, np.float64)
-        return np.stack(
+        velocity = xp.asarray(velocity, np.float64)
+        return xp.stack(
             [
                 self.sign * velocity[..., self.axis],
                 velocity[..., self.up],
@@ -102,12 +96,12 @@ class Axes:
             np.broadcast_arrays(self.sign * force[..., self.axis], force[..., self.up], turn), -1
         )
 
-    def world_loads(self, loads) -> tuple[np.ndarray, np.ndarray]:
+    def world_loads(self, loads, xp=np) -> tuple:
         """Force (N) and torque (N m) [..., 3] of the world; the inverse of `loads`. A tool that is
         symmetric across the way feels nothing else."""
-        loads = np.asarray(loads)
-        force, torque = np.zeros_like(loads), np.zeros_like(loads)
-        force[..., self.axis] = self.sign * loads[..., 0]
-        force[..., self.up] = loads[..., 1]
-        torque[..., self.across] = self._turn * loads[..., 2]
-        return force, torque
+        loads = xp.asarray(loads)
+        zero = xp.zeros_like(loads[..., 0])
+        force = self.world(xp.stack([loads[..., 0], loads[..., 1], zero], axis=-1), xp)
+        turn = self._turn * loads[..., 2]
+        torque = [turn if i == self.across else zero for i in range(3)]
+        return force, xp.stack(torque, axis=-1)

@@ -19,22 +19,22 @@ MARGIN = 0.05
 FLOORS = {'soil': 0.3, 'force': 3.0}
 
 
-def spread(values) -> np.ndarray:
+def spread(values, xp=np):
     """Root mean square [T] of the standard deviation over members of values [M, T, ...]."""
-    std = np.asarray(values, np.float64).std(axis=0)
-    return np.sqrt((std**2).mean(axis=tuple(range(1, std.ndim))))
+    std = xp.std(xp.asarray(values, np.float64), axis=0)
+    return xp.sqrt(xp.mean(std**2, axis=tuple(range(1, std.ndim))))
 
 
-def size(values) -> np.ndarray:
+def size(values, xp=np):
     """Root mean square [T] of the mean over members of values [M, T, ...]."""
-    mean = np.asarray(values, np.float64).mean(axis=0)
-    return np.sqrt((mean**2).mean(axis=tuple(range(1, mean.ndim))))
+    mean = xp.mean(xp.asarray(values, np.float64), axis=0)
+    return xp.sqrt(xp.mean(mean**2, axis=tuple(range(1, mean.ndim))))
 
 
-def bound(spreads, sizes, weights) -> np.ndarray:
+def bound(spreads, sizes, weights, xp=np):
     """What the error of a frame is expected to keep; spreads and sizes [F], weights [3] of
     `calibrate`."""
-    return _signs(spreads, sizes) @ np.asarray(weights)
+    return xp.dot(_signs(spreads, sizes, xp), np.asarray(weights))
 
 
 def calibrate(runs, kind: str) -> list[float]:
@@ -80,9 +80,9 @@ def reliability(runs, weights, n_bin: int = 5) -> list[dict]:
     ]
 
 
-def _signs(spreads, sizes):
+def _signs(spreads, sizes, xp=np):
     """[F, 3] of what an error grows with."""
-    return np.stack([np.ones(np.shape(spreads)), spreads, sizes], axis=-1)
+    return xp.stack([xp.ones_like(spreads), spreads, sizes], axis=-1)
 
 
 def judge(
@@ -127,5 +127,12 @@ def statuses(scalars, ranges: dict, finite, names=tool_path.SCALARS) -> list[Rol
 def _outside(scalars, ranges, names):
     """bool [T, S], and the ranges [S] that hold without the margin."""
     low, high = np.array([ranges[name] for name in names]).T
+    least, most = limits(ranges, names)
+    return ~((scalars >= least) & (scalars <= most)), low, high
+
+
+def limits(ranges: dict, names=tool_path.SCALARS) -> np.ndarray:
+    """[2, S] least and largest value of each scalar that is not outside."""
+    low, high = np.array([ranges[name] for name in names]).T
     extra = MARGIN * (high - low) + 1e-6
-    return ~((scalars >= low - extra) & (scalars <= high + extra)), low, high
+    return np.stack([low - extra, high + extra])

@@ -1,18 +1,19 @@
 """What holds for any soil, whatever a network says: none of it is inside the tool.
 
 Points are u, height, distance from the middle plane (m), poses u, height, lean, as in `tool_path`.
+`xp` is numpy, or `tensors` in a TensorFlow graph.
 """
 
 import numpy as np
 
 
-def blade_axis(pose, blade) -> np.ndarray:
+def blade_axis(pose, blade, xp=np):
     """[..., 2] u and height (m) of the middle of the upper edge minus that of the lower one."""
-    lean = np.asarray(pose)[..., 2]
-    return blade.length * np.stack([-np.sin(lean), np.cos(lean)], axis=-1)
+    lean = xp.asarray(pose)[..., 2]
+    return blade.length * xp.stack([-xp.sin(lean), xp.cos(lean)], axis=-1)
 
 
-def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
+def inside(points, pose, blade, width, xp=np) -> tuple:
     """How deep points lie in a blade, and the shortest way out.
 
     The blade is a stadium, all points within its radius of a segment, drawn out across the way.
@@ -22,20 +23,21 @@ def inside(points, pose, blade, width) -> tuple[np.ndarray, np.ndarray]:
       pose: [3].
       blade: `tools.Blade`.
       width: of this blade, m.
+      xp: numpy or `tensors`.
 
     Returns:
       depth [P], m, 0 outside, and way [P, 3] of that length.
     """
-    points = np.asarray(points, np.float64)
-    axis = blade_axis(pose, blade)
-    relative = points[:, :2] - np.asarray(pose)[:2]
-    along = np.clip(relative @ axis / (axis @ axis), 0.0, 1.0)
+    points = xp.asarray(points, np.float64)
+    axis = blade_axis(pose, blade, xp)
+    relative = points[:, :2] - xp.asarray(pose)[:2]
+    along = xp.clip(xp.dot(relative, axis) / xp.dot(axis, axis), 0.0, 1.0)
     away = relative - along[:, None] * axis
-    distance = np.hypot(away[:, 0], away[:, 1])
+    distance = xp.hypot(away[:, 0], away[:, 1])
     # On the segment itself there is no nearest side: out to the front.
-    front = np.array([axis[1], -axis[0]]) / blade.length
-    normal = np.where(distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], front)
-    return _way_out(points, blade.radius - distance, normal, width)
+    front = xp.stack([axis[1], -axis[0]], axis=0) / blade.length
+    normal = xp.where(distance[:, None] > 1e-12, away / xp.maximum(distance, 1e-12)[:, None], front)
+    return _way_out(points, blade.radius - distance, normal, width, xp)
 
 
 def inside_wheel(points, pose, radius, width) -> tuple[np.ndarray, np.ndarray]:
@@ -53,18 +55,19 @@ def inside_wheel(points, pose, radius, width) -> tuple[np.ndarray, np.ndarray]:
     normal = np.where(
         distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], [0.0, -1.0]
     )
-    return _way_out(points, radius - distance, normal, width)
+    return _way_out(points, radius - distance, normal, width, np)
 
 
-def _way_out(points, in_plane, normal, width):
+def _way_out(points, in_plane, normal, width, xp):
     """Depth [P] and way [P, 3] from depths [P] and normals [P, 2] in the plane of travel."""
-    beside = width / 2 - np.abs(points[:, 2])
-    depth = np.maximum(np.minimum(in_plane, beside), 0.0)
+    across = points[:, 2]
+    beside = width / 2 - xp.abs(across)
+    depth = xp.maximum(xp.minimum(in_plane, beside), 0.0)
     is_plane = in_plane <= beside
-    way = np.zeros_like(points)
-    way[:, :2] = np.where(is_plane, depth, 0.0)[:, None] * normal
-    way[:, 2] = np.where(is_plane, 0.0, depth) * np.where(points[:, 2] < 0, -1.0, 1.0)
-    return depth, way
+    in_plane_way = xp.where(is_plane, depth, 0.0)[:, None] * normal
+    one = xp.ones_like(across)
+    way_across = xp.where(is_plane, 0.0, depth) * xp.where(across < 0, -one, one)
+    return depth, xp.concatenate([in_plane_way, way_across[:, None]], axis=1)
 
 
 def pushed_out(points, pose, blade, width) -> np.ndarray:

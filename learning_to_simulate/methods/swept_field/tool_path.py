@@ -2,6 +2,7 @@
 
 Everything is relative to the first position of the tool along its way and to the level of the bed,
 so shifting the whole scene changes nothing. One frame costs the same however long the path is.
+`xp` is numpy, or `tensors` in a TensorFlow graph, where nothing is refused.
 """
 
 from typing import NamedTuple
@@ -76,7 +77,7 @@ class Frame(NamedTuple):
     scalars: np.ndarray
 
 
-def start(grid: SweptGrid, bed: Bed, pose, velocity=None) -> ToolState:
+def start(grid: SweptGrid, bed: Bed, pose, velocity=None, xp=np) -> ToolState:
     """The state before any motion.
 
     Args:
@@ -84,18 +85,21 @@ def start(grid: SweptGrid, bed: Bed, pose, velocity=None) -> ToolState:
       bed: of the tools.
       pose: [B, 3] u and height (m) of the middle of the lower edge, lean (rad).
       velocity: [B, 3] of these, which the tools have had for long; None: at rest.
+      xp: numpy or `tensors`.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
-    pose = _checked(pose, None)
-    velocity = np.zeros_like(pose) if velocity is None else _checked(velocity, len(pose))
-    swept = swept_features.start(grid, pose[:, :2], bed.surface)
-    memory = np.repeat(velocity[:, None], len(TIME_SCALES), axis=1)
-    return ToolState(swept, pose[:, 2], velocity, memory, np.zeros_like(swept.surface))
+    velocity = xp.zeros_like(pose) if velocity is None else velocity
+    if xp is np:
+        pose = _checked(pose, None)
+        velocity = _checked(velocity, len(pose))
+    swept = swept_features.start(grid, pose[:, :2], bed.surface, xp)
+    memory = xp.stack([velocity] * len(TIME_SCALES), axis=1)
+    return ToolState(swept, pose[:, 2], velocity, memory, xp.zeros_like(swept.surface))
 
 
-def advance(grid: SweptGrid, state: ToolState, pose, dt: float) -> ToolState:
+def advance(grid: SweptGrid, state: ToolState, pose, dt, xp=np, finer=None) -> ToolState:
     """Moves the tools in a straight line to their next poses.
 
     Args:
@@ -103,66 +107,75 @@ def advance(grid: SweptGrid, state: ToolState, pose, dt: float) -> ToolState:
       state: before; it is not changed.
       pose: [B, 3] as in `start`.
       dt: duration, s.
+      xp: numpy or `tensors`.
+      finer: see `swept_features.advance`.
 
     Raises:
       ValueError: a duration that is not positive; poses that are not finite or leave the bins.
     """
-    if not 0 < dt < np.inf:
-        raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
-    pose = _checked(pose, len(state.lean))
+    if xp is np:
+        if not 0 < dt < np.inf:
+            raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
+        pose = _checked(pose, len(state.lean))
     before = state.swept
-    after = swept_features.advance(grid, before, pose[:, :2], dt)
+    after = swept_features.advance(grid, before, pose[:, :2], dt, xp, finer)
     was_cut, is_cut = before.profile < before.surface, after.profile < after.surface
-    area = swept_features.swept_area(grid, before)[:, None]
-    velocity = np.concatenate([after.velocity, (pose[:, 2:] - state.lean[:, None]) / dt], axis=1)
+    area = swept_features.swept_area(grid, before, xp)[:, None]
+    velocity = xp.concatenate([after.velocity, (pose[:, 2:] - state.lean[:, None]) / dt], axis=1)
     # Exact for a velocity that is constant within the frame, so the frame rate hardly matters.
-    fade = np.exp(-dt / np.array(TIME_SCALES))[:, None]
+    fade = xp.exp(-dt / np.array(TIME_SCALES))[:, None]
     return ToolState(
         after,
         pose[:, 2],
         velocity,
         fade * state.memory + (1 - fade) * velocity[:, None],
-        np.where(is_cut & ~was_cut, area, state.area_before),
+        xp.where(is_cut & ~was_cut, area, state.area_before),
     )
 
 
-def frame(grid: SweptGrid, bed: Bed, blade_width, state: ToolState) -> Frame:
+def frame(grid: SweptGrid, bed: Bed, blade_width, state: ToolState, xp=np) -> Frame:
     """What the networks see of a state.
 
     Args:
       grid, bed: of the state.
       blade_width: [B] m.
       state: of B tools.
+      xp: numpy or `tensors`; tensors keep the type of the state.
     """
     swept = state.swept
     cut = swept.surface - swept.profile
-    bins = np.empty((*cut.shape, CHANNELS), np.float32)
-    bins[..., CUT] = cut
-    bins[..., SURFACE] = swept.surface - bed.level[:, None]
-    bins[..., SINCE] = np.minimum(swept.travelled[:, None] - swept.last, grid.forget)
-    bins[..., AREA_BEFORE] = state.area_before
-    spread = cone(np.minimum(cut / TOUCH, 1.0), grid.spacing / REACH)
-    bins[..., INFLUENCE] = np.clip(3.0 * spread, 0.0, 1.0)
-    bins[..., DISTURBED] = cone(cut, RISE * grid.spacing)
-    scalars = np.concatenate(
+    spread = cone(xp.minimum(cut / TOUCH, 1.0), grid.spacing / REACH, xp)
+    bins = xp.stack(
         [
-            swept.position - np.stack([swept.origin, bed.level], axis=1),
-            state.lean[:, None],
-            state.velocity,
-            state.memory.reshape(len(cut), -1),
-            np.stack(
-                [
-                    swept_features.swept_area(grid, swept),
-                    swept.foremost - swept.origin,
-                    np.broadcast_to(blade_width, swept.origin.shape) / 2,
-                    bed.end - swept.origin,
-                ],
-                axis=1,
-            ),
+            cut,
+            swept.surface - bed.level[:, None],
+            xp.minimum(swept.travelled[:, None] - swept.last, grid.forget),
+            state.area_before,
+            xp.clip(3.0 * spread, 0.0, 1.0),
+            cone(cut, RISE * grid.spacing, xp),
+        ],
+        axis=-1,
+    )
+    of_path = xp.stack(
+        [
+            swept_features.swept_area(grid, swept, xp),
+            swept.foremost - swept.origin,
+            xp.broadcast_to(blade_width, swept.origin.shape) / 2,
+            bed.end - swept.origin,
         ],
         axis=1,
     )
-    return Frame(bins, scalars.astype(np.float32))
+    scalars = xp.concatenate(
+        [
+            swept.position - xp.stack([swept.origin, bed.level], axis=1),
+            state.lean[:, None],
+            state.velocity,
+            *(state.memory[:, i] for i in range(len(TIME_SCALES))),
+            of_path,
+        ],
+        axis=1,
+    )
+    return Frame(xp.asarray(bins, np.float32), xp.asarray(scalars, np.float32))
 
 
 def frames(grid: SweptGrid, bed: Bed, blade_width, pose, dt: float, velocity=None) -> Frame:
@@ -179,12 +192,12 @@ def frames(grid: SweptGrid, bed: Bed, blade_width, pose, dt: float, velocity=Non
     return Frame(*map(np.stack, zip(*found, strict=True)))
 
 
-def cone(values, fall):
+def cone(values, fall, xp=np):
     """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
     index = fall * np.arange(values.shape[1])
-    forward = np.maximum.accumulate(values + index, axis=1) - index
-    backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
-    return np.maximum(forward, backward)
+    forward = xp.maximum.accumulate(values + index, axis=1) - index
+    backward = xp.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
+    return xp.maximum(forward, backward)
 
 
 def _checked(pose, count):

@@ -7,7 +7,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.export import export_formats
+from learning_to_simulate.export import step_functions
 from learning_to_simulate.export_c import model_data
 from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.methods.mixer_model import Excitation
@@ -113,7 +113,7 @@ def test_copies_need_a_subspace_and_join_the_training(tmp_path):
 def test_exports_refuse_a_path_by_name(tmp_path):
     made, (group,), _ = make(tmp_path, 'mlp_driven')
     with pytest.raises(ValueError, match='no memory of the path'):
-        export_formats.StepFunctions(made.simulator, made.layout(group.n_rigid), None)
+        step_functions.StepFunctions(made.simulator, made.layout(group.n_rigid), None)
     with pytest.raises(ValueError, match="inputs .*'path', 'start'.* the C form knows"):
         model_data.refuse(made.simulator)
 

@@ -12,6 +12,7 @@ from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.methods.swept_field.tool_path import Bed
 from learning_to_simulate.methods.swept_field.tools import Blade
 from learning_to_simulate.scene import RigidMotion, Scene
+from pca_tools import convert, raw_writer
 
 GRID = SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75)
 BLADE = Blade()
@@ -91,3 +92,36 @@ def frames(plane, surface=None) -> tool_path.Frame:
         bed = bed._replace(surface=surface)
     found = tool_path.frames(GRID, bed, np.array([BLADE.width]), plane, DT)
     return tool_path.Frame(found.bins[:, 0], found.scalars[:, 0])
+
+
+def made_up_run(depth, split) -> dict:
+    """Soil above the deepest cut goes along with the blade; the force is that of a depth."""
+    plane = path(depth=depth)
+    seen = frames(plane)
+    points = bed_points()
+    local = AXES.points(points)
+    u = local[:, 0] - plane[0, 0, 0]
+    cut = np.stack([np.interp(u, GRID.offsets, b[:, 0]) for b in seen.bins])
+    went = np.clip(seen.scalars[:, :1] - u, 0.0, 0.1)
+    share = np.clip((cut - (SURFACE - local[:, 1])) / 0.03, 0.0, 1.0)
+    moved = np.zeros((len(plane), len(points), 3))
+    moved[..., 0], moved[..., 1] = share * went, 0.2 * share * went
+    below = np.clip(SURFACE - plane[:, 0, 1] + BLADE.radius, 0, None)
+    load = np.stack([-3e4 * below**2, 5e3 * below**2, 10 * below], axis=1)
+    force, torque = AXES.world_loads(load)
+    pose = world_pose(plane[:, 0])
+    body = np.array([[-0.014, y, z] for y in (0.0, 0.1, 0.2) for z in (-0.2, 0.0, 0.2)])
+    return {
+        'positions': points + AXES.world(moved),
+        'rigid_positions': pose[:, None, :3] + body,
+        'force': force, 'torque': torque, 'pose': pose, 'split': split, 'kind': 'made_up',
+        'parameters': {'blade_width_m': 0.457},
+    }  # fmt: skip
+
+
+def write_dataset(folder, depths):
+    """Writes `folder / 'data'` of made-up runs, a (depth, split) each."""
+    raw = str(folder / 'raw')
+    runs = [made_up_run(*pair) for pair in depths]
+    raw_writer.write_raw(raw, runs, DT, up_axis=1, body='prescribed')
+    convert.convert(raw, str(folder / 'data'), modes=2)

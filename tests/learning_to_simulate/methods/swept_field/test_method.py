@@ -24,43 +24,11 @@ SMALL = {
 }  # fmt: skip
 
 
-def made_up_run(depth, split):
-    """Soil above the deepest cut goes along with the blade; the force is that of a depth."""
-    plane = world.path(depth=depth)
-    frames = world.frames(plane)
-    points = world.bed_points()
-    local = world.AXES.points(points)
-    u = local[:, 0] - plane[0, 0, 0]
-    cut = np.stack([np.interp(u, world.GRID.offsets, b[:, 0]) for b in frames.bins])
-    went = np.clip(frames.scalars[:, :1] - u, 0.0, 0.1)
-    share = np.clip((cut - (world.SURFACE - local[:, 1])) / 0.03, 0.0, 1.0)
-    moved = np.zeros((len(plane), len(points), 3))
-    moved[..., 0], moved[..., 1] = share * went, 0.2 * share * went
-    below = np.clip(world.SURFACE - plane[:, 0, 1] + world.BLADE.radius, 0, None)
-    load = np.stack([-3e4 * below**2, 5e3 * below**2, 10 * below], axis=1)
-    force, torque = world.AXES.world_loads(load)
-    pose = world.world_pose(plane[:, 0])
-    body = np.array([[-0.014, y, z] for y in (0.0, 0.1, 0.2) for z in (-0.2, 0.0, 0.2)])
-    return {
-        'positions': points + world.AXES.world(moved),
-        'rigid_positions': pose[:, None, :3] + body,
-        'force': force, 'torque': torque, 'pose': pose, 'split': split, 'kind': 'made_up',
-        'parameters': {'blade_width_m': 0.457},
-    }  # fmt: skip
-
-
 @pytest.fixture(scope='module')
 def data_path(tmp_path_factory):
     folder = tmp_path_factory.mktemp('made_up')
     depths = [(0.03, 'train'), (0.045, 'train'), (0.06, 'train'), (0.04, 'valid'), (0.05, 'test')]
-    raw_writer.write_raw(
-        str(folder / 'raw'),
-        [made_up_run(*pair) for pair in depths],
-        world.DT,
-        up_axis=1,
-        body='prescribed',
-    )
-    convert.convert(str(folder / 'raw'), str(folder / 'data'), modes=2)
+    world.write_dataset(folder, depths)
     return str(folder / 'data')
 
 

@@ -1,0 +1,225 @@
+"""The exported functions of a simulator in a subspace: step and reconstruct."""
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import rigid_body
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.learned_simulator import (
+    SimulatorState,
+    initial_state,
+)
+from learning_to_simulate.rigid_body import KnownMotion, known_motion
+from learning_to_simulate.scene import RigidMotion
+
+NAMES = {'tflite': 'LiteRT', 'onnx': 'ONNX'}
+
+
+class StepFunctions:
+    """The functions that are exported, for one graph of R rigid particles and r modes.
+
+    Args:
+      simulator: the model.
+      layout: its graph.
+      space: `Subspace` for `reconstruct`, or None: then there is no such function.
+    """
+
+    def __init__(self, simulator, layout, space):
+        if simulator.config.path_inputs:
+            raise ValueError(
+                'path_inputs: an exported step has no memory of the path; use the stepper of Python'
+            )
+        self.simulator, self.layout, self.space = simulator, layout, space
+        self.variables = simulator.trainable_variables
+
+    def step(self, position_history, next_rigid_position=None, context=None):
+        """One frame from recorded or predicted frames.
+
+        Args:
+          position_history: float64 [H, V, D], m, oldest first; R rigid particles, then r modes.
+          next_rigid_position: float64 [R, D], m, the body in the coming frame, where its motion is
+            given; where only the height is predicted, any height.
+          context: float32 [C].
+
+        Returns:
+          dict of `next_position` float64 [V, D], its parts `modes` [r, D] and `rigid_position`
+          [R, D], and `force` float32 [D], N.
+        """
+        layout, scene = self.layout, self.simulator.scene
+        n, last = layout.n_rigid, position_history[-1]
+        offset = (position_history - layout.origin)[None]
+        state = initial_state(offset, offset[:, 1:] - offset[:, :-1])
+        known = None
+        if scene.rigid_motion.is_known:
+            body = next_rigid_position - layout.origin[:n], next_rigid_position - last[:n]
+            known = known_motion(*body, scene)
+            known = KnownMotion(*(tf.cast(x, tf.float32)[None] for x in known[:2]))
+        context = None if context is None else context[None]
+        after, force = self.simulator.step(state, known, context, layout)
+        # The displacement is added in float64: positions of modes do not fit into float32.
+        position = last + tf.cast(after.velocity[0, :, -1], tf.float64)
+        if scene.rigid_motion == RigidMotion.PREDICTED:
+            shape = last[:n] - tf.reduce_mean(last[:n], axis=0, keepdims=True)
+            body = rigid_body.rigid_correction(shape[None], position[None, :n])[0]
+            position = tf.concat([body, position[n:]], axis=0)
+        outputs = {'next_position': position, 'modes': position[n:]}
+        if n:
+            outputs['rigid_position'] = position[:n]
+        return outputs | ({} if force is None else {'force': force[0]})
+
+    def state_step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
+        """One frame of the float32 state that LiteRT and ONNX carry.
+
+        Args:
+          offset: float32 [V, D], position minus origin, m.
+          velocity: float32 [V, H - 1, D], the last displacements, newest last, m/frame.
+          rigid_offset, rigid_velocity: float32 [R, D] of the coming frame, as `KnownMotion`.
+          context: float32 [C].
+
+        Returns:
+          dict of the next `offset` and `velocity`, and `force` [D], N.
+        """
+        known = None
+        if rigid_offset is not None:
+            known = KnownMotion(rigid_offset[None], rigid_velocity[None])
+        context = None if context is None else context[None]
+        state = SimulatorState(offset[None], velocity[None])
+        after, force = self.simulator.step(state, known, context, self.layout)
+        outputs = {'offset': after.offset[0], 'velocity': after.velocity[0]}
+        return outputs | ({} if force is None else {'force': force[0]})
+
+    def reconstruct(self, modes):
+        """Soil particles float32 [N, D], m, of mode scores float64 [r, D] (inverse PCA)."""
+        space = self.space
+        weights = tf.constant(space.components, tf.float32)
+        return {
+            'particles': tf.linalg.matmul(weights, tf.cast(modes, tf.float32))
+            + space.mean.astype(np.float32)
+        }
+
+    def step_signature(self, kind: str) -> dict[str, tf.TensorSpec]:
+        """Inputs of the exported step by name."""
+        scene, layout = self.simulator.scene, self.layout
+        dim, n = self.simulator.dim, layout.n_rigid
+        shapes: dict[str, tuple[tuple[int, ...], tf.DType]]
+        if kind == 'savedmodel':
+            shapes = {'position_history': ((H, layout.n_node, dim), tf.float64)}
+            if scene.rigid_motion.is_known:
+                shapes['next_rigid_position'] = ((n, dim), tf.float64)
+        else:
+            shapes = {
+                'offset': ((layout.n_node, dim), tf.float32),
+                'velocity': ((layout.n_node, H - 1, dim), tf.float32),
+            }
+            if scene.rigid_motion.is_known:
+                shapes |= {f'rigid_{x}': ((n, dim), tf.float32) for x in ('offset', 'velocity')}
+        if scene.context_names:
+            shapes['context'] = ((len(scene.context_names),), tf.float32)
+        return {name: tf.TensorSpec(*s, name=name) for name, s in shapes.items()}
+
+    @staticmethod
+    def output_name(kind: str, name: str) -> str:
+        """What an output is called: in ONNX none has the name of an input."""
+        return f'next_{name}' if kind == 'onnx' else name
+
+    def concrete(self, kind: str) -> dict:
+        """Name -> concrete function of a format; those of a SavedModel are compiled by XLA.
+
+        Raises:
+          ValueError: a scene that the format cannot hold.
+        """
+        is_saved_model = kind == 'savedmodel'
+        if not is_saved_model and self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
+            raise ValueError(
+                f'{NAMES[kind]} has no eigenvalue solver for the correction of a predicted rigid '
+                'body; export a SavedModel, or a model whose rigid motion is given or driven'
+            )
+
+        def step(**inputs):
+            found = self.step(**inputs) if is_saved_model else self.state_step(**inputs)
+            return {self.output_name(kind, name): value for name, value in found.items()}
+
+        compiled = is_saved_model or None
+        function = tf.function(step, jit_compile=compiled)
+        functions = {'step': function.get_concrete_function(**self.step_signature(kind))}
+        if is_saved_model and self.space is not None:
+            shape = [self.simulator.scene.n_modes, self.simulator.dim]
+            spec = tf.TensorSpec(shape, tf.float64, name='modes')
+            function = tf.function(self.reconstruct, jit_compile=compiled)
+            functions['reconstruct'] = function.get_concrete_function(spec)
+        return functions
+
+    def inputs(self, kind: str, group, frame: int) -> dict[str, np.ndarray]:
+        """Inputs of the exported step that predicts a frame of a recorded run (`RunGroup`)."""
+        layout, scene = self.layout, self.simulator.scene
+        n, position = layout.n_rigid, group.position[0]
+        values = {}
+        if kind == 'savedmodel':
+            values['position_history'] = position[frame - H : frame]
+            if scene.rigid_motion.is_known:
+                values['next_rigid_position'] = position[frame, :n]
+        else:
+            state, known = self._recorded(group, frame)
+            values |= {'offset': state.offset[0].numpy(), 'velocity': state.velocity[0].numpy()}
+            if known is not None:
+                values['rigid_offset'], values['rigid_velocity'] = (x[0].numpy() for x in known[:2])
+        if group.context is not None:
+            values['context'] = group.context_at(frame, 0).astype(np.float32)
+        return values
+
+    def source_step(self, group, frame: int):
+        """What the source model says: displacements [V, D] and force [D] or None."""
+        state, known = self._recorded(group, frame)
+        context = group.context_at(frame)
+        context = None if context is None else tf.constant(context, tf.float32)
+        after, force = self.simulator.step(state, known, context, self.layout)
+        velocity = after.velocity[0, :, -1].numpy().astype(np.float64)
+        if self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
+            n, last = self.layout.n_rigid, group.position[:, frame - 1]
+            shape = last[:, :n] - last[:, :n].mean(axis=1, keepdims=True)
+            placed = rigid_body.rigid_correction(shape, last[:, :n] + velocity[None, :n])
+            velocity[:n] = placed[0].numpy() - last[0, :n]
+        return velocity, None if force is None else force[0].numpy()
+
+    def _recorded(self, group, frame):
+        """State and known motion, float32, before a recorded frame."""
+        n, scene = self.layout.n_rigid, self.simulator.scene
+        offset, velocity = group.position - self.layout.origin, group.velocity
+        h = slice(frame - H, frame)
+        state = initial_state(offset[:, h], velocity[:, h][:, 1:])
+        known = known_motion(offset[:, frame, :n], velocity[:, frame, :n], scene)
+        if known is not None:
+            known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
+        return state, known
+
+    def describe(self, kind: str) -> dict:
+        """What a user of the exported model must know; JSON-able."""
+        scene, config, layout = self.simulator.scene, self.simulator.config, self.layout
+        signature = {k: [list(s.shape), s.dtype.name] for k, s in self.step_signature(kind).items()}
+        signatures = {'step': signature}
+        if self.space is not None:
+            modes = [[scene.n_modes, self.simulator.dim], 'float64']
+            if kind == 'savedmodel':
+                signatures['reconstruct'] = {'modes': modes}
+        values = {
+            'format': kind,
+            'signatures': signatures,
+            'scene': scene.to_json(),
+            'nodes': f'{layout.n_rigid} rigid particles, then {scene.n_modes} modes',
+            'rigid_particles': f'every {config.rigid_stride}. in record order'
+            if config.rigid_stride > 1 or not config.rigid_particles
+            else f'the {layout.n_rigid} lowest of the first frame, in record order',
+            'units': 'positions m, velocities m/frame, force N',
+            'seconds_per_frame': scene.dt,
+            'frames_of_history': H,
+        }  # fmt: skip
+        if kind != 'savedmodel':
+            values['origin'] = layout.origin.tolist()
+            values['state'] = (
+                'offset = position - origin; velocity [V, H - 1, D] = last displacements, newest '
+                'last; rigid_offset and rigid_velocity of the coming frame'
+                + (', with the mean height over the particles taken out'
+                   if scene.rigid_motion == RigidMotion.DRIVEN else '')
+                + ('; outputs are named next_*' if kind == 'onnx' else '')
+            )  # fmt: skip
+        return values
