@@ -173,8 +173,9 @@ def _make_models(found, data_path, values) -> str:
     jobs = []
     for name, paths in found.items():
         for seed, path in enumerate(map(os.path.abspath, paths)):
-            own = [*rollouts.training_flags(name), f'--seed={seed}', '--num_threads=1']
-            flags_ = own if name in values.train else None
+            flags_ = None
+            if name in values.train:
+                flags_ = [*rollouts.training_flags(name), f'--seed={seed}', '--num_threads=1']
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
     failed = []
     with (
