@@ -163,13 +163,8 @@ def trained_here(values, folder: str) -> dict[str, list[str]]:
     }
 
 
-def _make_models(found, data_path, values) -> str:
-    """Trains the models of --train and rolls all out, side by side; returns the rollouts' folder.
-
-    Raises:
-      ValueError: some failed; the others are made, and the same call goes on.
-    """
-    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', _name_of(data_path)))
+def _jobs(found, data_path, values, folder):
+    """The tasks of `rollouts.make`; only models of --train are trained."""
     jobs = []
     for name, paths in found.items():
         for seed, path in enumerate(map(os.path.abspath, paths)):
@@ -177,6 +172,17 @@ def _make_models(found, data_path, values) -> str:
             if name in values.train:
                 flags_ = [*rollouts.training_flags(name), f'--seed={seed}', '--num_threads=1']
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
+    return jobs
+
+
+def _make_models(found, data_path, values) -> str:
+    """Trains the models of --train and rolls all out, side by side; returns the rollouts' folder.
+
+    Raises:
+      ValueError: some failed; the others are made, and the same call goes on.
+    """
+    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', _name_of(data_path)))
+    jobs = _jobs(found, data_path, values, folder)
     failed = []
     with (
         workers.start(values.cluster, values.num_processes) as crew,

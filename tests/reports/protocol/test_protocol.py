@@ -274,7 +274,7 @@ def test_input_that_cannot_be_judged_is_refused(tmp_path):
         command._models_of('wheel', values)
 
 
-def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here(monkeypatch):
+def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     values = types.SimpleNamespace(
         model=[], train=['mlp --modes=8', 'pcg'], work_path='work', num_seeds=2
     )
@@ -286,11 +286,8 @@ def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here(mo
     assert found['mlp --modes=8'] == [f'work/models/wheel_v2/mlp_modes_8_{i}' for i in (0, 1)]
     assert rollouts.training_flags('mlp --modes=8') == ['--preset=mlp', '--modes=8']
     # Only those of --train are trained, and have flags: other names may be any text.
-    made = []
-    monkeypatch.setattr(rollouts, 'make', made.append)
-    values.cluster, values.num_processes = '', 1
-    command._make_models({'field, one member': ['a'], 'pcg': ['b', 'c']}, 'data', values)
-    assert [job[2] for job in made] == [
+    jobs = command._jobs({'field, one member': ['a'], 'pcg': ['b', 'c']}, 'data', values, 'out')
+    assert [job[2] for job in jobs] == [
         None, *(['--preset=pcg', f'--seed={seed}', '--num_threads=1'] for seed in (0, 1))
     ]  # fmt: skip
     for bad in ('', 'mlp modes=8', '--modes=8'):
