@@ -98,3 +98,8 @@ class Table:
                 cpu = f'{entry["cpu_s"]:.0f}' if n == 0 else ''
                 rows.append((name, f'{row["figure"]:.4g}', *bound, cpu))
         return markdown.table(('check', 'figure', 'expected', 'within', '', 'CPU s'), rows)
+
+
+def table(path: str) -> str:
+    """The Markdown of a stored table; raises ValueError as `Table` does."""
+    return Table(path).text()
