@@ -58,7 +58,7 @@ def blade_pose(body: np.ndarray, frame: TravelFrame) -> tuple[np.ndarray, np.nda
     low, high = height.min(axis=1, keepdims=True), height.max(axis=1, keepdims=True)
     share = (height - low) / np.maximum(high - low, 1e-12)
     row, top = (
-        np.einsum('strd,sr->std', points, mask / mask.sum(axis=1, keepdims=True))
+        np.einsum('strd,sr->std', points, mask / np.maximum(mask.sum(axis=1, keepdims=True), 1.0))
         for mask in ((share <= _ROW_SHARE) * 1.0, (share >= 1 - _ROW_SHARE) * 1.0)
     )
     across = top - row
