@@ -220,7 +220,7 @@ def trials(path: str) -> str:
         wins = '' if row is rows[0] else f'{won} of {len(first)}'
         means = (float(np.mean(row[key])) for key in ('soil_mm', 'force_l2'))
         lines.append((row['what'], *means, wins))
-    return markdown.table(('inputs', 'soil, mm', 'force', 'better in soil'), lines)
+    return markdown.table(('trial', 'soil, mm', 'force', 'better in soil'), lines)
 
 
 _COLUMNS = {
