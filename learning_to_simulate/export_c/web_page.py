@@ -117,9 +117,14 @@ def write(path: str, name: str, values: dict, session) -> None:
       name, values: as of `compile_model`, whose errors this raises.
       session: as of `settings`.
     """
+    from learning_to_simulate import checkpoints  # loads TensorFlow
+
+    weights = os.path.join(session.model.path, checkpoints.WEIGHTS_FILE)
     words = {
         'TITLE': values['name'],
-        'DIGEST': values['digest'][:12],
+        # Of the model, and not of the C values: these are products, which another processor rounds
+        # differently.
+        'DIGEST': files.sha256_of_file(weights)[:12],
         'CONFIG': json.dumps(settings(session), separators=(',', ':')),
         'WASM': base64.b64encode(compile_model(name, values)).decode('ascii'),
     }
