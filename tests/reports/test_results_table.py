@@ -10,7 +10,7 @@ def test_table_of_the_shipped_models_has_a_row_for_each(capsys):
     text = capsys.readouterr().out
     for name in ('excavation', 'wheel', 'pcg_thesis', 'fcg_original', '*persistence*'):
         assert name in text
-    assert text.count('| pcg  ') == 2
+    assert text.count('| pcg  ') == 3  # of both scenes, and of the blade's data of record
 
 
 def test_table_of_a_folder_without_metrics_is_a_message(tmp_path):
