@@ -12,17 +12,20 @@ Examples:
     python -m reports documents README.md     # the table, from the JSON
 """
 
+import os
+
 import numpy as np
 from absl import flags
 
+from mpm import scenes
 from pca_tools import dataset, files
-from reports import command, learning_curve, markdown, record, timing
+from reports import command, markdown, record, timing
+from reports.protocol import driven_runs
 
 SCHEMA_VERSION = 1
 ROUNDS = 5
-# Seconds of CPU that the solver takes for a frame: this record of its speed.
-SOLVER_SPEED = 'docs/solver/speed.json'
-SOLVER_FRAMES = 320
+# What the solver takes for a run, by `reports.solver_speed`.
+SOLVER_SPEED = os.path.join(record.ROOT, 'docs', 'solver', 'speed.json')
 # Those that are drawn, as lines: a baseline's time is not taken, and more labels would overlap.
 LINES = ('persistence', 'path ridge', 'earthmoving, fitted', 'Bekker-Wong-Janosi, fitted')
 
@@ -45,7 +48,7 @@ def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) ->
 
     cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
     runs = dataset.read_split(data_path, 'test')
-    other = learning_curve.GRID, 'disturbed'
+    other = driven_runs.GRID, 'disturbed'
     for run, case in zip(runs, cases, strict=False):
         if case.get('kind') not in other and run.rigid_pose is not None:
             poses, context = run.rigid_pose.astype(np.float64), run.step_context
@@ -80,14 +83,14 @@ def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) ->
 def table(times_path: str, protocol_path: str) -> str:
     """Errors of driven test runs and times of a frame, by method; mean (low to high) over seeds."""
     times = files.read_json(times_path)['models']
-    errors = learning_curve.condense(files.read_json(protocol_path))[learning_curve.DRIVEN]
-    names = list(dict.fromkeys(name for q in learning_curve.QUANTITIES for name in errors[q]))
+    errors = driven_runs.condense(files.read_json(protocol_path))[driven_runs.DRIVEN]
+    names = list(dict.fromkeys(name for q in driven_runs.QUANTITIES for name in errors[q]))
     lines = []
     for name in names:
-        shown = [markdown.span(errors[q].get(name, [])) for q in learning_curve.QUANTITIES]
+        shown = [markdown.span(errors[q].get(name, [])) for q in driven_runs.QUANTITIES]
         cost = times.get(name, {})
         lines.append((name, *shown, *(cost.get(f'{w}_ms', '') for w in ('load', 'particles'))))
-    titles = learning_curve.QUANTITIES.values()
+    titles = driven_runs.QUANTITIES.values()
     runs = f'{errors["runs"]} driven test runs'
     return markdown.table((runs, *titles, 'load, ms a frame', 'all particles, ms a frame'), lines)
 
@@ -96,7 +99,7 @@ def solver_ms(scene: str) -> float:
     """Milliseconds of CPU that the solver takes for a frame of a scene."""
     rows = files.read_json(SOLVER_SPEED)['rows']
     seconds = next(row['this'] for row in rows if row['scene'] == scene)
-    return 1e3 * float(np.median(seconds)) / SOLVER_FRAMES
+    return 1e3 * float(np.median(seconds)) / (scenes.FRAMES - 1)
 
 
 def draw(times_path: str, protocol_path: str, picture: str) -> None:
@@ -105,9 +108,9 @@ def draw(times_path: str, protocol_path: str, picture: str) -> None:
 
     times = files.read_json(times_path)['models']
     document = files.read_json(protocol_path)
-    errors = learning_curve.condense(document)[learning_curve.DRIVEN]
+    errors = driven_runs.condense(document)[driven_runs.DRIVEN]
     drawn = figure.Figure(figsize=(9, 3.8), layout='constrained')
-    pairs = zip(learning_curve.QUANTITIES.items(), ('particles_ms', 'load_ms'), strict=True)
+    pairs = zip(driven_runs.QUANTITIES.items(), ('particles_ms', 'load_ms'), strict=True)
     for axes, ((quantity, title), clock) in zip(drawn.subplots(1, 2), pairs, strict=True):
         for name, seeds in errors[quantity].items():
             mean, low, high = np.mean(seeds), min(seeds), max(seeds)

@@ -17,42 +17,9 @@ from absl import flags
 from pca_tools import files, subset
 from reports import command, markdown, record
 from reports.protocol import __main__ as protocol
-from reports.protocol import over_runs
+from reports.protocol import driven_runs
 
 SCHEMA_VERSION = 1
-QUANTITIES = {'soil_mm': 'soil, mm', 'force_l2': 'force, rel. L2'}
-GRID, DRIVEN = 'grid', 'driven'  # kinds of runs: of constant speed, and all others
-
-
-def condense(document: dict, split: str = 'test') -> dict:
-    """Means over the runs of a split, of each method.
-
-    Args:
-      document: of `protocol.protocol`.
-      split: of it.
-
-    Returns:
-      `grid` and `driven` (those there are) -> `runs`, and quantity -> method -> one value a seed.
-      Runs whose soil hardly moves count for the force alone, as in the protocol.
-    """
-    runs = document['runs'][split]
-    found: dict[str, dict] = {}
-    for kind in (GRID, DRIVEN):
-        chosen = [i for i, run in enumerate(runs) if (run['kind'] == GRID) == (kind == GRID)]
-        if not chosen:
-            continue
-        found[kind] = {'runs': len(chosen)} | {q: {} for q in QUANTITIES}
-        for quantity in QUANTITIES:
-            judged = [
-                i for i in chosen
-                if quantity != 'soil_mm' or runs[i]['motion_mm'] >= over_runs.QUIET_MM
-            ]  # fmt: skip
-            for method in document['methods']:
-                errors = [[s['runs'][split][i].get(quantity) for i in judged]
-                          for s in method['seeds']]  # fmt: skip
-                if judged and None not in sum(errors, []):
-                    found[kind][quantity][method['name']] = [float(np.mean(e)) for e in errors]
-    return found
 
 
 def measure(data_path: str, size: int, values) -> dict:
@@ -71,7 +38,7 @@ def measure(data_path: str, size: int, values) -> dict:
     if not os.path.exists(os.path.join(folder, 'manifest.json')):
         subset.subset(data_path, folder, size, subset.kinds_of(values.kinds), overwrite=True)
     document = protocol.protocol(folder, values, protocol.trained_here(values, work))
-    return {'train_runs': document['data']['train_runs'], 'test': condense(document)}
+    return {'train_runs': document['data']['train_runs'], 'test': driven_runs.condense(document)}
 
 
 def table(path: str, kind: str) -> str:
@@ -79,13 +46,18 @@ def table(path: str, kind: str) -> str:
     where there are several."""
     rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
     columns = [
-        (quantity, name) for quantity in QUANTITIES for name in rows[-1]['test'][kind][quantity]
+        (quantity, name)
+        for quantity in driven_runs.QUANTITIES
+        for name in rows[-1]['test'][kind][quantity]
     ]
     lines = []
     for row in rows:
         seeds = (row['test'][kind][quantity].get(name) for quantity, name in columns)
         lines.append((row['train_runs'], *(markdown.span(s) if s else '' for s in seeds)))
-    header = ('training runs', *(f'{name}: {QUANTITIES[quantity]}' for quantity, name in columns))
+    header = (
+        'training runs',
+        *(f'{name}: {driven_runs.QUANTITIES[quantity]}' for quantity, name in columns),
+    )
     return markdown.table(header, lines)
 
 
@@ -95,13 +67,15 @@ def draw(path: str, picture: str) -> None:
 
     rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
     drawn = figure.Figure(figsize=(9, 3.6), layout='constrained')
-    for axes, (quantity, title) in zip(drawn.subplots(1, 2), QUANTITIES.items(), strict=True):
-        for kind, style in ((DRIVEN, '-'), (GRID, '--')):
+    for axes, (quantity, title) in zip(
+        drawn.subplots(1, 2), driven_runs.QUANTITIES.items(), strict=True
+    ):
+        for kind, style in ((driven_runs.DRIVEN, '-'), (driven_runs.GRID, '--')):
             names = list(rows[-1]['test'].get(kind, {}).get(quantity, {}))
             for number, name in enumerate(names):
                 points = [(row['train_runs'], np.mean(row['test'][kind][quantity][name]))
                           for row in rows if name in row['test'][kind][quantity]]  # fmt: skip
-                label = name if style == '-' or DRIVEN not in rows[-1]['test'] else None
+                label = name if style == '-' or driven_runs.DRIVEN not in rows[-1]['test'] else None
                 axes.plot(*zip(*points, strict=True), f'o{style}', color=f'C{number}', label=label)
         axes.set(xscale='log', xlabel='training runs', ylabel=title)
         axes.set_ylim(bottom=0.0)

@@ -11,6 +11,7 @@ from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
 from learning_to_simulate.methods import registry
+from learning_to_simulate.methods.swept_field.network import ACROSS
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import dataset
 
@@ -170,7 +171,7 @@ def twin_particles(soil, swept) -> np.ndarray:
         values += bias.numpy()[: soil.members]
     gate = network.inputs.gate(*of_frame).numpy()[0].astype(np.float64)
     moved = network.inputs.displacement * gate[:, None] * values.mean(axis=0)
-    moved[:, 2] *= np.clip(local[:, 2] / 0.05, -1.0, 1.0)
+    moved[:, 2] *= np.clip(local[:, 2] / ACROSS, -1.0, 1.0)
     there = ground.places + moved
     there += field.tool.inside(there, swept.pose, ground.size)[1]
     return ground.points + field.axes.world(there - ground.places)

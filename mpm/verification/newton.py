@@ -212,7 +212,8 @@ def table(path: str) -> str:
     with open(path, encoding='utf-8') as file:
         content = json.load(file)
     ours = content['ours']
-    rows = [('this solver', '13.3', '', ours['draft_N'], 1.0, 0.0, ours['vertical_N'])]
+    cells = f'{1e3 * scenes.EXCAVATION.bin.dx:.1f}'
+    rows = [('this solver', cells, '', ours['draft_N'], 1.0, 0.0, ours['vertical_N'])]
     for name, row in content['rows'].items():
         heap = f'{row["heap_mm"]:.0f}, {row["heap_ours_mm"]:.0f}'
         rows.append((

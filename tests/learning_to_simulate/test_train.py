@@ -14,7 +14,7 @@ import pytest
 from learning_to_simulate import checkpoints, evaluation, presets
 from learning_to_simulate.methods import registry
 from learning_to_simulate.training.trainer import Trainer
-from pca_tools import dataset, files
+from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -32,11 +32,7 @@ def run(*args):
 
 @pytest.fixture(scope='module')
 def data(tmp_path_factory):
-    """Bodies of two sizes in the test runs only: each size is compiled anew in every training."""
-    folder = synthetic.write_dataset(tmp_path_factory.mktemp('data'))
-    both = synthetic.write_dataset(tmp_path_factory.mktemp('both'), rigid_counts=(4, 6))
-    shutil.copy(dataset.split_path(both, 'test'), dataset.split_path(folder, 'test'))
-    return folder
+    return synthetic.write_dataset(tmp_path_factory.mktemp('data'), rigid_counts=(4, 6))
 
 
 @pytest.fixture(scope='module')

@@ -7,6 +7,7 @@ import pytest
 
 from pca_tools import files
 from reports import learning_curve
+from reports.protocol import driven_runs
 
 RUNS = [
     {'kind': 'grid', 'motion_mm': 9.0},
@@ -34,7 +35,7 @@ def document(train_runs, scale):
 
 
 def test_means_are_of_the_runs_of_a_kind_and_seed():
-    found = learning_curve.condense(document(7, 1.0))
+    found = driven_runs.condense(document(7, 1.0))
     assert found['grid'] == {
         'runs': 1,
         'soil_mm': {'field': [2.0, 6.0]},

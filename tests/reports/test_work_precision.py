@@ -237,6 +237,7 @@ SMALL_SWEEPS = {
     'latent size': [('base', SMALL)],
     'edges': [
         ('base', SMALL),
+        ('too many edges', SMALL | {'mode_edges': 9, 'learning_rate': 1e12}),  # diverges
         # Refused when it trains, before anything is compiled.
         ('too long a window', SMALL | {'unroll_steps': 1, 'unroll_length': 100}),
     ],
@@ -245,7 +246,7 @@ SMALL_SWEEPS = {
 
 def settings(**changed):
     values = {
-        'whole': {}, 'sweeps': SMALL_SWEEPS, 'training': {'num_steps': 2, 'unroll_steps': 0},
+        'whole': {}, 'sweeps': SMALL_SWEEPS, 'training': {'num_steps': 5, 'unroll_steps': 0},
         'models_path': None, 'sweep_seeds': 1, 'rounds': 3, 'live_runs': 2, 'isolate': False,
     }  # fmt: skip
     return survey.Settings(**values | changed)
@@ -264,6 +265,7 @@ def test_whole_report_in_miniature_and_again(tmp_path, monkeypatch):
     assert points['base'].n_edge == 4 * 3 + 5 and points['base'].rollout is not None
     assert len(points['base'].live.samples_ms) == 2 * (synthetic.N_FRAMES - 6)
     assert points['persistence'].error('test', 'soil_mse') > 0
+    assert points['too many edges'].status != 'ok' and points['too many edges'].note
     assert points['too long a window'].status == 'not_trained'
     assert 'shorter than the training window' in points['too long a window'].note
     written = error_vs_runtime.write_report(document, arguments[2])

@@ -4,6 +4,8 @@ import numpy as np
 import tensorflow as tf
 
 OUTPUTS = 3
+# Motion across grows over so much distance from the middle plane, where it is odd, m.
+ACROSS = 0.05
 
 
 class Members(tf.Module):
@@ -74,7 +76,7 @@ class FieldNetwork(tf.Module):
         shape = tf.concat([[tf.shape(moved)[0]], tf.shape(rest)], axis=0)
         moved = tf.reshape(moved, shape) * gate[None, ..., None]
         # Odd across the middle plane: the network sees the distance from it only.
-        across = tf.clip_by_value(rest[..., 2:] / 0.05, -1.0, 1.0)
+        across = tf.clip_by_value(rest[..., 2:] / ACROSS, -1.0, 1.0)
         odd = tf.concat([tf.ones_like(rest[..., :2]), across], axis=-1)
         return self.inputs.displacement * moved * odd[None]
 
