@@ -1,4 +1,4 @@
-"""Mean errors of runs at constant speed, and of those that are driven freely, by method and seed."""
+"""Mean errors of runs at constant speed, and of runs driven freely, by method and seed."""
 
 import numpy as np
 
