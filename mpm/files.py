@@ -1,12 +1,12 @@
 """Files that appear whole or not at all, in folders with one writer."""
 
-import json
 import zipfile
 
 import numpy as np
 
 from storage import archives
 from storage.folder_lock import locked as one_writer
+from storage.text_files import write_json
 from storage.whole_files import TEMPORARY, remove_temporary
 from storage.whole_files import write_file as write_whole
 
@@ -17,17 +17,6 @@ __all__ = [
 
 # A run of 5000 particles has 20 MB.
 MAX_BYTES = 2**30
-
-
-def write_json(path: str, content: dict) -> None:
-    """Writes a JSON document, whole or not at all."""
-
-    def write(temporary):
-        with open(temporary, 'w', encoding='utf-8') as file:
-            json.dump(content, file, indent=1)
-            file.write('\n')
-
-    write_whole(path, write)
 
 
 def write_arrays(path: str, **arrays: np.ndarray) -> None:

@@ -35,7 +35,7 @@ from absl import app, flags, logging
 
 from mpm import raw_run, scenes, splits
 from mpm.batch import generate
-from mpm.files import write_whole
+from mpm.files import write_json
 from mpm.motions import catalogue
 from mpm.simulation import Settings
 
@@ -132,10 +132,10 @@ def table(parts, selection: Selection = ALL) -> str:
 
 
 def digests_of(folder: str) -> dict[str, str]:
-    """Returns the id of each run of a folder and the digest of its content."""
+    """Returns the id of each run of a folder, in order, and the digest of its content."""
     manifest = raw_run.read_manifest(folder)
     runs = manifest['runs'] if manifest else []
-    return {str(run['case']): run['content'] for run in runs}
+    return dict(sorted((str(run['case']), run['content']) for run in runs))
 
 
 def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
@@ -170,19 +170,10 @@ def make(
         folder = os.path.join(output_path, scene.name)
         if os.path.isdir(folder):
             found[scene.name] = digests_of(folder)
-            _write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]})
+            write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]}, indent=0)
     if failures:
         raise ValueError('\n'.join(failures))
     return found
-
-
-def _write_json(path, content) -> None:
-    def write(temporary):
-        with open(temporary, 'w', encoding='utf-8') as file:
-            json.dump(content, file, indent=0, sort_keys=True)
-            file.write('\n')
-
-    write_whole(path, write)
 
 
 def _read_json(path):

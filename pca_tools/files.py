@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from storage import archives, messages, whole_files
+from storage import archives, messages, text_files, whole_files
 
 write_atomically = whole_files.write_file
 write_folder_atomically = whole_files.write_folder
 replace_files = whole_files.replace_files
+write_json = text_files.write_json
+write_text = text_files.write_text
 printable = messages.printable
 
 MANIFEST_NAME = 'manifest.json'
@@ -31,30 +33,6 @@ MAX_BYTES = 2**30
 # The metadata of 10,000 runs; 60 MB of `[]` would take minutes and gigabytes to parse.
 MAX_JSON_BYTES = 2**25
 _LFS_PREFIX = b'version https://git-lfs'
-
-
-def write_json(path: str, obj: Any) -> None:
-    """Writes `obj` as indented JSON, whole or not at all.
-
-    Raises:
-        ValueError: `obj` holds NaN or infinity, which JSON does not have.
-    """
-    try:
-        text = json.dumps(obj, indent=2, allow_nan=False)
-    except ValueError as error:
-        raise ValueError(f'{path}: cannot be written as JSON: {error}') from error
-
-    write_text(path, text + '\n')
-
-
-def write_text(path: str, text: str) -> None:
-    """Writes UTF-8 text, whole or not at all."""
-
-    def write(temporary: str) -> None:
-        with open(temporary, 'w', encoding='utf-8', newline='') as file:
-            file.write(text)
-
-    write_atomically(path, write)
 
 
 def read_json(path: str) -> Any:
