@@ -16,8 +16,7 @@ from absl import flags
 
 from pca_tools import files, subset
 from reports import command, markdown, record
-from reports.protocol import __main__ as protocol
-from reports.protocol import driven_runs
+from reports.protocol import document, driven_runs
 
 SCHEMA_VERSION = 1
 
@@ -37,8 +36,8 @@ def measure(data_path: str, size: int, values) -> dict:
     folder = os.path.join(work, 'data')
     if not os.path.exists(os.path.join(folder, 'manifest.json')):
         subset.subset(data_path, folder, size, subset.kinds_of(values.kinds), overwrite=True)
-    document = protocol.protocol(folder, values, protocol.trained_here(values, work))
-    return {'train_runs': document['data']['train_runs'], 'test': driven_runs.condense(document)}
+    judged = document.protocol(folder, values, document.trained_here(values, work))
+    return {'train_runs': judged['data']['train_runs'], 'test': driven_runs.condense(judged)}
 
 
 def table(path: str, kind: str) -> str:

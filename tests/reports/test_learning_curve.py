@@ -62,7 +62,7 @@ def made(tmp_path, monkeypatch):
         return document(28 if '/all/' in folder else 7, 0.5 if '/all/' in folder else 1.0)
 
     monkeypatch.setattr(learning_curve.subset, 'subset', subset)
-    monkeypatch.setattr(learning_curve.protocol, 'protocol', protocol)
+    monkeypatch.setattr(learning_curve.document, 'protocol', protocol)
     values = SimpleNamespace(
         data_path='data', sizes=['7', '0'], kinds=['lift:2'], train=['field'], num_seeds=2,
         work_path=str(tmp_path / 'sizes'), output_path=str(tmp_path / 'curve'),

@@ -10,8 +10,7 @@ import pytest
 from learning_to_simulate import metrics
 from pca_tools import dataset, files, particles, subspace
 from reports import documents, record
-from reports.protocol import __main__ as command
-from reports.protocol import baselines, rollouts, run_errors, tables
+from reports.protocol import baselines, document, rollouts, run_errors, tables
 from reports.protocol.truth import DECODED, PARTICLES, TruthReader
 from tests.learning_to_simulate import synthetic
 
@@ -190,14 +189,16 @@ def judged(folder, tmp_path):
                 {
                     'seed': None,
                     'source': 'here',
-                    'predictions': {s: baselines.predictions(b, reader, s) for s in command.SPLITS},
+                    'predictions': {
+                        s: baselines.predictions(b, reader, s) for s in document.SPLITS
+                    },
                 }
             ],
         }
         for b in baselines.fit_all(reader)
     ]
     for seed in range(2):
-        for split in command.SPLITS:
+        for split in document.SPLITS:
             (tmp_path / f'{seed}{split}').mkdir()
             for truth in reader.read(split):
                 name = f'rollout_{split}_{truth.record}.npz'
@@ -213,7 +214,7 @@ def judged(folder, tmp_path):
                     'source': 'files',
                     'predictions': {
                         s: rollouts.read(str(tmp_path / f'{i}{s}'), s, 2, reader.metadata)
-                        for s in command.SPLITS
+                        for s in document.SPLITS
                     },
                 }
                 for i in range(2)
@@ -221,7 +222,7 @@ def judged(folder, tmp_path):
         }
     )
     head = {'schema_version': 1, 'scene': 'synthetic'}
-    return tables.complete(head | command.judge(reader, methods))
+    return tables.complete(head | document.judge(reader, methods))
 
 
 def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
@@ -271,14 +272,14 @@ def test_input_that_cannot_be_judged_is_refused(tmp_path):
         TruthReader(path)
     values = types.SimpleNamespace(model=['nameless'], train=[], work_path='x', num_seeds=1)
     with pytest.raises(ValueError, match='NAME=FOLDER'):
-        command._models_of('wheel', values)
+        document._models_of('wheel', values)
 
 
 def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     values = types.SimpleNamespace(
         model=[], train=['mlp --modes=8', 'pcg'], work_path='work', num_seeds=2
     )
-    found = command._models_of('wheel_v2', values)
+    found = document._models_of('wheel_v2', values)
     assert [os.path.relpath(p, record.ROOT) for p in found['swept_field']] == [
         'models/wheel_v2/swept_field'
     ]
@@ -286,7 +287,7 @@ def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     assert found['mlp --modes=8'] == [f'work/models/wheel_v2/mlp_modes_8_{i}' for i in (0, 1)]
     assert rollouts.training_flags('mlp --modes=8') == ['--preset=mlp', '--modes=8']
     # Only those of --train are trained, and have flags: other names may be any text.
-    jobs = command._jobs({'field, one member': ['a'], 'pcg': ['b', 'c']}, 'data', values, 'out')
+    jobs = document._jobs({'field, one member': ['a'], 'pcg': ['b', 'c']}, 'data', values, 'out')
     assert [job[2] for job in jobs] == [
         None, *(['--preset=pcg', f'--seed={seed}', '--num_threads=1'] for seed in (0, 1))
     ]  # fmt: skip
