@@ -255,7 +255,7 @@ class Wheel(Tool):
                 np.hypot(*across.T).mean(),
                 np.ptp(points[:, 2]),
                 context['gravity'],
-                np.tan(np.radians(context['friction_angle_deg'])),
+                wheel_path.friction_of(context['friction_angle_deg']),
             ]
         )
 
