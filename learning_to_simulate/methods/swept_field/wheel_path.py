@@ -107,7 +107,9 @@ def friction_of(angle_deg, xp=np):
     return xp.tan(np.pi / 180 * angle_deg)
 
 
-def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None, xp=np) -> tuple[DriveState, Rut]:
+def start(
+    grid: SweptGrid, bed: Bed, size, pose, velocity=None, xp=np, edge=None
+) -> tuple[DriveState, Rut]:
     """The state before any motion.
 
     Args:
@@ -117,6 +119,7 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None, xp=np) -> tuple[
       pose: [B, 4] likewise; the first height is known.
       velocity: [B, 2] of travel and rim, which they have had for long, m/s; None: at rest.
       xp: numpy or `tensors`.
+      edge: [B, n] as of `swept_features.Finer`, at first.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
@@ -126,19 +129,24 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None, xp=np) -> tuple[
     velocity = xp.zeros_like(pose[:, :2]) if velocity is None else xp.asarray(velocity, np.float64)
     radius, place, load = size[:, RADIUS], pose[:, PLACE], pose[:, LOAD]
     sunk = bed.level - (pose[:, HEIGHT] - radius)
-    depth = xp.minimum(xp.maximum(sunk, 0.002), radius)
-    contact = xp.sqrt(depth * (2 * radius - depth))
-    away = _bins(grid, place) - place[:, None]
-    borne = _bearing(away, contact, xp)
+    depth = xp.maximum(sunk, 0.002)
+    chord = xp.sqrt(xp.maximum(depth * (2 * radius - depth), 0.0))
+    contact = xp.where(depth < radius, chord, radius)  # no root is the radius to the last digit
+    if edge is None:
+        edge = swept_features.within(_bins(grid, place), place[:, None], radius[:, None], xp)
+    on_contact = _on_contact(edge, radius, contact)
+    borne = _bearing(on_contact, contact, xp)
     none, still = xp.zeros_like(bed.surface), xp.zeros_like(place)
     drive = DriveState(
         size, pose, sunk, contact, pose, velocity, xp.stack([velocity] * len(TIME_SCALES), axis=1),
         load, load, xp.stack([place] * 2, axis=1), xp.stack([still] * 3, axis=1),
-        xp.where(borne > 0, none, xp.full_like(none, grid.forget)), none, none, _share(borne, xp) * load[:, None],
+        xp.where(borne > 0, none, xp.full_like(none, grid.forget)), none, none,
+        _share(borne, xp) * load[:, None],
     )  # fmt: skip
     # Before the wheel was set down the bed was level with what lies beside the contact.
-    surface = _level(grid, bed.surface, xp.minimum(contact + 2 * grid.spacing, radius), xp)
-    profile = xp.minimum(surface, _rim(grid, drive, pose[:, :2], pose[:, :2], xp, (away, away)))
+    near = (edge > 0) & (on_contact + 2 * grid.spacing > 0)
+    surface = _level(grid, bed.surface, near, xp)
+    profile = xp.minimum(surface, _rim(grid, drive, pose[:, :2], pose[:, :2], xp, (edge, edge)))
     return drive, Rut(surface, profile, profile, pose[:, :2])
 
 
@@ -169,13 +177,14 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt, xp=np, finer=None) ->
             raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
         pose = _checked(pose, 'pose', len(state.pose))
         _refuse_outside(grid, state, pose)
-    gone, away = _differences(grid, state, pose, xp) if finer is None else finer
-    step = xp.stack([gone[:, 0], state.size[:, RADIUS] * gone[:, 1]], axis=1)
+    gone, edge = _differences(grid, state, pose, xp) if finer is None else finer
+    radius, contact = state.size[:, RADIUS], state.contact
+    step = xp.stack([gone[:, 0], radius * gone[:, 1]], axis=1)
     velocity = step / dt
     fade = xp.exp(-dt / np.array(TIME_SCALES))[:, None]
     slip = (step[:, 1] - step[:, 0])[:, None]
     # What a place bears in a frame is the mean of that at both ends.
-    before, after = (_bearing(one, state.contact, xp) for one in away)
+    before, after = (_bearing(_on_contact(x, radius, contact), contact, xp) for x in edge)
     borne = (before + after) / 2
     place, load = pose[:, PLACE], pose[:, LOAD]
     loaded = xp.abs(load - state.pose[:, LOAD]) / xp.maximum(state.first[:, LOAD], 1e-9)
@@ -200,8 +209,8 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt, xp=np, finer=None) ->
 def sink(grid: SweptGrid, drive: DriveState, rut: Rut, height, xp=np, finer=None) -> Rut:
     """The ruts once the wheels of a drive stand at heights [B], m; `finer` as of `drive_on`."""
     position = xp.stack([drive.pose[:, PLACE], height], axis=1)
-    away = None if finer is None else finer.away
-    rim = _rim(grid, drive, rut.position, position, xp, away)
+    edge = None if finer is None else finer.edge
+    rim = _rim(grid, drive, rut.position, position, xp, edge)
     return rut._replace(profile=xp.minimum(rut.profile, rim), position=position)
 
 
@@ -254,14 +263,10 @@ def with_rut(grid: SweptGrid, bed: Bed, known: Frame, rut: Rut, xp=np) -> Frame:
     ]
     area = grid.spacing * xp.sum(rut.first - rut.profile, axis=1)
     of_rut = xp.stack([rut.position[:, 1] - bed.level, area], axis=1)
-    before, after = (
-        xp.asarray(xp.stack(part, axis=-1), np.float32) for part in (seen, reached)
-    )
+    before, after = (xp.asarray(xp.stack(part, axis=-1), np.float32) for part in (seen, reached))
     return Frame(
         xp.concatenate([before, known.bins[..., SINCE:INFLUENCE], after], axis=-1),
-        xp.concatenate(
-            [known.scalars[:, :_N_DRIVE], xp.asarray(of_rut, np.float32)], axis=1
-        ),
+        xp.concatenate([known.scalars[:, :_N_DRIVE], xp.asarray(of_rut, np.float32)], axis=1),
     )
 
 
@@ -276,32 +281,39 @@ def _bins(grid, first):
 def _differences(grid, drive, pose, xp):
     """`Finer` of what the poses themselves say."""
     bins, gone = _bins(grid, drive.first[:, PLACE]), pose - drive.pose
-    away = (bins - drive.pose[:, PLACE, None], bins - pose[:, PLACE, None])
-    return Finer(xp.stack([gone[:, PLACE], gone[:, TURNED]], axis=1), away)
+    edge = tuple(
+        swept_features.within(bins, end[:, PLACE, None], drive.size[:, :1], xp)
+        for end in (drive.pose, pose)
+    )
+    return Finer(xp.stack([gone[:, PLACE], gone[:, TURNED]], axis=1), edge)
 
 
-def _bearing(away, contact, xp):
-    """[B, n] in [0, 1]: how much of the pressure in the middle of the contact a bin bears that is
-    so far from it, m."""
-    return xp.maximum(1.0 - (away / contact[:, None]) ** 2, 0.0)
+def _on_contact(edge, radius, contact):
+    """How far bins lie within the contact, from how far they lie within the rim, m."""
+    return edge - (radius - contact)[:, None]
+
+
+def _bearing(on_contact, contact, xp):
+    """[B, n] in [0, 1]: how much of the pressure in the middle of the contact a bin bears."""
+    half = contact[:, None]
+    return xp.maximum(on_contact * (2 * half - on_contact) / half**2, 0.0)
 
 
 def _share(borne, xp):
     return xp.minimum(borne / BORNE, 1.0)
 
 
-def _rim(grid, drive, before, after, xp, away):
+def _rim(grid, drive, before, after, xp, edge):
     bins = _bins(grid, drive.first[:, PLACE])
-    return swept_features.underside(bins, before, after, drive.size[:, :1], xp, away)
+    return swept_features.underside(bins, before, after, drive.size[:, :1], xp, edge)
 
 
-def _level(grid, surface, half, xp):
-    """Beds [B, n] that are straight between the bins next to a width of twice `half` [B] (m) about
-    the first place; at most up to the nearer end of the bins."""
+def _level(grid, surface, near, xp):
+    """Beds [B, n] that are straight between the bins next to those that are near [B, n] the first
+    place; at most up to the nearer end of the bins."""
     index = np.rint(grid.offsets / grid.spacing)
     none, one = xp.zeros_like(surface), xp.ones_like(surface)
-    ahead = (half[:, None] > grid.offsets) & (grid.offsets >= 0)
-    reach = xp.sum(xp.where(ahead, one, none), axis=1)[:, None]
+    reach = xp.sum(xp.where(near & (index >= 0), one, none), axis=1)[:, None]
     reach = xp.minimum(reach, min(-index[0], index[-1]))
     left, right = (
         xp.sum(xp.where(xp.abs(index - end) < 0.5, surface, none), axis=1)[:, None]
