@@ -144,12 +144,12 @@ def compare(
     expected: dict[str, list] = {name: [] for name in found}
     apart, heights_apart, particle_seconds = [0.0], [0.0], []
     for k, pose in enumerate(poses[1:], start=1):
-        given = pose_inputs(functions, pose) | {'dt': np.float32(dt)}
+        coming = pose_inputs(functions, pose) | {'dt': np.float32(dt)}
         if contexts is not None:
             context = contexts[k]
-            given['context'] = context.astype(np.float32)
+            coming['context'] = context.astype(np.float32)
         clock = time.perf_counter()
-        out = _called(loaded['step'], state | given)
+        out = _called(loaded['step'], state | coming)
         seconds.append(time.perf_counter() - clock)
         state = {name: out[f'next_{name}'] for name in state}
         try:
