@@ -8,7 +8,7 @@ Examples:
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
-  # the swept field of a blade; see docs/swept_field.md
+  # a swept field, of a blade or a wheel; see docs/swept_field.md
   python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
       --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
 """
@@ -31,6 +31,8 @@ def summary(description: dict, output_path: str) -> str:
         f'step: first call {compared["first_call_s"]:.3g} s, then '
         f'{compared["ms_per_step_median"]:.3g} ms',
     ]
+    if 'height_difference_m' in compared:
+        lines.append(f'height: largest difference {compared["height_difference_m"]:.2g} m')
     for name, key in (('reconstruct', 'ms_per_reconstruction'), ('particles', 'ms_per_particles')):
         if key in compared:
             lines.append(

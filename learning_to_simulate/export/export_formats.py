@@ -9,6 +9,7 @@ import functools
 import os
 import warnings
 
+import numpy as np
 import tensorflow as tf
 from tensorflow.python.framework import convert_to_constants
 
@@ -83,7 +84,7 @@ def _write_onnx(functions, variables, folder: str):
         ends = [[tensor.name for tensor in part] for part in (frozen.inputs, frozen.outputs)]
         proto, _ = tf2onnx.convert.from_graph_def(
             frozen.graph.as_graph_def(), input_names=ends[0], output_names=ends[1], opset=17,
-            custom_op_handlers={'SelectV2': (_where, [])},
+            custom_op_handlers={'SelectV2': (_where, []), 'Log1p': (_log1p, [])},
         )  # fmt: skip
         inputs = {name: name.split(':')[0] for name in ends[0]}
         _rename(proto.graph, inputs | dict(zip(ends[1], _outputs(concrete), strict=True)))
@@ -103,6 +104,13 @@ def _where(context, node, name, arguments):
     """A choice is a choice: tf2onnx makes it a sum of products, in which NaN and what is infinite
     of the side that is not chosen come through."""
     node.type = 'Where'
+
+
+def _log1p(context, node, name, arguments):
+    """ONNX has a logarithm, and no other of what is added to 1."""
+    one = context.make_const(f'{node.name}_one', np.ones([], np.float32))
+    node.input[:] = context.make_node('Add', [node.input[0], one.output[0]]).output
+    node.type = 'Log'
 
 
 def _outputs(concrete):

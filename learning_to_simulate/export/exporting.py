@@ -3,7 +3,7 @@
 A SavedModel has flat signatures: `step` (the last H frames and the body's coming pose in; modes,
 force and body out) and `reconstruct` (modes in, soil particles out). LiteRT and ONNX have no
 float64 worth using, so their `step` carries the state itself: float32 offsets from `origin` and
-float32 velocities. The swept field of a blade has the same functions in all three, see
+float32 velocities. A swept field has the same functions in all three, see
 `field_functions`. `export.json` beside the model says what every input and output is. What was
 written is loaded again and compared with the source model on recorded runs; beyond round-off the
 export is refused.

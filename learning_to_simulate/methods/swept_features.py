@@ -95,11 +95,12 @@ class Finer(NamedTuple):
 
     Attributes:
       step: [B, 2] position after it minus before it, m.
-      away: two of [B, n], u of the bins minus that of the centre before and after it, m.
+      edge: two of [B, n], how far the bins lie within the circle before and after it, along the
+        way: its radius minus their distance from the centre, m.
     """
 
     step: np.ndarray
-    away: tuple[np.ndarray, np.ndarray]
+    edge: tuple[np.ndarray, np.ndarray]
 
 
 def start(grid: SweptGrid, position, surface, xp=np) -> SweptBed:
@@ -188,11 +189,11 @@ def _refuse_outside(grid, state, position):
 
 def _cut(grid, state, position, dt, xp, finer):
     """The state after the circle's centre has gone straight to `position`."""
-    step, away = (position - state.position, None) if finer is None else finer
+    step, edge = (position - state.position, None) if finer is None else finer
     length = xp.hypot(step[:, 0], step[:, 1])
     travelled = state.travelled + length
     bins = state.origin[:, None] + grid.offsets
-    height = underside(bins, state.position, position, grid.radius, xp, away)
+    height = underside(bins, state.position, position, grid.radius, xp, edge)
     passed = height < state.surface
     foremost = xp.where(
         xp.any(passed, axis=1), xp.maximum(state.foremost, position[:, 0]), state.foremost
@@ -207,17 +208,17 @@ def _cut(grid, state, position, dt, xp, finer):
     )
 
 
-def underside(u, before, after, radius, xp=np, away=None):
+def underside(u, before, after, radius, xp=np, edge=None):
     """Lowest height [B, n] at places u [B, n] of a circle that moves straight from one centre to
-    another [B, 2]; infinite where it has not been. All in m; `away` as of `Finer`.
+    another [B, 2]; infinite where it has not been. All in m; `edge` as of `Finer`.
 
     It is the lower envelope of both end circles and, between their tangent points, of the tangent.
     """
     height = xp.full_like(u, np.inf)
     # The edge of the circle is upright: a bin there falls by half a circle, or not at all.
-    away = (u - before[:, :1], u - after[:, :1]) if away is None else away
-    for centre, distance in zip((before, after), away, strict=True):
-        square = radius**2 - distance**2
+    edge = tuple(within(u, x[:, :1], radius, xp) for x in (before, after)) if edge is None else edge
+    for centre, depth in zip((before, after), edge, strict=True):
+        square = depth * (2 * radius - depth)
         inside = square >= 0
         height = xp.where(
             inside, xp.minimum(height, centre[:, 1:] - xp.sqrt(xp.maximum(square, 0.0))), height
@@ -235,6 +236,11 @@ def underside(u, before, after, radius, xp=np, away=None):
     tangent = left[:, 1:] + xp.clip(share, 0.0, 1.0) * step[:, 1:]
     between = (along >= 0) & (along <= width) & (width > 0)
     return xp.where(between, xp.minimum(height, tangent), height)
+
+
+def within(u, centre, radius, xp=np):
+    """How far places u lie within a circle along the way, see `Finer.edge`, m."""
+    return radius - xp.abs(u - centre)
 
 
 def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:

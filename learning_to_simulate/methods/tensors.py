@@ -52,6 +52,10 @@ def hypot(one, other):
     return tf.sqrt(one**2 + other**2)
 
 
+def tan(angle):
+    return tf.sin(angle) / tf.cos(angle)  # LiteRT has none
+
+
 def dot(one, other):
     """Product of [..., n] with a vector [n]."""
     return tf.reduce_sum(one * other, axis=-1)

@@ -65,14 +65,29 @@ class Axes:
         """u, height (m) and lean (rad) [..., 3] of poses [..., 7]: position (m) and unit quaternion
         (w, x, y, z) of an upright tool."""
         pose = xp.asarray(pose, np.float64)
-        w, along, up, across = (
-            pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across)
-        )
-        # Where the rotation takes the upward axis: two elements of its matrix.
-        tilt = 2.0 * (along * up - self.sign * self._turn * (w * across))
-        height = 1.0 - 2.0 * (along**2 + across**2)
-        lean = xp.arctan2(-self.sign * tilt, height)
+        lean = xp.arctan2(*self._upwards(pose[..., 3:], pose[..., 3:]))
         return xp.stack([self.sign * pose[..., self.axis], pose[..., self.up], lean], axis=-1)
+
+    def turns(self, rotation, change, xp=np):
+        """By how much (rad, in (-pi, pi]) the lean grows from unit quaternions [..., 4] to those
+        and a change [..., 4]: in as many digits as the change has."""
+        forward, upward = self._upwards(rotation, rotation)
+        # A difference of squares is the difference times the sum: no digit is lost.
+        forward_by, upward_by = self._upwards(change, 2.0 * rotation + change)
+        return xp.arctan2(
+            upward * forward_by - forward * upward_by,
+            forward * (forward + forward_by) + upward * (upward + upward_by),
+        )
+
+    def _upwards(self, one, other):
+        """Where a rotation takes the upward axis, [...] against the way and up: two elements of its
+        matrix, which are quadratic in the quaternion [..., 4], of whatever length."""
+        (w, a, u, c), (w2, a2, u2, c2) = (
+            (q[..., 0], *(q[..., 1 + i] for i in (self.axis, self.up, self.across)))
+            for q in (one, other)
+        )
+        tilt = (a * u2 + u * a2) - self.sign * self._turn * (w * c2 + c * w2)
+        return -self.sign * tilt, (w * w2 + u * u2) - (a * a2 + c * c2)
 
     def velocities(self, velocity, xp=np):
         """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's

@@ -40,22 +40,22 @@ def inside(points, pose, blade, width, xp=np) -> tuple:
     return _way_out(points, blade.radius - distance, normal, width, xp)
 
 
-def inside_wheel(points, pose, radius, width) -> tuple[np.ndarray, np.ndarray]:
+def inside_wheel(points, pose, radius, width, xp=np) -> tuple:
     """How deep points lie in a wheel, and the shortest way out; as `inside`.
 
     Args:
       points: [P, 3].
       pose: u and height (m) of the axle first.
       radius, width: m.
+      xp: numpy or `tensors`.
     """
-    points = np.asarray(points, np.float64)
-    away = points[:, :2] - np.asarray(pose)[:2]
-    distance = np.hypot(away[:, 0], away[:, 1])
+    points = xp.asarray(points, np.float64)
+    away = points[:, :2] - xp.asarray(pose)[:2]
+    distance = xp.hypot(away[:, 0], away[:, 1])[:, None]
     # On the axle there is no nearest side: down.
-    normal = np.where(
-        distance[:, None] > 1e-12, away / np.maximum(distance, 1e-12)[:, None], [0.0, -1.0]
-    )
-    return _way_out(points, radius - distance, normal, width, np)
+    down = xp.zeros_like(away) + np.array([0.0, -1.0])
+    normal = xp.where(distance > 1e-12, away / xp.maximum(distance, 1e-12), down)
+    return _way_out(points, radius - distance[:, 0], normal, width, xp)
 
 
 def _way_out(points, in_plane, normal, width, xp):

@@ -69,8 +69,9 @@ class Tool(abc.ABC):
         """
 
     @abc.abstractmethod
-    def velocity(self, axes, velocity, size) -> np.ndarray:
-        """What `begin` takes, of linear and angular velocity [6] of the world, m/s and rad/s."""
+    def velocity(self, axes, velocity, size, xp=np) -> np.ndarray:
+        """What `begin` takes, of linear and angular velocity [6] of the world, m/s and rad/s; xp:
+        numpy or `tensors`."""
 
     @abc.abstractmethod
     def begin(self, grid, bed: Bed, size, pose, velocity=None):
@@ -178,9 +179,9 @@ class Blade(Tool):
         """See `Tool`."""
         return axes.poses(pose)
 
-    def velocity(self, axes, velocity, size):
+    def velocity(self, axes, velocity, size, xp=np):
         """See `Tool`."""
-        return axes.velocities(velocity)
+        return axes.velocities(velocity, xp)
 
     def begin(self, grid, bed, size, pose, velocity=None):
         """See `Tool`."""
@@ -255,7 +256,7 @@ class Wheel(Tool):
                 np.hypot(*across.T).mean(),
                 np.ptp(points[:, 2]),
                 context['gravity'],
-                np.tan(np.radians(context['friction_angle_deg'])),
+                wheel_path.friction_of(context['friction_angle_deg']),
             ]
         )
 
@@ -270,10 +271,10 @@ class Wheel(Tool):
         turned = np.unwrap(np.concatenate([first, -lean]))[1:]
         return np.stack([u, height, turned, np.broadcast_to(context['load'], u.shape)], axis=-1)
 
-    def velocity(self, axes, velocity, size):
+    def velocity(self, axes, velocity, size, xp=np):
         """See `Tool`: of travel and rim."""
-        travel, _, lean = axes.velocities(velocity)
-        return np.array([travel, -lean * size[wheel_path.RADIUS]])
+        rates = axes.velocities(velocity, xp)
+        return xp.stack([rates[0], -rates[2] * size[wheel_path.RADIUS]])
 
     def begin(self, grid, bed, size, pose, velocity=None):
         """See `Tool`."""

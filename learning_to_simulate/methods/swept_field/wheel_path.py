@@ -7,7 +7,8 @@ The *rut* follows from the height: all that the rim has swept. Neither waits for
 time: heights of all frames come from one call.
 
 As in `tool_path` all is relative to the first place of the wheel and to the level of the bed, and a
-frame costs the same however long the path is.
+frame costs the same however long the path is. `xp` is numpy, or `tensors` in a TensorFlow graph,
+where nothing is refused.
 """
 
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.methods import swept_features
-from learning_to_simulate.methods.swept_features import SweptGrid
+from learning_to_simulate.methods.swept_features import Finer, SweptGrid
 from learning_to_simulate.methods.swept_field import tool_path
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 
@@ -54,6 +55,7 @@ class DriveState(NamedTuple):
       size: float64 [B, 4] radius and width (m), gravity (m/s2), tan of the friction angle.
       first: float64 [B, 4] first pose: u, height (m), angle turned (rad), load (N).
       sunk: float64 [B] how deep the rim stood in the bed at first, m.
+      contact: float64 [B] half the chord in which it cut the surface then, m.
       pose: float64 [B, 4], the height of no meaning.
       velocity: float64 [B, 2] of travel and of the rim, m/s.
       memory: float64 [B, K, 2] the same, faded with each of the `TIME_SCALES`.
@@ -62,7 +64,8 @@ class DriveState(NamedTuple):
       reach: float64 [B, 2] rearmost and foremost u, m.
       way: float64 [B, 3] travelled, slipped and loaded in all, whatever the sign; m, m, and shares
         of the first load.
-      last: float64 [B, n] distance travelled when a bin was last borne on, m.
+      since: float64 [B, n] distance travelled since a bin was last borne on, m; at first
+        `grid.forget` where none was.
       slid, shear: float64 [B, n] slip while a bin bore the rim, without and with sign, m.
       peak: float64 [B, n] largest load that a bin bore, N.
     """
@@ -70,6 +73,7 @@ class DriveState(NamedTuple):
     size: np.ndarray
     first: np.ndarray
     sunk: np.ndarray
+    contact: np.ndarray
     pose: np.ndarray
     velocity: np.ndarray
     memory: np.ndarray
@@ -77,16 +81,10 @@ class DriveState(NamedTuple):
     peak_load: np.ndarray
     reach: np.ndarray
     way: np.ndarray
-    last: np.ndarray
+    since: np.ndarray
     slid: np.ndarray
     shear: np.ndarray
     peak: np.ndarray
-
-    @property
-    def contact(self) -> np.ndarray:
-        """[B] half the chord in which the rim first cut the surface, m."""
-        sunk = np.clip(self.sunk, 0.002, self.size[:, RADIUS])
-        return np.sqrt(sunk * (2 * self.size[:, RADIUS] - sunk))
 
 
 class Rut(NamedTuple):
@@ -104,7 +102,14 @@ class Rut(NamedTuple):
     position: np.ndarray
 
 
-def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveState, Rut]:
+def friction_of(angle_deg, xp=np):
+    """Tan of a friction angle (degrees), as a size has it."""
+    return xp.tan(np.pi / 180 * angle_deg)
+
+
+def start(
+    grid: SweptGrid, bed: Bed, size, pose, velocity=None, xp=np, edge=None
+) -> tuple[DriveState, Rut]:
     """The state before any motion.
 
     Args:
@@ -113,35 +118,46 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
       size: [B, 4], see `DriveState`.
       pose: [B, 4] likewise; the first height is known.
       velocity: [B, 2] of travel and rim, which they have had for long, m/s; None: at rest.
+      xp: numpy or `tensors`.
+      edge: [B, n] as of `swept_features.Finer`, at first.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
-    size, pose = _checked(size, 'size', None), _checked(pose, 'pose', None)
-    velocity = np.zeros((len(pose), 2)) if velocity is None else np.asarray(velocity, np.float64)
-    memory = np.repeat(velocity[:, None], len(TIME_SCALES), axis=1)
-    sunk = bed.level - (pose[:, HEIGHT] - size[:, RADIUS])
-    none = np.zeros((len(pose), len(grid.offsets)))
+    if xp is np:
+        size, pose = _checked(size, 'size', None), _checked(pose, 'pose', None)
+    velocity = xp.zeros_like(pose[:, :2]) if velocity is None else xp.asarray(velocity, np.float64)
+    radius, place, load = size[:, RADIUS], pose[:, PLACE], pose[:, LOAD]
+    sunk = bed.level - (pose[:, HEIGHT] - radius)
+    depth = xp.maximum(sunk, 0.002)
+    chord = xp.sqrt(xp.maximum(depth * (2 * radius - depth), 0.0))
+    contact = xp.where(depth < radius, chord, radius)  # no root is the radius to the last digit
+    if edge is None:
+        edge = swept_features.within(_bins(grid, place), place[:, None], radius[:, None], xp)
+    on_contact = _on_contact(edge, radius, contact)
+    borne = _bearing(on_contact, contact, xp)
+    none, still = xp.zeros_like(bed.surface), xp.zeros_like(place)
     drive = DriveState(
-        size, pose, sunk, pose, velocity, memory, pose[:, LOAD], pose[:, LOAD],
-        np.repeat(pose[:, :1], 2, axis=1), np.zeros((len(pose), 3)),
-        none - grid.forget, none, none, none,
+        size, pose, sunk, contact, pose, velocity, xp.stack([velocity] * len(TIME_SCALES), axis=1),
+        load, load, xp.stack([place] * 2, axis=1), xp.stack([still] * 3, axis=1),
+        xp.where(borne > 0, none, xp.full_like(none, grid.forget)), none, none,
+        _share(borne, xp) * load[:, None],
     )  # fmt: skip
-    borne = _bearing(grid, drive, pose[:, PLACE])
-    drive = drive._replace(
-        last=np.where(borne > 0, 0.0, drive.last), peak=_share(borne) * pose[:, LOAD:]
-    )
     # Before the wheel was set down the bed was level with what lies beside the contact.
-    surface = bed.surface.copy()
-    for row, contact, radius in zip(surface, drive.contact, size[:, RADIUS], strict=True):
-        near = np.abs(grid.offsets) < min(contact + 2 * grid.spacing, radius)
-        row[near] = np.interp(grid.offsets[near], grid.offsets[~near], row[~near])
-    rim = _rim(grid, drive, pose[:, :2], pose[:, :2])
-    profile = np.minimum(surface, rim)
+    near = (edge > 0) & (on_contact + 2 * grid.spacing > 0)
+    surface = _level(grid, bed.surface, near, xp)
+    profile = xp.minimum(surface, _rim(grid, drive, pose[:, :2], pose[:, :2], xp, (edge, edge)))
     return drive, Rut(surface, profile, profile, pose[:, :2])
 
 
-def drive_on(grid: SweptGrid, state: DriveState, pose, dt: float) -> DriveState:
+def leaves_bins(grid: SweptGrid, state: DriveState, pose):
+    """Bool [B]: wheels whose rim reaches beyond the bins at poses [B, 4]."""
+    offset, radius = pose[:, PLACE] - state.first[:, PLACE], state.size[:, RADIUS]
+    low, high = grid.offsets[[0, -1]]
+    return (offset - radius < low) | (offset + radius > high)
+
+
+def drive_on(grid: SweptGrid, state: DriveState, pose, dt, xp=np, finer=None) -> DriveState:
     """The drives one frame later.
 
     Args:
@@ -149,114 +165,174 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt: float) -> DriveState:
       state: before; it is not changed.
       pose: [B, 4]; the height is ignored.
       dt: duration, s.
+      xp: numpy or `tensors`.
+      finer: `swept_features.Finer`, where places are float32; its `step` is of u (m) and of the
+        angle turned (rad).
 
     Raises:
       ValueError: a duration that is not positive; poses that are not finite or leave the bins.
     """
-    if not 0 < dt < np.inf:
-        raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
-    pose = _checked(pose, 'pose', len(state.pose))
-    radius = state.size[:, RADIUS]
-    offset = pose[:, PLACE] - state.first[:, PLACE]
-    low, high = grid.offsets[[0, -1]]
-    if (outside := (offset - radius < low) | (offset + radius > high)).any():
-        wheel = int(np.argmax(outside))
-        raise ValueError(
-            f'wheel {wheel} is {offset[wheel]:.3g} m from its first place; with its radius of '
-            f'{radius[wheel]:.3g} m the bins from {low:.3g} to {high:.3g} m do not hold it'
-        )
-    change = pose - state.pose
-    step = np.stack([change[:, PLACE], radius * change[:, TURNED]], axis=1)
+    if xp is np:
+        if not 0 < dt < np.inf:
+            raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
+        pose = _checked(pose, 'pose', len(state.pose))
+        _refuse_outside(grid, state, pose)
+    gone, edge = _differences(grid, state, pose, xp) if finer is None else finer
+    radius, contact = state.size[:, RADIUS], state.contact
+    step = xp.stack([gone[:, 0], radius * gone[:, 1]], axis=1)
     velocity = step / dt
-    fade = np.exp(-dt / np.array(TIME_SCALES))[:, None]
+    fade = xp.exp(-dt / np.array(TIME_SCALES))[:, None]
     slip = (step[:, 1] - step[:, 0])[:, None]
     # What a place bears in a frame is the mean of that at both ends.
-    before, after = (_bearing(grid, state, p[:, PLACE]) for p in (state.pose, pose))
+    before, after = (_bearing(_on_contact(x, radius, contact), contact, xp) for x in edge)
     borne = (before + after) / 2
-    loaded = np.abs(change[:, LOAD]) / np.maximum(state.first[:, LOAD], 1e-9)
-    way = state.way + np.stack([np.abs(step[:, 0]), np.abs(slip[:, 0]), loaded], axis=1)
+    place, load = pose[:, PLACE], pose[:, LOAD]
+    loaded = xp.abs(load - state.pose[:, LOAD]) / xp.maximum(state.first[:, LOAD], 1e-9)
+    far = xp.abs(step[:, :1])
     return state._replace(
         pose=pose,
         velocity=velocity,
         memory=fade * state.memory + (1 - fade) * velocity[:, None],
-        frame_load=(pose[:, LOAD] + state.pose[:, LOAD]) / 2,
-        peak_load=np.maximum(state.peak_load, pose[:, LOAD]),
-        reach=np.stack(
-            [np.minimum(state.reach[:, 0], pose[:, PLACE]),
-             np.maximum(state.reach[:, 1], pose[:, PLACE])], axis=1,
+        frame_load=(load + state.pose[:, LOAD]) / 2,
+        peak_load=xp.maximum(state.peak_load, load),
+        reach=xp.stack(
+            [xp.minimum(state.reach[:, 0], place), xp.maximum(state.reach[:, 1], place)], axis=1
         ),
-        way=way,
-        last=np.where(after > 0, way[:, :1], state.last),
-        slid=state.slid + borne * np.abs(slip),
+        way=state.way + xp.concatenate([far, xp.abs(slip), loaded[:, None]], axis=1),
+        since=xp.where(after > 0, xp.zeros_like(after), state.since + far),
+        slid=state.slid + borne * xp.abs(slip),
         shear=state.shear + borne * slip,
-        peak=np.maximum(state.peak, _share(after) * pose[:, LOAD :]),
-    )  # fmt: skip
+        peak=xp.maximum(state.peak, _share(after, xp) * load[:, None]),
+    )
 
 
-def sink(grid: SweptGrid, drive: DriveState, rut: Rut, height) -> Rut:
-    """The ruts once the wheels of a drive stand at heights [B], m."""
-    position = np.stack([drive.pose[:, PLACE], height], axis=1)
-    rim = _rim(grid, drive, rut.position, position)
-    return rut._replace(profile=np.minimum(rut.profile, rim), position=position)
+def sink(grid: SweptGrid, drive: DriveState, rut: Rut, height, xp=np, finer=None) -> Rut:
+    """The ruts once the wheels of a drive stand at heights [B], m; `finer` as of `drive_on`."""
+    position = xp.stack([drive.pose[:, PLACE], height], axis=1)
+    edge = None if finer is None else finer.edge
+    rim = _rim(grid, drive, rut.position, position, xp, edge)
+    return rut._replace(profile=xp.minimum(rut.profile, rim), position=position)
 
 
-def frame(grid: SweptGrid, bed: Bed, drive: DriveState, rut: Rut | None = None) -> Frame:
+def frame(grid: SweptGrid, bed: Bed, drive: DriveState, rut: Rut | None = None, xp=np) -> Frame:
     """What the networks see of a state; without a rut, what the force and the height see: the rest
-    is 0."""
-    first = drive.first[:, PLACE]
-    bins = np.zeros((*drive.slid.shape, CHANNELS), np.float32)
-    scalars = np.zeros((len(first), len(SCALARS)), np.float32)
-    bins[..., SINCE] = np.minimum(drive.way[:, :1] - drive.last, grid.forget)
-    bins[..., SLID], bins[..., SHEAR], bins[..., PEAK] = drive.slid, drive.shear, drive.peak
-    radius = drive.size[:, RADIUS]
-    stirred = (drive.way / [STIR, STIR, STIR_LOAD]).sum(axis=1)
-    columns = [
+    is 0. Tensors keep the type of the state."""
+    first, radius = drive.first[:, PLACE], drive.size[:, RADIUS]
+    none, zero = xp.zeros_like(drive.slid), xp.zeros_like(first)
+    bins = xp.stack(
+        [none] * 3
+        + [xp.minimum(drive.since, grid.forget), drive.slid, drive.shear, drive.peak]
+        + [none] * 2,
+        axis=-1,
+    )
+    stirred = xp.sum(drive.way / np.array([STIR, STIR, STIR_LOAD]), axis=1)
+    gone = [
         drive.pose[:, PLACE] - first,
         radius * (drive.pose[:, TURNED] - drive.first[:, TURNED]),
-        *drive.velocity.T, *drive.memory.reshape(len(first), -1).T,
+    ]
+    rest = [
         drive.way[:, 0], drive.way[:, 1], drive.reach[:, 1] - first, drive.reach[:, 0] - first,
         drive.pose[:, LOAD], drive.frame_load, drive.peak_load, drive.first[:, LOAD],
         radius, drive.size[:, WIDTH] / 2, drive.size[:, GRAVITY], drive.size[:, FRICTION],
-        drive.sunk, drive.contact, bed.end - first, np.clip(stirred, 0.0, 1.0),
+        drive.sunk, drive.contact, bed.end - first, xp.clip(stirred, 0.0, 1.0), zero, zero,
     ]  # fmt: skip
-    scalars[:, :_N_DRIVE] = np.stack(columns, axis=1)
-    return Frame(bins, scalars) if rut is None else with_rut(grid, bed, Frame(bins, scalars), rut)
+    scalars = xp.concatenate(
+        [
+            xp.stack(gone, axis=1),
+            drive.velocity,
+            *(drive.memory[:, i] for i in range(len(TIME_SCALES))),
+            xp.stack(rest, axis=1),
+        ],
+        axis=1,
+    )
+    known = Frame(xp.asarray(bins, np.float32), xp.asarray(scalars, np.float32))
+    return known if rut is None else with_rut(grid, bed, known, rut, xp)
 
 
-def with_rut(grid: SweptGrid, bed: Bed, known: Frame, rut: Rut) -> Frame:
+def with_rut(grid: SweptGrid, bed: Bed, known: Frame, rut: Rut, xp=np) -> Frame:
     """A frame of the drive with what the rut adds to it."""
-    bins, scalars = known.bins.copy(), known.scalars.copy()
     cut = rut.surface - rut.profile
-    bins[..., CUT] = cut
-    bins[..., SURFACE] = rut.surface - bed.level[:, None]
-    bins[..., FIRST_CUT] = rut.surface - rut.first
-    borne = np.minimum(bins[..., PEAK] / np.maximum(scalars[:, _S['first_load']], 1e-9)[:, None], 1)
-    touched = np.maximum(borne, np.minimum(cut / tool_path.TOUCH, 1.0))
-    spread = tool_path.cone(touched, grid.spacing / REACH)
-    stirred = scalars[:, _S['stirred'], None]
-    bins[..., INFLUENCE] = np.clip(3.0 * spread, 0.0, 1.0) * stirred
-    bins[..., DISTURBED] = tool_path.cone(cut, RISE * grid.spacing)
-    scalars[:, _S['height']] = rut.position[:, 1] - bed.level
-    scalars[:, _S['area']] = grid.spacing * (rut.first - rut.profile).sum(axis=1)
-    return Frame(bins, scalars)
+    first_load, stirred = (known.scalars[:, _S[n], None] for n in ('first_load', 'stirred'))
+    borne = xp.minimum(known.bins[..., PEAK] / xp.maximum(first_load, 1e-9), 1.0)
+    touched = xp.maximum(borne, xp.minimum(cut / tool_path.TOUCH, 1.0))
+    spread = tool_path.cone(touched, grid.spacing / REACH, xp)
+    seen = [cut, rut.surface - bed.level[:, None], rut.surface - rut.first]
+    reached = [
+        xp.clip(3.0 * spread, 0.0, 1.0) * stirred,
+        tool_path.cone(cut, RISE * grid.spacing, xp),
+    ]
+    area = grid.spacing * xp.sum(rut.first - rut.profile, axis=1)
+    of_rut = xp.stack([rut.position[:, 1] - bed.level, area], axis=1)
+    before, after = (xp.asarray(xp.stack(part, axis=-1), np.float32) for part in (seen, reached))
+    return Frame(
+        xp.concatenate([before, known.bins[..., SINCE:INFLUENCE], after], axis=-1),
+        xp.concatenate([known.scalars[:, :_N_DRIVE], xp.asarray(of_rut, np.float32)], axis=1),
+    )
 
 
 _S = {name: i for i, name in enumerate(SCALARS)}
 
 
-def _bearing(grid, state, place):
+def _bins(grid, first):
+    """[B, n] places of the bins about first places [B], m."""
+    return first[:, None] + grid.offsets
+
+
+def _differences(grid, drive, pose, xp):
+    """`Finer` of what the poses themselves say."""
+    bins, gone = _bins(grid, drive.first[:, PLACE]), pose - drive.pose
+    edge = tuple(
+        swept_features.within(bins, end[:, PLACE, None], drive.size[:, :1], xp)
+        for end in (drive.pose, pose)
+    )
+    return Finer(xp.stack([gone[:, PLACE], gone[:, TURNED]], axis=1), edge)
+
+
+def _on_contact(edge, radius, contact):
+    """How far bins lie within the contact, from how far they lie within the rim, m."""
+    return edge - (radius - contact)[:, None]
+
+
+def _bearing(on_contact, contact, xp):
     """[B, n] in [0, 1]: how much of the pressure in the middle of the contact a bin bears."""
-    bins = state.first[:, PLACE, None] + grid.offsets
-    return np.maximum(1.0 - ((bins - place[:, None]) / state.contact[:, None]) ** 2, 0.0)
+    half = contact[:, None]
+    return xp.maximum(on_contact * (2 * half - on_contact) / half**2, 0.0)
 
 
-def _share(borne):
-    return np.minimum(borne / BORNE, 1.0)
+def _share(borne, xp):
+    return xp.minimum(borne / BORNE, 1.0)
 
 
-def _rim(grid, state, before, after):
-    bins = state.first[:, PLACE, None] + grid.offsets
-    return swept_features.underside(bins, before, after, state.size[:, :1])
+def _rim(grid, drive, before, after, xp, edge):
+    bins = _bins(grid, drive.first[:, PLACE])
+    return swept_features.underside(bins, before, after, drive.size[:, :1], xp, edge)
+
+
+def _level(grid, surface, near, xp):
+    """Beds [B, n] that are straight between the bins next to those that are near [B, n] the first
+    place; at most up to the nearer end of the bins."""
+    index = np.rint(grid.offsets / grid.spacing)
+    none, one = xp.zeros_like(surface), xp.ones_like(surface)
+    reach = xp.sum(xp.where(near & (index >= 0), one, none), axis=1)[:, None]
+    reach = xp.minimum(reach, min(-index[0], index[-1]))
+    left, right = (
+        xp.sum(xp.where(xp.abs(index - end) < 0.5, surface, none), axis=1)[:, None]
+        for end in (-reach, reach)
+    )
+    between = left + (right - left) * (index + reach) / (2 * reach)
+    return xp.where(reach > np.abs(index), between, surface)
+
+
+def _refuse_outside(grid, state, pose):
+    outside = leaves_bins(grid, state, pose)
+    if outside.any():
+        wheel = int(np.argmax(outside))
+        low, high = grid.offsets[[0, -1]]
+        raise ValueError(
+            f'wheel {wheel} is {pose[wheel, PLACE] - state.first[wheel, PLACE]:.3g} m from its '
+            f'first place; with its radius of {state.size[wheel, RADIUS]:.3g} m the bins from '
+            f'{low:.3g} to {high:.3g} m do not hold it'
+        )
 
 
 def _checked(values, name, count):

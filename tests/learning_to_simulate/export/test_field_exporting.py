@@ -11,14 +11,19 @@ import tensorflow as tf
 
 from learning_to_simulate.export import __main__ as command
 from learning_to_simulate.export import export_formats, exporting, field_exporting
-from learning_to_simulate.export.field_state import BINS, STATUS, TOOL
+from learning_to_simulate.export.field_functions import FORMS
+from learning_to_simulate.export.field_state import STATUS
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field import model_files
 from tests.learning_to_simulate.methods.swept_field import small_wheel
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
-DEPTHS = [(0.03, 'train'), (0.045, 'train'), (0.04, 'valid'), (0.05, 'test')]
+WORLDS = {'blade': world, 'wheel': small_wheel}
+DEPTHS = {
+    'blade': [(0.03, 'train'), (0.045, 'train'), (0.04, 'valid'), (0.05, 'test')],
+    'wheel': [(0.004, 'train'), (0.008, 'train'), (0.006, 'valid'), (0.007, 'test')],
+}
 
 
 def save(folder, field, data):
@@ -30,27 +35,39 @@ def save(folder, field, data):
 
 
 @pytest.fixture(scope='module')
-def paths(tmp_path_factory):
-    """An untrained model and its data."""
-    folder = tmp_path_factory.mktemp('small')
-    world.write_dataset(folder, DEPTHS)
-    field = world.make_field(members=2)
-    field.calibration = {'force': [1.5, 2.0, 0.1]}
-    return save(folder / 'model', field, folder / 'data'), str(folder / 'data')
+def models(tmp_path_factory):
+    """Name of a tool -> an untrained model and its data."""
+    found = {}
+    for name, small in WORLDS.items():
+        folder = tmp_path_factory.mktemp(name)
+        small.write_dataset(folder, DEPTHS[name])
+        field = small.make_field(members=2)
+        field.calibration = {'force': [1.5, 2.0, 0.1]}
+        found[name] = save(folder / 'model', field, folder / 'data'), str(folder / 'data')
+    return found
 
 
-@pytest.fixture(scope='module', params=exporting.FORMATS)
-def exported(request, paths, tmp_path_factory):
-    """A format, the folder that was written and its description."""
-    if request.param == 'onnx':
+@pytest.fixture
+def paths(models):
+    return models['blade']
+
+
+@pytest.fixture(
+    scope='module', params=[(k, n) for k in exporting.FORMATS for n in WORLDS], ids='-'.join
+)
+def exported(request, models, tmp_path_factory):
+    """A format, a tool, the folder that was written and its description."""
+    kind, tool = request.param
+    if kind == 'onnx':
         pytest.importorskip('tf2onnx', reason='extra deploy')
         pytest.importorskip('onnxruntime', reason='extra deploy')
-    out = tmp_path_factory.mktemp(request.param) / 'field'
-    return request.param, out, exporting.export(*paths, str(out), request.param, n_particles=300)
+    out = tmp_path_factory.mktemp(kind) / 'field'
+    return kind, tool, out, exporting.export(*models[tool], str(out), kind, n_particles=300)
 
 
 def test_each_format_follows_a_recorded_run(exported):
-    kind, out, description = exported
+    kind, tool, out, description = exported
+    form, grid = FORMS[tool], WORLDS[tool].GRID
     written = json.loads((out / 'export.json').read_text())
     assert written == json.loads(json.dumps(description))
     compared = written['compared']
@@ -59,10 +76,11 @@ def test_each_format_follows_a_recorded_run(exported):
     assert max(compared['relative_difference'].values()) < 5e-5
     assert compared['particles_difference_m'] < 5e-6
     step = written['signatures']['step']
-    assert step['inputs']['bins'][:2] == [[len(BINS), len(world.GRID.offsets)], 'float32']
-    assert step['outputs']['next_tool'][0] == [len(TOOL)]
-    assert written['status'] == STATUS and len(written['state_tool']) == len(TOOL)
-    assert len(written['bin_offsets']) == len(world.GRID.offsets) and written['members'] == 2
+    assert step['inputs']['bins'][:2] == [[len(form.bins), len(grid.offsets)], 'float32']
+    assert step['outputs']['next_tool'][0] == [len(written['state_tool'])]
+    assert written['status'] == STATUS and written['members'] == 2
+    assert len(written['bin_offsets']) == len(grid.offsets)
+    assert ('height' in step['outputs']) == (tool == 'wheel')
     if kind != 'savedmodel':
         assert set(os.listdir(out)) == {
             'export.json', 'bed.npz', *(f'{n}.{kind}' for n in ('start', 'step', 'particles')),
@@ -74,12 +92,13 @@ def test_each_format_follows_a_recorded_run(exported):
     assert 'signatures start, step, particles' in summary and 'particles: largest' in summary
 
 
-@pytest.mark.parametrize('exported', ['onnx'], indirect=True)
+@pytest.mark.parametrize('exported', [('onnx', name) for name in WORLDS], indirect=True)
 def test_lines_of_the_document_run(exported, monkeypatch):
+    _, tool, out, _ = exported
     text = (ROOT / 'docs' / 'swept_field.md').read_text(encoding='utf-8')
-    monkeypatch.chdir(exported[1].parent)
+    monkeypatch.chdir(out.parent)
     values: dict = {}
-    exec(re.search(r'```python\n(.*?)```', text, re.S)[1], values)
+    exec(re.findall(r'```python\n(.*?)```', text, re.S)[tool == 'wheel'], values)
     assert values['status'] == STATUS['ok'] and np.abs(values['force']).max() > 1
     moved = np.abs(values['points'] - values['rest']).max(axis=1)
     assert moved.max() > 1e-3 and (moved == 0).any()
@@ -118,11 +137,4 @@ def test_a_frame_that_one_judges_otherwise_is_an_error(paths):
     }
     poses = world.world_pose(world.path()[:, 0])
     with pytest.raises(ValueError, match="frame 1 is 'refused' in the exported model and 'ok' in"):
-        field_exporting.compare(functions, loaded, live, poses, functions.field.rest, 0.457)
-
-
-def test_a_wheel_is_refused_by_name(paths, tmp_path):
-    model = save(tmp_path / 'wheel', small_wheel.make_field(), paths[1])
-    with pytest.raises(ValueError, match='of a wheel has no SavedModel, LiteRT or ONNX form'):
-        exporting.export(model, paths[1], str(tmp_path / 'field'), 'onnx')
-    assert not (tmp_path / 'field').exists()
+        field_exporting.compare(functions, loaded, live, poses, {'bed': functions.field.rest})

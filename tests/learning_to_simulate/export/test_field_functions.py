@@ -7,10 +7,10 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate.export import field_exporting
+from learning_to_simulate.export.field_blade import BladeForm
 from learning_to_simulate.export.field_functions import FieldFunctions
-from learning_to_simulate.export.field_state import AT, STATUS, TOOL
+from learning_to_simulate.export.field_state import STATUS
 from learning_to_simulate.methods.swept_field.beds import HeightMap
-from tests.learning_to_simulate.methods.swept_field import small_wheel
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 MAP = HeightMap(np.array([0.1, 0.3, 0.6, 0.9]), np.array([0.26, 0.25, 0.24, 0.23]))
@@ -55,7 +55,8 @@ def test_a_path_is_that_of_the_stepper(functions, loaded, live, frames, bed, wid
     dt = 1.0 / (frames - 1)
     poses = world.world_pose(world.path(frames, dt=dt)[:, 0])
     bed = functions.field.rest if bed is None else bed
-    found = field_exporting.compare(functions, loaded, live, poses, bed, width, dt)
+    begin = {'bed': bed, 'blade_width': width}
+    found = field_exporting.compare(functions, loaded, live, poses, begin, dt=dt)
     assert found['steps'] == frames - 1
     # Measured up to 7e-6 and 4e-7 m.
     assert max(found['relative_difference'].values()) < 7e-5
@@ -69,28 +70,33 @@ def test_what_float32_cuts_off_a_place_is_not_lost(functions, loaded, live, monk
     poses = world.world_pose(world.path(150, dt=dt)[:, 0]) + [3.0, 1.0, 0, 0, 0, 0, 0]
     bed = functions.field.rest + [3.0, 1.0, 0.0]
     run = functools.partial(
-        field_exporting.compare, functions, loaded, live, poses, bed, 0.457, dt
-    )  # fmt: skip
+        field_exporting.compare, functions, loaded, live, poses, {'bed': bed}, dt=dt
+    )
     monkeypatch.setattr(field_exporting, 'TOLERANCE', 1.0)
     fine = max(run()['relative_difference'].values())
     whole = field_exporting.pose_inputs
     monkeypatch.setattr(
-        field_exporting, 'pose_inputs', lambda p: whole(p) | {'position_low': np.zeros(3)}
+        field_exporting, 'pose_inputs', lambda *x: whole(*x) | {'position_low': np.zeros(3)}
     )
     assert 10 * fine < max(run()['relative_difference'].values())
+
+
+def start_inputs(functions, pose):
+    rest = functions.field.rest
+    return field_exporting.start_inputs(functions, pose, rest, np.array([0.457]))
 
 
 def begun(functions, loaded, n_frame=20):
     """Inputs of the next step of a tool that is in the soil, and that step."""
     poses = world.world_pose(world.path()[:, 0])
-    values = field_exporting.start_inputs(functions.field, poses[0], functions.field.rest, 0.457)
+    values = start_inputs(functions, poses[0])
     found = loaded['start'](**values)
     state = {name: found[name] for name in ('bins', 'tool')}
     for pose in poses[1 : n_frame + 1]:
-        inputs = state | field_exporting.pose_inputs(pose) | {'dt': world.DT}
+        inputs = state | field_exporting.pose_inputs(functions, pose) | {'dt': world.DT}
         found = loaded['step'](**inputs)
         state = {name: found[f'next_{name}'] for name in state}
-    following = field_exporting.pose_inputs(poses[n_frame + 1])
+    following = field_exporting.pose_inputs(functions, poses[n_frame + 1])
     return {k: np.array(v) for k, v in (state | following | {'dt': world.DT}).items()}, found
 
 
@@ -127,10 +133,11 @@ def test_what_cannot_be_leaves_the_state_and_says_so(functions, loaded, change):
 
 
 @pytest.mark.parametrize('bad', [np.nan, np.inf, 1e30])
-@pytest.mark.parametrize('place', [('bins', (1, 3)), ('tool', AT['u']), ('tool', AT['started'])])
+@pytest.mark.parametrize('place', [('bins', (1, 3)), ('tool', 'u'), ('tool', 'started')])
 def test_a_state_that_no_start_made_is_refused(functions, loaded, place, bad):
     values, _ = begun(functions, loaded)
-    values = shifted(values, *place, bad)
+    name, index = place
+    values = shifted(values, name, functions.form.at.get(index, index), bad)
     found = loaded['step'](**values)
     assert int(found['status']) == STATUS['refused']
     np.testing.assert_array_equal(found['force'], 0.0)
@@ -146,13 +153,13 @@ def test_a_state_that_no_start_made_is_refused(functions, loaded, place, bad):
 )
 def test_bad_starts_are_refused(functions, loaded, name, value):
     poses = world.world_pose(world.path()[:2, 0])
-    values = field_exporting.start_inputs(functions.field, poses[0], functions.field.rest, 0.457)
+    values = start_inputs(functions, poses[0])
     found = loaded['start'](**values | {name: value})
     assert int(found['status']) == STATUS['refused'] and not np.any(found['tool'])
     surface = values['surface'] * np.nan
     assert int(loaded['start'](**values | {'surface': surface})['status']) == STATUS['refused']
     state = {n: found[n] for n in ('bins', 'tool')}
-    step = loaded['step'](**state, **field_exporting.pose_inputs(poses[1]), dt=world.DT)
+    step = loaded['step'](**state, **field_exporting.pose_inputs(functions, poses[1]), dt=world.DT)
     assert int(step['status']) == STATUS['refused'] and not np.any(step['force'])
 
 
@@ -197,12 +204,10 @@ def test_the_state_keeps_its_digits_over_a_long_way(functions, loaded):
     values['bins'][2] += 1e5
     state = loaded['step'](**values)['next_bins'].numpy()
     assert state[2].max() == pytest.approx(functions.field.grid.forget) and state[2].min() >= 0
-    assert 'travelled' not in TOOL
+    assert 'travelled' not in BladeForm.tool
 
 
 def test_what_there_is_not_is_refused_by_name(field):
-    with pytest.raises(ValueError, match='swept field of a wheel has no SavedModel'):
-        FieldFunctions(small_wheel.make_field())
     with pytest.raises(ValueError, match=r'members is 3, must lie in \[1, 2\]'):
         FieldFunctions(field, members=3)
     with pytest.raises(ValueError, match='n_particles is 0'):

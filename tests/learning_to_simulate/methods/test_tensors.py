@@ -6,10 +6,16 @@ import tensorflow as tf
 
 from learning_to_simulate.methods import swept_features, tensors
 from learning_to_simulate.methods.swept_features import SweptGrid
-from learning_to_simulate.methods.swept_field import quality, soil_physics, tool_path
+from learning_to_simulate.methods.swept_field import (
+    quality,
+    soil_physics,
+    tool_path,
+    wheel_path,
+)
 from learning_to_simulate.methods.swept_field.axes import Axes
 from learning_to_simulate.methods.swept_field.tool_path import Bed
 from learning_to_simulate.methods.swept_field.tools import Blade
+from tests.learning_to_simulate.methods.swept_field import small_wheel
 
 GRID = SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5)
 DT = 1 / 60
@@ -66,6 +72,73 @@ def test_states_and_frames_are_those_of_numpy(dtype, tolerance):
     np.testing.assert_allclose(mine.scalars, seen.scalars, atol=1e-6 if not edge else 3e-4)
 
 
+@pytest.mark.parametrize('dtype, tolerance', [(np.float64, 1e-12), (np.float32, 2e-5)])
+def test_drives_and_ruts_are_those_of_numpy(dtype, tolerance):
+    """Two wheels forth and back with slip and a changing load, one of them in up to its axle."""
+    path = np.repeat(small_wheel.path(), 2, axis=1)
+    path[:, 1, 1] -= 0.09
+    size = np.stack([small_wheel.SIZE] * 2)
+    bed = Bed(*(np.repeat(x, 2, axis=0) for x in small_wheel.flat_bed(path[0, 0, 0])))
+    bed.surface[:, 70:80] -= 0.003
+    velocity = np.full((2, 2), 0.02)
+    given = Bed(*(tf.constant(x, dtype) for x in bed))
+    ours = wheel_path.start(
+        GRID, given, *(tf.constant(x, dtype) for x in (size, path[0], velocity)), tensors
+    )
+    theirs = wheel_path.start(GRID, bed, size, path[0], velocity)
+
+    def step(drive, rut, pose):
+        drive = wheel_path.drive_on(GRID, drive, pose, tf.constant(DT, dtype), tensors)
+        return drive, wheel_path.sink(GRID, drive, rut, pose[:, 1], tensors)
+
+    step = tf.function(step, autograph=False)
+    for pose in path[1:]:
+        ours = step(*ours, tf.constant(pose, dtype))
+        drive = wheel_path.drive_on(GRID, theirs[0], pose, DT)
+        theirs = drive, wheel_path.sink(GRID, drive, theirs[1], pose[:, 1])
+    assert step.experimental_get_tracing_count() == 1
+    assert (theirs[1].profile < theirs[1].first).any() and (theirs[0].slid > 1e-3).any()
+    np.testing.assert_allclose(ours[1].surface, theirs[1].surface, atol=tolerance)
+    mine = wheel_path.frame(GRID, given, *ours, tensors)
+    seen = wheel_path.frame(GRID, bed, *theirs)
+    # A bin that the rim or the contact just reaches, see `swept_features.Finer`.
+    edge = 0 if dtype == np.float64 else 8
+    bins = np.sort(np.abs(mine.bins - seen.bins).max(axis=-1).ravel())
+    assert bins[-1 - edge] <= (1e-4 if edge else 1e-5)  # of loads of 160 N
+    np.testing.assert_allclose(mine.scalars, seen.scalars, rtol=1e-6, atol=3e-4 if edge else 1e-6)
+
+
+def test_what_lies_in_a_wheel_is_that_of_numpy():
+    points = np.random.default_rng(4).uniform(-0.1, 0.1, size=(2000, 3))
+    points[0] = [0.01, 0.02, 0.0]  # the axle
+    pose = np.array([0.01, 0.02])
+    found = soil_physics.inside_wheel(tf.constant(points), tf.constant(pose), 0.07, 0.08, tensors)
+    expected = soil_physics.inside_wheel(points, pose, 0.07, 0.08)
+    assert (expected[0] > 0).sum() > 200
+    for one, other in zip(found, expected):
+        np.testing.assert_allclose(one, other, atol=1e-15)
+
+
+def test_turns_are_differences_of_leans_in_as_many_digits_as_the_change_has():
+    rng = np.random.default_rng(5)
+    before = rng.normal(size=(200, 4))
+    before /= np.linalg.norm(before, axis=1, keepdims=True)
+    for axes in (Axes(0, -1, 1, 0.4), Axes(2, 1, 1, 0.1), Axes(0, 1, 2, 0.0)):
+        for far in (0.2, 1e-6):
+            after = before + far * rng.normal(size=before.shape)
+            after /= np.linalg.norm(after, axis=1, keepdims=True)
+            leans = (axes.poses(np.pad(q, ((0, 0), (3, 0))))[:, 2] for q in (before, after))
+            expected = -np.subtract(*leans)
+            expected = (expected + np.pi) % (2 * np.pi) - np.pi
+            found = axes.turns(before, after - before)
+            np.testing.assert_allclose(found, expected, atol=1e-14)
+            change = tf.constant(after - before, tf.float32)
+            found = axes.turns(tf.constant(before, tf.float32), change, tensors)
+            # Where a lean hardly has a direction, rounding of the rotation tells more.
+            apart = np.abs(found - expected) / (np.abs(expected) + far)
+            assert np.quantile(apart, 0.95) < 1e-5
+
+
 def test_a_flat_bed_may_be_a_number_in_numpy():
     position = paths()[0, :, :2]
     number = swept_features.start(GRID, position, 0.25)
@@ -83,10 +156,11 @@ def test_finer_differences_tell_which_bins_the_upright_edge_has_reached():
     truth = swept_features.advance(GRID, state, position, DT)
     rows = tf.constant(state.surface, tf.float32)
     state = swept_features.start(GRID, tf.constant(start, tf.float32), rows, tensors)
-    away = tuple(
-        tf.constant(GRID.offsets - (x[:, :1] - start[:, :1]), tf.float32) for x in (start, position)
+    edge = tuple(
+        tf.constant(GRID.radius - np.abs(GRID.offsets - (x[:, :1] - start[:, :1])), tf.float32)
+        for x in (start, position)
     )
-    finer = swept_features.Finer(tf.constant(position - start, tf.float32), away)
+    finer = swept_features.Finer(tf.constant(position - start, tf.float32), edge)
     found = swept_features.advance(
         GRID, state, tf.constant(position, tf.float32), tf.constant(DT), tensors, finer
     )

@@ -10,8 +10,8 @@
 double lts_field_underside(double u, const double before[2], const double after[2], double radius) {
   double height = HUGE_VAL;
   for (int end = 0; end < 2; ++end) {
-    const double *centre = end ? after : before, away = u - centre[0];
-    const double square = radius * radius - away * away;
+    const double *centre = end ? after : before, edge = radius - fabs(u - centre[0]);
+    const double square = edge * (2.0 * radius - edge);
     if (square < 0.0) continue;
     const double low = centre[1] - sqrt(square);
     height = low < height ? low : height;

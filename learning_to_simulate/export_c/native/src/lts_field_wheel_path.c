@@ -9,9 +9,10 @@ static double offset_of(const lts_field_model *m, int k) { return m->bin * (doub
 /* In [0, 1]: how much of the pressure in the middle of the contact a bin bears, of a wheel at `place`. */
 static double bearing(const lts_field *soil, int k, double place) {
   const lts_field_head *h = soil->head;
-  const double away = h->ground.origin + offset_of(soil->model, k) - place;
-  const double share = away / h->drive.contact;
-  return fmax(1.0 - share * share, 0.0);
+  const double half = h->drive.contact;
+  const double edge = h->drive.radius - fabs(h->ground.origin + offset_of(soil->model, k) - place);
+  const double inside = edge - (h->drive.radius - half);
+  return fmax(inside * (2.0 * half - inside) / (half * half), 0.0);
 }
 
 static double share_of(const lts_field_model *m, double borne) { return fmin(borne / m->borne, 1.0); }

@@ -12,6 +12,7 @@ from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.methods.swept_field.tools import Wheel
 from learning_to_simulate.scene import RigidMotion, Scene
+from pca_tools import convert, raw_writer
 
 GRID = SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5)
 WHEEL = Wheel()
@@ -143,3 +144,48 @@ def frames(plane, heights=None) -> Frame:
     """Frames of one wheel, [T, ...]."""
     _, found = WHEEL.frames(GRID, flat_bed(plane[0, 0, 0]), SIZE[None], plane, DT, None, heights)
     return Frame(found.bins[:, 0], found.scalars[:, 0])
+
+
+def made_up_drive(sunk, split) -> dict:
+    """Soil goes down with the rut and along with the slip; the wheel sinks as it slips."""
+    plane = path(sunk=sunk)
+    seen = frames(plane)
+    slipped = seen.scalars[:, wheel_path.SCALARS.index('slipped')]
+    plane[:, 0, 1] = plane[0, 0, 1] - 0.4 * slipped
+    seen = frames(plane)
+    points = bed_points()
+    local = AXES.points(points)
+    u, depth = local[:, 0] - plane[0, 0, 0], SURFACE - local[:, 1]
+    share = np.clip(1 - depth / 0.03, 0, 1) * (np.abs(local[:, 2]) < WIDTH / 2)
+    moved = np.zeros((len(plane), len(points), 3))
+    for t, bins in enumerate(seen.bins):
+        new = bins[:, wheel_path.CUT] - bins[:, wheel_path.FIRST_CUT]
+        moved[t, :, 0] = -0.3 * share * np.interp(u, GRID.offsets, bins[:, 5])
+        moved[t, :, 1] = -share * np.interp(u, GRID.offsets, new)
+    load = seen.scalars[:, wheel_path.SCALARS.index('frame_load')]
+    stirred = seen.scalars[:, wheel_path.SCALARS.index('stirred')]
+    loads = np.stack([-0.3 * stirred * load, load, 0.02 * stirred * load], axis=1)
+    force, torque = AXES.world_loads(loads)
+    pose = world_pose(plane[:, 0])
+    rows = contexts(plane[:, 0])
+    turn = plane[:, 0, 2]
+    rim = body()
+    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    placed = np.stack(
+        [cosine * rim[:, 0] - sine * rim[:, 1], sine * rim[:, 0] + cosine * rim[:, 1],
+         np.broadcast_to(rim[:, 2], (len(turn), 16))], axis=-1,
+    )  # fmt: skip
+    return {
+        'positions': points + AXES.world(moved),
+        'rigid_positions': pose[:, None, :3] + placed,
+        'force': force, 'torque': torque, 'pose': pose, 'split': split, 'kind': 'made_up',
+        'context': dict(zip(NAMES, rows[0])), 'step_context': rows,
+    }  # fmt: skip
+
+
+def write_dataset(folder, sinkages):
+    """Writes `folder / 'data'` of made-up runs, a (sinkage, split) each."""
+    raw = str(folder / 'raw')
+    runs = [made_up_drive(*pair) for pair in sinkages]
+    raw_writer.write_raw(raw, runs, DT, up_axis=1, body='driven')
+    convert.convert(raw, str(folder / 'data'), modes=2)

@@ -11,8 +11,8 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
-from learning_to_simulate.methods.swept_field import fitting, method, settings, wheel_path
-from pca_tools import convert, dataset, files, raw_writer
+from learning_to_simulate.methods.swept_field import fitting, method, settings
+from pca_tools import dataset, files
 from reports import swept_field as report
 from reports.protocol import rollouts
 from tests.learning_to_simulate.methods.swept_field import small_wheel
@@ -166,53 +166,12 @@ def test_settings_are_checked():
         settings.SweptFieldConfig('swept_field', learning_rate=2.0)
 
 
-def made_up_drive(sunk, split):
-    """Soil goes down with the rut and along with the slip; the wheel sinks as it slips."""
-    plane = small_wheel.path(sunk=sunk)
-    frames = small_wheel.frames(plane)
-    slipped = frames.scalars[:, wheel_path.SCALARS.index('slipped')]
-    plane[:, 0, 1] = plane[0, 0, 1] - 0.4 * slipped
-    frames = small_wheel.frames(plane)
-    points = small_wheel.bed_points()
-    local = small_wheel.AXES.points(points)
-    u, depth = local[:, 0] - plane[0, 0, 0], small_wheel.SURFACE - local[:, 1]
-    share = np.clip(1 - depth / 0.03, 0, 1) * (np.abs(local[:, 2]) < small_wheel.WIDTH / 2)
-    moved = np.zeros((len(plane), len(points), 3))
-    for t, bins in enumerate(frames.bins):
-        new = bins[:, wheel_path.CUT] - bins[:, wheel_path.FIRST_CUT]
-        moved[t, :, 0] = -0.3 * share * np.interp(u, small_wheel.GRID.offsets, bins[:, 5])
-        moved[t, :, 1] = -share * np.interp(u, small_wheel.GRID.offsets, new)
-    load = frames.scalars[:, wheel_path.SCALARS.index('frame_load')]
-    stirred = frames.scalars[:, wheel_path.SCALARS.index('stirred')]
-    loads = np.stack([-0.3 * stirred * load, load, 0.02 * stirred * load], axis=1)
-    force, torque = small_wheel.AXES.world_loads(loads)
-    pose = small_wheel.world_pose(plane[:, 0])
-    contexts = small_wheel.contexts(plane[:, 0])
-    turn = plane[:, 0, 2]
-    body = small_wheel.body()
-    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    placed = np.stack(
-        [cosine * body[:, 0] - sine * body[:, 1], sine * body[:, 0] + cosine * body[:, 1],
-         np.broadcast_to(body[:, 2], (len(turn), 16))], axis=-1,
-    )  # fmt: skip
-    return {
-        'positions': points + small_wheel.AXES.world(moved),
-        'rigid_positions': pose[:, None, :3] + placed,
-        'force': force, 'torque': torque, 'pose': pose, 'split': split, 'kind': 'made_up',
-        'context': dict(zip(small_wheel.NAMES, contexts[0])), 'step_context': contexts,
-    }  # fmt: skip
-
-
 @pytest.fixture(scope='module')
 def wheel_paths(tmp_path_factory):
     folder = tmp_path_factory.mktemp('made_up_wheel')
     sinkages = [(0.004, 'train'), (0.006, 'train'), (0.008, 'train'), (0.005, 'valid'),
                 (0.007, 'test')]  # fmt: skip
-    raw_writer.write_raw(
-        str(folder / 'raw'), [made_up_drive(*pair) for pair in sinkages], world.DT, up_axis=1,
-        body='driven',
-    )  # fmt: skip
-    convert.convert(str(folder / 'raw'), str(folder / 'data'), modes=2)
+    small_wheel.write_dataset(folder, sinkages)
     config = settings.SweptFieldConfig('swept_field', **(SMALL | {'start_every': 0}))
     registry.train(str(folder / 'data'), str(folder / 'model'), config)
     return str(folder / 'data'), str(folder / 'model')
