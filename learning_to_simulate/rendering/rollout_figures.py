@@ -145,7 +145,9 @@ def strip_figure(
     rows = [(one, which, 'speed', name) for one, which, name in _shown(frames, beside)]
     n_speed = len(rows)
     if frames.subspace is not None and frames.has_truth:
-        rows.append((frames, PREDICTION, 'error', f'error of {_name(frames, PREDICTION)}'))
+        # Longer names would run into the row above.
+        name = f'error ({frames.label})' if frames.label else 'error of prediction'
+        rows.append((frames, PREDICTION, 'error', name))
     with rc_context(STYLE):
         page = _Page(n_columns=len(moments), n_rows=len(rows), aspect=view.aspect, dpi=dpi)
         page.write_header(frames)

@@ -21,9 +21,9 @@ def data_digests(folder: str) -> dict[str, str]:
 
 
 def data_record(data_path: str, metadata: dict) -> dict:
-    """Where training data came from, for `config.json`."""
+    """Where training data came from, for `config.json`: the path as it was given, and digests."""
     return {
-        'path': os.path.abspath(data_path),
+        'path': data_path,
         'sha256': data_digests(data_path),
         'subspace': checkpoints.subspace_digest(metadata),
     }

@@ -86,7 +86,7 @@ def train(data_path, model_path, config, options) -> dict:
         valid=read[1:],
         n_rigid=read[0].n_rigid,
         data={
-            'path': os.path.abspath(data_path),
+            'path': data_path,
             'source': source,
             'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
         },

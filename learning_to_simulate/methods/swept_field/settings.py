@@ -28,11 +28,11 @@ class SweptFieldConfig:
 
     preset: str
     model: str = 'swept_field'
-    members: int = 5
-    latent_size: int = 96
+    members: int = 3
+    latent_size: int = 128
     hidden_layers: int = 3
     force_latent_size: int = 64
-    num_steps: int = 3000
+    num_steps: int = 6000
     batch_size: int = 96
     particles_per_frame: int = 48
     learning_rate: float = 3e-3
