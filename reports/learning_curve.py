@@ -62,26 +62,34 @@ def table(path: str, kind: str) -> str:
 
 def draw(path: str, picture: str) -> None:
     """Draws soil and force against the number of training runs; dashed: runs of constant speed."""
-    from matplotlib import figure
+    from matplotlib import figure, lines
 
     rows = sorted(files.read_json(path)['rows'].values(), key=lambda row: row['train_runs'])
-    drawn = figure.Figure(figsize=(9, 3.6), layout='constrained')
-    for axes, (quantity, title) in zip(
-        drawn.subplots(1, 2), driven_runs.QUANTITIES.items(), strict=True
-    ):
+    last = rows[-1]['test']
+    # One colour for a method, in both panels.
+    names = list(
+        dict.fromkeys(n for kind in last.values() for q in driven_runs.QUANTITIES for n in kind[q])
+    )
+    drawn = figure.Figure(figsize=(9, 4.4), layout='constrained')
+    panels = drawn.subplots(1, 2)
+    for axes, (quantity, title) in zip(panels, driven_runs.QUANTITIES.items(), strict=True):
         for kind, style in ((driven_runs.DRIVEN, '-'), (driven_runs.GRID, '--')):
-            names = list(rows[-1]['test'].get(kind, {}).get(quantity, {}))
             for number, name in enumerate(names):
-                points = [(row['train_runs'], np.mean(row['test'][kind][quantity][name]))
-                          for row in rows if name in row['test'][kind][quantity]]  # fmt: skip
-                label = name if style == '-' or driven_runs.DRIVEN not in rows[-1]['test'] else None
-                axes.plot(*zip(*points, strict=True), f'o{style}', color=f'C{number}', label=label)
+                seeds = [row['test'].get(kind, {}).get(quantity, {}).get(name) for row in rows]
+                points = [
+                    (row['train_runs'], np.mean(s)) for row, s in zip(rows, seeds, strict=True) if s
+                ]
+                if points:
+                    axes.plot(*zip(*points, strict=True), f'o{style}', color=f'C{number}')
         axes.set(xscale='log', xlabel='training runs', ylabel=title)
         axes.set_ylim(bottom=0.0)
         axes.set_xticks(*(2 * [[row['train_runs'] for row in rows]]))
         axes.minorticks_off()
         axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize='small')
+    handles = [lines.Line2D([], [], marker='o', color=f'C{n}') for n in range(len(names))]
+    drawn.legend(
+        handles, names, loc='outside lower center', ncols=4, frameon=False, fontsize='small'
+    )
     drawn.suptitle('test; solid: driven freely, dashed: constant speed', fontsize='small')
     files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
 
