@@ -223,6 +223,18 @@ def trials(path: str) -> str:
     return markdown.table(('trial', 'soil, mm', 'force', 'better in soil'), lines)
 
 
+def beyond(path: str) -> str:
+    """A table of runs beyond those of training, with two models in the subspace on the same."""
+    keys = {
+        'soil_mm': 'soil, mm', 'force_l2': 'force', 'ok_share': 'frames `ok`',
+        'still_mm': 'stay still, mm', 'mlp_driven_mm': '`mlp_driven`, mm',
+        'mlp_driven_force_l2': 'its force', 'pcg_mm': '`pcg`, mm', 'pcg_force_l2': 'its force',
+    }  # fmt: skip
+    rows = files.read_json(path)['runs']
+    lines = [(row['case'].removeprefix('path_'), *(row[key] for key in keys)) for row in rows]
+    return markdown.table(('path', *keys.values()), lines)
+
+
 _COLUMNS = {
     'soil_mm': 'soil, mm', 'still_mm': 'stay still, mm', 'force_l2': 'force',
     'held_force_l2': 'force held', 'torque_l2': 'torque', 'height_mm': 'height, mm',
