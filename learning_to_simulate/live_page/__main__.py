@@ -17,6 +17,16 @@ from absl import flags
 from learning_to_simulate import command
 
 
+def require_viser() -> None:
+    """Sees that the page can be made.
+
+    Raises:
+      ValueError: viser is not installed.
+    """
+    if importlib.util.find_spec('viser') is None:
+        raise ValueError('viser is not installed: pip install -c constraints.txt -e .[live]')
+
+
 def free_port(host: str, port: int) -> None:
     """Sees that a port can be listened at; viser would take the next one in silence.
 
@@ -60,8 +70,7 @@ def session_of(name: str, data_path: str | None = None):
 
 def run(values) -> None:
     """Runs the command with its flags."""
-    if importlib.util.find_spec('viser') is None:
-        raise ValueError('viser is not installed: pip install -c constraints.txt -e .[live]')
+    require_viser()
     from learning_to_simulate import api
 
     # A shipped model goes by its place in models/, whichever way it was named.

@@ -47,10 +47,12 @@ def measure(name: str, seconds: float, port: int) -> dict[str, float]:
       had nothing else to do and no frame had to wait.
 
     Raises:
-      FileNotFoundError, ValueError: no such model; a port in use.
+      FileNotFoundError, ValueError: no such model; a port in use; viser is missing.
     """
     from learning_to_simulate.live_page import session
-    from learning_to_simulate.live_page.__main__ import free_port, session_of
+    from learning_to_simulate.live_page.__main__ import free_port, require_viser, session_of
+
+    require_viser()
     from learning_to_simulate.live_page.loop import FrameLoop
     from learning_to_simulate.live_page.page import Page
 
