@@ -47,6 +47,23 @@ def start(run: Callable, n_argument: int = 0) -> None:
         raise
 
 
+def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
+    """Name -> path of the values of a flag.
+
+    Args:
+      flag: its name, for the message.
+      items: NAME=PATH each.
+      what: kind of path, FILE or FOLDER.
+
+    Raises:
+      ValueError: one without a name or a path, or a name that comes twice.
+    """
+    found = dict(item.partition('=')[::2] for item in items)
+    if '' in found or '' in found.values() or len(found) < len(items):
+        raise ValueError(f'--{flag}={",".join(items)}: NAME={what} was expected, each name once')
+    return found
+
+
 def writable_folder(path: str) -> None:
     """Tries whether results can be written into a folder, and leaves nothing behind.
 

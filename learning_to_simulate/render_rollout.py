@@ -208,11 +208,7 @@ def define_flags() -> None:
 def run(values) -> None:
     """Runs the command with its flags."""
     command.writable_folder(values.output_path)
-    beside = dict(item.partition('=')[::2] for item in values.beside)
-    if '' in beside or '' in beside.values() or len(beside) < len(values.beside):
-        raise ValueError(
-            f'--beside={",".join(values.beside)}: NAME=FILE was expected, each name once'
-        )
+    beside = command.named_paths('beside', values.beside, 'FILE')
     started = time.perf_counter()
     frames, written = render(
         values.rollout_path,

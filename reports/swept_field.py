@@ -7,13 +7,16 @@ Per run, on the particle sample in full space: errors, penetration, heap, force 
   restart: the run begun anew half-way, on the bed that the model itself predicts there, and on
       the true one; soil error of the second half, beside that of the run in one piece
 
-of a wheel also errors of sinkage and torque, beside a height and a force that are held; and once,
+how many frames are `ok`; of a wheel also errors of sinkage and torque, beside a height and a force
+that are held; of models `--beside` it their soil, force and status on the same runs; and once,
 of a blade: ten lengths of a run, there and back over the same bed, begun anew after each of them on
 the predicted bed: what becomes of the bed's height and of particles near its floor.
 
 Examples:
     python -m reports swept_field --model_path=MODEL --data_path=DATA --split=test \\
         --output_path=docs/swept_field.json
+    python -m reports swept_field --model_path=MODEL --data_path=BEYOND --beside=pcg=OTHER \\
+        --output_path=docs/swept_field_beyond.json
     python -m reports documents docs/swept_field.md     # its tables
 """
 
@@ -23,6 +26,7 @@ import numpy as np
 import tqdm
 from absl import flags
 
+from learning_to_simulate.command import named_paths
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import registry
 from pca_tools import files
@@ -70,7 +74,7 @@ def steadiness(field, evaluator, split: str, group) -> dict:
       split: of the run.
       group: one-run `RunGroup` of it.
     """
-    from learning_to_simulate.methods.swept_field import beds
+    from learning_to_simulate.methods.swept_field import beds, quality
     from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
     from learning_to_simulate.methods.swept_field.tool_path import Frame
 
@@ -91,6 +95,9 @@ def steadiness(field, evaluator, split: str, group) -> dict:
         name: rms(error(episode.bed, 0, episode.rest, rate)[late]) / rms(whole[late])
         for name, rate in _RATES.items()
     }
+    _, known = field.frames(episode.bed, episode.size, episode.pose, dt)
+    status = quality.statuses(known.scalars[1:], field.ranges, True, field.tool.scalars)
+    row['ok_share'] = float(np.mean([str(one) == 'ok' for one in status]))
     half = len(episode.frames) // 2
     middle = int(episode.frames[half])
     pose, found = field.frames(episode.bed, episode.size, episode.pose[: middle + 1], dt)
@@ -173,6 +180,20 @@ def measure(model, data, split: str) -> dict:
     return found | {'ten_lengths': {'case': rows[most]['case']} | ten_lengths(model, paths[most])}
 
 
+def errors_of(model_path: str, data_path: str, split: str) -> list[dict]:
+    """Soil in full space (mm), force (relative L2) and status of a model's rollouts, by record.
+
+    Args:
+      model_path: a folder of any method.
+      data_path, split: runs that it rolls out.
+    """
+    opened = registry.open_model(model_path, data_path, split)
+    _, summary = opened.evaluator.run(opened.groups, split, lambda x: tqdm.tqdm(x, desc='beside'))
+    keys = {'soil_rms_mm_full': 'mm', 'force_relative_l2': 'force_l2', 'status': 'status'}
+    rows = sorted(summary['runs']['model'], key=lambda row: row['record'])
+    return [{short: row[key] for key, short in keys.items()} for row in rows]
+
+
 def _way_back(poses) -> float:
     """How far, m, the places of a path [T, 7] lie from its end, where the way back begins."""
     return float(np.linalg.norm(poses[:, :3] - poses[-1, :3], axis=1).max())
@@ -231,7 +252,7 @@ def beyond(path: str) -> str:
         'mlp_driven_force_l2': 'its force', 'pcg_mm': '`pcg`, mm', 'pcg_force_l2': 'its force',
     }  # fmt: skip
     rows = files.read_json(path)['runs']
-    lines = [(row['case'].removeprefix('path_'), *(row[key] for key in keys)) for row in rows]
+    lines = [(str(row['case']).removeprefix('path_'), *(row[key] for key in keys)) for row in rows]
     return markdown.table(('path', *keys.values()), lines)
 
 
@@ -255,6 +276,7 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Model folder of a swept field.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_enum('split', 'test', ['valid', 'test'], 'Runs that are judged.')
+    flags.DEFINE_list('beside', [], 'NAME=FOLDER of other models for the same runs.')
     flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
     flags.DEFINE_integer('num_threads', 2, 'CPU threads of TensorFlow.', lower_bound=1)
 
@@ -263,6 +285,7 @@ def main(values, _) -> None:
     """Runs the command."""
     from learning_to_simulate import api, checkpoints
 
+    others = named_paths('beside', values.beside, 'FOLDER')
     model, data = api.TrainedModel(values.model_path), api.Dataset(values.data_path)
     stored = checkpoints.read_config(values.model_path)
     document = {
@@ -274,6 +297,10 @@ def main(values, _) -> None:
         'data_version': _data_version(data),
         **measure(model, data, values.split),
     }
+    for name, path in others.items():
+        errors = errors_of(path, values.data_path, values.split)
+        for row, found in zip(document['runs'], errors, strict=True):
+            row |= {f'{name}_{key}': value for key, value in found.items()}
     files.write_json(values.output_path, document)
     print(by_kind(values.output_path))
     print(steady(values.output_path))

@@ -151,6 +151,26 @@ def test_the_report_measures_rates_restarts_and_ten_lengths(data_path, model_pat
     files.write_json(str(tmp_path / 'report.json'), found)
     assert '| made_up | 1 |' in report.by_kind(str(tmp_path / 'report.json'))
     assert report.steady(str(tmp_path / 'report.json')).count('\n') == 6
+    poses = data.test.records[0].rigid_pose.astype(float)
+    live = model.stepper()
+    live.start(poses[0])
+    ok = [live.step(pose).now == 'ok' for pose in poses[1:]]
+    assert row['ok_share'] == pytest.approx(np.mean(ok))
+    # Beside itself: all particles after the last given frame, where the report has its sample.
+    (itself,) = report.errors_of(model_path, data_path, 'test')
+    assert itself['mm'] == pytest.approx(row['soil_mm'], rel=0.2)
+    assert itself['force_l2'] == pytest.approx(row['force_l2'], rel=0.05)
+    beside = {f'{name}_{key}': itself[key] for name in ('mlp_driven', 'pcg') for key in itself}
+    files.write_json(str(tmp_path / 'beyond.json'), {'runs': [row | beside]})
+    assert f'| {row["force_l2"]:.3g} |' in report.beyond(str(tmp_path / 'beyond.json'))
+
+
+def test_models_beside_are_named_in_the_command():
+    found = report.named_paths('beside', ['a=x', 'b=y=z'], 'FOLDER')
+    assert found == {'a': 'x', 'b': 'y=z'}
+    for bad in (['a'], ['=x'], ['a='], ['a=x', 'a=y']):
+        with pytest.raises(ValueError, match='--beside=.*NAME=FOLDER was expected'):
+            report.named_paths('beside', bad, 'FOLDER')
 
 
 def test_a_path_at_twice_its_rate_goes_through_its_own_poses():
