@@ -7,10 +7,11 @@ Per run, on the particle sample in full space: errors, penetration, heap, force 
   restart: the run begun anew half-way, on the bed that the model itself predicts there, and on
       the true one; soil error of the second half, beside that of the run in one piece
 
-how many frames are `ok`; of a wheel also errors of sinkage and torque, beside a height and a force
-that are held; of models `--beside` it their soil, force and status on the same runs; and once,
-of a blade: ten lengths of a run, there and back over the same bed, begun anew after each of them on
-the predicted bed: what becomes of the bed's height and of particles near its floor.
+how many frames are `ok`, and how far the force is off in these and in the others; of a wheel also
+errors of sinkage and torque, beside a height and a force that are held; of models `--beside` it
+their soil, force and status on the same runs; and once, of a blade: ten lengths of a run, there and
+back over the same bed, begun anew after each of them on the predicted bed: what becomes of the
+bed's height and of particles near its floor.
 
 Examples:
     python -m reports swept_field --model_path=MODEL --data_path=DATA --split=test \\
@@ -97,7 +98,12 @@ def steadiness(field, evaluator, split: str, group) -> dict:
     }
     _, known = field.frames(episode.bed, episode.size, episode.pose, dt)
     status = quality.statuses(known.scalars[1:], field.ranges, True, field.tool.scalars)
-    row['ok_share'] = float(np.mean([str(one) == 'ok' for one in status]))
+    ok = np.array([str(one) == 'ok' for one in status])
+    off = field.loads(known).mean(axis=0)[1:, :2] - episode.load[1:, :2]
+    row['ok_share'] = float(ok.mean())
+    for name, frames in (('ok_force_N', ok), ('other_force_N', ~ok)):
+        square = (off[frames] ** 2).sum(axis=1)
+        row[name] = float(np.sqrt(square.mean())) if frames.any() else None
     half = len(episode.frames) // 2
     middle = int(episode.frames[half])
     pose, found = field.frames(episode.bed, episode.size, episode.pose[: middle + 1], dt)
@@ -191,7 +197,10 @@ def errors_of(model_path: str, data_path: str, split: str) -> list[dict]:
     _, summary = opened.evaluator.run(opened.groups, split, lambda x: tqdm.tqdm(x, desc='beside'))
     keys = {'soil_rms_mm_full': 'mm', 'force_relative_l2': 'force_l2', 'status': 'status'}
     rows = sorted(summary['runs']['model'], key=lambda row: row['record'])
-    return [{short: row[key] for key, short in keys.items()} for row in rows]
+    found = [{short: row[key] for key, short in keys.items()} for row in rows]
+    # What a field moves is not of the modes: its error is that of the sampled particles.
+    own = {fact['record']: {'mm': fact['soil_mm']} for fact in summary.get('field', ())}
+    return [one | own.get(row['record'], {}) for one, row in zip(found, rows, strict=True)]
 
 
 def _way_back(poses) -> float:
@@ -248,6 +257,7 @@ def beyond(path: str) -> str:
     """A table of runs beyond those of training, with two models in the subspace on the same."""
     keys = {
         'soil_mm': 'soil, mm', 'force_l2': 'force', 'ok_share': 'frames `ok`',
+        'ok_force_N': 'force off there, N', 'other_force_N': 'elsewhere, N',
         'still_mm': 'stay still, mm', 'mlp_driven_mm': '`mlp_driven`, mm',
         'mlp_driven_force_l2': 'its force', 'pcg_mm': '`pcg`, mm', 'pcg_force_l2': 'its force',
     }  # fmt: skip

@@ -19,7 +19,7 @@ _PLACES = {
 # What the C code was written for; another table of inputs needs another twin.
 _RATES = ('speed', 'rise', 'turn')
 _SCALARS = ('tip', 'height', 'lean', *_RATES)
-_LAST_SCALARS = ('area', 'foremost', 'half_width', 'end')
+_LAST_SCALARS = ('area', 'foremost', 'half_width', 'end', 'room')
 # Inputs of a particle and of the force that no list of places counts.
 _OWN, _OF_TOOL, _OF_EDGE = 19, 8, 7
 

@@ -16,8 +16,8 @@ _PLACES = {
 _RATES = ('speed', 'rim')
 _LAST_SCALARS = (
     'travelled', 'slipped', 'foremost', 'rearmost', 'load', 'frame_load', 'peak_load', 'first_load',
-    'radius', 'half_width', 'gravity', 'friction', 'sunk', 'contact', 'end', 'stirred',
-    'height', 'area',
+    'radius', 'half_width', 'gravity', 'friction', 'sunk', 'contact', 'end', 'room',
+    'stirred', 'height', 'area',
 )  # fmt: skip
 _CONTEXT = {'load', 'frame_load', 'peak_load', 'first_load', 'radius', 'half_width', 'gravity',
             'friction'}  # fmt: skip

@@ -2,7 +2,7 @@
 
 from pca_tools import files
 from reports import markdown
-from reports.protocol import over_runs
+from reports.protocol import over_runs, reliability
 from reports.protocol.over_runs import ALL, QUIET_MM
 
 
@@ -98,6 +98,28 @@ def run_table(document: dict, split: str, quantity: str) -> str:
     return markdown.table(header, rows)
 
 
+def reliability_table(document: dict) -> str:
+    """Mean bound and error of a frame, how many frames of test keep their bound, and of how many
+    runs 95 % of them."""
+    rows = []
+    for method in document['methods']:
+        known = method.get('reliability') or {}
+        shown = f'*{method["name"]}*' if method['baseline'] else _about(document, method)
+        cells = [
+            known[quantity][key] if quantity in known else None
+            for quantity in reliability.UNITS
+            for key in ('error', 'bound', 'within', 'runs_within')
+        ]
+        if known:
+            rows.append([shown, *cells])
+    titles = [
+        f'{quantity}: {title}'
+        for quantity, unit in reliability.UNITS.items()
+        for title in (f'error, {unit}', f'bound, {unit}', 'frames within', 'runs within')
+    ]
+    return markdown.table(['method', *titles], rows)
+
+
 def facts_table(document: dict) -> str:
     """What the judged data are, split by split."""
     rows = []
@@ -125,6 +147,11 @@ def quantity(path: str, split: str, name: str, kind: str = ALL) -> str:
 def by_kind(path: str, split: str, name: str) -> str:
     """`kind_table` of a stored document."""
     return kind_table(files.read_json(path), split, name)
+
+
+def bounds(path: str) -> str:
+    """`reliability_table` of a stored document."""
+    return reliability_table(files.read_json(path))
 
 
 def horizons(path: str, split: str) -> str:

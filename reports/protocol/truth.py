@@ -27,6 +27,7 @@ class Truth:
       source: PARTICLES, or DECODED where the dataset holds modes only.
       frames: int [F], numbers of the frames, counted from the first of the record.
       particles: float64 [F, P, 3], m.
+      start: float64 [P, 3], the same in the first frame of the record.
       cut_off: mean square, m2, of what DECODED truth lacks; it adds to squared errors of whole
         runs, since it is orthogonal to the subspace. 0 for PARTICLES.
       truncation: root mean square, mm, of what the subspace cuts off the run; None if unknown.
@@ -46,6 +47,7 @@ class Truth:
     source: str
     frames: np.ndarray
     particles: np.ndarray
+    start: np.ndarray
     cut_off: float
     truncation: float | None
     motion: float
@@ -146,6 +148,7 @@ class TruthReader:
             source=source,
             frames=frames,
             particles=positions,
+            start=start[0],
             cut_off=float(cut_off),
             truncation=None if truncation is None else float(truncation),
             motion=float(1e3 * np.sqrt(motion)),

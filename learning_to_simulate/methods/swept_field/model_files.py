@@ -85,7 +85,7 @@ def load(path: str) -> SweptField:
             'tool': next(t(**values[n]) for n, t in TOOLS.items() if n in values),
             'kept_spacing': float(values['kept_spacing']),
             'spacing': float(values['spacing']),
-            'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
+            'ranges': _ranges(values['ranges']),
             'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
@@ -100,6 +100,13 @@ def load(path: str) -> SweptField:
         variable.assign(arrays[name])
     field.rest = arrays[_REST].astype(np.float64)
     return field
+
+
+def _ranges(stored):
+    ranges = {name: [float(x) for x in limits] for name, limits in stored.items()}
+    # Written before the room was judged: all that its two ends allow.
+    (least, most), (first, last) = ranges['end'], ranges['foremost']
+    return ranges | {'room': ranges.get('room', [least - last, most - first])}
 
 
 def _rest_shape(arrays):

@@ -27,7 +27,7 @@ CHANNELS = 6
 SCALARS = (
     'tip', 'height', 'lean', 'speed', 'rise', 'turn',
     *(f'{name}_{i}' for i in range(len(TIME_SCALES)) for name in ('speed', 'rise', 'turn')),
-    'area', 'foremost', 'half_width', 'end',
+    'area', 'foremost', 'half_width', 'end', 'room',
 )  # fmt: skip
 
 
@@ -70,7 +70,8 @@ class Frame(NamedTuple):
       bins: float32 [B, n, CHANNELS]: depth of the cut, height of the untouched surface, distance
         travelled since the last passage, swept area before the first one, influence of all cuts
         in [0, 1], depth to which soil may have moved; m.
-      scalars: float32 [B, len(SCALARS)]; lengths in m from the tool's first place and the level.
+      scalars: float32 [B, len(SCALARS)]; lengths in m from the tool's first place and the level;
+        `room` is what is left between the foremost place of the tool and the wall.
     """
 
     bins: np.ndarray
@@ -162,6 +163,7 @@ def frame(grid: SweptGrid, bed: Bed, blade_width, state: ToolState, xp=np) -> Fr
             swept.foremost - swept.origin,
             xp.broadcast_to(blade_width, swept.origin.shape) / 2,
             bed.end - swept.origin,
+            bed.end - swept.foremost,
         ],
         axis=1,
     )

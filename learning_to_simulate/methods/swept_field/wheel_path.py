@@ -41,8 +41,8 @@ SCALARS = (
     'tip', 'rolled', 'speed', 'rim',
     *(f'{name}_{i}' for i in range(len(TIME_SCALES)) for name in ('speed', 'rim')),
     'travelled', 'slipped', 'foremost', 'rearmost', 'load', 'frame_load', 'peak_load', 'first_load',
-    'radius', 'half_width', 'gravity', 'friction', 'sunk', 'contact', 'end', 'stirred',
-    'height', 'area',
+    'radius', 'half_width', 'gravity', 'friction', 'sunk', 'contact', 'end', 'room',
+    'stirred', 'height', 'area',
 )  # fmt: skip
 # Those that hang on the predicted height; they are not asked for by the force.
 _N_DRIVE = len(SCALARS) - 2
@@ -234,7 +234,8 @@ def frame(grid: SweptGrid, bed: Bed, drive: DriveState, rut: Rut | None = None, 
         drive.way[:, 0], drive.way[:, 1], drive.reach[:, 1] - first, drive.reach[:, 0] - first,
         drive.pose[:, LOAD], drive.frame_load, drive.peak_load, drive.first[:, LOAD],
         radius, drive.size[:, WIDTH] / 2, drive.size[:, GRAVITY], drive.size[:, FRICTION],
-        drive.sunk, drive.contact, bed.end - first, xp.clip(stirred, 0.0, 1.0), zero, zero,
+        drive.sunk, drive.contact, bed.end - first, bed.end - drive.reach[:, 1],
+        xp.clip(stirred, 0.0, 1.0), zero, zero,
     ]  # fmt: skip
     scalars = xp.concatenate(
         [

@@ -241,11 +241,21 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
 
     path = str(tmp_path / 'synthetic.json')
     files.write_json(path, judged)
-    marks = ('quantity {} test soil_mm', 'horizons {} test', 'runs {} test force_l2', 'facts {}')
+    marks = (
+        'quantity {} test soil_mm', 'horizons {} test', 'runs {} test force_l2', 'facts {}',
+        'bounds {}',
+    )  # fmt: skip
     page = '\n\n'.join(f'<!-- table: reports.protocol.tables:{m.format(path)} -->' for m in marks)
     shown = documents.render(page + '\n')
     assert 'model (2 seeds)' in shown and '*path ridge*' in shown and '| 1 grid' not in shown
     assert f'{ridge["mean"]["mean"]:.3g}' in shown and '2 grid' in shown
+    # Two seeds of one prediction: errors as ever, and a bound that they do not tell.
+    model, force = (
+        {m['name']: m['reliability'] for m in judged['methods']}[name]
+        for name in ('model', 'mean force')
+    )
+    assert set(model) == {'soil'} and set(force) == {'force'}
+    assert f'| {model["soil"]["error"]:.3g} | {model["soil"]["bound"]:.3g} |' in shown
     with pytest.raises(ValueError, match='KeyError'):
         documents.render(f'<!-- table: reports.protocol.tables:quantity {path} test none -->\n')
 

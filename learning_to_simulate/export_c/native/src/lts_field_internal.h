@@ -16,9 +16,9 @@ enum {
   LTS_FIRST_CUT, LTS_SLID, LTS_SHEAR, LTS_PEAK,
   LTS_CHANNELS
 };
-/* The first numbers of a blade's scalars; the last four are area, foremost, half width and end. */
+/* The first numbers of a blade's scalars; the last five are area, foremost, half width, end and room. */
 enum { LTS_TIP, LTS_HEIGHT, LTS_LEAN, LTS_SPEED, LTS_RISE, LTS_TURN };
-#define LTS_MOST_SCALARS (22 + 3 * LTS_FIELD_SCALES)
+#define LTS_MOST_SCALARS (23 + 3 * LTS_FIELD_SCALES)
 #define LTS_MOST_LOADS 4 /* force along and up, torque; of a wheel the change of its height */
 
 /* What particles at rest depend on, besides a bed that was given. */

@@ -129,6 +129,7 @@ void lts_field_see(lts_field *soil) {
   *s++ = (float)(h->foremost - h->ground.origin);
   *s++ = (float)(0.5 * h->ground.width);
   *s++ = (float)(h->ground.end - h->ground.origin);
+  *s++ = (float)(h->ground.end - h->foremost);
 }
 
 /* The largest of all values, each lowered by `fall` per bin of distance; times `scale`, in [0, most]. */

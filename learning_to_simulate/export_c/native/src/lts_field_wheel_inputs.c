@@ -2,7 +2,8 @@
  * how a wheel pushes soil out. */
 #include "lts_field_places.h"
 
-/* A frame's scalars behind its rates, in the order of `wheel_path.SCALARS`. */
+/* A frame's scalars behind its rates, in the order of `wheel_path.SCALARS`, but the room, which is only
+ * judged. */
 typedef struct {
   float tip, rolled;
   float travelled, slipped, foremost, rearmost, load, frame_load, peak_load, first_load;
@@ -11,7 +12,7 @@ typedef struct {
 static named named_of(const lts_field *soil) {
   const float *s = soil->scalars, *t = s + 4 + 2 * soil->model->n_scale;
   const named n = {s[0], s[1], t[0],  t[1],  t[2],  t[3],  t[4],  t[5],  t[6], t[7],
-                   t[8], t[9], t[10], t[11], t[12], t[13], t[14], t[15], t[16]};
+                   t[8], t[9], t[10], t[11], t[12], t[13], t[14], t[16], t[17]};
   return n;
 }
 

@@ -132,8 +132,8 @@ void lts_field_wheel_see(lts_field *soil) {
   const double rest[] = {
       d->way[0], d->way[1], d->foremost - first, d->rearmost - first, d->load, d->frame_load,
       d->peak_load, d->first_load, d->radius, 0.5 * d->width, d->gravity, d->friction, d->sunk,
-      d->contact, h->ground.end - first, fmin(stirred, 1.0), h->position[1] - h->ground.level,
-      m->bin * area};
+      d->contact, h->ground.end - first, h->ground.end - d->foremost, fmin(stirred, 1.0),
+      h->position[1] - h->ground.level, m->bin * area};
   for (size_t k = 0; k < sizeof rest / sizeof *rest; ++k) *s++ = (float)rest[k];
 }
 

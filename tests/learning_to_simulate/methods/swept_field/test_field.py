@@ -7,6 +7,7 @@ from learning_to_simulate.methods.swept_field import inputs as inputs_lib
 from learning_to_simulate.methods.swept_field import model_files, tool_path
 from learning_to_simulate.methods.swept_field.inputs import Inputs
 from learning_to_simulate.methods.swept_field.tool_path import Frame
+from pca_tools import files
 from tests.learning_to_simulate.methods.swept_field import small_world as world
 
 C = tool_path
@@ -173,6 +174,16 @@ def test_a_model_folder_gives_the_same_field(tmp_path):
     assert (other.config, other.axes, other.grid, other.blade, other.calibration) == (
         field.config, field.axes, field.grid, field.blade, field.calibration,
     )  # fmt: skip
+
+
+def test_a_model_of_before_the_room_was_judged_allows_what_its_ends_allow(tmp_path):
+    field = world.make_field()
+    field.ranges |= {'end': [0.4, 0.7], 'foremost': [0.0, 0.3]}
+    model_files.save(str(tmp_path), field, {})
+    stored = files.read_json(str(tmp_path / 'config.json'))
+    del stored['field']['ranges']['room']
+    files.write_json(str(tmp_path / 'config.json'), stored)
+    assert model_files.load(str(tmp_path)).ranges['room'] == pytest.approx([0.1, 0.7])
 
 
 def test_damaged_model_folders_are_refused(tmp_path):

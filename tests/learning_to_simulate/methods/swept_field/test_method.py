@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import fitting, method, settings
@@ -154,11 +155,16 @@ def test_the_report_measures_rates_restarts_and_ten_lengths(data_path, model_pat
     poses = data.test.records[0].rigid_pose.astype(float)
     live = model.stepper()
     live.start(poses[0])
-    ok = [live.step(pose).now == 'ok' for pose in poses[1:]]
+    ok, moved = [], [live.particles()]
+    for pose in poses[1:]:
+        ok.append(live.step(pose).now == 'ok')
+        moved.append(live.particles())
     assert row['ok_share'] == pytest.approx(np.mean(ok))
-    # Beside itself: all particles after the last given frame, where the report has its sample.
+    # The report has a sample of the particles.
+    wrong = (np.stack(moved) - world.made_up_run(0.05, 'test')['positions'])[H:]
+    assert row['soil_mm'] == pytest.approx(1e3 * np.sqrt((wrong**2).mean()), rel=0.15)
     (itself,) = report.errors_of(model_path, data_path, 'test')
-    assert itself['mm'] == pytest.approx(row['soil_mm'], rel=0.2)
+    assert itself['mm'] == pytest.approx(row['soil_mm'], rel=1e-6)
     assert itself['force_l2'] == pytest.approx(row['force_l2'], rel=0.05)
     beside = {f'{name}_{key}': itself[key] for name in ('mlp_driven', 'pcg') for key in itself}
     files.write_json(str(tmp_path / 'beyond.json'), {'runs': [row | beside]})

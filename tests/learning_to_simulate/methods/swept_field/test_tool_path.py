@@ -31,6 +31,18 @@ def test_two_calls_equal_one():
         np.testing.assert_array_equal(one, other)
 
 
+def test_the_room_before_the_wall_is_that_of_the_foremost_place():
+    plane = world.path()
+    bed = world.flat_bed(plane[0, 0, 0])
+    found = tool_path.frames(world.GRID, bed, np.array([0.457]), plane, world.DT)
+    room = found.scalars[:, 0, tool_path.SCALARS.index('room')]
+    # Above the soil the blade is nowhere; where it is pulled back, the soil it pushed stays.
+    cut = plane[:, 0, 1] - world.BLADE.radius < world.SURFACE
+    foremost = [plane[: t + 1, 0, 0][cut[: t + 1]].max(initial=plane[0, 0, 0]) for t in range(61)]
+    np.testing.assert_allclose(room, bed.end - foremost, atol=1e-6)
+    assert room[-1] < 0.45 and (np.diff(plane[:, 0, 0]) < 0).any()
+
+
 def test_shifting_the_scene_changes_nothing():
     plane, shift = world.path(), np.array([7.25, -1.5, 0.0])
     here = seen(*run(plane))
