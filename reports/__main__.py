@@ -26,6 +26,7 @@ REPORTS = {
     'swept_field': ('swept_field', 'a swept field per run: errors, rates, restarts, ten lengths'),
     'free_tool': ('free_tool', 'force in the air, starts in contact, stops, soil inside the tool'),
     'learning_curve': ('learning_curve', 'errors against the number of training runs'),
+    'reliability': ('reliability_curves', 'errors of frames against promised bounds'),
     'driven_times': ('driven_times', 'error against time on driven runs: table, picture'),
     'driving': ('driving', 'free driving: what the modes allow, errors by kind of path'),
     'explain': ('speed.explain', 'what a rollout leaves out: edges, MFLOP, time'),
