@@ -22,12 +22,12 @@ COMMANDS = {
     'rollout': ('learning_to_simulate.live.roll_out_path', [], "rolls out a path of one's own"),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
     'live': ('learning_to_simulate.live_page', [], 'a model under a tool in the browser'),
-    'export': ('learning_to_simulate.export', [], 'writes a SavedModel, LiteRT or ONNX model'),
-    'export-c': (
-        'learning_to_simulate.export_c.exporting',
+    'export': (
+        'learning_to_simulate.export',
         [],
-        'writes a C project or an FMU (--format=c, fmu, fmu3)',
+        'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
     ),
+    'export-c': ('learning_to_simulate.export', ['--format=c'], 'older name of export --format=c'),
     'export-page': (
         'learning_to_simulate.export_c.web_page',
         [],

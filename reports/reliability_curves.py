@@ -21,9 +21,9 @@ def draw(protocols: list[str], picture: str) -> None:
     Raises:
       ValueError: a document of before bounds were judged.
     """
-    from matplotlib import figure
+    from matplotlib import figure, ticker
 
-    drawn = figure.Figure(figsize=(9, 3.6 * len(protocols)), layout='constrained')
+    drawn = figure.Figure(figsize=(11, 3.6 * len(protocols)), layout='constrained')
     grid = drawn.subplots(len(protocols), len(reliability.UNITS), squeeze=False)
     for path, row in zip(protocols, grid, strict=True):
         document = files.read_json(path)
@@ -35,20 +35,32 @@ def draw(protocols: list[str], picture: str) -> None:
                 xscale='log', yscale='log', xlabel=f'promised bound, {unit}',
                 ylabel=f'error of {quantity}, {unit}', title=document['scene'],
             )  # fmt: skip
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_minor_formatter(ticker.NullFormatter())
             axes.grid(alpha=0.3)
-            axes.legend(frameon=False, fontsize='x-small')
+        shown = dict(pair for axes in row for pair in zip(*axes.get_legend_handles_labels()[::-1]))
+        row[-1].legend(
+            shown.values(), shown, loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False,
+            fontsize='x-small',
+        )  # fmt: skip
     files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 
 def _draw_methods(axes, methods, quantity):
+    from matplotlib import colormaps
+
+    colours = colormaps['tab20'].colors
     least, most = float('inf'), 0.0
     for number, method in enumerate(methods):
         known = method.get('reliability', {}).get(quantity)
         if known is None:
             continue
         bounds, errors = ([group[key] for group in known['curve']] for key in ('bound', 'error'))
-        line = '--' if method['baseline'] else '-'
-        axes.plot(bounds, errors, f'o{line}', ms=3, lw=1, color=f'C{number}', label=method['name'])
+        axes.plot(
+            bounds, errors, 'o--' if method['baseline'] else 'o-', ms=3, lw=1,
+            color=colours[(2 * number + 2 * number // len(colours)) % len(colours)],
+            label=method['name'],
+        )  # fmt: skip
         least, most = min(least, *bounds), max(most, *bounds)
     axes.plot([least, most], [least, most], color='0.6', lw=1, label='error = bound')
 

@@ -1,4 +1,4 @@
-"""Writes a trained model as SavedModel, LiteRT or ONNX; see `exporting`.
+"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project or as an FMU.
 
 Examples:
   python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
@@ -11,11 +11,15 @@ Examples:
   # a swept field, of a blade or a wheel; see docs/swept_field.md
   python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
       --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
+
+  # C99 source, or an FMU of FMI 2.0 (fmu) or 3.0 (fmu3); see docs/c_and_fmu.md
+  python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=/tmp/soil
 """
 
 from absl import flags
 
-from learning_to_simulate import command
+from learning_to_simulate import command, export_c
 from learning_to_simulate.export.exporting import FORMATS, export
 
 
@@ -47,7 +51,7 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
+    flags.DEFINE_enum('format', 'savedmodel', FORMATS + export_c.FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer('members', None, 'Networks of a swept field; default: all.', 1)
     flags.DEFINE_integer(
@@ -56,13 +60,34 @@ def define_flags() -> None:
 
 
 def run(values) -> None:
-    """Runs the command with its flags."""
+    """Runs the command with its flags.
+
+    Raises:
+      ValueError: see `export` and `export_c.exporting`.
+    """
+    if values.format in export_c.FORMATS:
+        _write_c(values)
+        return
     command.import_tensorflow()
     description = export(
         values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
         values.members, values.n_particles,
     )  # fmt: skip
     print(summary(description, values.output_path))
+
+
+def _write_c(values):
+    for flag, given in (('members', values.members), ('n_particles', values.n_particles)):
+        if given is not None:
+            raise ValueError(
+                f'--{flag}={given} is not for --format={values.format}, which holds all; members '
+                f'are chosen where the model is opened'
+            )
+    command.import_tensorflow()
+    from learning_to_simulate.export_c import exporting
+
+    given = values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
+    print(exporting.summary(exporting.export(*given), values.output_path))
 
 
 if __name__ == '__main__':

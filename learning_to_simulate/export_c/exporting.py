@@ -1,35 +1,19 @@
-"""Exports a trained model as a C project (`--format=c`) or an FMU (`fmu`: FMI 2.0, `fmu3`: 3.0).
+"""Exports a trained model as a C project or an FMU, for `learning_to_simulate.export`.
 
 What was written is compiled, run over a recorded test run and compared with the TensorFlow stepper;
 beyond round-off the export is refused.
-
-Examples:
-  python -m learning_to_simulate.export_c.exporting --format=c --model_path=models/excavation/pcg \\
-      --data_path=datasets/excavation --output_path=/tmp/soil
 """
 
 import os
-import sys
-
-from absl import app, flags
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.export_c import (
-    c_library,
-    comparing,
-    field_data,
-    fmu,
-    model_data,
-    project,
-    starts,
-)
+from learning_to_simulate.export_c import comparing, field_data, fmu, model_data, project, starts
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
 _FMI = {'fmu': 2, 'fmu3': 3}  # versions
-FORMATS = ('c', 'fmu', 'fmu3')
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -39,7 +23,7 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       model_path: trained model.
       data_path: its dataset; gives starts, the run to compare on and the subspace.
       output_path: folder to write; must be absent or empty.
-      kind: one of `FORMATS`.
+      kind: one of `export_c.FORMATS`.
       n_rigid: R of the exported graph; None for that of the model's first training run.
 
     Returns:
@@ -114,27 +98,3 @@ def summary(description: dict, output_path: str) -> str:
         f'{compared["kernel"]}'
     )
     return '\n'.join(lines)
-
-
-def define_flags() -> None:
-    """Defines the flags of the command."""
-    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
-    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'c', FORMATS, 'What to write.')
-    flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: as trained.', 0)
-
-
-def main(_) -> None:
-    """Runs the command."""
-    v = flags.FLAGS
-    try:
-        description = export(v.model_path, v.data_path, v.output_path, v.format, v.n_rigid)
-    except (ValueError, OSError, c_library.NoCompiler) as error:
-        sys.exit(f'error: {files.printable(error)}')
-    print(summary(description, v.output_path))
-
-
-if __name__ == '__main__':
-    define_flags()
-    app.run(main)

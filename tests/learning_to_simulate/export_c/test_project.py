@@ -3,11 +3,13 @@
 import os
 import shutil
 import subprocess
+import types
 
 import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints
+from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export_c import (
     c_library,
     c_stepper,
@@ -127,6 +129,25 @@ def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
     monkeypatch.setenv('CC', 'no-such-compiler')
     description = exporting.export(path, data, out + '3', 'c')
     assert 'no C compiler' in exporting.summary(description, out)
+
+
+def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, capsys):
+    data, path, out = (str(tmp_path / name) for name in ('data', 'model', 'out'))
+    model, (group,), _ = models.make(data)
+    os.makedirs(path)
+    checkpoints.save_config(path, model, group.n_rigid, {})
+    checkpoints.save_weights(path, model.simulator)
+    values = types.SimpleNamespace(
+        model_path=path, data_path=data, output_path=out, format='c', n_rigid=None, members=None,
+        n_particles=None,
+    )  # fmt: skip
+    export_command.run(values)
+    assert 'largest difference to TensorFlow' in capsys.readouterr().out
+    assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
+    values.members, values.output_path = 2, out + '2'
+    with pytest.raises(ValueError, match='--members=2 is not for --format=c'):
+        export_command.run(values)
+    assert not os.path.exists(out + '2')
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):
