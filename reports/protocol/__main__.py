@@ -63,7 +63,7 @@ def main(values, _) -> None:
     for data_path in values.data_path:
         judged = document.protocol(data_path, values)
         path = os.path.join(values.output_path, f'{document.name_of(data_path)}.json')
-        files.write_json(path, judged)
+        files.write_json(path, judged, indent=0)  # every run of every seed: half the size
         for quantity in judged['summary']['test']['all']:
             print(f'\n{document.name_of(data_path)}, test, {quantity}')
             print(tables.quantity_table(judged, 'test', quantity))
