@@ -49,7 +49,7 @@ def draw(protocols: list[str], picture: str) -> None:
 def _draw_methods(axes, methods, quantity):
     from matplotlib import colormaps
 
-    colours = colormaps['tab20'].colors
+    colours = colormaps['tab20'].colors  # dark and light in turns: first all dark ones
     least, most = float('inf'), 0.0
     for number, method in enumerate(methods):
         known = method.get('reliability', {}).get(quantity)

@@ -5,6 +5,8 @@ beyond round-off the export is refused.
 """
 
 import os
+import runpy
+import sys
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export_c import comparing, field_data, fmu, model_data, project, starts
@@ -98,3 +100,8 @@ def summary(description: dict, output_path: str) -> str:
         f'{compared["kernel"]}'
     )
     return '\n'.join(lines)
+
+
+if __name__ == '__main__':  # the older name of the command
+    sys.argv.insert(1, '--format=c')
+    runpy.run_module('learning_to_simulate.export', run_name='__main__', alter_sys=True)

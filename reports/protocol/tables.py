@@ -11,9 +11,14 @@ def _span(figure, digits=3):
     return '' if figure is None else markdown.span(figure['seeds'], digits)
 
 
-def _about(document, method):
+def _about(method):
     count = len(method['seeds'])
     return method['name'] if count == 1 else f'{method["name"]} ({count} seeds)'
+
+
+def _shown(method):
+    """Baselines stand out."""
+    return f'*{_about(method)}*' if method['baseline'] else _about(method)
 
 
 def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -> str:
@@ -29,9 +34,8 @@ def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -
         if row is None:
             continue
         count = row['runs']
-        name = _about(document, method)
         failed = row['failed']['mean'] if row['failed'] else 0
-        line = [f'*{name}*' if method['baseline'] else name]
+        line = [_shown(method)]
         line += [
             _span(row[key]) or ('failed' if failed else '') for key in ('median', 'mean', 'worst')
         ]
@@ -53,8 +57,7 @@ def kind_table(document: dict, split: str, quantity: str) -> str:
     rows = []
     for method in document['methods']:
         if (name := method['name']) in summary[ALL]:
-            shown = f'*{name}*' if method['baseline'] else _about(document, method)
-            rows.append([shown, *(_span(summary[kind][name]['mean']) for kind in kinds)])
+            rows.append([_shown(method), *(_span(summary[kind][name]['mean']) for kind in kinds)])
     return markdown.table(header, rows)
 
 
@@ -70,7 +73,7 @@ def horizon_table(document: dict, split: str) -> str:
         first = figures['first_beyond_spacing_s']
         rows.append(
             [
-                _about(document, method),
+                _about(method),
                 *(_span(figures['median_mm'][n]) for n in names),
                 _span(figures['runs_beyond_spacing']),
                 '' if first is None else f'{first:.2f}',
@@ -104,14 +107,13 @@ def reliability_table(document: dict) -> str:
     rows = []
     for method in document['methods']:
         known = method.get('reliability') or {}
-        shown = f'*{method["name"]}*' if method['baseline'] else _about(document, method)
         cells = [
             known[quantity][key] if quantity in known else None
             for quantity in reliability.UNITS
             for key in ('error', 'bound', 'within', 'runs_within')
         ]
         if known:
-            rows.append([shown, *cells])
+            rows.append([_shown(method), *cells])
     titles = [
         f'{quantity}: {title}'
         for quantity, unit in reliability.UNITS.items()

@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import sys
 import types
 
 import numpy as np
@@ -31,6 +32,16 @@ def _small(folder, **case):
     model, (group, *_), metadata = models.make(folder, **case)
     found = starts.read(str(folder), model.simulator.config, group.n_rigid)
     return model, group, model_data.values(model, group.n_rigid, starts=found)
+
+
+def _saved(folder):
+    """Folders of a dataset, of a model of it, and one that is not there."""
+    data, path, out = (str(folder / name) for name in ('data', 'model', 'out'))
+    model, (group,), _ = models.make(data)
+    os.makedirs(path)
+    checkpoints.save_config(path, model, group.n_rigid, {})
+    checkpoints.save_weights(path, model.simulator)
+    return data, path, out
 
 
 def _written(folder, name, values):
@@ -109,11 +120,7 @@ def test_two_models_live_in_one_program(tmp_path):
 
 
 def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
-    data, path, out = (str(tmp_path / name) for name in ('data', 'model', 'out'))
-    model, (group,), _ = models.make(data)
-    os.makedirs(path)
-    checkpoints.save_config(path, model, group.n_rigid, {})
-    checkpoints.save_weights(path, model.simulator)
+    data, path, out = _saved(tmp_path)
     description = exporting.export(path, data, out, 'c')
     assert description['compared']['relative_difference']['force'] < 1e-5
     assert 'wrote' in exporting.summary(description, out)
@@ -132,11 +139,7 @@ def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
 
 
 def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, capsys):
-    data, path, out = (str(tmp_path / name) for name in ('data', 'model', 'out'))
-    model, (group,), _ = models.make(data)
-    os.makedirs(path)
-    checkpoints.save_config(path, model, group.n_rigid, {})
-    checkpoints.save_weights(path, model.simulator)
+    data, path, out = _saved(tmp_path)
     values = types.SimpleNamespace(
         model_path=path, data_path=data, output_path=out, format='c', n_rigid=None, members=None,
         n_particles=None,
@@ -148,6 +151,11 @@ def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, ca
     with pytest.raises(ValueError, match='--members=2 is not for --format=c'):
         export_command.run(values)
     assert not os.path.exists(out + '2')
+    # Its older name, for one more release.
+    older = [sys.executable, '-m', 'learning_to_simulate.export_c.exporting']
+    given = [f'--model_path={tmp_path}/none', f'--data_path={data}', f'--output_path={out}2']
+    done = subprocess.run([*older, *given], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and 'none: holds no model' in done.stderr
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):
