@@ -14,6 +14,7 @@ REPORTS = {
     'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
     'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'compare_forces': ('compare_forces', "solver's forces beside the published records"),
+    'published_physics': ('published_physics', "the blade's force with the published physics"),
     'solver_sweeps': ('solver_sweeps', "what the solver's own parameters change"),
     'solver_pictures': ('solver_pictures', 'leak and force spectrum of two raw runs, drawn'),
     'solver_speed': ('solver_speed', 'CPU seconds of the solver and of another checkout of it'),

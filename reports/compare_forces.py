@@ -34,14 +34,15 @@ def compare(ours: np.ndarray, theirs: np.ndarray) -> dict:
     }
 
 
-def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> list[dict]:
-    """Returns one row per published case and force axis (x: drive, y: up).
+def published_records(scene: scenes.Scene, original_path: str) -> dict:
+    """Returns the published records by case number, `SimulationData` each.
 
     Raises:
-        ValueError: if the records are not the ones that the case numbers belong to.
+        ValueError: if the records are not the ones that the case numbers belong to, or hold no
+            force.
     """
     count = _TRAIN_RECORDS[scene.name]
-    rows = []
+    found = {}
     for split, cases in (('train', scene.published[:count]), ('valid', scene.published[count:])):
         records = read_split(original_path, split)
         if len(records) != len(cases):
@@ -49,19 +50,29 @@ def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> li
                 f'{original_path}: {len(records)} records in {split}, case numbers are known '
                 f'for {len(cases)}'
             )
-        for case, record in zip(cases, records):
-            path = os.path.join(raw_path, raw_run.file_name(case))
-            if not os.path.exists(path):
-                logging.warning('case %d has no run in %s', case, raw_path)
-                continue
-            run = raw_run.read_run(path)
-            if record.force is None:
-                raise ValueError(f'{original_path}: records of {split} hold no force')
-            for axis, name in enumerate('xy'):
-                rows.append(
-                    {'case': case, 'axis': name}
-                    | compare(run.force[:, axis], record.force[:, axis])
-                )
+        if any(record.force is None for record in records):
+            raise ValueError(f'{original_path}: records of {split} hold no force')
+        found |= dict(zip(cases, records))
+    return found
+
+
+def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> list[dict]:
+    """Returns one row per published case and force axis (x: drive, y: up).
+
+    Raises:
+        ValueError: see `published_records`.
+    """
+    rows = []
+    for case, record in published_records(scene, original_path).items():
+        path = os.path.join(raw_path, raw_run.file_name(case))
+        if not os.path.exists(path):
+            logging.warning('case %d has no run in %s', case, raw_path)
+            continue
+        run = raw_run.read_run(path)
+        for axis, name in enumerate('xy'):
+            rows.append(
+                {'case': case, 'axis': name} | compare(run.force[:, axis], record.force[:, axis])
+            )
     return rows
 
 
