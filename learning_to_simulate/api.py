@@ -13,26 +13,30 @@ from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-# What a name of a scene alone means: the default preset.
-DEFAULT_MODEL = 'pcg'
+# What a name of a dataset alone means: the first of these that ships with it.
+DEFAULT_MODELS = 'swept_field', 'pcg'
 
 
-def _found(name: str, kind: str, marker: str, deeper: str = '') -> str:
+def _found(name: str, kind: str, marker: str, deeper: Sequence[str] = ()) -> str:
     """A folder that is given by its path, or by its name among those that ship.
+
+    Args:
+      name: path or name.
+      kind: folder of those that ship.
+      marker: the file that says that a folder is one.
+      deeper: what is looked for in a folder of that name, in this order.
 
     Raises:
       FileNotFoundError: neither; the message lists what ships.
     """
     name = os.fspath(name)
     shipped = os.path.join(ROOT, kind)
-    for path in (name, os.path.join(ROOT, name), os.path.join(shipped, name),
-                 os.path.join(shipped, name, deeper)):  # fmt: skip
+    inside = [os.path.join(shipped, name, folder) for folder in deeper]
+    for path in (name, os.path.join(ROOT, name), os.path.join(shipped, name), *inside):
         if os.path.isfile(os.path.join(path, marker)):
             return path
     names = sorted(
-        os.path.relpath(folder, shipped)
-        for folder, _, inside in os.walk(shipped)
-        if marker in inside
+        os.path.relpath(folder, shipped) for folder, _, held in os.walk(shipped) if marker in held
     )
     have = f'shipped are {", ".join(names)}' if names else f'none ships with this copy ({shipped})'
     raise FileNotFoundError(f'{name}: no folder with a {marker}; {have}')
@@ -318,7 +322,8 @@ def load(name: str) -> TrainedModel:
     """A trained model.
 
     Args:
-      name: a model folder, or a shipped model: 'excavation' (its `pcg`), 'wheel/pcg_thesis'.
+      name: a model folder, or a shipped model: 'wheel/pcg_thesis'; the name of a dataset alone
+        means its swept field where one ships (`excavation_v2`), else its `pcg` (`excavation`).
 
     Raises:
       FileNotFoundError: no such model; the message lists those that ship.
@@ -333,7 +338,7 @@ def find_model(name: str) -> str:
     Raises:
       FileNotFoundError: no such model; the message lists those that ship.
     """
-    return _found(name, 'models', 'config.json', DEFAULT_MODEL)
+    return _found(name, 'models', 'config.json', DEFAULT_MODELS)
 
 
 def preset(name: str, **fields):

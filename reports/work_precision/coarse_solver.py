@@ -1,6 +1,6 @@
 """The solver itself on coarser grids: work-precision points of the method that made the data.
 
-Runs test cases with cells `factor` times as long, at the time step that these allow, on one thread,
+Runs test runs with cells `factor` times as long, at the time step that these allow, on one thread,
 and compares with the fine run over the frames that learned models predict: soil error in full
 space on the particles that raw runs hold, force, and CPU seconds per simulated second. Where cells
 grow so far that fewer particles fill them as well, every 5th (excavation) or 3rd (wheel) particle
@@ -8,6 +8,10 @@ is simulated (`mpm/coarse.py`). Unlike a learned model it is not given six true 
 from the same packing, and a wheel comes to rest on the coarse soil before it drives.
 
 Examples:
+    # one driven run of each kind, beside the methods of a protocol (`solver_rows.beside`)
+    python -m reports coarse_solver --scene=excavation --grid_factors=1.5,2 --raw_path=/tmp/raw \\
+        --cases=smooth_0000,lift_0003 --output_path=docs/coarse_solver_driven.json
+
     python -m reports coarse_solver --scene=excavation --cases=21,78 --grid_factors=1.5,2 \\
         --raw_path=/tmp/raw/excavation --output_path=docs/coarse_solver_excavation.json
 
@@ -30,6 +34,7 @@ from learning_to_simulate import metrics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from mpm import batch, coarse, packing, raw_run, scenes
 from mpm.constitutive import make_soil
+from mpm.motions import catalogue
 from mpm.run import make_simulation, run_case
 from mpm.simulation import Settings
 from pca_tools import files
@@ -51,8 +56,8 @@ def errors(run, fine) -> dict[str, float]:
 
 
 def cost(run) -> dict[str, float]:
-    """CPU time of a run, one thread, over the frames that it simulates while driving."""
-    frames = len(run.positions) - 1
+    """CPU time of a run, one thread, over the frames that it simulates, those of a lead-in too."""
+    frames = len(run.positions) - 1 + run.parameters.get('lead_in_frames', 0)
     seconds = run.parameters['solver_cpu_s']
     return {
         'seconds_per_simulated_second': seconds * scenes.FRAME_RATE / frames,
@@ -60,7 +65,7 @@ def cost(run) -> dict[str, float]:
     }
 
 
-def measure_case(scene, case: int, factor: float, packed, fine, on_frame=None) -> dict:
+def measure_case(scene, case: int | str, factor: float, packed, fine, on_frame=None) -> dict:
     """Runs one case on a coarser grid; returns its row.
 
     Raises:
@@ -146,9 +151,23 @@ def measure(scene, cases, factors, raw_path: str, output_path: str) -> dict:
     return summary
 
 
+def selected(scene, names: list[str]) -> tuple:
+    """Returns the ids of runs that a person names: cases of the grid first.
+
+    Raises:
+        ValueError: one that does not exist, or that is named twice; none.
+    """
+    numbers = [name for name in names if name.isdecimal()]
+    cases = scenes.select_cases(scene, ','.join(numbers)) if numbers else ()
+    driven = [catalogue.seed_case(*catalogue.parse(scene, n)) for n in names if n not in numbers]
+    if len(set(driven)) < len(driven) or not names:
+        raise ValueError(f'--cases={",".join(names)}: runs were expected, each once')
+    return cases + tuple(driven)
+
+
 def _row_with_bar(scene, case, factor, packed, fine):
     with tqdm.tqdm(
-        total=scenes.FRAMES - 1,
+        total=catalogue.motion_of(scene, case).simulated_frames,
         desc=f'{scene.name} case {case} on cells x {factor:g}',
         unit='frame',
         disable=None,
@@ -173,7 +192,9 @@ def table(summary: dict) -> str:
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
-    flags.DEFINE_string('cases', None, 'Case numbers separated by commas.', required=True)
+    flags.DEFINE_list(
+        'cases', None, 'Cases of the grid, and driven runs such as lift_0003.', required=True
+    )
     flags.DEFINE_list('grid_factors', ['1.5', '2'], 'Cell sizes over the fine one.')
     flags.DEFINE_string(
         'raw_path', None, 'Folder of fine raw runs; absent ones are made.', required=True
@@ -184,7 +205,7 @@ def define_flags() -> None:
 def main(values, _) -> None:
     """Runs the command."""
     scene = scenes.scene_named(values.scene)
-    cases = scenes.select_cases(scene, values.cases)
+    cases = selected(scene, values.cases)
     factors = [float(factor) for factor in values.grid_factors]
     summary = measure(scene, cases, factors, values.raw_path, values.output_path)
     print(table(summary))

@@ -16,7 +16,7 @@ from cluster import workers
 from learning_to_simulate import checkpoints, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.training import model_folder
-from pca_tools import dataset
+from pca_tools import dataset, files
 from reports import isolated
 from reports.timing import Timing
 from reports.work_precision import (
@@ -338,6 +338,27 @@ def test_rows_of_the_coarse_solver_are_read(tmp_path):
     path.write_text('{"runs": {"solver": [{}]}}')
     with pytest.raises(ValueError, match='not the rows of'):
         solver_rows.read(str(path))
+
+
+def test_the_coarse_solver_beside_methods_on_the_same_runs(tmp_path):
+    def run(case, soil):
+        return {
+            'record': case, 'soil_rms_mm': soil, 'force_relative_l2': soil / 10,
+            'milliseconds_per_step': 2 * soil,
+        }  # fmt: skip
+
+    solver, protocol = str(tmp_path / 'solver.json'), str(tmp_path / 'protocol.json')
+    rows = [run('lift_0003', 2.0), run(7, 4.0)]
+    files.write_json(solver, {'runs': {'solver': [{}, {}], 'solver_x1.5': rows}})
+    seeds = [{'runs': {'test': [{'soil_mm': s * k} for k in (1, 2, 3)]}} for s in (1.0, 3.0)]
+    cases = [{'case': case} for case in (7, 'halts_0001', 'lift_0003')]
+    judged = {'runs': {'test': cases}, 'methods': [{'name': 'field', 'seeds': seeds}]}
+    files.write_json(protocol, judged)
+    lines = solver_rows.beside(solver, protocol, 'soil_mm', 'field').splitlines()
+    assert lines[0] == '| run | field | solver, cells x 1.5 |'
+    assert lines[2:] == ['| lift_0003 | 6 | 2 |', '| 7 | 2 | 4 |', '| **mean** | 4 | 3 |']
+    mean = {'runs': 2, 'soil_mm': 3.0, 'force_l2': pytest.approx(0.3), 'ms': 6.0}
+    assert solver_rows.means(solver) == {'solver, cells x 1.5 (2 runs)': mean}
 
 
 def test_row_that_dies_or_hangs_is_an_error_of_its_own():
