@@ -4,7 +4,7 @@ Each case is driven from the beginning with our physics (local mu(I), E = 1.5 MP
 published stiffness alone, and with the published physics (granular fluidity, E = 15 MPa); a
 stiffness has its own settled packing, all else is the same. Where the published records are there,
 figures of theirs over the same frames stand beside. A run is kept in the JSON when it is made; the
-same command goes on with those that are absent. A case takes six minutes of one core for 60 frames.
+same command goes on with those that are absent. 60 frames of a case take three minutes of one core.
 
 Examples:
     python -m reports published_physics --json=docs/solver/published_physics.json \
@@ -34,7 +34,7 @@ CASES = (186, 78, 146, 22, 188)
 PHYSICS = {
     'ours': Settings(),
     'stiffness alone': Settings(15e6),
-    'published': Settings(15e6, 'nonlocal'),
+    'published physics': Settings(15e6, 'nonlocal'),
 }
 SPAN = 10  # frames over which a published force is averaged: theirs is of one substep, and noisy
 
@@ -147,9 +147,9 @@ def table(path: str) -> str:
         rows.append(('**all**', '', *_drafts(*np.mean(means, axis=0))))
     header = ('case', 'depth cm, speed cm/s, lean', 'draft, ours, N', 'stiffness alone over it',
               'published physics over it', 'published record, N', 'ours over that',
-              'published physics over that', 'correlation of the curves', 'vertical, ours, N',
-              'published physics, N', 'published record, N', 'deepest particle, cells',
-              'CPU s')  # fmt: skip
+              'published physics over that', 'its curve with ours, correlation',
+              'vertical, ours, N', 'published physics, N', 'published record, N',
+              'deepest particle, cells', 'CPU s')  # fmt: skip
     return markdown.table(header, rows)
 
 
@@ -179,7 +179,7 @@ def draw(path: str, picture: str) -> None:
         if str(case) in content['records']:
             means = content['records'][str(case)]['draft_of_spans_N']
             edges = np.arange(len(means) + 1) * SPAN / scenes.FRAME_RATE
-            axis.stairs(means, edges, color='tab:blue', label=f'published record, {SPAN} frames')
+            axis.stairs(means, edges, color='tab:blue', label=f'record, {SPAN} frames')
         p = SCENE.parameters(case)
         title = f'{case}: {100 * p["depth_m"]:g} cm, {100 * p["speed_m_s"]:g} cm/s'
         axis.set(title=f'{title}, {p["angle_deg"]:g}°', xlabel='s', ylim=(0.0, None))
