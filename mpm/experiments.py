@@ -170,6 +170,9 @@ def free_fall(seconds: float = 0.2) -> dict:
 def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     """Returns the reaction of walls and floor over the weight, and the stress over rho g h.
 
+    The vertical stress in the middle of the bin is given apart for the soil above the lowest cell
+    and within it: nodes below the floor are held, so that the grid has no linear field there.
+
     Args:
         box: the bin of the packing.
         particles: the settled packing.
@@ -189,16 +192,21 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     held[nodes.free[:free] // 4] = False
     # What the walls take, and the weight of the soil that sits on their own nodes.
     reaction = -before[held, 1].sum() / 0.5 + before[held, 3].sum() * EARTH_GRAVITY
-    middle = np.abs(particles[:, [0, 2]] - CORNER - np.array(box.size)[[0, 2]] / 2)
-    chosen = (middle < np.array(box.size)[[0, 2]] / 2 - box.size[1]).all(axis=1)
-    depth = box.surface - particles[chosen, 1]
-    ratio = particles[chosen, columns.VOLUME_RATIO]
-    pressure = soil.bulk_modulus * np.maximum(1.0 / ratio - 1.0, 0.0)
-    stress = pressure - particles[chosen, columns.S + 1]
-    overburden = soil.bulk_density * EARTH_GRAVITY * depth
+    across = np.array(box.size)[[0, 2]]
+    middle = np.abs(particles[:, [0, 2]] - CORNER - across / 2)
+    is_inner = (middle < across / 2 - box.size[1]).all(axis=1)
+    is_low = particles[:, 1] < CORNER + box.dx
+    pressure = soil.bulk_modulus * np.maximum(1.0 / particles[:, columns.VOLUME_RATIO] - 1.0, 0.0)
+    stress = pressure - particles[:, columns.S + 1]
+    overburden = soil.bulk_density * EARTH_GRAVITY * (box.surface - particles[:, 1])
+
+    def ratio(chosen):
+        return float((stress * overburden)[chosen].sum() / (overburden**2)[chosen].sum())
+
     return {
         'reaction_over_weight': float(reaction / (len(particles) * mass * EARTH_GRAVITY)),
-        'stress_over_rho_g_h': float((stress * overburden).sum() / (overburden**2).sum()),
+        'stress_over_rho_g_h': ratio(is_inner & ~is_low),
+        'stress_at_floor_over_rho_g_h': ratio(is_inner & is_low),
     }
 
 

@@ -19,7 +19,7 @@ from absl import app, flags, logging
 from tqdm import tqdm
 
 from mpm.scenes import EXCAVATION, FRAMES, SCENES, WHEEL
-from mpm.verification import convergence, kernel_rows, run_rows
+from mpm.verification import convergence, density, kernel_rows, run_rows
 from mpm.verification.rows import Table
 
 _RAW_PATH = flags.DEFINE_string(
@@ -45,6 +45,10 @@ def rows_of(raw_path: str) -> dict:
         'momentum': kernel_rows.momentum,
         'column_1': partial(kernel_rows.column, 1.0),
         'column_3': partial(kernel_rows.column, 3.0),
+        'incline_flow': kernel_rows.incline_flow,
+        'incline_exchange': kernel_rows.incline_exchange,
+        'incline_packing': kernel_rows.incline_packing,
+        'incline_halt': kernel_rows.incline_halt,
     }
     for scene in SCENES.values():
         rows[f'packing_{scene.name}'] = partial(run_rows.packed_soil, scene, raw_path)
@@ -62,6 +66,7 @@ def rows_of(raw_path: str) -> dict:
     rows['wheel_load'] = partial(run_rows.wheel_load, raw_path)
     for scene in SCENES.values():
         rows[f'leak_{scene.name}'] = partial(run_rows.leak, scene, raw_path)
+    rows['density_186'] = partial(density.moved_soil, 186, DRIVEN)
     for option in convergence.SHORT_CUTS:
         for case in SHORT_CUT_CASES:
             rows[f'{option}_{case}'] = partial(

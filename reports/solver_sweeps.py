@@ -18,7 +18,7 @@ from tqdm import tqdm
 from mpm import contact, experiments, packing, scenes, simulation, solver, stability
 from mpm.constitutive import make_soil
 from mpm.run import make_simulation, soil_of
-from mpm.verification.convergence import surface
+from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
 from pca_tools import files
 from reports import command, markdown, record

@@ -11,13 +11,14 @@ from mpm.constitutive import make_soil
 from mpm.run import make_simulation, soil_of
 from mpm.simulation import Settings
 from mpm.verification.rows import Check, reported
+from mpm.verification.surfaces import surface
 
 FINER = 0.75  # cells of `finer_cells` over those of the scene
 HALVED_FRAMES = 80
 
 
 @cache
-def _packed(scene_bin, modulus: float) -> np.ndarray:
+def packed(scene_bin, modulus: float) -> np.ndarray:
     """The settled packing of a bin, made once per process."""
     return packing.settle(scene_bin, make_soil(modulus, scenes.PACKING_MU_S), 0)[0]
 
@@ -26,24 +27,10 @@ def drive(scene: scenes.Scene, case: int, frames: int, settings: Settings):
     """Returns force [frames, 3] (N) of a case, and the simulation after it."""
     parameters = scene.parameters(case)
     soil = soil_of(scene, parameters, settings)
-    particles = _packed(scene.bin, settings.youngs_modulus)
+    particles = packed(scene.bin, settings.youngs_modulus)
     simulation = make_simulation(scene, parameters, soil, particles, settings)
     bar = tqdm(range(frames), desc=f'{scene.name} {case}', unit='frame', leave=False)
     return np.array([simulation.frame()[0] for _ in bar]), simulation
-
-
-def surface(positions: np.ndarray, box: scenes.Bin) -> np.ndarray:
-    """Returns the height [x, z] (m) of the surface of soil [N, 3] (m) over squares of about 27 mm.
-
-    The highest particle of each square: a mean would depend on how many there are.
-    """
-    cells = [round(box.size[axis] / 0.027) for axis in (0, 2)]
-    x = positions
-    low, size = scenes.CORNER, np.array(box.size)[[0, 2]]
-    square = np.clip(((x[:, [0, 2]] - low) / size * cells).astype(int), 0, np.array(cells) - 1)
-    height = np.full(cells, scenes.CORNER)
-    np.maximum.at(height, tuple(square.T), x[:, 1])
-    return height
 
 
 def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:

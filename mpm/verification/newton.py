@@ -29,9 +29,10 @@ from mpm.motions import grid
 from mpm.run import RawRun
 from mpm.simulation import Settings
 from mpm.verification import newton_scene
-from mpm.verification.convergence import drive, surface
+from mpm.verification.convergence import drive
 from mpm.verification.newton_scene import Numerics
 from mpm.verification.run_rows import cutting_frames
+from mpm.verification.surfaces import surface
 from storage import markdown
 
 _RAW_RUN = flags.DEFINE_string('raw_run', None, 'The recorded run, of the excavation grid.')

@@ -37,12 +37,14 @@ def packed_soil(scene: scenes.Scene, raw_path: str) -> list[Check]:
     soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
     particles, _ = packing.settled(scene.bin, soil, settings.seed, folder)
     found = experiments.settled_soil(scene.bin, particles, soil)
-    name = f'{scene.name} soil'
-    reaction, stress = found['reaction_over_weight'], found['stress_over_rho_g_h']
+    stress, middle = f'{scene.name} soil: vertical stress over rho g h', 'middle of the bin'
     return [
-        Check(f'{name}: reaction of walls and floor over weight', reaction, 1.0, 0.01, 'm g'),
-        Check(f'{name}: vertical stress over rho g h', stress, 1.0, 0.02, 'middle of the bin'),
-    ]
+        Check(f'{scene.name} soil: reaction of walls and floor over weight',
+              found['reaction_over_weight'], 1.0, 0.01, 'm g'),
+        Check(stress, found['stress_over_rho_g_h'], 1.0, 0.02, f'{middle}, above the lowest cell'),
+        Check(stress, found['stress_at_floor_over_rho_g_h'], 1.0, 0.02,
+              f'{middle}, in the lowest cell'),
+    ]  # fmt: skip
 
 
 def earthmoving_ratio(run: raw_run.RawRun) -> float:

@@ -28,7 +28,23 @@ def test_settled_soil_carries_its_weight(coarse_excavation, excavation_packing, 
     figures = experiments.settled_soil(coarse_excavation.bin, excavation_packing[0], soil)
     assert figures['reaction_over_weight'] == pytest.approx(1.0, abs=0.02)
     # Six cells deep only; the full resolution is held to 2 % by `mpm.verify`.
-    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, abs=0.06)
+    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, abs=0.03)
+
+
+def test_stress_of_soil_is_read_above_the_lowest_cell_and_within_it(coarse_excavation, soil):
+    """Soil at the exact stress, then a tenth more of it within a cell of the floor."""
+    box = coarse_excavation.bin
+    particles = packing.lattice(box, seed=0)
+    weight = soil.bulk_density * scenes.EARTH_GRAVITY * (box.surface - particles[:, 1])
+    particles[:, columns.VOLUME_RATIO] = 1.0 / (1.0 + weight / soil.bulk_modulus)
+    figures = experiments.settled_soil(box, particles, soil)
+    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, rel=1e-9)
+    assert figures['stress_at_floor_over_rho_g_h'] == pytest.approx(1.0, rel=1e-9)
+    low = particles[:, 1] < scenes.CORNER + box.dx
+    particles[low, columns.S + 1] = -0.1 * weight[low]
+    figures = experiments.settled_soil(box, particles, soil)
+    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, rel=1e-9)
+    assert figures['stress_at_floor_over_rho_g_h'] == pytest.approx(1.1, rel=1e-9)
 
 
 def test_column_collapse_runs_out_as_published():

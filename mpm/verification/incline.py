@@ -1,0 +1,302 @@
+"""Steady flow of mu(I) soil down an incline, periodic along and across it (Bagnold's profile).
+
+The grid of the solver has no periodic ends, and a finite layer feels its ends before its flow is
+steady. Here the solver's own kernels are called in its own order, and after each scatter the
+nodes that lie past an end are folded onto those of the start: both copies hold the sum.
+
+With tau = p tan(theta) at every depth the inertial number is the same everywhere, and for
+I = gamma_dot d sqrt(rho_s / p) (`constitutive`) with p = phi rho_s g cos(theta) (h - y)
+
+    I    = I0 (tan(theta) - mu_s) / (mu_2 - tan(theta))
+    u(y) = 2/3 I / d sqrt(phi g cos(theta)) (h^1.5 - (h - y)^1.5)
+
+That flow is stable at the scale of the cells only where the law is well-posed (`posedness`). For
+the beads it is; for the soil of the blade, whose friction hardly grows with I, it is at no I.
+
+Sources:
+  flow: GDR MiDi (2004), Eur. Phys. J. E 14, 341.
+  beads: Jop, Forterre, Pouliquen (2006), Nature 441, 727.
+  posedness: Barker, Schaeffer, Bohorquez, Gray (2015), J. Fluid Mech. 779, 794.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from tqdm import tqdm
+
+from mpm import columns, packing, scenes
+from mpm.constitutive import Soil, make_soil
+from mpm.grid import PAD, Grid, make_grid
+from mpm.grid_update import clear, kick, start_nodes
+from mpm.scenes import CORNER, EARTH_GRAVITY, EXCAVATION, Bin
+from mpm.solver import EXCHANGE, make_block, make_nodes
+from mpm.stability import VELOCITY_CFL, damping_time, max_time_step
+from mpm.transfers import grid_to_particles, particles_to_grid, strain_and_force
+
+FIRST = PAD - 1  # the first node that soil of the first cell touches
+COPIES = 3  # nodes of the start that soil of the last cell touches
+NO_WALL = 10**6  # index of a node that no grid has
+# Grains so large that the layers flow at the speed of a tool: with the 0.3 mm of the scenes the one
+# of beads would run at 60 m/s.
+GRAIN_DIAMETER = 0.02  # m
+FLOWING_DEG = 26.0  # of the beads, which rest up to 20.9
+SETTLE_S, SETTLE_DAMPING = 0.3, 20.0  # s; 1/s
+LAYERS = 10  # of the profile
+HALTING_SPEED = 0.2  # m/s
+
+
+def beads() -> Soil:
+    """The glass beads of Jop et al. (2006), as stiff and dense as the soil of the scenes."""
+    soil = make_soil(1.5e6, math.tan(math.radians(20.9)))
+    mu_2 = math.tan(math.radians(32.76))
+    return soil._replace(mu_2=mu_2, inertial_number_0=0.279, grain_diameter=GRAIN_DIAMETER)
+
+
+def soil_of_blade() -> Soil:
+    """The soil of the excavation, of larger grains."""
+    soil = make_soil(1.5e6, scenes.EXCAVATION_MU_S)
+    return soil._replace(grain_diameter=GRAIN_DIAMETER)
+
+
+def inertial_number(soil: Soil, angle_deg: float) -> float:
+    """Returns I of the steady flow down an incline; negative where the soil rests."""
+    slope = math.tan(math.radians(angle_deg))
+    return soil.inertial_number_0 * (slope - soil.mu_s) / (soil.mu_2 - slope)
+
+
+def posedness(soil: Soil, number: float) -> float:
+    """Returns C of Barker et al. (2015) at an inertial number: mu(I) is well-posed where C <= 0.
+
+    C = 4 (n^2 - n) + mu^2 (1 - n / 2)^2 with n = I mu' / mu.
+    """
+    rise = number / soil.inertial_number_0
+    mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * rise / (1.0 + rise)
+    n = (soil.mu_2 - soil.mu_s) * rise / (1.0 + rise) ** 2 / mu
+    return 4.0 * (n * n - n) + mu * mu * (1.0 - n / 2.0) ** 2
+
+
+def layer_bin(cells: int, denser: int = 1) -> Bin:
+    """Returns a layer as deep as the soil of the excavation, of its cells and packing.
+
+    Args:
+        cells: that the period is long, along and across.
+        denser: how many times smaller the spacing of the particles is.
+    """
+    box = EXCAVATION.bin
+    size = (cells * box.dx, box.size[1], cells * box.dx)
+    lattice = tuple(
+        round(denser * n * side / whole) for n, side, whole in zip(box.lattice, size, box.size)
+    )
+    return Bin(size, box.dx, lattice, 1, 0.2, ())
+
+
+def particles_per_cell(denser: int, cells: int) -> float:
+    """Returns how many particles a cell of a `layer_bin` holds."""
+    box = layer_bin(cells, denser)
+    return box.dx**3 / packing.particle_volume(box)
+
+
+def closed_form(height, depth: float, angle_deg: float, soil: Soil):
+    """Returns the speed (m/s) at heights above the floor (m) of a layer of a depth (m)."""
+    number = inertial_number(soil, angle_deg)
+    weight = soil.bulk_density / soil.grain_density * EARTH_GRAVITY
+    weight *= math.cos(math.radians(angle_deg))
+    below = np.maximum(depth - height, 0.0)
+    shape = depth**1.5 - below**1.5
+    return 2.0 / 3.0 * number / soil.grain_diameter * math.sqrt(weight) * shape
+
+
+class Incline:
+    """A layer of soil, periodic along x and z, on a rough floor.
+
+    Attributes:
+        particles: float64 [N, COLUMNS], settled.
+        grid: `Grid` without walls but for the floor.
+        soil: `Soil`.
+        depth: of the layer as packed, m.
+        period: [2], along x and z, m.
+    """
+
+    def __init__(self, box: Bin, soil: Soil, exchange: float = EXCHANGE):
+        """Settles the layer.
+
+        Args:
+            box: its bin, see `layer_bin`.
+            soil: what it is.
+            exchange: interval of the exchange between particles and grid, s.
+        """
+        grid = make_grid(box)
+        self.grid: Grid = grid._replace(walls=(-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0))
+        self.soil, self.depth = soil, box.size[1]
+        self.period = np.array([box.size[0], box.size[2]])
+        self._cells = np.round(self.period / box.dx).astype(int)
+        self._volume = packing.particle_volume(box)
+        self._steps = math.ceil(exchange / max_time_step(soil, box.dx) - 1e-9)
+        self._exchange, self._dt = exchange, exchange / self._steps
+        self._nodes = make_nodes(self.grid, np.float32)
+        self.particles = packing.lattice(box, seed=0)
+        self.advance(SETTLE_S, 0.0, settling=1.0 - SETTLE_DAMPING * self._dt)
+        self.particles[:, columns.V : columns.S] = 0.0
+
+    def _fold(self, array: np.ndarray) -> None:
+        """Adds what lies past an end of `array` [4 nodes] to the start; both copies get the sum."""
+        nx, ny, nz = self.grid.shape
+        nodes = array.reshape(ny, nx, nz, 4)
+        for axis, count in ((1, self._cells[0]), (2, self._cells[1])):
+            view = np.moveaxis(nodes, axis, 0)
+            view[FIRST : FIRST + COPIES] += view[FIRST + count : FIRST + count + COPIES]
+            view[FIRST + count : FIRST + count + COPIES] = view[FIRST : FIRST + COPIES]
+
+    def _interval(self, along: float, down: float, settling: float) -> None:
+        """One exchange interval under a gravity `along` x and `down` (m/s2); see `solver`."""
+        block = make_block(self.particles, np.float32)
+        nodes, grid, dt = self._nodes, self.grid, self._dt
+        mass = self._volume * self.soil.bulk_density
+        status = np.zeros(2, dtype=np.int64)
+        touched_box = particles_to_grid(
+            block, nodes.velocity, grid, 0.5 * dt, mass, self._volume, self.soil.bulk_modulus,
+            status,
+        )  # fmt: skip
+        if status[0] != columns.OK:
+            raise ValueError(f'particle {status[1]} left the layer')
+        self._fold(nodes.velocity)
+        last = FIRST + self._cells + COPIES
+        box = (FIRST, last[0], *touched_box[2:4], FIRST, last[1])
+        free, touched = start_nodes(nodes, grid, box, 0.5 * dt * down)
+        force, velocity = nodes.force.reshape(-1, 4), nodes.velocity.reshape(-1, 4)
+        moving = (nodes.free[:free] // 4).astype(np.int64)
+        for k in range(self._steps + 1):
+            if k > 0:
+                strain_and_force(
+                    block, nodes, grid, dt, self._volume, self.soil,
+                    damping_time(self.soil, grid.dx), None,
+                )  # fmt: skip
+                self._fold(nodes.force)
+            force[moving, 0] += along / velocity[moving, 3]  # m g; a node keeps 1 / m
+            share = dt if 0 < k < self._steps else 0.5 * dt
+            drift = dt if k < self._steps else 0.0
+            kick(nodes, grid, free, share, down if k > 0 else 0.0, settling, drift)
+        grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
+        clear(nodes, touched)
+        self.particles = block.particles
+        self.wrap()
+
+    def wrap(self) -> None:
+        """Brings particles beyond an end back in at the other."""
+        across = self.particles[:, [0, 2]] - CORNER
+        self.particles[:, [0, 2]] = CORNER + np.mod(across, self.period)
+
+    @property
+    def height(self) -> np.ndarray:
+        """Height [N] (m) of the particles above the floor."""
+        return self.particles[:, 1] - CORNER
+
+    def advance(
+        self,
+        seconds: float,
+        angle_deg: float,
+        settling: float = 1.0,
+        on_interval: Callable[[], None] | None = None,
+    ) -> None:
+        """Advances by whole exchange intervals, at least `seconds`.
+
+        Args:
+            seconds: s.
+            angle_deg: of the incline.
+            settling: factor on the nodes' velocities at each kick.
+            on_interval: called after each of them.
+
+        Raises:
+            ValueError: soil leaves the layer, or crosses half a cell between exchanges.
+        """
+        angle = math.radians(angle_deg)
+        along, down = EARTH_GRAVITY * math.sin(angle), EARTH_GRAVITY * math.cos(angle)
+        for _ in tqdm(range(math.ceil(seconds / self._exchange - 1e-9)), leave=False):
+            self._interval(along, down, settling)
+            fastest = np.abs(self.particles[:, columns.V]).max() * self._exchange / self.grid.dx
+            if not fastest < VELOCITY_CFL:
+                raise ValueError(f'soil crosses {fastest:.2g} cells between two exchanges')
+            if on_interval is not None:
+                on_interval()
+
+    def start(self, speed: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Gives the soil a speed (m/s) along x by its height (m), its gradient included."""
+        step = 1e-4 * self.depth
+        at, above = speed(self.height), speed(self.height + step)
+        self.particles[:, columns.V] = at
+        self.particles[:, columns.C + 1] = (above - at) / step
+
+
+def flow(layer: Incline, angle_deg: float, ends: tuple[float, ...]) -> list[dict[str, float]]:
+    """Lets a layer flow; returns what it does in each of the windows of time.
+
+    Args:
+        layer: as it is put in motion.
+        angle_deg: of the incline.
+        ends: times (s) between the windows; nothing is kept of what is before the first.
+
+    Returns:
+        Of each window, against the closed form at the same particles: `surface`, the speed of the
+        uppermost of `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at
+        the surface; and `depth`, twice the mean height of the soil over the depth as packed.
+    """
+
+    def closed(height):
+        return closed_form(height, layer.depth, angle_deg, layer.soil)
+
+    layer.advance(ends[0], angle_deg)
+    found = []
+    for start, end in zip(ends, ends[1:]):
+        sums = np.zeros((4, LAYERS))
+
+        def add(sums=sums):
+            height = layer.height
+            which = np.clip((height / layer.depth * LAYERS).astype(int), 0, LAYERS - 1)
+            values = (np.ones(len(height)), height, layer.particles[:, columns.V], closed(height))
+            for total, value in zip(sums, values):
+                total += np.bincount(which, value, LAYERS)
+
+        layer.advance(end - start, angle_deg, on_interval=add)
+        count, height, speed, exact = sums[:, sums[0] > 0]
+        apart = (speed - exact) / count
+        found.append(
+            {
+                'surface': float(speed[-1] / exact[-1]),
+                'profile': float(np.sqrt((apart**2).mean()) / closed(layer.depth)),
+                'depth': float(2.0 * height.sum() / count.sum() / layer.depth),
+            }
+        )
+    return found
+
+
+def bagnold(
+    denser: int,
+    ends: tuple[float, ...],
+    share: float = 1.0,
+    exchange: float = EXCHANGE,
+    cells: int = 4,
+) -> list[dict[str, float]]:
+    """Lets beads flow that begin at a `share` of the closed form's speed; see `flow`.
+
+    Args:
+        denser: see `layer_bin`.
+        ends: s, see `flow`.
+        share: of the speed.
+        exchange: interval of the exchange between particles and grid, s.
+        cells: that the period is long.
+    """
+    layer = Incline(layer_bin(cells, denser), beads(), exchange)
+    layer.start(lambda y: share * closed_form(y, layer.depth, FLOWING_DEG, layer.soil))
+    return flow(layer, FLOWING_DEG, ends)
+
+
+def halt(soil: Soil, angle_deg: float, denser: int, cells: int = 4, seconds: float = 3.0) -> float:
+    """Returns the mean speed (m/s) that is left of a layer after some seconds.
+
+    It begins with a speed that grows linearly to `HALTING_SPEED` at the surface.
+    """
+    layer = Incline(layer_bin(cells, denser), soil)
+    layer.start(lambda y: HALTING_SPEED * y / layer.depth)
+    layer.advance(seconds, angle_deg)
+    return float(layer.particles[:, columns.V].mean())
