@@ -23,6 +23,7 @@ from pca_tools import files
 from reports import command, record
 from reports.stability import (
     cases,
+    driven_cases,
     extrapolation_cases,
     network_cases,
     nri_cases,
@@ -36,6 +37,7 @@ PARTS = {
     'solver': lambda quick, bar, work: solver_cases.run_all(quick, bar),
     'subspace': lambda quick, bar, work: subspace_cases.run_all(quick, bar),
     'rollouts': lambda quick, bar, work: rollout_cases.run_all(quick, bar),
+    'driven': lambda quick, bar, work: driven_cases.run_all(quick, bar),
     'extrapolation': extrapolation_cases.run_all,
     'network': lambda quick, bar, work: network_cases.run_all(quick, bar),
     'nri': lambda quick, bar, work: nri_cases.run_all(quick, bar),

@@ -1,0 +1,141 @@
+"""Models of driven tools far beyond what they were shown: paths ten times as long, stops, air."""
+
+import os
+
+import numpy as np
+
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout_status import RolloutStatus
+from pca_tools import dataset
+from reports.record import ROOT
+from reports.stability import shipped
+from reports.stability.cases import FAILS, FLAGGED, HOLDS, Case, judged
+
+PART = 'Driven tools'
+HORIZON = 10
+MODELS = {
+    'excavation_v2': ('swept_field', 'mlp_driven', 'pcg'),
+    'wheel_v2': ('swept_field', 'pcg'),
+}
+# One test run of each of these kinds, the first there is; beds at rest that nothing has cut.
+KINDS = ('smooth', 'stops', 'lift', 'slip', 'load', 'reverse')
+AIR = 0.05  # m between the blade's edge and the bed
+AIR_WAY, AIR_FRAMES = 0.3, 180  # m, frames of a level ride
+
+
+def recorded_runs(data_path: str, n_run: int | None = None) -> list[dict]:
+    """Test runs: `name`, `poses` float64 [T, 7], `context` [T, C] or None, `way` of the soil in m.
+
+    The way is the farthest that the recorded soil gets from where it began, root mean square over
+    particles and axes.
+    """
+    metadata = dataset.read_metadata(data_path)
+    found: dict[str, dict] = {}
+    cases = metadata['cases']['test']
+    for case, run in zip(cases, dataset.read_split(data_path, 'test'), strict=True):
+        if case['kind'] in KINDS and case['kind'] not in found:
+            modes = run.position[:, run.n_rigid :].astype(np.float64)
+            way = ((modes - modes[:1]) ** 2).sum(axis=(1, 2)).max()
+            found[case['kind']] = {
+                'name': str(case['case']),
+                'poses': run.rigid_pose.astype(np.float64),
+                'context': run.step_context,
+                'way': float(np.sqrt(way / (3 * metadata['n_soil']))),
+            }
+    return list(found.values())[:n_run]
+
+
+def rms(particles: np.ndarray) -> float:
+    """Root mean square over particles and axes."""
+    return float(np.sqrt((particles.astype(np.float64) ** 2).mean()))
+
+
+def longer(run: dict, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Poses and contexts of a run in another order of frames, from the last given one on."""
+    context = run['context']
+    return run['poses'][frames][H - 1 :], None if context is None else context[frames][H - 1 :]
+
+
+def _outcome(rollouts):
+    if not all(np.isfinite(r.force).all() for r in rollouts):
+        return FAILS
+    statuses = {r.status for r in rollouts}
+    return HOLDS if statuses == {RolloutStatus.OK} else FLAGGED
+
+
+def _statuses(rollouts):
+    frames = [status for r in rollouts for status in r.frame_status]
+    share = frames.count(RolloutStatus.OK) / len(frames)
+    runs = sum(r.status == RolloutStatus.OK for r in rollouts)
+    return f'{runs} of {len(rollouts)} runs ok, {100 * share:.0f} % of the frames'
+
+
+def to_and_fro(name: str, model, runs: list[dict], factor: int) -> list[Case]:
+    """The path to its end and back, again and again: how far the soil is at the end."""
+    n_frame = len(runs[0]['poses'])
+    frames = shipped.to_and_fro(n_frame, H + factor * (n_frame - H))
+    ways, forces, rollouts = [], [], []
+    for run in runs:
+        path, context = longer(run, frames)
+        rollout = model.rollout(path, context=context)
+        ways.append(rms(rollout.particles(-1) - rollout.particles(0)) / run['way'])
+        forces.append(np.linalg.norm(rollout.force, axis=1).max())
+        rollouts.append(rollout)
+    note = f'worst {max(ways):.3g}, largest force {max(forces):.3g} N; {_statuses(rollouts)}'
+    what = f'{name}, path to and fro, {factor} x horizon: soil distance at the end over the true '
+    return [
+        Case(
+            PART, f'{what}largest', float(np.median(ways)), '(median of the runs)', None,
+            _outcome(rollouts), note,
+        )
+    ]  # fmt: skip
+
+
+def held(name: str, model, runs: list[dict], factor: int) -> list[Case]:
+    """The tool stops at the end of its path: what soil and force do from then on."""
+    n_frame = len(runs[0]['poses'])
+    frames = shipped.hold(n_frame, H + factor * (n_frame - H))
+    creep, change, rollouts = [], [], []
+    for run in runs:
+        path, context = longer(run, frames)
+        rollout = model.rollout(path, context=context)
+        stop = n_frame - H + 60  # a second after the stop, when true soil has come to rest
+        creep.append(1e3 * rms(rollout.particles(-1) - rollout.particles(stop)))
+        change.append(float(np.linalg.norm(rollout.force[-1] - rollout.force[stop])))
+        rollouts.append(rollout)
+    seconds = (len(frames) - n_frame - 60) / 60
+    note = f'worst {max(creep):.3g} mm; the force changes by {max(change):.3g} N at most; '
+    what = f'{name}, tool held at its end: what the soil moves in {seconds:.0f} s of rest'
+    return [
+        judged(PART, what, float(np.median(creep)), 'mm', None, note + _statuses(rollouts)),
+    ]
+
+
+def air(name: str, model, runs: list[dict]) -> list[Case]:
+    """A level ride of the blade above the bed: no force, and no soil that moves."""
+    path = np.repeat(runs[0]['poses'][:1], AIR_FRAMES, axis=0)
+    rest = model.rollout(path[:2]).particles(0)
+    path[:, 1] = np.quantile(rest[:, 1], 0.999) + AIR
+    path[:, 0] -= np.linspace(0.0, AIR_WAY, AIR_FRAMES)
+    rollout = model.rollout(path)
+    moved = 1e3 * rms(rollout.particles(-1) - rollout.particles(0))
+    largest = float(np.linalg.norm(rollout.force, axis=1).max())
+    what = f'{name}, {100 * AIR:.0f} cm above the bed: largest force'
+    return [judged(PART, what, largest, 'N', None, f'soil moves by {moved:.3g} mm')]
+
+
+def run_all(is_quick, progress):
+    """All rows; no curves."""
+    import learning_to_simulate as lts
+
+    rows: list[Case] = []
+    jobs = [(data, model) for data, models in MODELS.items() for model in models]
+    factor = 3 if is_quick else HORIZON
+    for data, preset in progress(jobs[:1] if is_quick else jobs):
+        runs = recorded_runs(os.path.join(ROOT, 'datasets', data), 1 if is_quick else None)
+        name = f'{data}/{preset}'
+        model = lts.load(os.path.join(ROOT, 'models', data, preset))
+        rows += to_and_fro(name, model, runs, factor) + held(name, model, runs, factor)
+        if data.startswith('excavation'):
+            rows += air(name, model, runs)
+    return rows, {}
