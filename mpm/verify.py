@@ -33,6 +33,7 @@ _LIST = flags.DEFINE_bool('list_rows', False, 'Only name the rows.')
 
 HALVED_CASES = (186, 78, 146, 22, 188)  # motion 2: the blade is in the soil from the beginning
 SHORT_CUT_CASES = (186, 78, 123, 146)
+DENSITY_CASES = (186, 123, 146)
 WHEEL_CASES = (122, 203)
 DRIVEN = FRAMES - 1
 
@@ -66,7 +67,8 @@ def rows_of(raw_path: str) -> dict:
     rows['wheel_load'] = partial(run_rows.wheel_load, raw_path)
     for scene in SCENES.values():
         rows[f'leak_{scene.name}'] = partial(run_rows.leak, scene, raw_path)
-    rows['density_186'] = partial(density.moved_soil, 186, DRIVEN)
+    for case in DENSITY_CASES:
+        rows[f'density_{case}'] = partial(density.moved_soil, case, DRIVEN)
     for option in convergence.SHORT_CUTS:
         for case in SHORT_CUT_CASES:
             rows[f'{option}_{case}'] = partial(

@@ -1,12 +1,15 @@
 """Rows are kept, made once, and judged."""
 
 import json
+import pathlib
 
 import numpy as np
 import pytest
 
 from mpm import verify
 from mpm.verification.rows import Check, Table, reported
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 
 def test_rows_are_written_when_made_and_not_made_again(tmp_path):
@@ -60,3 +63,11 @@ def test_unknown_rows_are_refused_before_any_is_made(tmp_path):
 def test_cheap_rows_pass(tmp_path):
     table = verify.run_rows_of(str(tmp_path), str(tmp_path / 'v.json'), ['free_fall', 'momentum'])
     assert len(table.entries) == 2 and not table.failed
+
+
+def test_readme_counts_the_checks_that_fail():
+    readme = (ROOT / 'mpm' / 'README.md').read_text(encoding='utf-8')
+    table = Table(str(ROOT / 'docs' / 'solver' / 'verify.json'))
+    count = sum(len(entry['checks']) for entry in table.entries.values())
+    assert f'**{len(table.failed)} of {count} fail**' in readme
+    assert list(table.entries) == list(verify.rows_of('raw')), 'rows as the command orders them'
