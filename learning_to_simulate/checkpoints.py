@@ -309,7 +309,8 @@ def check_dataset(model_path, model, data_path, metadata):
     """Refuses a dataset that a model does not fit.
 
     Raises:
-      ValueError: other modes, another subspace, or a force or context that one of them lacks.
+      ValueError: other modes, another subspace, a force or context that one of them lacks, or no
+        torque where the model predicts one.
     """
     scene = model.simulator.scene
     found, first = metadata['mode_number'], model.simulator.config.modes
@@ -328,10 +329,14 @@ def check_dataset(model_path, model, data_path, metadata):
             f'trained on the modes of {digests[0][:12]}...: convert the runs with --like, or train '
             f'again'
         )
-    for key, wanted in (
-        ('rigid_body_force_mean', scene.has_force),
-        ('context_mean', bool(scene.context_names)),
-    ):
+    keys = {
+        'rigid_body_force_mean': scene.has_force,
+        'context_mean': bool(scene.context_names),
+    }
+    # Settings of methods that are no networks in a subspace do not have it.
+    if getattr(model.simulator.config, 'predict_torque', False):
+        keys['rigid_body_torque_mean'] = True
+    for key, wanted in keys.items():
         if (key in metadata) != wanted:
             has = 'has' if key in metadata else 'lacks'
             raise ValueError(

@@ -130,6 +130,8 @@ class Inputs(Settings):
         needs a body whose whole motion is given.
       state_inputs: whether the state of the modes is an input; without it (with `path_inputs`, no
         graph) a frame depends on the path alone.
+      predict_torque: whether the torque on the body is predicted beside the force; needs records of
+        it, of one body.
     """
 
     conditioned: bool = True
@@ -140,6 +142,7 @@ class Inputs(Settings):
     rigid_order: int = number(1, 1, 2)
     path_inputs: bool = False
     state_inputs: bool = True
+    predict_torque: bool = False
 
     def rules(self):
         """Raises where an acceleration would be scaled with the rate, or a path is missing."""
@@ -196,7 +199,8 @@ class Inputs(Settings):
 
     @property
     def relative_force_loss(self) -> bool:
-        """Whether the force error of a run is counted in units of the run's own force."""
+        """Whether the force error of a run is counted in units of the run's own force, and that of
+        the torque in units of its own torque."""
         return self.conditioned
 
     @property
@@ -312,6 +316,8 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
                 f'unroll_steps is {self.unroll_steps}, but {self.model} is trained in single '
                 f'steps: 0'
             )
+        if method.on_particles and self.predict_torque:
+            raise ValueError(f'predict_torque is for models in a subspace, not for {self.model}')
         if method.on_particles and (self.modes or self.rigid_stride > 1):
             raise ValueError(
                 f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'

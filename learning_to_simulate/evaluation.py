@@ -95,9 +95,10 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
         force, forces = None, dict.fromkeys(methods)
         if scene.has_force:
             force = group.force[:, H:]
-            held = np.repeat(group.force[:, H - 1 : H], n_frame, axis=1)
-            mean = np.broadcast_to(statistics.force_mean, force.shape)
-            forces = {'model': rollout.force, 'stay_still': held, 'constant_velocity': mean}
+            forces = _by_method(rollout.force, group.force, statistics.force_mean)
+        torque, torques = _torque_of(rollout), None
+        if torque is not None:
+            torques = _by_method(torque, group.torque, statistics.torque_mean)
         positions = {
             'model': group.with_left_modes(rollout.position),
             'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
@@ -108,6 +109,8 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
             errors = metrics.run_errors(
                 positions[name], truth, forces[name], force, group.n_rigid, scene.n_soil, floor
             )
+            if torques is not None:
+                errors |= metrics.force_errors(torques[name], group.torque[:, H:], 'torque')
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
             **_status_fields(rollout),
@@ -117,6 +120,21 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
             **({} if more is None else more(record, group, rollout)),
         }
     return _summary(methods, floors, scene)
+
+
+def _by_method(predicted, recorded, mean) -> dict:
+    """A load [S, T - H, D] as the model and the trivial predictors have it."""
+    n_frame = recorded.shape[1] - H
+    return {
+        'model': predicted,
+        'stay_still': np.repeat(recorded[:, H - 1 : H], n_frame, axis=1),
+        'constant_velocity': np.broadcast_to(mean, recorded[:, H:].shape),
+    }
+
+
+def _torque_of(rollout):
+    """The torque of a rollout; None of a kind of rollout that has none beside its `arrays`."""
+    return getattr(rollout, 'torque', None)
 
 
 def _status_fields(rollout):
@@ -152,7 +170,7 @@ def _summary(methods, floors, scene):
         else None,
         'projection_mse': None if floors is None else float(np.mean(floors)),
         'force_of_trivial_predictors': 'stay_still: last input force; constant_velocity: mean '
-        'force of the training runs',
+        'force of the training runs',  # so is the torque, where the model predicts one
         'runs': methods,
     }
     return json.loads(
@@ -221,6 +239,13 @@ def _arrays(group, rollout) -> dict:
             each = (len(predicted), -1, predicted.shape[1])
             arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
             arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
+    if (torque := _torque_of(rollout)) is not None:
+        known = group.torque[0].astype(np.float32)
+        arrays |= {
+            'initial_torques': known[:H],
+            'predicted_torques': torque[0],
+            'ground_truth_torques': known[H:],
+        }
     # What a method says beyond modes, e.g. the particles of one that has none.
     return arrays | getattr(rollout, 'arrays', {})
 
@@ -234,6 +259,7 @@ def table(summary: dict) -> str:
         ('force_relative_l2', 'force rel. L2', 1),
         ('force_rmse', 'force RMSE N', 1),
         ('force_abs_mpe', '|MPE| %', 1),
+        ('torque_relative_l2', 'torque rel. L2', 1),
         ('penetration_mm', 'in the tool mm', 1),
         ('true_penetration_mm', 'truth mm', 1),
         ('seconds_per_simulated_second', 's per simulated s', 1),

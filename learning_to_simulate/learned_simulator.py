@@ -11,7 +11,7 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import features, graph_network, normalization
+from learning_to_simulate import features, graph_network, loads, normalization
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
@@ -133,6 +133,8 @@ class LearnedSimulator(snt.Module):
         self.dim = dim
         mean = statistics.force_mean
         self.force_size = 0 if mean is None else len(mean)  # D of each body
+        self.load_mean, self.load_std = (x.astype(np.float32) for x in loads.scale(statistics))
+        self.load_size = len(self.load_mean)  # F: of the force, and of the torque where predicted
         self._make_network()
 
     def _make_network(self):
@@ -141,7 +143,7 @@ class LearnedSimulator(snt.Module):
             config.latent_size,
             config.hidden_layers,
             config.message_passing_steps,
-            output_size=self.dim + self.force_size,
+            output_size=self.dim + self.load_size,
             mean_aggregation=config.mean_aggregation,
         )
         n_embedding = (
@@ -219,25 +221,25 @@ class LearnedSimulator(snt.Module):
         """Normalised predictions.
 
         Returns:
-          target [B, V, D] (displacement or acceleration over its statistics), and the force over
-          its statistics [B, D] (mean over the nodes' decoded forces, Haeri & Skonieczny 2021) or
-          None.
+          target [B, V, D] (displacement or acceleration over its statistics), and the loads over
+          their statistics [B, F] (`loads`; mean over the nodes' decoded ones, Haeri & Skonieczny
+          2021) or None.
         """
-        target, force = self._decoded(state, known, context, layout)
+        target, load = self._decoded(state, known, context, layout)
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             body = tf.reduce_mean(target[:, : layout.n_rigid], axis=1, keepdims=True)
             target = tf.concat(
                 [tf.tile(body, [1, layout.n_rigid, 1]), target[:, layout.n_rigid :]], axis=1
             )
-        return target, force
+        return target, load
 
     def _decoded(self, state, known, context, layout):
-        """The network's target [B, V, D] and force [B, D] or None."""
+        """The network's target [B, V, D] and loads [B, F] or None."""
         nodes, edges = self.features(state, known, context, layout)
         gates = tool_depth.edge_gates(self, state, layout)
         decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
-        force = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
-        return decoded[..., : self.dim], force
+        load = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
+        return decoded[..., : self.dim], load
 
     def rate(self, known):
         """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
@@ -272,9 +274,10 @@ class LearnedSimulator(snt.Module):
           layout: of the graphs.
 
         Returns:
-          the next `SimulatorState` and the force on the body [B, D] in N, or None.
+          the next `SimulatorState` and the loads on the body [B, F], or None: the force, N, and
+          behind it the torque, N m, where the model predicts it (`loads.split`).
         """
-        target, force = self.predict(
+        target, load = self.predict(
             state, known if self.knows_next_frame else None, context, layout
         )
         # v' = rate (std y + mean), plus v where an acceleration is predicted, and start - x where a
@@ -286,14 +289,13 @@ class LearnedSimulator(snt.Module):
         if self.scene.rigid_motion.is_known:
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
         history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
-        if force is not None:
-            s = self.statistics
-            force = force * s.force_std.astype(np.float32) + s.force_mean.astype(np.float32)
+        if load is not None:
+            load = load * self.load_std + self.load_mean
             if layout.contact is not None:
                 n = layout.n_rigid
                 body = known.offset + layout.origin[:n].astype(np.float32)
-                force *= layout.contact.share(body, state.offset[:, n:])[:, None]
-        return SimulatorState(offset, history), force
+                load *= layout.contact.share(body, state.offset[:, n:])[:, None]
+        return SimulatorState(offset, history), load
 
     def _base_velocity(self, state, known, layout):
         """The velocity that the prediction is added to: none (order 1), the last one (order 2), or

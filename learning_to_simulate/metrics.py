@@ -29,11 +29,12 @@ def rigid_mse(position, truth, n_rigid: int):
     return (error**2).mean(axis=(1, 2, 3))
 
 
-def force_errors(force, truth) -> dict[str, np.ndarray]:
-    """Force errors per run.
+def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
+    """Errors of a force, or of another load, per run.
 
     Args:
-      force, truth: [S, T, D], N.
+      force, truth: [S, T, D], N; of a torque N m.
+      name: the first word of the errors.
 
     Returns:
       `force_relative_l2` = |F̂ - F| / |F| over all frames and axes, `force_rmse` in N per
@@ -43,10 +44,11 @@ def force_errors(force, truth) -> dict[str, np.ndarray]:
     error = force - truth
     size, true_size = (np.linalg.norm(f, axis=-1).mean(axis=1) for f in (force, truth))
     with np.errstate(divide='ignore', invalid='ignore'):
+        share = (error**2).sum(axis=(1, 2)) / (truth**2).sum(axis=(1, 2))
         return {
-            'force_relative_l2': np.sqrt((error**2).sum(axis=(1, 2)) / (truth**2).sum(axis=(1, 2))),
-            'force_rmse': np.sqrt((error**2).mean(axis=(1, 2))),
-            'force_mpe': 100.0 * (size - true_size) / true_size,
+            f'{name}_relative_l2': np.sqrt(share),
+            f'{name}_rmse': np.sqrt((error**2).mean(axis=(1, 2))),
+            f'{name}_mpe': 100.0 * (size - true_size) / true_size,
         }
 
 

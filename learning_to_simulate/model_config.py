@@ -53,7 +53,7 @@ def parse(values: dict, source: str) -> ModelConfig:
     try:
         config, scene, types = config_and_scene(values)
         statistics = Statistics.from_json(values['statistics'])
-        _check_statistics(statistics, scene)
+        _check_statistics(statistics, scene, config.predict_torque)
         n_rigid = values['n_rigid']
         _require(_is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
         source_of_edges = values.get('edge_source')
@@ -114,7 +114,7 @@ def _check_scene(scene):
         _require(len(edge) == 2 and all(_is_int(end, 0, MAX_RIGID) for end in edge), 'edge', edge)
 
 
-def _check_statistics(statistics, scene):
+def _check_statistics(statistics, scene, predict_torque=False):
     classes, context = scene.n_modes + 1, len(scene.context_names)
     dim = statistics.origin.shape[-1] if statistics.origin.ndim else 0
     _require(dim in (2, 3), 'statistics.origin of shape', statistics.origin.shape)
@@ -123,7 +123,7 @@ def _check_statistics(statistics, scene):
         force = dim * len(scene.bodies)
     shapes = {
         'displacement_mean': (classes, classes, dim), 'displacement_std': (classes, classes, dim),
-        'force_mean': (force,), 'force_std': (force,),
+        'force_mean': (force,), 'force_std': (force,), 'torque_mean': (dim,), 'torque_std': (dim,),
         'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,), 'contact': (2,),
         'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
         'log_context_mean': (context,), 'log_context_std': (context,),
@@ -155,7 +155,10 @@ def _check_statistics(statistics, scene):
             _require(bool((value > 0).all()), f'statistics.{field.name}', 'not positive')
         if field.name.endswith('_range'):
             _require(bool((value[0] <= value[1]).all()), f'statistics.{field.name}', 'upside down')
-    for name, present in (('force', scene.has_force), ('context', bool(context))):
+    has_load = scene.has_force and not scene.bodies
+    _require(has_load or not predict_torque, 'predict_torque', predict_torque)
+    wanted = {'force': scene.has_force, 'torque': predict_torque, 'context': bool(context)}
+    for name, present in wanted.items():
         for end in ('mean', 'std'):
             value = getattr(statistics, f'{name}_{end}')
             _require((value is not None) == present, f'presence of statistics.{name}_{end}', value)

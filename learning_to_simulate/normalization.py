@@ -36,6 +36,7 @@ class Statistics:
         sender].
       force_mean, force_std: [D], N; None without a force. Conditioned: one scale for all axes,
         since the lateral force is noise.
+      torque_mean, torque_std: [D], N m, likewise; None where the torque is not predicted.
       context_mean, context_std: [C]; None without a context.
       log_context_mean, log_context_std: [C] of the logarithm, a second input of conditioned models
         (loads and gravities span decades); None unless all values are positive.
@@ -84,6 +85,8 @@ class Statistics:
     path: np.ndarray | None = None
     contact: np.ndarray | None = None
     surface: np.ndarray | None = None
+    torque_mean: np.ndarray | None = None
+    torque_std: np.ndarray | None = None
 
     def to_json(self) -> dict:
         """Nested lists of float64, exact under `from_json`."""
@@ -118,7 +121,7 @@ def _by_class(arrays, n_modes):
 
 
 def compute_statistics(
-    positions, forces, contexts, metadata, scene: Scene, config: TrainConfig
+    positions, forces, contexts, metadata, scene: Scene, config: TrainConfig, torques=None
 ) -> Statistics:
     """Statistics of the training runs in float64.
 
@@ -129,6 +132,7 @@ def compute_statistics(
       metadata: validated metadata; the published presets take their statistics from it.
       scene: the scene.
       config: decides the family.
+      torques: list of [S, T, D], or None where the torque is not predicted.
 
     Raises:
       ValueError: if a run is shorter than three frames.
@@ -142,14 +146,11 @@ def compute_statistics(
     # state holds what is left of a position without it, in float32.
     origin = np.stack([s.mean(axis=0) for s in samples])
     velocities = [np.diff(p, axis=1) for p in positions]
-    force = (
-        np.concatenate([f.reshape(-1, f.shape[-1]) for f in forces]) if scene.has_force else None
-    )
-    context = (
-        np.concatenate([c.reshape(-1, c.shape[-1]) for c in contexts])
-        if scene.context_names
-        else None
-    )
+    loads = {
+        'force': _rows(forces) if scene.has_force else None,
+        'torque': None if torques is None else _rows(torques),
+    }
+    context = _rows(contexts) if scene.context_names else None
     # A driven body has one free coordinate: its statistics are those of a scalar series [S, T].
     heights = None
     if scene.rigid_motion == RigidMotion.DRIVEN:
@@ -173,13 +174,26 @@ def compute_statistics(
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
-        _by_node_class(positions, velocities, force, origin, r)
+        _by_node_class(positions, velocities, origin, r)
         if config.statistics_by_class
-        else _dataset_wide(metadata, force, scene, config, origin)
+        else _dataset_wide(metadata, scene, config, origin)
     )
+    for name, load in loads.items():
+        if load is None:
+            moments = None, None
+        elif config.statistics_by_class:
+            moments = load.mean(axis=0), np.full(load.shape[1], _load_spread(load))
+        else:
+            moments = _load_wide(name, load, metadata, scene)
+        values |= dict(zip((f'{name}_mean', f'{name}_std'), moments, strict=True))
     ranges = training_ranges(positions, contexts, scene)
     targets = _targets(values, _places(positions, r), heights, scene, config)
     return Statistics(**values, **targets, **ranges)
+
+
+def _rows(arrays):
+    """[samples, D] of arrays [S, T, D]."""
+    return np.concatenate([a.reshape(-1, a.shape[-1]) for a in arrays])
 
 
 def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray | None]:
@@ -216,7 +230,7 @@ def training_ranges(positions, contexts, scene: Scene) -> dict[str, np.ndarray |
 
 def _range(arrays):
     """[2, F] least and greatest of arrays [..., F]."""
-    flat = np.concatenate([a.reshape(-1, a.shape[-1]) for a in arrays])
+    flat = _rows(arrays)
     return np.stack([flat.min(axis=0), flat.max(axis=0)])
 
 
@@ -263,7 +277,7 @@ def _height_std(heights, order):
     )
 
 
-def _by_node_class(positions, velocities, force, origin, r):
+def _by_node_class(positions, velocities, origin, r):
     """Conditioned family: statistics of each node class and each pair of classes."""
     velocity_classes = _by_class(velocities, r)
     acceleration_classes = _by_class([np.diff(v, axis=1) for v in velocities], r)
@@ -275,16 +289,14 @@ def _by_node_class(positions, velocities, force, origin, r):
         'acceleration_std': _floored(np.stack([a.std(axis=0) for a in acceleration_classes])),
         'displacement_mean': displacement_mean,
         'displacement_std': _floored(displacement_std),
-        'force_mean': None if force is None else force.mean(axis=0),
-        'force_std': None if force is None else np.full(force.shape[1], _force_spread(force)),
     }
 
 
-def _force_spread(force):
-    """The loudest axis' standard deviation, N, which all axes share; of a force that never changes
-    (a body in the air), which has no spread to count in, 1 N."""
-    spread = force.std(axis=0).max()
-    return spread if spread > FORCE_ROUNDING * np.abs(force).max() else 1.0
+def _load_spread(load):
+    """The loudest axis' standard deviation, N or N m, which all axes share; of a load that never
+    changes (a body in the air), which has no spread to count in, 1."""
+    spread = load.std(axis=0).max()
+    return spread if spread > FORCE_ROUNDING * np.abs(load).max() else 1.0
 
 
 def _places(positions, n_modes):
@@ -320,7 +332,7 @@ def _targets(values, places, heights, scene, config):
     return target
 
 
-def _dataset_wide(metadata, force, scene, config, origin):
+def _dataset_wide(metadata, scene, config, origin):
     """Published family: metadata statistics, noise added in quadrature (SG 2020), displacement /
     radius."""
     n_class = len(origin)
@@ -338,19 +350,17 @@ def _dataset_wide(metadata, force, scene, config, origin):
         # The published feature is the absolute displacement: offsets get the origins back.
         'displacement_mean': np.zeros(shape),
         'displacement_std': np.full(shape, scene.connectivity_radius),
-        **_force_wide(metadata, force, scene),
     }
 
 
-def _force_wide(metadata, force, scene):
-    """Statistics of the force by component, from the metadata; of several bodies from the runs."""
-    if force is None:
-        return {'force_mean': None, 'force_std': None}
-    mean, std = (np.asarray(metadata[f'rigid_body_force_{x}']) for x in ('mean', 'std'))
+def _load_wide(name, load, metadata, scene):
+    """Mean and spread of a load by component, from the metadata; of several bodies from the
+    runs."""
+    mean, std = (np.asarray(metadata[f'rigid_body_{name}_{x}']) for x in ('mean', 'std'))
     if scene.bodies:
-        mean, std = force.mean(axis=0), force.std(axis=0)
+        mean, std = load.mean(axis=0), load.std(axis=0)
     std = np.where(std > FORCE_ROUNDING * np.abs(mean), std, 0.0)  # round-off is no spread
-    return {'force_mean': mean, 'force_std': _floored(std)}
+    return mean, _floored(std)
 
 
 def _displacements(positions, origin, n_modes):

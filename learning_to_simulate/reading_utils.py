@@ -35,6 +35,7 @@ class RunGroup:
         nodes.
       kept: int [S, R]: which of the record's rigid particles are the nodes; None for all.
       left_modes: float64 [S, T, r', D], scores of the modes that are no nodes; None if all are.
+      torque: float64 [S, T, D] on the body about its reference point, N m, or None.
     """
 
     n_rigid: int
@@ -46,6 +47,7 @@ class RunGroup:
     body: tuple[np.ndarray, ...] | None = None
     kept: np.ndarray | None = None
     left_modes: np.ndarray | None = None
+    torque: np.ndarray | None = None
 
     @property
     def velocity(self) -> np.ndarray:
@@ -88,6 +90,7 @@ class RunGroup:
             body=part(self.body),
             kept=part(self.kept),
             left_modes=part(self.left_modes),
+            torque=part(self.torque),
         )
 
     def with_left_modes(self, position, as_recorded: bool = False) -> np.ndarray:
@@ -243,6 +246,9 @@ def _stack(n_rigid, members, modes):
         )
         if 0 < modes < first.n_modes
         else None,
+        torque=None
+        if any(run.torque is None for run in runs)
+        else np.stack([run.torque for run in runs]).astype(np.float64),
     )
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import loads
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.learned_simulator import (
@@ -26,12 +27,14 @@ class Rollout(NamedTuple):
       force: float32 [S, T - H, D], N, or None.
       judgements: per run, its `RolloutStatus` and where that begins.
       seconds: wall time of the compiled loop (after compilation), materialised results included.
+      torque: float32 [S, T - H, D] about the body's reference point, N m, or None.
     """
 
     position: np.ndarray
     force: np.ndarray | None
     judgements: list[Judgement]
     seconds: float
+    torque: np.ndarray | None = None
 
     @property
     def status(self) -> list[RolloutStatus]:
@@ -73,7 +76,7 @@ class RolloutFunction:
           n_frame: number of frames.
 
         Returns:
-          offsets float32 [n_frame, B, V, D] and forces float32 [n_frame, B, D] or None.
+          offsets float32 [n_frame, B, V, D] and loads float32 [n_frame, B, F] (`loads`) or None.
         """
         return self._run(state, known, context, n_frame)
 
@@ -129,11 +132,12 @@ def roll_out(function: RolloutFunction, group) -> Rollout:
         function(*inputs)[0].numpy()
         function.is_warm = True
     start = time.perf_counter()
-    offsets, forces = function(*inputs)
+    offsets, load = function(*inputs)
     offsets = offsets.numpy()
     seconds = time.perf_counter() - start
     position = np.moveaxis(offsets, 0, 1).astype(np.float64) + layout.origin
-    force = None if forces is None else np.moveaxis(forces.numpy(), 0, 1)
+    load = None if load is None else np.moveaxis(load.numpy(), 0, 1)
     simulator = function.simulator
-    judgements = judge(group, position, force, simulator.statistics, simulator.scene)
-    return Rollout(position, force, judgements, seconds)
+    judgements = judge(group, position, load, simulator.statistics, simulator.scene)
+    force, torque = loads.split(load, simulator.statistics)
+    return Rollout(position, force, judgements, seconds, torque)

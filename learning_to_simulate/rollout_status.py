@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import normalization
+from learning_to_simulate import loads, normalization
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
@@ -32,7 +32,7 @@ class RolloutStatus(enum.StrEnum):
     EXTRAPOLATING: the start, the given motion of the body or the context lie outside the range of
       the training runs; nothing is known about the error there.
     LEFT_BOUNDS: a predicted node left the hull of its training positions times two.
-    NON_FINITE: a position or a force is infinite or NaN.
+    NON_FINITE: a position, a force or a torque is infinite or NaN.
     """
 
     OK = 'ok'
@@ -58,13 +58,13 @@ class Judgement(NamedTuple):
     reason: str = ''
 
 
-def judge(group, position, force, statistics, scene) -> list[Judgement]:
+def judge(group, position, load, statistics, scene) -> list[Judgement]:
     """The status of each rolled-out run of a group.
 
     Args:
       group: `RunGroup` of S runs, whose first H frames, body and context were the inputs.
       position: float64 [S, T - H, V, D], the predicted frames.
-      force: [S, T - H, D] or None.
+      load: [S, T - H, F] force, and torque behind it where there is one; or None.
       statistics: of the training runs.
       scene: says what of the body's motion is given.
 
@@ -73,7 +73,7 @@ def judge(group, position, force, statistics, scene) -> list[Judgement]:
     """
     given = normalization.given_body(group.position, scene)
     return [
-        _non_finite(position[run], None if force is None else force[run])
+        _non_finite(position[run], None if load is None else load[run], statistics)
         or _outside_bounds(position[run], group.n_rigid, statistics, scene)
         or _outside_training(group, run, given, statistics, scene)
         or Judgement(RolloutStatus.OK)
@@ -89,20 +89,20 @@ def widened(low, high, factor):
     return middle - factor * half, middle + factor * half
 
 
-def _non_finite(position, force):
+def _non_finite(position, load, statistics):
     bad = ~np.isfinite(position).all(axis=2)
-    if force is not None:
-        bad = np.concatenate([bad, ~np.isfinite(force).all(axis=1, keepdims=True)], axis=1)
+    if load is not None:
+        bad = np.concatenate([bad, ~np.isfinite(load).all(axis=1, keepdims=True)], axis=1)
     if not bad.any():
         return None
     frame = int(bad.any(axis=1).argmax())
     node = int(bad[frame].argmax())
-    is_node = node < position.shape[1]
+    name = 'position'
+    if node == position.shape[1]:
+        force, _ = loads.split(load[frame], statistics)
+        node, name = -1, 'torque' if np.isfinite(force).all() else 'force'
     return Judgement(
-        RolloutStatus.NON_FINITE,
-        frame + INPUT_SEQUENCE_LENGTH,
-        node if is_node else -1,
-        f'{"position" if is_node else "force"} is not finite',
+        RolloutStatus.NON_FINITE, frame + INPUT_SEQUENCE_LENGTH, node, f'{name} is not finite'
     )
 
 

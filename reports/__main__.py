@@ -30,6 +30,7 @@ REPORTS = {
     'reliability': ('reliability_curves', 'errors of frames against promised bounds'),
     'driven_times': ('driven_times', 'error against time on driven runs: table, picture'),
     'driving': ('driving', 'free driving: what the modes allow, errors by kind of path'),
+    'torque': ('torque', 'torque beside force of models in a subspace'),
     'explain': ('speed.explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edge_ablation': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),

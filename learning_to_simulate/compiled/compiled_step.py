@@ -84,7 +84,7 @@ class CompiledStep:
           context: float64 [C] from that frame on; None leaves it as it was.
 
         Returns:
-          float64 [V, D] positions, m, and float32 [D] force, N, or None.
+          float64 [V, D] positions, m, and float32 [F] loads (see `loads`), or None.
 
         Raises:
           ValueError: a path that leads farther than its memory reaches.
@@ -101,10 +101,10 @@ class CompiledStep:
             path = tf.constant(memory.values(self._coming))
             known = known._replace(path=path, start=self._start)
         context = self._context if context is None else tf.constant(context[None], tf.float32)
-        after, force = self._call(self._state, known, context, self._shape)
+        after, load = self._call(self._state, known, context, self._shape)
         self._proposed = after, context
         position = after.offset.numpy()[0] + self._layout.origin
-        return position, None if force is None else force.numpy()[0]
+        return position, None if load is None else load.numpy()[0]
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
@@ -123,5 +123,5 @@ class CompiledStep:
             one = KnownMotion(known.offset[None], known.velocity[None], path, known.start)
         frames = step.ahead(state, one, context, 1)
         carry, written = step.advance(step.begin(state), frames(0))
-        force = written[-1] if self._scene.has_force else None
-        return step.state_after(state, known, carry), force
+        load = written[-1] if self._scene.has_force else None
+        return step.state_after(state, known, carry), load

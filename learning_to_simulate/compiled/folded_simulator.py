@@ -110,9 +110,8 @@ class FoldedSimulator:
         w, b = self._network.decoder_last
         self._target = Linear(w[:, : simulator.dim], b[: simulator.dim])
         if scene.has_force:
-            s = simulator.statistics
-            std, mean = s.force_std.astype(np.float32), s.force_mean.astype(np.float32)
-            self._force = Linear(w[:, simulator.dim :] * std, b[simulator.dim :] * std + mean)
+            std, mean = simulator.load_std, simulator.load_mean
+            self._load = Linear(w[:, simulator.dim :] * std, b[simulator.dim :] * std + mean)
 
     @staticmethod
     def history(simulator) -> tuple[int, int]:
@@ -153,8 +152,8 @@ class FoldedSimulator:
 
         Returns:
           decoder outputs by name: 'modes' [B, r, D] normalised target, 'body' likewise ([B, 1] of
-          the height where it is driven), 'force' [B, D] in N, 'rate' [B, 1, 1]; parts that the
-          scene lacks are absent. In an `AheadPass` the values mean nothing.
+          the height where it is driven), 'load' [B, F] in N and N m (`loads`), 'rate' [B, 1, 1];
+          parts that the scene lacks are absent. In an `AheadPass` the values mean nothing.
         """
         simulator, scene = self.simulator, self.simulator.scene
         rate = tf.ones([1, 1, 1])
@@ -188,15 +187,15 @@ class FoldedSimulator:
             outputs['body'] = do('rigid: target of the height', self._height_target, hidden[RIGID])
         if scene.has_force:
             sums = [
-                do(f'{kind}: force', self._force_part, hidden[kind])
+                do(f'{kind}: load', self._load_part, hidden[kind])
                 for kind in (MODES, RIGID)
                 if kind in hidden
             ]
-            outputs['force'] = do('force', lambda *x: tf.add_n(x) + self._force.b, *sums)
+            outputs['load'] = do('load', lambda *x: tf.add_n(x) + self._load.b, *sums)
             if self.layout.contact is not None:
-                outputs['force'] = do(
-                    'force: contact', self._of_contact,
-                    outputs['force'], given.offset, given.coming, state.modes,
+                outputs['load'] = do(
+                    'load: contact', self._of_contact,
+                    outputs['load'], given.offset, given.coming, state.modes,
                 )  # fmt: skip
         return outputs
 
@@ -308,14 +307,14 @@ class FoldedSimulator:
         column = Linear(self._target.w[:, up : up + 1], self._target.b[up : up + 1])
         return column(tf.reduce_mean(hidden, axis=1))
 
-    def _force_part(self, hidden):
-        """Share of a kind of nodes in the mean of the decoded forces, N."""
-        return tf.matmul(tf.reduce_sum(hidden, axis=1) / self.layout.n_node, self._force.w)
+    def _load_part(self, hidden):
+        """Share of a kind of nodes in the mean of the decoded loads, N and N m."""
+        return tf.matmul(tf.reduce_sum(hidden, axis=1) / self.layout.n_node, self._load.w)
 
-    def _of_contact(self, force, before, coming, modes):
-        """The force that the body may show where it comes to."""
+    def _of_contact(self, load, before, coming, modes):
+        """The loads that the body may show where it comes to."""
         body = before + coming + self.layout.origin[self._nodes[RIGID]].astype(np.float32)
-        return force * self.layout.contact.share(body, modes)[:, None]
+        return load * self.layout.contact.share(body, modes)[:, None]
 
     def advance(self, outputs, state: MovingState, given: Given) -> MovingState:
         """The state after a frame, from `predict`; body velocities in m/frame."""

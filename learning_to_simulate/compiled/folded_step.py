@@ -3,7 +3,7 @@
 It computes what `step_form.PlainStep` computes, to float32 round-off:
 
   - what depends on nothing but the given motion of the body and the context (rate, features,
-    encoding, messages and updates of nodes that no soil reaches, their share of the force) is
+    encoding, messages and updates of nodes that no soil reaches, their share of the loads) is
     computed for all frames before the loop, in large products (`two_pass`);
   - constants are folded into the weights, updates that reach no output do not exist
     (`folded_network`, `folded_simulator`);
@@ -111,7 +111,7 @@ class FoldedStep:
         return self._folded.moving(state)
 
     def advance(self, carry: MovingState, frame):
-        """One frame; writes modes, what it decides of the body, and the force if there is one."""
+        """One frame; writes modes, what it decides of the body, and the loads if there are any."""
         one, now = frame
         outputs = {n: one.read(x) for n, x in self._folded.predict(one, now, carry).items()}
         after = self._folded.advance(outputs, carry, now)
@@ -119,20 +119,19 @@ class FoldedStep:
             placed, velocity = self._correction(carry.body, after.body)
             history = tf.concat([after.body_velocity[:, :, :-1], velocity[:, :, None]], axis=2)
             after = after._replace(body=placed, body_velocity=history)
-        return after, [after.modes, after.body, *(outputs[n] for n in ('force',) if n in outputs)]
+        return after, [after.modes, after.body, *(outputs[n] for n in ('load',) if n in outputs)]
 
     def written_shapes(self, carry: MovingState):
-        """Of modes, body and force."""
-        force = (
-            [(carry.modes.shape[0], self.simulator.force_size)] if self.simulator.force_size else []
-        )
-        return [carry.modes.shape, carry.body.shape, *force]
+        """Of modes, body and loads."""
+        size = self.simulator.load_size
+        load = [(carry.modes.shape[0], size)] if size else []
+        return [carry.modes.shape, carry.body.shape, *load]
 
     def results(self, stacked, known):
-        """Offsets [T', B, V, D] and forces [T', B, D] or None."""
-        modes, bodies, *forces = stacked
+        """Offsets [T', B, V, D] and loads [T', B, F] or None."""
+        modes, bodies, *load = stacked
         offsets = tf.concat([self._body_offsets(known, bodies), modes], axis=2)
-        return offsets, forces[0] if forces else None
+        return offsets, load[0] if load else None
 
     def _body_offsets(self, known, bodies):
         """Offsets [T', B, R, D] of the body from what the frames wrote of it."""

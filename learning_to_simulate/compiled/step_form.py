@@ -7,7 +7,7 @@ Rollouts, live steps and the count of products use the same five methods:
   begin(state) -> carry                             the part of the state that frames change
   advance(carry, frame) -> carry, written           one frame; written are tensors to be kept
   written_shapes(carry) -> shapes                   of `written`
-  results(stacked, known) -> offsets, forces        from what was written in all frames
+  results(stacked, known) -> offsets, loads         from what was written in all frames
   state_after(before, known, carry) -> state        a whole `SimulatorState` after one frame
 """
 
@@ -60,8 +60,8 @@ class PlainStep:
         return state
 
     def advance(self, carry: SimulatorState, frame):
-        """One frame; writes the offsets of all nodes and, where there is one, the force."""
-        after, force = self.simulator.step(carry, *frame, self.layout)
+        """One frame; writes the offsets of all nodes and, where there are any, the loads."""
+        after, load = self.simulator.step(carry, *frame, self.layout)
         if self._correct:
             n = self.layout.n_rigid
             placed, velocity = self._correction(carry.offset[:, :n], after.offset[:, :n])
@@ -70,17 +70,17 @@ class PlainStep:
                 tf.concat([placed, after.offset[:, n:]], axis=1),
                 tf.concat([after.velocity[:, :, :-1], last[:, :, None]], axis=2),
             )
-        return after, [after.offset] + ([] if force is None else [force])
+        return after, [after.offset] + ([] if load is None else [load])
 
     def written_shapes(self, carry: SimulatorState):
-        """Of offsets and force."""
+        """Of offsets and loads."""
         shape = carry.offset.shape
-        size = self.simulator.force_size
-        force = [(shape[0], size)] if size else []
-        return [shape, *force]
+        size = self.simulator.load_size
+        load = [(shape[0], size)] if size else []
+        return [shape, *load]
 
     def results(self, stacked, known):
-        """Offsets [T', B, V, D] and forces [T', B, D] or None."""
+        """Offsets [T', B, V, D] and loads [T', B, F] or None."""
         del known
         return stacked[0], stacked[1] if len(stacked) > 1 else None
 

@@ -120,10 +120,10 @@ def _compare(functions, loaded, kind, group, space):
     Raises:
       ValueError: a difference above the tolerance, or outputs that are not finite.
     """
-    simulator, layout = functions.simulator, functions.layout
-    n, scene = layout.n_rigid, simulator.scene
+    n = functions.layout.n_rigid
     n_frame = group.position.shape[1]
-    moved, expected, forces, expected_forces, seconds = [], [], [], [], []
+    moved, expected, seconds = [], [], []
+    found: dict[str, list] = {}  # of each load
     for k in np.linspace(H, n_frame - 1, COMPARED_STEPS).astype(int):
         inputs = functions.inputs(kind, group, k)
         start = time.perf_counter()
@@ -134,16 +134,16 @@ def _compare(functions, loaded, kind, group, space):
             moved.append(outputs['next_position'] - before)
         else:
             moved.append(outputs[functions.output_name(kind, 'velocity')][:, -1])
-        if scene.has_force:
-            forces.append(outputs[functions.output_name(kind, 'force')])
-        velocity, force = functions.source_step(group, k)
+        velocity, of_source = functions.source_step(group, k)
         expected.append(velocity)
-        expected_forces.append(force)
+        for name, load in of_source.items():
+            pair = outputs[functions.output_name(kind, name)], load
+            found.setdefault(name, []).append(pair)
     differences = {'modes': _difference(moved, expected, slice(n, None))}
     if n:
         differences['rigid'] = _difference(moved, expected, slice(n))
-    if scene.has_force:
-        differences['force'] = _difference(forces, expected_forces, slice(None))
+    for name, pairs in found.items():
+        differences[name] = _difference(*zip(*pairs), slice(None))
     values = {
         'steps': COMPARED_STEPS,
         'relative_difference': differences,

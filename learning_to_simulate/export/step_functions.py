@@ -3,7 +3,7 @@
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import rigid_body
+from learning_to_simulate import loads, rigid_body
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import (
     SimulatorState,
@@ -43,7 +43,7 @@ class StepFunctions:
 
         Returns:
           dict of `next_position` float64 [V, D], its parts `modes` [r, D] and `rigid_position`
-          [R, D], and `force` float32 [D], N.
+          [R, D], `force` float32 [D], N, and `torque` [D], N m, where it is predicted.
         """
         layout, scene = self.layout, self.simulator.scene
         n, last = layout.n_rigid, position_history[-1]
@@ -55,7 +55,7 @@ class StepFunctions:
             known = known_motion(*body, scene)
             known = KnownMotion(*(tf.cast(x, tf.float32)[None] for x in known[:2]))
         context = None if context is None else context[None]
-        after, force = self.simulator.step(state, known, context, layout)
+        after, load = self.simulator.step(state, known, context, layout)
         # The displacement is added in float64: positions of modes do not fit into float32.
         position = last + tf.cast(after.velocity[0, :, -1], tf.float64)
         if scene.rigid_motion == RigidMotion.PREDICTED:
@@ -65,7 +65,7 @@ class StepFunctions:
         outputs = {'next_position': position, 'modes': position[n:]}
         if n:
             outputs['rigid_position'] = position[:n]
-        return outputs | ({} if force is None else {'force': force[0]})
+        return outputs | self.loads_of(load)
 
     def state_step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
         """One frame of the float32 state that LiteRT and ONNX carry.
@@ -77,16 +77,22 @@ class StepFunctions:
           context: float32 [C].
 
         Returns:
-          dict of the next `offset` and `velocity`, and `force` [D], N.
+          dict of the next `offset` and `velocity`, `force` [D], N, and `torque` [D], N m, where it
+          is predicted.
         """
         known = None
         if rigid_offset is not None:
             known = KnownMotion(rigid_offset[None], rigid_velocity[None])
         context = None if context is None else context[None]
         state = SimulatorState(offset[None], velocity[None])
-        after, force = self.simulator.step(state, known, context, self.layout)
+        after, load = self.simulator.step(state, known, context, self.layout)
         outputs = {'offset': after.offset[0], 'velocity': after.velocity[0]}
-        return outputs | ({} if force is None else {'force': force[0]})
+        return outputs | self.loads_of(load)
+
+    def loads_of(self, load) -> dict:
+        """Name -> [D] of what there is of the loads [1, F] of a step."""
+        parts = zip(loads.NAMES, loads.split(load, self.simulator.statistics), strict=True)
+        return {name: part[0] for name, part in parts if part is not None}
 
     def reconstruct(self, modes):
         """Soil particles float32 [N, D], m, of mode scores float64 [r, D] (inverse PCA)."""
@@ -168,18 +174,18 @@ class StepFunctions:
         return values
 
     def source_step(self, group, frame: int):
-        """What the source model says: displacements [V, D] and force [D] or None."""
+        """What the source model says: displacements [V, D], and name -> [D] of the loads."""
         state, known = self._recorded(group, frame)
         context = group.context_at(frame)
         context = None if context is None else tf.constant(context, tf.float32)
-        after, force = self.simulator.step(state, known, context, self.layout)
+        after, load = self.simulator.step(state, known, context, self.layout)
         velocity = after.velocity[0, :, -1].numpy().astype(np.float64)
         if self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
             n, last = self.layout.n_rigid, group.position[:, frame - 1]
             shape = last[:, :n] - last[:, :n].mean(axis=1, keepdims=True)
             placed = rigid_body.rigid_correction(shape, last[:, :n] + velocity[None, :n])
             velocity[:n] = placed[0].numpy() - last[0, :n]
-        return velocity, None if force is None else force[0].numpy()
+        return velocity, {name: part.numpy() for name, part in self.loads_of(load).items()}
 
     def _recorded(self, group, frame):
         """State and known motion, float32, before a recorded frame."""
@@ -209,7 +215,8 @@ class StepFunctions:
             'rigid_particles': f'every {config.rigid_stride}. in record order'
             if config.rigid_stride > 1 or not config.rigid_particles
             else f'the {layout.n_rigid} lowest of the first frame, in record order',
-            'units': 'positions m, velocities m/frame, force N',
+            'units': 'positions m, velocities m/frame, force N'
+            + (', torque N m about the point of recorded poses' if config.predict_torque else ''),
             'seconds_per_frame': scene.dt,
             'frames_of_history': H,
         }  # fmt: skip

@@ -32,6 +32,8 @@ def refuse(simulator) -> None:
         raise ValueError(
             f'model {config.model!r} has no C form; exported are {", ".join(EXPORTED_MODELS)}'
         )
+    if config.predict_torque:
+        raise ValueError('predict_torque: the C form has no torque of a model in a subspace')
     simulator.scene.check_one_body('the C form')
     if simulator.dim != 3:
         raise ValueError(f'the model has {simulator.dim} axes, the C form has 3')

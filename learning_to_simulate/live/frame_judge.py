@@ -38,10 +38,13 @@ class FrameJudge:
       statistics: of the training runs.
       scene: says what of the body's motion is given.
       force_limit: N, the largest force of the training runs, or None if it is not known.
+
+    Attributes:
+      statistics: as given.
     """
 
     def __init__(self, n_rigid: int, statistics, scene, force_limit: float | None = None):
-        self._n, self._statistics, self._scene = n_rigid, statistics, scene
+        self._n, self.statistics, self._scene = n_rigid, statistics, scene
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
         lowest, highest = statistics.position_range
@@ -68,7 +71,7 @@ class FrameJudge:
           context: [C] or None.
           displacement: [R, D], m, of the body into the newest frame, or None if it is at rest.
         """
-        found = [outside_context(context, self._statistics, self._scene)]
+        found = [outside_context(context, self.statistics, self._scene)]
         position = position.reshape(-1, *position.shape[-2:])
         found.append(first_outside(RolloutStatus.EXTRAPOLATING, position, *self._start))
         body = position[-1, : self._n]
@@ -78,7 +81,7 @@ class FrameJudge:
 
     def context(self, frame: int, context) -> Judgement | None:
         """What is unlike the training runs in the context [C] of a frame, or None."""
-        return outside_context(context, self._statistics, self._scene, frame)
+        return outside_context(context, self.statistics, self._scene, frame)
 
     def given(self, frame: int, body, before, in_words: bool = True) -> Judgement | None:
         """What is unlike the training runs in the given motion of a frame, or None.
@@ -127,25 +130,29 @@ class FrameJudge:
                 return found
         return None
 
-    def predicted(self, frame: int, position, force) -> Judgement:
+    def predicted(self, frame: int, position, force, torque=None) -> Judgement:
         """The judgement of what was predicted.
 
         Args:
           frame: its number.
           position: float64 [V, D], m.
           force: [D], N, or None.
+          torque: [D], N m, or None.
         """
         low, high = self._bounds
         inside = ((position[self._first :] >= low) & (position[self._first :] <= high)).all()
         size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
         limit = np.inf if self._force_limit is None else self._force_limit
-        if inside and size <= limit and np.isfinite(size):
+        turns = torque is None or np.isfinite(torque).all()
+        if inside and size <= limit and np.isfinite(size) and turns:
             return OK
         if not np.isfinite(position).all():
             node = int((~np.isfinite(position).all(axis=1)).argmax())
             return Judgement(RolloutStatus.NON_FINITE, frame, node, 'position is not finite')
         if not np.isfinite(size):
             return Judgement(RolloutStatus.NON_FINITE, frame, -1, 'force is not finite')
+        if not turns:
+            return Judgement(RolloutStatus.NON_FINITE, frame, -1, 'torque is not finite')
         values = position[None, self._first :]
         outside = first_outside(RolloutStatus.LEFT_BOUNDS, values, low, high, frame, self._first)
         if outside:

@@ -8,7 +8,7 @@ import os
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import reading_utils
+from learning_to_simulate import loads, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.evaluation import total_force
@@ -44,6 +44,8 @@ class SoilRollout:
       truth: (modes [H + T', r, 3], body [H + T', R', 3], force [H + T', 3] or None) of a recorded
         run; None of a path.
       name: for files and titles.
+      torque: float32 [T', 3] about the body's reference point, N m, where the model predicts one.
+      true_torque: float64 [H + T', 3] of a recorded run, where there is a `torque`; else None.
     """
 
     history: np.ndarray
@@ -57,6 +59,8 @@ class SoilRollout:
     soil: Soil | None
     truth: tuple | None = None
     name: str = 'rollout'
+    torque: np.ndarray | None = None
+    true_torque: np.ndarray | None = None
 
     def __repr__(self) -> str:
         reason = f' ({self.reason})' if self.reason else ''
@@ -125,6 +129,11 @@ class SoilRollout:
         }
         if self.force is not None:
             arrays['predicted_forces'] = self.force
+        if self.torque is not None:
+            arrays['predicted_torques'] = self.torque
+        if self.true_torque is not None:
+            arrays['initial_torques'] = self.true_torque[:H].astype(np.float32)
+            arrays['ground_truth_torques'] = self.true_torque[H:].astype(np.float32)
         if self.truth is not None:
             true_modes, true_body, true_force = self.truth
             arrays['ground_truth_rollout'] = np.concatenate(
@@ -235,23 +244,24 @@ class PathRoller:
                     row[H : H + len(by_frame) - 1] = by_frame[1:]
         group = RunGroup(n_rigid, np.zeros(0, int), position, None, contexts, np.zeros(0, int))
         function = self._functions(n_rigid)
-        offsets, forces = function(*rollout_inputs(group, function.layout, self._scene))
+        offsets, load = function(*rollout_inputs(group, function.layout, self._scene))
         predicted = np.moveaxis(offsets.numpy(), 0, 1).astype(np.float64) + function.layout.origin
-        forces = None if forces is None else np.moveaxis(forces.numpy(), 0, 1)
+        load = None if load is None else np.moveaxis(load.numpy(), 0, 1)
         statistics = self._model.simulator.statistics
         judge = FrameJudge(n_rigid, statistics, self._scene, self._starts.force_limit)
         for s, (chosen, path, by_frame) in enumerate(begun):
             count = len(path) - 1
-            force = None if forces is None else forces[s, :count]
+            of_path = loads.split(None if load is None else load[s, :count], statistics)
             yield self._result(
-                judge, chosen, path, by_frame, position[s], predicted[s, :count], force
+                judge, chosen, path, by_frame, position[s], predicted[s, :count], *of_path
             )
 
-    def _result(self, judge, chosen, path, by_frame, given, predicted, force):
+    def _result(self, judge, chosen, path, by_frame, given, predicted, force, torque):
         n, count = len(chosen.kept), len(predicted)
         judgement, statuses = chosen.judged(judge), []
         for k in range(count):
-            now = judge.predicted(H + k, predicted[k], None if force is None else force[k])
+            of_frame = (None if load is None else load[k] for load in (force, torque))
+            now = judge.predicted(H + k, predicted[k], *of_frame)
             outside = judge.given(H + k, given[H + k, :n], given[H + k - 1, :n])
             if by_frame is not None:
                 outside = outside or judge.context(H + k, by_frame[k + 1])
@@ -271,6 +281,7 @@ class PathRoller:
             body=whole_body(chosen, path, nodes, self._scene),
             scene=self._scene,
             soil=self._soil,
+            torque=torque,
         )
 
 
@@ -291,6 +302,7 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
     predicted = group.all_particles(np.concatenate([history[None], rollout.position], axis=1))[0]
     n_body = true.shape[1] - scene.n_modes - group.n_left_modes
     modes = slice(n_body, n_body + scene.n_modes)
+    torque = getattr(rollout, 'torque', None)
     bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
     return SoilRollout(
         history=history,
@@ -308,6 +320,8 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
             None if group.force is None else total_force(group.force[0]),
         ),
         name=name,
+        torque=None if torque is None else torque[0],
+        true_torque=None if torque is None else group.torque[0],
     )
 
 

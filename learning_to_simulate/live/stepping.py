@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import checkpoints
+from learning_to_simulate import checkpoints, loads
 from learning_to_simulate.compiled.compiled_step import CompiledStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.frame_judge import FrameJudge, worse
@@ -131,6 +131,7 @@ class Stepper:
         self._scene, self._dim, self._outside = simulator.scene, simulator.dim, outside
         self._layout = model.layout(n_rigid)
         of_each = simulator.force_size > self._dim
+        self._predicts_torque = simulator.config.predict_torque
         self._force_shape = (len(self._scene.bodies), self._dim) if of_each else (self._dim,)
         self.soil = (
             None
@@ -200,9 +201,11 @@ class Stepper:
             self._back_end.reset(history, context)
             self._pose, self._frame = history[-1, :n], H - 1
             force = np.zeros(self._force_shape, np.float32) if self._scene.has_force else None
+            torque = np.zeros(self._dim, np.float32) if self._predicts_torque else None
             self._last = Frame(
-                history[-1, n:], force, history[-1, :n], judgement, judgement.status, self.soil
-            )
+                history[-1, n:], force, history[-1, :n], judgement, judgement.status, self.soil,
+                torque=torque,
+            )  # fmt: skip
 
     def _checked_context(self, context):
         names = self._scene.context_names
@@ -241,18 +244,21 @@ class Stepper:
                 judgement = judgement or self.judge.context(frame, context)
             if judgement and self._outside != FLAG:
                 return self._refused(judgement)
-            position, force = self._back_end.propose(body, displacement, context)
-            predicted = self.judge.predicted(frame, position, force)
+            position, load = self._back_end.propose(body, displacement, context)
+            force, torque = loads.split(load, self.judge.statistics)
+            predicted = self.judge.predicted(frame, position, force, torque)
             now = worse(predicted, judgement) if judgement else predicted
             if self._outside != FLAG and now.status != RolloutStatus.OK:
                 return self._refused(now)
-            for values in (position, force):
+            for values in (position, force, torque):
                 if values is not None:
                     values.setflags(write=False)
             so_far = worse(self._last.judgement, now)
             if force is not None:
                 force = force.reshape(self._force_shape)
-            result = Frame(position[n:], force, position[:n], so_far, now.status, self.soil)
+            result = Frame(
+                position[n:], force, position[:n], so_far, now.status, self.soil, torque=torque
+            )
             if now.status == RolloutStatus.NON_FINITE:
                 self._last = self._last._replace(judgement=so_far)
                 return result

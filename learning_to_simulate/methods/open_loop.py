@@ -55,12 +55,15 @@ def held_position(group, scene, height=None) -> np.ndarray:
 
 
 def persistence(group, scene) -> Prediction:
-    """Soil, and the height of a driven body, stay as they are in the last given frame; so does the
-    force."""
+    """Soil, and the height of a driven body, stay as they are in the last given frame; so do force
+    and torque."""
     n_frame = group.position.shape[1] - H
-    force = None if group.force is None else np.repeat(group.force[:, H - 1 : H], n_frame, axis=1)
-    predicts = frozenset({SOIL, HEIGHT} | ({FORCE} if force is not None else set()))
-    return Prediction(held_position(group, scene), force, predicts)
+    held = {
+        name: None if load is None else np.repeat(load[:, H - 1 : H], n_frame, axis=1)
+        for name, load in ((FORCE, group.force), (TORQUE, group.torque))
+    }
+    predicts = frozenset({SOIL, HEIGHT} | {name for name in held if held[name] is not None})
+    return Prediction(held_position(group, scene), held[FORCE], predicts, held[TORQUE])
 
 
 def constant_velocity(group, scene) -> Prediction:
@@ -74,9 +77,14 @@ def constant_velocity(group, scene) -> Prediction:
     return Prediction(position, None, frozenset({SOIL, HEIGHT}))
 
 
-def mean_force(group, scene, mean) -> Prediction:
-    """The mean force [D] (N) of the training runs in every frame; nothing else."""
+def mean_force(group, scene, mean, torque=None) -> Prediction:
+    """The mean force [D] (N) of the training runs in every frame, and their mean torque [D] (N m)
+    where there is one; nothing else."""
     n_frame = group.position.shape[1] - H
     shape = (len(group.position), n_frame, group.position.shape[-1])
-    force = np.broadcast_to(np.asarray(mean, np.float64), shape).copy()
-    return Prediction(held_position(group, scene), force, frozenset({FORCE}))
+    force, turn = (
+        None if value is None else np.broadcast_to(np.asarray(value, np.float64), shape).copy()
+        for value in (mean, torque)
+    )
+    predicts = frozenset({FORCE} if turn is None else {FORCE, TORQUE})
+    return Prediction(held_position(group, scene), force, predicts, turn)

@@ -34,7 +34,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
       rigid_motion: override of the scene's, or None.
 
     Raises:
-      ValueError: edges that do not fit the dataset, or a scene that the config cannot model.
+      ValueError: edges that do not fit the dataset, a scene that the config cannot model, or no
+        torque where one is to be predicted.
     """
     scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
     if (
@@ -43,6 +44,8 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         and scene.rigid_motion == RigidMotion.DRIVEN
     ):
         scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
+    if config.predict_torque:
+        _check_torque(data_path, metadata, groups, scene)
     statistics = normalization.compute_statistics(
         [g.position for g in groups],
         [g.force for g in groups],
@@ -50,6 +53,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         metadata,
         scene,
         config,
+        [g.torque for g in groups] if config.predict_torque else None,
     )
     velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
     if config.path_inputs:
@@ -71,6 +75,16 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
     if config.zero_decoder:
         simulator.zero_decoder()
     return model
+
+
+def _check_torque(data_path, metadata, groups, scene):
+    """Refuses data without what `predict_torque` needs."""
+    scene.check_one_body('predict_torque')
+    stated = scene.has_force and 'rigid_body_torque_mean' in metadata
+    if not stated or any(g.torque is None for g in groups):
+        raise ValueError(
+            f'predict_torque: {data_path} does not hold force and torque of every training run'
+        )
 
 
 def _path_memory(data_path, metadata, groups, scene):

@@ -40,8 +40,8 @@ class WholeStateSimulator(LearnedSimulator):
         if self._network is None:
             self._n_rigid = n_rigid
             self.scene.check_one_body(f'the method {self.config.model}')
-            rows = self._rigid_rows() + self.scene.n_modes + self.scene.has_force
-            self._network = self._make(self.config, rows * self.dim)
+            rows = self._rigid_rows() + self.scene.n_modes
+            self._network = self._make(self.config, rows * self.dim + self.load_size)
         if n_rigid != self._n_rigid:
             raise ValueError(
                 f'model {self.config.model!r} was made for {self._n_rigid} rigid particles and '
@@ -75,13 +75,14 @@ class WholeStateSimulator(LearnedSimulator):
         if not values:  # the published inputs without a context are the velocities alone
             values = [tf.zeros([n_graph, 0])]
         decoded = self._network(history, tf.concat(values, axis=-1))
-        decoded = tf.reshape(decoded, [n_graph, -1, self.dim])
         body, n_row, n_mode = self._rigid_rows(), layout.n_rigid, self.scene.n_modes
+        size = (body + n_mode) * self.dim
+        load, decoded = decoded[:, size:], tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])
         moved = decoded[:, :body]
         if body != n_row:
             moved = self._all_particles(moved, n_row)
-        target = tf.concat([moved, decoded[:, body : body + n_mode]], axis=1)
-        return target, decoded[:, -1] if self.scene.has_force else None
+        target = tf.concat([moved, decoded[:, body:]], axis=1)
+        return target, load if self.scene.has_force else None
 
     def _all_particles(self, body, n_rigid):
         """The body's one row for all its particles; zeros where its motion is given."""

@@ -88,7 +88,9 @@ def open_model_path(path: str, training: Training) -> None:
         'scene': model.simulator.scene.to_json(),
         'data': training.data,
     }
-    if not model_folder.holds_model(path, fresh):
+    fields = dataclasses.fields(model.simulator.config)
+    defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
+    if not model_folder.holds_model(path, fresh, defaults=defaults):
         written = training.write_files(path) if training.write_files else None
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
@@ -195,4 +197,7 @@ def _log_rollout(summary, step, bar):
     if 'force_relative_l2' in mean:
         tf.summary.scalar('force_error_mse', mean['force_rmse'] ** 2, step=step)
         text += f', force rel. L2 {mean["force_relative_l2"]:.3g}'
+    if 'torque_relative_l2' in mean:
+        tf.summary.scalar('torque_error_mse', mean['torque_rmse'] ** 2, step=step)
+        text += f', torque rel. L2 {mean["torque_relative_l2"]:.3g}'
     bar.write(text)

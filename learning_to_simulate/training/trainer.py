@@ -54,7 +54,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_force=self.config.relative_force_loss,
+                relative_loads=self.config.relative_force_loss,
             )
             for g in groups
         ]
@@ -219,17 +219,17 @@ class Trainer:
 
     def _single_step_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, layout = INPUT_SEQUENCE_LENGTH, tensors.layout
-        offset, velocity, force, context, force_weight, memory = tensors.windows(
+        offset, velocity, load, context, load_weights, memory = tensors.windows(
             batch_size, h + 1, window_seed
         )
         state = self._noisy_state(offset, velocity, layout, noise_seed)
         known = self._known(offset, velocity, memory, layout, h)
         moved = velocity[:, h] if self.config.mode_order else offset[:, h] - state.offset
         target = self.simulator.normalized_target(moved, state, known, layout)
-        predicted, predicted_force = self.simulator.predict(state, known, context(h), layout)
-        true_force = None if force is None else force[:, h]
+        predicted, predicted_load = self.simulator.predict(state, known, context(h), layout)
+        true_load = None if load is None else load[:, h]
         values = losses.one_step_loss(
-            target, predicted, true_force, predicted_force, layout.loss_weight, force_weight
+            target, predicted, true_load, predicted_load, layout.loss_weight, load_weights
         )
         error = (
             (predicted - target) * layout.target_std * self.simulator.rate(known) * layout.moving
@@ -238,32 +238,32 @@ class Trainer:
 
     def _unrolled_losses(self, tensors, batch_size, window_seed, noise_seed):
         h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
-        offset, velocity, force, context, force_weight, memory = tensors.windows(
+        offset, velocity, load, context, load_weights, memory = tensors.windows(
             batch_size, h + n, window_seed
         )
         state = self._noisy_state(offset, velocity, layout, noise_seed, self.config.unroll_noise)
-        offsets, forces = [], []
+        offsets, stepped = [], []
         for k in range(n):
             known = self._known(offset, velocity, memory, layout, h + k)
-            state, predicted_force = self.simulator.step(state, known, context(h + k), layout)
+            state, of_frame = self.simulator.step(state, known, context(h + k), layout)
             offsets.append(state.offset)
-            forces.append(predicted_force)
+            stepped.append(of_frame)
         s = self.simulator.statistics
-        predicted_forces = None
-        if force is not None:
-            force = force[:, h:]
-            predicted_forces = (
-                tf.stack(forces, 1) - s.force_mean.astype(np.float32)
-            ) / s.force_std.astype(np.float32)
+        predicted_load = None
+        if load is not None:
+            load = load[:, h:]
+            predicted_load = (
+                tf.stack(stepped, 1) - self.simulator.load_mean
+            ) / self.simulator.load_std
         scale = layout.velocity_std.copy()
         if s.height_velocity_std is not None:
             scale[: layout.n_rigid, self.simulator.scene.up_axis] = s.height_velocity_std[0]
         return losses.unrolled_loss(
             offset[:, h:],
             tf.stack(offsets, 1),
-            force,
-            predicted_forces,
+            load,
+            predicted_load,
             layout.loss_weight,
             scale,
-            force_weight,
+            load_weights,
         )

@@ -5,17 +5,19 @@ import copy
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate import loads
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 
 # The force error of a run is counted in units of the run's own force, because that is how it is
 # judged (relative L2); a run with less than this share of the largest force counts as if it had it.
+# So is the torque error.
 FORCE_FLOOR = 0.02
 
 
 class GroupTensors:
-    """Runs of one group as float32 tensors: offsets from the origin, velocities, force, context."""
+    """Runs of one group as float32 tensors: offsets from the origin, velocities, loads, context."""
 
-    def __init__(self, group, layout, statistics, relative_force):
+    def __init__(self, group, layout, statistics, relative_loads):
         self.layout = layout
         self.n_run, self.n_frame = group.position.shape[:2]
         self.record = group.record
@@ -23,17 +25,20 @@ class GroupTensors:
         # Differences in float64 before the cast: see the note on state in `learned_simulator`.
         self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
         self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
-        self.force = self.context = self.force_weight = None
-        if statistics.force_mean is not None:
-            normalised = (group.force - statistics.force_mean) / statistics.force_std
-            self.force = tf.constant(normalised.reshape(flat[0], -1), tf.float32)
-            if relative_force:
-                size = np.sqrt((group.force**2).sum(axis=-1).mean(axis=1))
-                floor = FORCE_FLOOR * size.max() or statistics.force_std[0]  # all zero: no weights
-                weight = (statistics.force_std[0] / np.maximum(size, floor)) ** 2
-            else:
-                weight = np.ones(self.n_run)
-            self.force_weight = tf.constant(weight, tf.float32)
+        self.load = self.context = None
+        self.load_weights: list = []
+        normalised = []
+        for load, (mean, std) in zip((group.force, group.torque), loads.scales(statistics)):
+            normalised.append((load - mean) / std)
+            weight = np.ones(self.n_run)
+            if relative_loads:
+                size = np.sqrt((load**2).sum(axis=-1).mean(axis=1))
+                floor = FORCE_FLOOR * size.max() or std[0]  # all zero: no weights
+                weight = (std[0] / np.maximum(size, floor)) ** 2
+            self.load_weights.append(tf.constant(weight, tf.float32))
+        if normalised:
+            flat_loads = np.concatenate(normalised, axis=-1).reshape(flat[0], -1)
+            self.load = tf.constant(flat_loads, tf.float32)
         if statistics.context_mean is not None:
             self._context_by_frame = group.context_changes
             rows = group.context.reshape(-1, group.context.shape[-1])
@@ -70,8 +75,8 @@ class GroupTensors:
         return lambda k: constant
 
     def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names: offsets, velocities, force, context as of
-        `_context_of`, weights of the force, and (path, start) as of `KnownMotion`."""
+        """Gathers the windows that `picks` names: offsets, velocities, loads, context as of
+        `_context_of`, weights of each load, and (path, start) as of `KnownMotion`."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
         memory = (None, None)
@@ -80,8 +85,8 @@ class GroupTensors:
         return (
             tf.gather(self.offset, frames),
             tf.gather(self.velocity, frames),
-            None if self.force is None else tf.gather(self.force, frames),
+            None if self.load is None else tf.gather(self.load, frames),
             self._context_of(run, frames),
-            1.0 if self.force_weight is None else tf.gather(self.force_weight, run),
+            [tf.gather(weight, run) for weight in self.load_weights],
             memory,
         )

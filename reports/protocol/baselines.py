@@ -36,6 +36,33 @@ class Baseline:
     predict: Callable
 
 
+def trivial(reader: TruthReader) -> list[Baseline]:
+    """What needs no fit: persistence, constant velocity, and the mean force of train.
+
+    Raises:
+      ValueError: no train runs.
+    """
+    train = reading_utils.read_groups(reader.folder, 'train', reader.metadata)
+    scene = reading_utils.read_scene(reader.folder, reader.metadata, train, None)
+    found = [
+        Baseline('persistence', {}, lambda group, _: open_loop.persistence(group, scene)),
+        Baseline(
+            'constant velocity', {}, lambda group, _: open_loop.constant_velocity(group, scene)
+        ),
+    ]
+    if scene.has_force:
+        mean, torque = (_mean([getattr(g, name) for g in train]) for name in ('force', 'torque'))
+        found.append(
+            Baseline(
+                'mean force',
+                {'mean_N': mean.tolist()}
+                | ({} if torque is None else {'mean_Nm': torque.tolist()}),
+                lambda group, _: open_loop.mean_force(group, scene, mean, torque),
+            )
+        )
+    return found
+
+
 def fit_all(reader: TruthReader) -> list[Baseline]:
     """All baselines that the scene of a dataset has: train fits, valid chooses, test is not opened.
 
@@ -45,22 +72,7 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
     folder, metadata = reader.folder, reader.metadata
     train, valid = (reading_utils.read_groups(folder, n, metadata) for n in ('train', 'valid'))
     scene = reading_utils.read_scene(folder, metadata, train, None)
-    found = [
-        Baseline('persistence', {}, lambda group, _: open_loop.persistence(group, scene)),
-        Baseline(
-            'constant velocity', {}, lambda group, _: open_loop.constant_velocity(group, scene)
-        ),
-    ]
-    if scene.has_force:
-        forces = [g.force for g in train if g.force is not None]
-        mean = np.concatenate([f.reshape(-1, f.shape[-1]) for f in forces]).mean(axis=0)
-        found.append(
-            Baseline(
-                'mean force',
-                {'mean_N': mean.tolist()},
-                lambda group, _: open_loop.mean_force(group, scene, mean),
-            )
-        )
+    found = trivial(reader)
     for preset, config in open_loop_settings.PRESETS.items():
         try:
             method = open_loop_method.fit(config, folder, metadata, train, valid, scene)
@@ -75,6 +87,12 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
         )  # fmt: skip
         found.append(Baseline(_NAMES[preset], about, method.predict))
     return found
+
+
+def _mean(arrays):
+    """Mean [D] over runs and frames of arrays [S, T, D]; None where there are none."""
+    rows = [a.reshape(-1, a.shape[-1]) for a in arrays if a is not None]
+    return np.concatenate(rows).mean(axis=0) if rows else None
 
 
 def predictions(baseline: Baseline, reader: TruthReader, split: str) -> list[RunPrediction]:

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, metrics, reading_utils
+from learning_to_simulate import checkpoints, loads, metrics, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import registry
@@ -73,7 +73,9 @@ def resample(group, frames):
     The first H frames must be the first H of the group. Predicted nodes past them are no inputs.
     """
     force = None if group.force is None else group.force[:, frames]
-    return dataclasses.replace(group, position=group.position[:, frames], force=force, body=None)
+    return dataclasses.replace(
+        group, position=group.position[:, frames], force=force, torque=None, body=None
+    )
 
 
 def to_and_fro(n_frame: int, length: int):
@@ -93,10 +95,11 @@ def roll(shipped: Shipped, function, group):
       positions float64 [S, T - H, V, D], forces [S, T - H, D] or None, judgements.
     """
     simulator = shipped.model.simulator
-    offsets, forces = function(*rollout_inputs(group, function.layout, simulator.scene))
+    offsets, load = function(*rollout_inputs(group, function.layout, simulator.scene))
     position = np.moveaxis(offsets.numpy(), 0, 1).astype(np.float64) + function.layout.origin
-    force = None if forces is None else np.moveaxis(forces.numpy(), 0, 1)
-    return position, force, judge(group, position, force, simulator.statistics, simulator.scene)
+    load = None if load is None else np.moveaxis(load.numpy(), 0, 1)
+    judgements = judge(group, position, load, simulator.statistics, simulator.scene)
+    return position, loads.split(load, simulator.statistics)[0], judgements
 
 
 def worst(judgements):

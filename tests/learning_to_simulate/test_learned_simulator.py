@@ -31,7 +31,11 @@ CASES = {
         'overrides': {'message_passing_steps': 2},
     },
     'fcg_original, predicted': {'preset': 'fcg_original', 'motion': 'predicted'},
-}
+    'pcg, torque': {'overrides': {'predict_torque': True}, 'torque': True},
+    'pcg_thesis, torque': {
+        'preset': 'pcg_thesis', 'overrides': {'predict_torque': True}, 'torque': True,
+    },
+}  # fmt: skip
 
 
 def first_step(model, group, run=0):

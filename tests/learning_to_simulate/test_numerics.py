@@ -89,7 +89,8 @@ def test_force_error_is_weighted_graph_by_graph():
     force = np.array([[1.0, 0, 0], [0, 2.0, 0]], np.float32)
     none = np.zeros((2, 1, 3), np.float32)
     weight = np.array([0.5, 3.0], np.float32)
-    values = losses.one_step_loss(none, none, force, 0 * force, np.ones((1, 3), np.float32), weight)
+    moving = np.ones((1, 3), np.float32)
+    values = losses.one_step_loss(none, none, force, 0 * force, moving, [weight])
     np.testing.assert_allclose(values['loss_force_mse'], (0.5 * 1 + 3.0 * 4) / 2)
 
 
@@ -148,4 +149,4 @@ def test_force_that_never_changes_divides_by_no_round_off(tmp_path, monkeypatch,
     model, groups, _ = models.make(tmp_path)
     np.testing.assert_array_equal(model.simulator.statistics.force_std, 1.0)
     tensors = Trainer(model, groups)._tensors[0]
-    assert np.isfinite(tensors.force_weight).all() and not tensors.force.numpy().any()
+    assert np.isfinite(tensors.load_weights).all() and not tensors.load.numpy().any()

@@ -112,7 +112,7 @@ class FieldRoller:
         path = path.copy()
         path[:, field.axes.up] = plane[:, 1]
         loads = field.loads(frames).mean(axis=0)
-        force, _ = field.axes.world_loads(loads[:, :3])
+        force, torque = field.axes.world_loads(loads[:, :3])
         names, finite = field.tool.scalars, np.isfinite(loads).all(axis=1)
         statuses = quality.statuses(frames.scalars, field.ranges, finite, names)
         swept = _one_by_one(frames, plane, ground, 1)
@@ -127,6 +127,7 @@ class FieldRoller:
             body=body,
             scene=field.scene,
             soil=self._soil,
+            torque=torque[1:].astype(np.float32),
         )
 
 

@@ -16,6 +16,9 @@ PREDICTED = {'preset': 'pcg_thesis', 'motion': 'predicted', 'rigid_counts': (6,)
 CASES = {
     'prescribed': {},
     'prescribed, contact': {'contact': True},
+    'prescribed, contact, torque': {
+        'contact': True, 'torque': True, 'overrides': {'predict_torque': True},
+    },
     'prescribed, two steps': {'overrides': {'message_passing_steps': 2}},
     'prescribed, history': {'overrides': {'velocity_inputs': 5, 'hidden_layers': 1}},
     'prescribed, no force': {'force': False, 'overrides': {'message_passing_steps': 2}},
@@ -49,7 +52,8 @@ CASES = {
     'predicted': PREDICTED,
     'predicted, conditioned': PREDICTED | {'preset': 'pcg', 'force': False},
     'predicted, two steps': PREDICTED | {'overrides': {'message_passing_steps': 2}},
-}
+    'predicted, torque': PREDICTED | {'torque': True, 'overrides': {'predict_torque': True}},
+}  # fmt: skip
 N_FRAME = 8
 IN_THE_LOOP = ('prescribed, full graph, three steps', 'driven, two steps, history')
 VARIANTS = [(case, {}) for case in CASES] + [

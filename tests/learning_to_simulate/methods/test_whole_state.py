@@ -23,9 +23,8 @@ SHORT = {'num_steps': 6, 'unroll_steps': 1, 'unroll_length': 2, 'latent_size': 8
 
 def make(folder, model, motion='prescribed', rigid_motion=None, **data):
     """An untrained model with its runs, every weight random so that nothing hides behind a zero."""
-    made, groups, metadata = models.make(
-        folder, model, motion, rigid_motion, {'mode_edges': 0}, **data
-    )
+    overrides = {'mode_edges': 0, 'predict_torque': data.get('torque', False)}
+    made, groups, metadata = models.make(folder, model, motion, rigid_motion, overrides, **data)
     rng = np.random.default_rng(0)
     for variable in made.simulator.trainable_variables:
         variable.assign(rng.normal(0.0, 0.3, variable.shape))
@@ -34,11 +33,12 @@ def make(folder, model, motion='prescribed', rigid_motion=None, **data):
 
 @pytest.mark.parametrize('model', MODELS)
 @pytest.mark.parametrize(
-    ('motion', 'context'), [('prescribed', False), ('driven', True), ('predicted', True)]
+    ('motion', 'context', 'torque'),
+    [('prescribed', False, False), ('driven', True, True), ('predicted', True, False)],
 )
-def test_step_equals_the_numpy_twin(tmp_path, model, motion, context):
+def test_step_equals_the_numpy_twin(tmp_path, model, motion, context, torque):
     """float32 against float64 on scores of 9 m; their frame steps are 1e-3 m, 1e-6 is measured."""
-    made, (group,), _ = make(tmp_path, model, motion, context=context)
+    made, (group,), _ = make(tmp_path, model, motion, context=context, torque=torque)
     layout = made.layout(group.n_rigid)
     state, known, values, _ = rollout_inputs(group, layout, made.simulator.scene)
     coming = None if known is None else type(known)(known.offset[0], known.velocity[0])

@@ -8,6 +8,7 @@ from learning_to_simulate.training import symmetric_copies
 from pca_tools.subspace import Subspace
 
 # A bed of 30 x 6 x 10 particles, 2 cm apart.
+LEVER = np.array([0.1, -0.2, 0.3])
 AXES = [0.02 * np.arange(n) for n in (30, 6, 10)]
 POINTS = np.stack(np.meshgrid(*AXES, indexing='ij'), axis=-1).reshape(-1, 3)
 
@@ -59,10 +60,10 @@ def _group(space, x, seed):
     scores = space.encode(space.initial) + 0.01 * rng.normal(size=(len(x), 7, 2, 3))
     force = rng.normal(size=(len(x), 7, 3))
     return RunGroup(2, np.zeros(4, int), np.concatenate([body, scores], axis=2), force, None,
-                    np.arange(len(x)))  # fmt: skip
+                    np.arange(len(x)), torque=np.cross(LEVER, force))  # fmt: skip
 
 
-def test_copies_follow_the_runs_stay_in_their_range_and_mirror_force():
+def test_copies_follow_the_runs_stay_in_their_range_and_mirror_loads():
     space = _space([_bump(0.3), _bump(0.3, 0.5)])
     x = np.linspace(0, 1, 7) * np.array([[0.1], [0.3]]) + 0.1
     group = _group(space, x, 0)
@@ -79,7 +80,9 @@ def test_copies_follow_the_runs_stay_in_their_range_and_mirror_force():
         np.testing.assert_allclose(body[:, 0, 0], x[0] + distance)
         assert body[..., 0].min() >= x.min() and body[..., 0].max() <= x.max()
         mirrored = body[0, 0, 2] > body[0, 1, 2]
-        np.testing.assert_allclose(force, group.force[0] * [1, 1, -1 if mirrored else 1])
+        sign = np.array([1, 1, -1 if mirrored else 1])
+        np.testing.assert_allclose(force, group.force[0] * sign)
+        np.testing.assert_allclose(more.torque[copy], np.cross(sign * LEVER, force), atol=1e-12)
         # The scores are the shift of the run's own, counted from the resting bed.
         shift = symmetric_copies.shift_of(space, 0, 2, distance, mirrored)
         rest = space.encode(space.initial)

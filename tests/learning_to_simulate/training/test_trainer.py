@@ -1,4 +1,4 @@
-"""Whole training steps against a numpy twin, and seven mistakes that a training survives without a
+"""Whole training steps against a numpy twin, and nine mistakes that a training survives without a
 word: each is made here on purpose, and the comparison must find it.
 """
 
@@ -25,6 +25,8 @@ CASES = {
     'single step, second order': {'num_steps': 5} | SECOND_ORDER,
     'unrolled': {'num_steps': 0},
     'unrolled, second order': {'num_steps': 0} | SECOND_ORDER,
+    'single step, torque': {'num_steps': 5, 'predict_torque': True},
+    'unrolled, torque': {'num_steps': 0, 'predict_torque': True},
 }
 
 
@@ -32,7 +34,10 @@ class Case:
     """A small model with its runs, and what the twin says of the first training step."""
 
     def __init__(self, folder, overrides):
-        self.model, self.groups, _ = models.make(folder, overrides=SMALL | overrides, n_run=3)
+        torque = 'predict_torque' in overrides
+        self.model, self.groups, _ = models.make(
+            folder, overrides=SMALL | overrides, n_run=3, torque=torque
+        )
         rng = np.random.default_rng(1)
         self._variables = self.model.simulator.trainable_variables
         for variable in self._variables:  # no zero hides a mistake
@@ -130,7 +135,18 @@ def _gradient_stopped_between_frames(patch, _):
 
 
 def _equal_force_weights(_, trainer):
-    trainer._tensors[0].force_weight = tf.ones_like(trainer._tensors[0].force_weight)
+    tensors = trainer._tensors[0]
+    tensors.load_weights = [tf.ones_like(weight) for weight in tensors.load_weights]
+
+
+def _force_weights_of_the_torque(_, trainer):
+    tensors = trainer._tensors[0]
+    tensors.load_weights = [tensors.load_weights[0]] * 2
+
+
+def _no_torque_in_the_loss(_, trainer):
+    tensors = trainer._tensors[0]
+    tensors.load_weights[1] = tf.zeros_like(tensors.load_weights[1])
 
 
 def _no_clipping(_, trainer):
@@ -153,6 +169,8 @@ def _noise_on_the_given_body(patch, trainer):
         (_clean_base_of_the_target, 'single step, second order'),
         (_gradient_stopped_between_frames, 'unrolled, second order'),
         (_equal_force_weights, 'single step'),
+        (_force_weights_of_the_torque, 'single step, torque'),
+        (_no_torque_in_the_loss, 'unrolled, torque'),
         (_no_clipping, 'single step'),
         (_no_averaging, 'single step'),
         (_noise_on_the_given_body, 'single step'),

@@ -50,7 +50,7 @@ class Twin:
         return self.r + body if body else self._class(node)
 
     def step(self, history, next_body, context):
-        """The next positions and the force.
+        """The next positions and the force, and behind it the torque where that is predicted.
 
         Args:
           history: [H, V, 3] absolute positions.
@@ -107,9 +107,12 @@ class Twin:
             d = (d - s.displacement_mean[pair]) / s.displacement_std[pair]
             edges.append(np.append(d, max(np.linalg.norm(d), 1e-6)))
         out = self._network(np.array(nodes), np.array(edges))
-        force = out[:, 3:].mean(0) * s.force_std + s.force_mean
-        force = force * self._share(history[-1], next_body)
-        return self._integrate(history, velocity, out[:, :3], next_body, rate, driven), force
+        mean, std = s.force_mean, s.force_std
+        if c.predict_torque:
+            mean, std = np.append(mean, s.torque_mean), np.append(std, s.torque_std)
+        load = out[:, 3:].mean(0) * std + mean
+        load = load * self._share(history[-1], next_body)
+        return self._integrate(history, velocity, out[:, :3], next_body, rate, driven), load
 
     def _share(self, now, body):
         """What a body at [R, 3] may show of its force, with the modes of now."""

@@ -37,6 +37,10 @@ class TrainingTwin:
         self.shapes = [tuple(v.shape) for v in s.trainable_variables]
         self.weights = np.concatenate([v.numpy().ravel() for v in s.trainable_variables])
         self.weights = self.weights.astype(float)
+        # Force, and torque: recorded [S, T, 3], mean and spread.
+        self.loads = [(group.force, self.s.force_mean, self.s.force_std)]
+        if self.config.predict_torque:
+            self.loads.append((group.torque, self.s.torque_mean, self.s.torque_std))
         self.node_class = np.array([0] * self.n + list(range(1, self.r + 1)))
 
     def named(self, flat):
@@ -46,7 +50,8 @@ class TrainingTwin:
         return {n: p.reshape(s) for n, p, s in zip(self.names, parts, self.shapes)}
 
     def windows(self, step, length, size):
-        """Positions [B, H + length, V, 3] and forces of a step's windows, and each one's run."""
+        """Positions [B, H + length, V, 3] and normalised loads [B, H + length, 3 or 6] of a step's
+        windows, and each one's run."""
         runs, frames = self.group.position.shape[:2]
         starts = frames - (H + length) + 1
         seed = [self.config.seed * 8 + WINDOWS, step]
@@ -54,7 +59,8 @@ class TrainingTwin:
         run, start = np.divmod(pick.numpy(), starts)
         index = start[:, None] + np.arange(H + length)
         position = self.group.position[run[:, None], index]
-        return position, self.group.force[run[:, None], index], run
+        loads = [(load[run[:, None], index] - mean) / std for load, mean, std in self.loads]
+        return position, np.concatenate(loads, axis=-1), run
 
     def noise(self, step, size, scale):
         """Noise of the velocities [B, H - 1, V, 3]: a random walk over the frames whose last value
@@ -81,7 +87,7 @@ class TrainingTwin:
         )  # fmt: skip
 
     def network(self, weights, position, velocity, coming):
-        """Normalised target [B, V, 3] and force [B, 3].
+        """Normalised target [B, V, 3] and loads [B, 3 or 6].
 
         Args:
           weights: by name.
@@ -137,42 +143,46 @@ class TrainingTwin:
         return position[:, H - 1] + noise.sum(axis=1), velocity + noise
 
     def _weights_of_loss(self, run):
-        """Of the modes' components [r, 3] and of each window's squared force error [B]."""
-        size = np.sqrt((self.group.force**2).sum(-1).mean(1))
-        size = np.maximum(size, 0.02 * size.max())[run]
+        """Of the modes' components [r, 3], and of each window's squared errors of the loads' axes
+        [B, 3 or 6]."""
+        weights = []
+        for load, _, std in self.loads:
+            size = np.sqrt((load**2).sum(-1).mean(1))
+            size = np.maximum(size, 0.02 * size.max())[run]
+            weights += [(std[0] / size) ** 2] * 3
         quiet = self.s.velocity_std[1:] / self.s.velocity_std[1:].max()
-        return quiet, (self.s.force_std[0] / size) ** 2
+        return quiet, np.stack(weights, axis=-1)
 
     def single_loss(self, weights, step):
         """The loss of a step of the single-step stage."""
         c, s, size = self.config, self.s, self.config.batch_size
-        position, force, run = self.windows(step, 1, size)
+        position, load, run = self.windows(step, 1, size)
         now, velocity = self._noisy(position, self.noise(step, size, 1.0))
         coming = position[:, H, : self.n] - position[:, H - 1, : self.n]
-        predicted, predicted_force = self.network(weights, now, velocity, coming)
+        predicted, predicted_load = self.network(weights, now, velocity, coming)
         moves = position[:, H] - position[:, H - 1]
         if c.mode_order == 2:  # the target corrects the noise of the last velocity
             moves = moves - velocity[:, -1]
         target = moves / self.rate(coming)[:, None, None]
         target = (target - s.target_mean[self.node_class]) / s.target_std[self.node_class]
-        quiet, force_weight = self._weights_of_loss(run)
+        quiet, load_weight = self._weights_of_loss(run)
         error = (predicted - target)[:, self.n :] ** 2 * quiet
-        force_error = ((predicted_force - (force[:, H] - s.force_mean) / s.force_std) ** 2).sum(-1)
+        load_error = (predicted_load - load[:, H]) ** 2
         # A weighted mean over the modes' components, times D.
         motion = error.sum((1, 2)).mean() / quiet.mean(axis=1).sum()
-        return motion + (force_error * force_weight).mean()
+        return motion + (load_error * load_weight).sum(-1).mean()
 
     def unrolled_loss(self, weights, step):
         """The loss of a step of the unrolled stage."""
         c, s, size = self.config, self.s, self.config.unroll_batch_size
         count = c.unroll_length
-        position, force, run = self.windows(step, count, size)
+        position, load, run = self.windows(step, count, size)
         now, velocity = self._noisy(position, self.noise(step, size, c.unroll_noise))
-        quiet, force_weight = self._weights_of_loss(run)
-        k, motion, force_error = self.node_class, 0.0, 0.0
+        quiet, load_weight = self._weights_of_loss(run)
+        k, motion, load_error = self.node_class, 0.0, 0.0
         for frame in range(count):
             coming = position[:, H + frame, : self.n] - position[:, H + frame - 1, : self.n]
-            out, out_force = self.network(weights, now, velocity, coming)
+            out, out_load = self.network(weights, now, velocity, coming)
             moves = (out * s.target_std[k] + s.target_mean[k]) * self.rate(coming)[:, None, None]
             if c.mode_order == 2:
                 moves = moves + velocity[:, -1]
@@ -184,9 +194,8 @@ class TrainingTwin:
             # The error of frame f is the sum of f steps' errors.
             weight = 1 / (frame + 1) / quiet.mean(axis=1).sum() / count
             motion += (error**2 * quiet).sum((1, 2)) * weight
-            true = (force[:, H + frame] - s.force_mean) / s.force_std
-            force_error += ((out_force - true) ** 2).sum(-1) / count
-        return (motion + force_error * force_weight).mean()
+            load_error += (out_load - load[:, H + frame]) ** 2 / count
+        return (motion + (load_error * load_weight).sum(-1)).mean()
 
     def gradient(self, loss, step, width=1e-6):
         """Of a loss with respect to all weights, flat, by central differences."""

@@ -111,6 +111,7 @@ def test_a_model_folder_is_enough_for_live_use(model_path):
     live.start(poses[0], path_rollout.velocity_between(poses[0], poses[1], live.dt))
     frames = [live.step(pose) for pose in poses[1:31]]
     np.testing.assert_allclose([f.force for f in frames], rollout.force, atol=1e-3)
+    np.testing.assert_allclose([f.torque for f in frames], rollout.torque, atol=1e-3)
     assert [f.now for f in frames] == list(rollout.frame_status)
     np.testing.assert_allclose(frames[-1].particles(), rollout.particles(-1), atol=1e-6)
     np.testing.assert_allclose(frames[-1].height_map(6, 4), rollout.height_map(6, 4), atol=1e-6)
