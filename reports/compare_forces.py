@@ -16,7 +16,7 @@ from absl import flags, logging
 
 from mpm import raw_run, scenes
 from pca_tools import files
-from pca_tools.dataset import read_split
+from pca_tools.dataset import Trajectory, read_split
 from reports import command, markdown
 
 # Published cases in the order of the records; the validation file was divided in two.
@@ -34,15 +34,15 @@ def compare(ours: np.ndarray, theirs: np.ndarray) -> dict:
     }
 
 
-def published_records(scene: scenes.Scene, original_path: str) -> dict:
-    """Returns the published records by case number, `SimulationData` each.
+def published_records(scene: scenes.Scene, original_path: str) -> dict[int, Trajectory]:
+    """Returns the published records by case number.
 
     Raises:
         ValueError: if the records are not the ones that the case numbers belong to, or hold no
             force.
     """
     count = _TRAIN_RECORDS[scene.name]
-    found = {}
+    found: dict[int, Trajectory] = {}
     for split, cases in (('train', scene.published[:count]), ('valid', scene.published[count:])):
         records = read_split(original_path, split)
         if len(records) != len(cases):
