@@ -16,7 +16,7 @@ from absl import flags, logging
 
 from mpm import raw_run, scenes
 from pca_tools import files
-from pca_tools.dataset import Trajectory, read_split
+from pca_tools.dataset import read_split
 from reports import command, markdown
 
 # Published cases in the order of the records; the validation file was divided in two.
@@ -34,15 +34,15 @@ def compare(ours: np.ndarray, theirs: np.ndarray) -> dict:
     }
 
 
-def published_records(scene: scenes.Scene, original_path: str) -> dict[int, Trajectory]:
-    """Returns the published records by case number.
+def published_forces(scene: scenes.Scene, original_path: str) -> dict[int, np.ndarray]:
+    """Returns the published forces [T, 3] (N) by case number.
 
     Raises:
         ValueError: if the records are not the ones that the case numbers belong to, or hold no
             force.
     """
     count = _TRAIN_RECORDS[scene.name]
-    found: dict[int, Trajectory] = {}
+    found: dict[int, np.ndarray] = {}
     for split, cases in (('train', scene.published[:count]), ('valid', scene.published[count:])):
         records = read_split(original_path, split)
         if len(records) != len(cases):
@@ -50,9 +50,10 @@ def published_records(scene: scenes.Scene, original_path: str) -> dict[int, Traj
                 f'{original_path}: {len(records)} records in {split}, case numbers are known '
                 f'for {len(cases)}'
             )
-        if any(record.force is None for record in records):
-            raise ValueError(f'{original_path}: records of {split} hold no force')
-        found |= dict(zip(cases, records))
+        for case, record in zip(cases, records):
+            if record.force is None:
+                raise ValueError(f'{original_path}: records of {split} hold no force')
+            found[case] = record.force
     return found
 
 
@@ -60,19 +61,17 @@ def compare_folder(scene: scenes.Scene, original_path: str, raw_path: str) -> li
     """Returns one row per published case and force axis (x: drive, y: up).
 
     Raises:
-        ValueError: see `published_records`.
+        ValueError: see `published_forces`.
     """
     rows = []
-    for case, record in published_records(scene, original_path).items():
+    for case, force in published_forces(scene, original_path).items():
         path = os.path.join(raw_path, raw_run.file_name(case))
         if not os.path.exists(path):
             logging.warning('case %d has no run in %s', case, raw_path)
             continue
         run = raw_run.read_run(path)
         for axis, name in enumerate('xy'):
-            rows.append(
-                {'case': case, 'axis': name} | compare(run.force[:, axis], record.force[:, axis])
-            )
+            rows.append({'case': case, 'axis': name} | compare(run.force[:, axis], force[:, axis]))
     return rows
 
 

@@ -26,7 +26,7 @@ from mpm.simulation import Settings
 from mpm.versions import SOLVER_VERSION
 from pca_tools import files
 from reports import command, markdown, record
-from reports.compare_forces import published_records
+from reports.compare_forces import published_forces
 
 SCENE = scenes.EXCAVATION
 # Published cases of motion 2, that cuts from the first frame: 2 to 8 cm deep, 8 to 15 cm/s.
@@ -98,15 +98,15 @@ def measure(path: str, cases: list[int], frames: int, original_path: str | None)
         original_path: the published dataset; None: figures of it that are there stay.
 
     Raises:
-        ValueError: the file holds something else; or see `published_records`.
+        ValueError: the file holds something else; or see `published_forces`.
     """
     identity = {'frames': frames, 'cell_size_m': SCENE.bin.dx, 'solver_version': SOLVER_VERSION}
     content = record.resume(path, identity, {'runs': [], 'records': {}})
     content |= record.provenance()
     if original_path:
-        records = published_records(SCENE, original_path)
+        forces = published_forces(SCENE, original_path)
         content['records'] |= {
-            str(case): figures_of(records[case].force, frames) for case in cases if case in records
+            str(case): figures_of(forces[case], frames) for case in cases if case in forces
         }
     done = {(run['case'], run['physics']) for run in content['runs']}
     for case in cases:
