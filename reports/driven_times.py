@@ -176,10 +176,10 @@ def draw(times_path: str, protocol_path: str, picture: str) -> None:
             style = 's' if group.startswith('solver') else 'o'
             axes.errorbar(
                 x, mean, [mean - low, high - mean], fmt=f'{style}-', lw=1, ms=5, capsize=3,
-                color=f'C{number % 10}', label=group,
+                color=f'C{number % 10}', label=group if len(members) > 1 else members[0][0],
             )  # fmt: skip
             for row, at, height in zip(members, x, mean, strict=True):
-                if modes := re.search(r', (\d+) modes$', row[0]):
+                if len(members) > 1 and (modes := re.search(r', (\d+) modes$', row[0])):
                     axes.annotate(
                         modes[1], (at, height), xytext=(4, 4), textcoords='offset points',
                         fontsize='x-small', color=f'C{number % 10}',
@@ -189,8 +189,8 @@ def draw(times_path: str, protocol_path: str, picture: str) -> None:
                 mean = np.mean(row[error])
                 axes.axhline(mean, color='0.6', lw=1, ls='--')
                 axes.annotate(
-                    row[0], (0.0, mean), xycoords=('axes fraction', 'data'), fontsize='small',
-                    ha='left', va='bottom', color='0.4',
+                    row[0], (0.5, mean), xycoords=('axes fraction', 'data'), fontsize='small',
+                    ha='center', va='bottom', color='0.4',
                 )  # fmt: skip
         solver = solver_ms(protocol['scene'])
         axes.axvline(solver, color='0.8', lw=1)
