@@ -32,12 +32,14 @@ FROM_FORCE = ', its force times a matrix'
 
 def matrix_of(trajectories) -> np.ndarray:
     """float64 [3, 3], m: the matrix whose product with the force is nearest to the torque, over all
-    frames of recorded runs."""
-    force, torque = (
-        np.concatenate([getattr(run, name) for run in trajectories]).astype(np.float64)
-        for name in ('force', 'torque')
-    )
-    return np.linalg.lstsq(force, torque, rcond=None)[0].T
+    frames of recorded runs; errors of a run count in units of its own torque, as they are judged.
+    """
+    forces, torques = [], []
+    for run in trajectories:
+        size = np.sqrt((run.torque.astype(np.float64) ** 2).mean())
+        forces.append(run.force / size)
+        torques.append(run.torque / size)
+    return np.linalg.lstsq(np.concatenate(forces), np.concatenate(torques), rcond=None)[0].T
 
 
 def judge(predictions, reader: TruthReader) -> list[dict]:

@@ -123,7 +123,7 @@ def _compare(functions, loaded, kind, group, space):
     n = functions.layout.n_rigid
     n_frame = group.position.shape[1]
     moved, expected, seconds = [], [], []
-    found: dict[str, list] = {}  # of each load
+    found = {}  # name of a load -> pairs of exported and source
     for k in np.linspace(H, n_frame - 1, COMPARED_STEPS).astype(int):
         inputs = functions.inputs(kind, group, k)
         start = time.perf_counter()

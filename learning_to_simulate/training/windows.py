@@ -26,7 +26,7 @@ class GroupTensors:
         self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
         self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
         self.load = self.context = None
-        self.load_weights: list = []
+        self.load_weights = []
         normalised = []
         for load, (mean, std) in zip((group.force, group.torque), loads.scales(statistics)):
             normalised.append((load - mean) / std)

@@ -43,8 +43,8 @@ def _statistics() -> Statistics:
     for field in dataclasses.fields(Statistics):
         default = (1,) if field.name.startswith(ones) else (classes, 3)
         arrays[field.name] = np.full(shapes.get(field.name, default), 0.25)
-    # Neither an input nor a share of a driven body's.
-    arrays |= {'path': None, 'contact': None, 'surface': None}
+    # Neither an input nor a share of a driven body's; and no C form has a torque.
+    arrays |= dict.fromkeys(('path', 'contact', 'surface', 'torque_mean', 'torque_std'))
     return Statistics(**arrays)
 
 
