@@ -33,7 +33,7 @@ def recorded_runs(data_path: str, n_run: int | None = None) -> list[dict]:
     found: dict[str, dict] = {}
     cases = metadata['cases']['test']
     for case, run in zip(cases, dataset.read_split(data_path, 'test'), strict=True):
-        if case['kind'] in KINDS and case['kind'] not in found:
+        if case['kind'] in KINDS and case['kind'] not in found and run.rigid_pose is not None:
             modes = run.position[:, run.n_rigid :].astype(np.float64)
             way = ((modes - modes[:1]) ** 2).sum(axis=(1, 2)).max()
             found[case['kind']] = {

@@ -6,14 +6,13 @@ threshold, as Markdown and JSON, with pictures.
 Examples:
     python -m reports stability_report --quick --output_path=/tmp/stability   # 1 model, minutes
 
-    # the report in docs/stability; solver runs outside the training range are kept in work_path
-    python -m reports stability_report --output_path=docs/stability --work_path=/tmp/truths
+    # the report in docs/stability
+    python -m reports stability_report --output_path=docs/stability
 
     python -m reports stability_report --parts=nri,subspace --output_path=/tmp/stability
 """
 
 import os
-import tempfile
 import time
 
 import tqdm
@@ -34,25 +33,24 @@ from reports.stability import (
 )
 
 PARTS = {
-    'solver': lambda quick, bar, work: solver_cases.run_all(quick, bar),
-    'subspace': lambda quick, bar, work: subspace_cases.run_all(quick, bar),
-    'rollouts': lambda quick, bar, work: rollout_cases.run_all(quick, bar),
-    'driven': lambda quick, bar, work: driven_cases.run_all(quick, bar),
+    'solver': solver_cases.run_all,
+    'subspace': subspace_cases.run_all,
+    'rollouts': rollout_cases.run_all,
+    'driven': driven_cases.run_all,
     'extrapolation': extrapolation_cases.run_all,
-    'network': lambda quick, bar, work: network_cases.run_all(quick, bar),
-    'nri': lambda quick, bar, work: nri_cases.run_all(quick, bar),
+    'network': network_cases.run_all,
+    'nri': nri_cases.run_all,
 }
 REPORT, DATA = 'stability.md', 'stability.json'
 
 
-def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -> list[cases.Case]:
+def report(parts: list[str], is_quick: bool, output_path: str) -> list[cases.Case]:
     """Runs the parts and writes table, JSON and pictures; returns the rows.
 
     Args:
         parts: keys of `PARTS`.
-        is_quick: one model, short runs, no solver truth.
+        is_quick: one model, short runs.
         output_path: folder.
-        work_path: folder for solver runs, used again if they are there.
 
     Raises:
         ValueError: an unknown part.
@@ -69,7 +67,7 @@ def report(parts: list[str], is_quick: bool, output_path: str, work_path: str) -
         def bar(items, part=part):
             return tqdm.tqdm(items, desc=part, disable=None, leave=False)
 
-        new, drawn = PARTS[part](is_quick, bar, work_path)
+        new, drawn = PARTS[part](is_quick, bar)
         rows += new
         curves |= drawn
         seconds[part] = round(time.process_time() - started, 1)
@@ -115,17 +113,15 @@ def summary(rows: list[cases.Case]) -> str:
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_bool('quick', False, 'One model, short runs, no solver truth.')
+    flags.DEFINE_bool('quick', False, 'One model, short runs.')
     flags.DEFINE_string('output_path', None, 'Folder of the report.', required=True)
-    flags.DEFINE_string('work_path', None, 'Keeps solver runs, to be used again.')
     flags.DEFINE_list('parts', list(PARTS), 'Which parts to run.')
     flags.DEFINE_integer('num_threads', 1, 'CPU threads of TensorFlow.', 1)
 
 
 def main(values, _) -> int:
     """Runs the command; exit code 1 if a case fails that was promised to hold."""
-    with tempfile.TemporaryDirectory() as folder:
-        rows = report(values.parts, values.quick, values.output_path, values.work_path or folder)
+    rows = report(values.parts, values.quick, values.output_path)
     print(cases.markdown(rows))
     print(summary(rows))
     print(f'wrote {os.path.join(values.output_path, REPORT)}')

@@ -13,9 +13,7 @@ from reports import published_physics
 def coarse(monkeypatch):
     """The report on cells twice as long; returns the cases that it simulates."""
     made, simulate = [], published_physics.simulate
-    monkeypatch.setattr(
-        published_physics, 'SCENE', experiments.coarse(published_physics.SCENE)
-    )
+    monkeypatch.setattr(published_physics, 'SCENE', experiments.coarse(published_physics.SCENE))
 
     def noted(case, physics, frames):
         made.append((case, physics))

@@ -71,7 +71,7 @@ def test_report_in_miniature(tmp_path, monkeypatch):
     monkeypatch.setattr(solver_cases, 'STIFFNESS', (0.1, 1.0))
     monkeypatch.setattr(solver_cases, 'GRAVITIES', (0.0, 100.0))
     parts = list(stability_report.PARTS)
-    rows = stability_report.report(parts, True, str(tmp_path), str(tmp_path / 'work'))
+    rows = stability_report.report(parts, True, str(tmp_path))
     assert {row.outcome for row in rows} >= {cases.HOLDS, cases.REFUSED, cases.FLAGGED}
     assert not [row.name for row in rows if row.outcome == cases.FAILS]
     values = json.loads((tmp_path / stability_report.DATA).read_text())
