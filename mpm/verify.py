@@ -36,6 +36,7 @@ SHORT_CUT_CASES = (186, 78, 123, 146)
 DENSITY_CASES = (186, 123, 146)
 WHEEL_CASES = (122, 203)
 DRIVEN = FRAMES - 1
+MORE_PARTICLES_FRAMES = 120
 
 
 def rows_of(raw_path: str) -> dict:
@@ -69,6 +70,7 @@ def rows_of(raw_path: str) -> dict:
         rows[f'leak_{scene.name}'] = partial(run_rows.leak, scene, raw_path)
     for case in DENSITY_CASES:
         rows[f'density_{case}'] = partial(density.moved_soil, case, DRIVEN)
+    rows['more_particles_186'] = partial(density.more_particles, 186, MORE_PARTICLES_FRAMES)
     for option in convergence.SHORT_CUTS:
         for case in SHORT_CUT_CASES:
             rows[f'{option}_{case}'] = partial(

@@ -1,17 +1,20 @@
 """How densely soil is packed, by counting: the law knows but the volume that a particle states."""
 
+import dataclasses
+
 import numpy as np
 
 from mpm import scenes
 from mpm.contact import signed_distances
 from mpm.simulation import Settings
 from mpm.verification.convergence import drive, packed
-from mpm.verification.rows import Check
+from mpm.verification.rows import Check, reported
 from mpm.verification.surfaces import surface
 
 RADIUS = 0.03  # m, of the spheres in which particles are counted: 40 of them
 APART = 0.015  # m, between the middles of spheres
 MOVED = 0.03  # m, from where soil counts as moved
+DENSER = 2  # times as many particles along each axis, of `more_particles`
 
 
 def spheres(positions: np.ndarray, box: scenes.Bin) -> np.ndarray:
@@ -46,11 +49,16 @@ def count(positions: np.ndarray, middles: np.ndarray, values: np.ndarray) -> np.
     return found
 
 
-def moved_soil(case: int, frames: int) -> list[Check]:
-    """The density of soil that a blade has moved, over that of the bed before."""
-    box, settings = scenes.EXCAVATION.bin, Settings()
+def _driven(scene: scenes.Scene, case: int, frames: int):
+    """Drives a case.
+
+    Returns:
+        the mean force along x, N; the simulation; the density of soil that the blade has moved
+        over that of the bed before; and in how many spheres it was counted.
+    """
+    box, settings = scene.bin, Settings()
     start = packed(box, settings.youngs_modulus)[:, :3]
-    _, simulation = drive(scenes.EXCAVATION, case, frames, settings)
+    force, simulation = drive(scene, case, frames, settings)
     end = simulation.positions()
     way = np.linalg.norm(end - start, axis=1)
     before, _ = count(start, spheres(start, box), way)
@@ -58,8 +66,33 @@ def moved_soil(case: int, frames: int) -> list[Check]:
     away = signed_distances(simulation.drive.body, simulation.pose, middles)
     after, ways = count(end, middles[away > RADIUS], way)
     is_moved = ways > MOVED * after
+    density = float(after[is_moved].mean() / before.mean())
+    return float(force[:, 0].mean()), simulation, density, np.count_nonzero(is_moved)
+
+
+def moved_soil(case: int, frames: int) -> list[Check]:
+    """The density of soil that a blade has moved, over that of the bed before."""
+    _, _, density, n_sphere = _driven(scenes.EXCAVATION, case, frames)
     name = (
         f'excavation {case}: density of soil that moved over {1e3 * MOVED:.0f} mm over that before'
     )
-    note = f'{frames} frames, by counting in {np.count_nonzero(is_moved)} spheres of 30 mm'
-    return [Check(name, float(after[is_moved].mean() / before.mean()), 1.0, 0.05, note)]
+    note = f'{frames} frames, by counting in {n_sphere} spheres of 30 mm'
+    return [Check(name, density, 1.0, 0.05, note)]
+
+
+def more_particles(case: int, frames: int) -> list[Check]:
+    """The same cells with particles half as far apart: what the data's few particles change."""
+    scene = scenes.EXCAVATION
+    box = dataclasses.replace(scene.bin, lattice=tuple(DENSER * n for n in scene.bin.lattice))
+    force, simulation, density, _ = _driven(scene, case, frames)
+    more, other, denser, _ = _driven(dataclasses.replace(scene, bin=box), case, frames)
+    apart = surface(other.positions(), box) - surface(simulation.positions(), scene.bin)
+    name = f'excavation {case}: {DENSER**3} times the particles'
+    rms = 1e3 * float(np.sqrt((apart**2).mean()))
+    return [
+        reported(f'{name}, mean force over that before', more / force,
+                 f'{frames} frames, {force:.1f} N before'),
+        reported(f'{name}, density of soil that moved over {1e3 * MOVED:.0f} mm', denser,
+                 f'{density:.3f} before'),
+        reported(f'{name}, surface in mm RMS', rms, 'squares'),
+    ]  # fmt: skip

@@ -34,3 +34,26 @@ def test_spheres_lie_in_the_soil(bed):
     assert np.abs(middles[:, 0] - middle).min() > 0.05 + density.RADIUS / 2
     assert middles.min() >= scenes.CORNER + density.RADIUS
     assert middles[:, 1].max() < BOX.surface - density.RADIUS + 5e-3
+
+
+def test_more_particles_are_compared_with_those_of_the_data(bed, monkeypatch):
+    class Run:
+        """Soil that lies 2 mm higher where there is more of it."""
+
+        def __init__(self, box):
+            self.rise = 2e-3 if box != BOX else 0.0
+
+        def positions(self):
+            return bed + [0.0, self.rise, 0.0]
+
+    def driven(scene, case, frames):
+        box = scene.bin
+        more = np.prod(box.lattice) / np.prod(BOX.lattice)
+        assert box.dx == BOX.dx and (case, frames) == (186, 9)
+        return 100.0 * more, Run(box), 1.1 / more, 7
+
+    monkeypatch.setattr(density, '_driven', driven)
+    force, packed, surface = density.more_particles(186, 9)
+    assert (force.figure, packed.figure) == (8.0, pytest.approx(1.1 / 8))
+    assert surface.figure == pytest.approx(2.0, rel=0.01)
+    assert '1.100 before' in packed.note and '100.0 N before' in force.note
