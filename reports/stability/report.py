@@ -87,6 +87,8 @@ def write(rows, curves: dict, seconds: dict, is_quick: bool, output_path: str) -
     """
     values = {'cpu_seconds': seconds, 'rows': rows, 'curves': curves}
     document = record.provenance() | cases.to_json(values)
+    # From what the JSON holds: a number that is rounded twice may end elsewhere.
+    shown = [cases.Case(**row) for row in document['rows']]
     files.write_json(os.path.join(output_path, DATA), document)
     names = pictures.draw_all(curves, output_path)
     command = 'python -m reports stability_report' + (' --quick' if is_quick else '')
@@ -95,9 +97,9 @@ def write(rows, curves: dict, seconds: dict, is_quick: bool, output_path: str) -
         '',
         f'Written by `{command} --output_path=...`; do not edit. Figures and curves: `{DATA}`.',
         '',
-        summary(rows),
+        summary(shown),
         '',
-        cases.markdown(rows),
+        cases.markdown(shown),
         *(f'![{name[:-4].replace("_", " ")}]({name})' for name in names),
         '',
     ]

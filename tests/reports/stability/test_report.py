@@ -88,4 +88,4 @@ def test_report_in_miniature(tmp_path, monkeypatch):
 
 def test_unknown_part_is_refused(tmp_path):
     with pytest.raises(ValueError, match="unknown parts \\['weather'\\]"):
-        stability_report.report(['weather'], True, str(tmp_path), str(tmp_path))
+        stability_report.report(['weather'], True, str(tmp_path))
