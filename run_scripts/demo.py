@@ -1,16 +1,14 @@
-"""Simulates one unseen case per scene with the solver and with the shipped models, and compares
-them.
+"""Simulates one run per scene that no model has seen, and compares the shipped models with it.
 
-The solver makes the ground truth of both cases side by side; the learned simulators roll them out
-from the first six frames; the table holds their errors and run times next to the trivial
-predictors. Where the shipped models have learned from another version of the solver, they are
-judged on the recorded test runs of that version, and the new run gives the solver's time only.
+The solver makes the ground truth of both runs side by side: a blade that cuts, lifts and cuts
+again, and a wheel under a load that changes. The models predict them from the motion of the tool;
+the table holds their errors and run times next to the trivial predictors.
 
 Examples:
     python -m run_scripts.demo --output_path=demo_output
 
-    # another case of the excavation (1 to 250), with the solver run of before where there is one
-    python -m run_scripts.demo --scenes=excavation --cases=127 --output_path=demo_output
+    # other runs: a kind and a seed, or a case of the grid; the solver's of before where it is there
+    python -m run_scripts.demo --scenes=excavation --cases=reverse_9002 --output_path=demo_output
 """
 
 import json
@@ -22,113 +20,101 @@ import time
 import tqdm
 from absl import app, flags
 
-from mpm import raw_run, scenes, versions
+from mpm import raw_run, scenes
+from mpm.motions import catalogue
 from reports import markdown
 from storage import messages
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-MODELS = ('fcg_original', 'pcg')
-COLUMNS = (
-    'method', 'edges', 'soil RMS mm', 'with truncation', 'force rel. L2', 's per simulated s',
-    'times faster',
-)  # fmt: skip
+# Of each scene: the data of record, the models, and a test run of it.
+DATA = {'excavation': 'excavation_v2', 'wheel': 'wheel_v2'}
+MODELS = {'excavation': ('pcg', 'mlp_driven', 'swept_field'), 'wheel': ('pcg', 'swept_field')}
+CASES = {'excavation': 'lift_0158', 'wheel': 'load_0007'}
+COLUMNS = 'method', 'soil mm', 'force rel. L2', 's per simulated s', 'times faster'
 
 
-def simulate(name: str, case: int, folder: str, position: int) -> subprocess.Popen:
+def simulate(name: str, case: int | str, folder: str, position: int) -> subprocess.Popen:
     """Starts the solver on one case; its progress bar takes line `position` of the terminal."""
+    which = [f'--cases={case}']
+    if isinstance(case, str):
+        kind, seed = catalogue.parse(scenes.scene_named(name), case)
+        which = [f'--operator_seeds={seed}', f'--kinds={kind}']
     command = [
-        sys.executable, '-m', 'mpm.generate', f'--scene={name}', f'--cases={case}',
-        f'--output_path={folder}',
+        sys.executable, '-m', 'mpm.generate', f'--scene={name}', *which, f'--output_path={folder}',
     ]  # fmt: skip
     environment = os.environ | {'TQDM_POSITION': str(position)}
     return subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
 
 
-def judged_on(name: str, raw: str, out: str) -> tuple[str, str]:
-    """Returns the dataset that the shipped models are judged on, and what it is in words.
-
-    That of the raw run, if models and run are of one version of the solver.
-    """
-    from pca_tools import convert
-    from pca_tools.metadata import read_metadata
-
-    like = os.path.join(ROOT, 'datasets', name)
-    learned = read_metadata(like)['cases']['train'][0].get('solver_version', '1')
-    if learned != versions.SOLVER_VERSION:
-        return like, (
-            f'recorded test runs of solver version {learned}, which the models learned from '
-            f'(the new run is of version {versions.SOLVER_VERSION})'
-        )
-    data = os.path.join(out, 'dataset')
-    convert.convert(raw, data, like=like, overwrite=os.path.isdir(data))
-    return data, 'the new run'
-
-
-def evaluate(name: str, raw: str, data: str, out: str) -> list[dict]:
-    """Rolls out the shipped models on the test runs of a dataset.
+def evaluate(name: str, raw: str, out: str) -> list[dict]:
+    """Rolls out the shipped models on a run of the solver.
 
     Args:
-        name: scene, names the folder in `models/`.
-        raw: folder with the raw run that tells the solver's time.
-        data: dataset folder.
-        out: folder for rollouts and pictures.
+        name: scene.
+        raw: folder with the raw run.
+        out: folder for the dataset of the run, rollouts and pictures.
 
     Returns:
         One dict per row of the table.
     """
     from learning_to_simulate import evaluation
     from learning_to_simulate.methods import registry
+    from pca_tools import convert
 
+    data = os.path.join(out, 'dataset')
+    like = os.path.join(ROOT, 'datasets', DATA[name])
+    convert.convert(raw, data, like=like, overwrite=os.path.isdir(data))
     (run,) = raw_run.read_manifest(raw)['runs']
     solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
-    for preset in MODELS:
-        opened = registry.open_model(os.path.join(ROOT, 'models', name, preset), data, 'test')
-        model, metadata, groups = opened.model, opened.metadata, opened.groups
-        evaluator = evaluation.Evaluator(model, metadata)
-        results, summary = evaluator.run(groups, 'test')
-        evaluation.save_rollouts(os.path.join(out, preset), 'test', results, summary, metadata)
+    for preset in MODELS[name]:
+        path = os.path.join(ROOT, 'models', DATA[name], preset)
+        opened = registry.open_model(path, data, 'test')
+        results, summary = opened.evaluator.run(opened.groups, 'test')
+        folder = os.path.join(out, preset)
+        evaluation.save_rollouts(folder, 'test', results, summary, opened.metadata)
         mean = summary['mean']
         if len(rows) == 1:
             rows += [_row(label, mean[key]) for key, label in markdown.TRIVIAL.items()]
         row = _row(preset, mean['model'])
-        row['edges'] = summary['runs']['model'][0]['edges']
+        if 'field' in summary:  # judged by particles, not by modes
+            row['soil mm'] = summary['field'][0]['soil_mm']
         row['s per simulated s'] = mean['model']['seconds_per_simulated_second']
         row['times faster'] = solver / row['s per simulated s']
         rows.append(row)
     floor = 1e3 * summary['projection_mse'] ** 0.5
-    rows.append({'method': markdown.FLOOR, 'soil RMS mm': 0.0, 'with truncation': floor})
+    modes = opened.metadata['mode_number']
+    rows.append({'method': f'{markdown.FLOOR} of {modes} modes', 'soil mm': floor})
     return rows
 
 
 def _row(name, mean):
     return {
         'method': name,
-        'soil RMS mm': mean['soil_rms_mm'],
-        'with truncation': mean['soil_rms_mm_full'],
+        'soil mm': mean['soil_rms_mm_full'],
         'force rel. L2': mean['force_relative_l2'],
     }
 
 
-def table(name: str, case: int, rows: list[dict]) -> str:
+def table(name: str, case: int | str, rows: list[dict]) -> str:
     """The rows as aligned text."""
     cells = [['-' if row.get(title) is None else row[title] for title in COLUMNS] for row in rows]
-    return f'{name}, case {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
+    return f'{name}, {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
 
 
 def _bar(drawn, label):
     return tqdm.tqdm(drawn, desc=label, unit='frame', disable=None)
 
 
-def draw(out: str, data: str) -> list[str]:
-    """Pictures and films of every model's first rollout; returns the files."""
+def draw(name: str, out: str) -> list[str]:
+    """Pictures and films of the graph network and of the swept field; returns the files."""
     from learning_to_simulate import render_rollout
 
     written = []
-    for preset in MODELS:
+    for preset in (MODELS[name][0], MODELS[name][-1]):
         _, paths = render_rollout.render(
             os.path.join(out, preset, 'rollout_test_0.npz'),
-            data,
+            os.path.join(out, 'dataset'),
             os.path.join(out, preset),
             formats=['png', 'gif'],
             step_stride=4,
@@ -143,7 +129,7 @@ def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('output_path', 'demo_output', 'Folder for everything that is written.')
     flags.DEFINE_list('scenes', sorted(scenes.SCENES), 'Scenes to simulate.')
-    flags.DEFINE_list('cases', None, 'One case per scene; default: a case that no model has seen.')
+    flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')
 
 
 def main(_) -> None:
@@ -153,17 +139,14 @@ def main(_) -> None:
     out = os.path.abspath(values.output_path)
     try:
         chosen = [scenes.scene_named(name) for name in values.scenes]
-        cases = [scene.demo_case for scene in chosen]
-        if values.cases:
-            if len(values.cases) != len(chosen):
-                raise ValueError(f'{len(values.cases)} cases for {len(chosen)} scenes')
-            cases = [
-                scenes.select_cases(scene, case)[0] for scene, case in zip(chosen, values.cases)
-            ]
+        names = values.cases or [CASES[scene.name] for scene in chosen]
+        if len(names) != len(chosen):
+            raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
+        cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
     except ValueError as error:
         sys.exit(f'error: {messages.printable(error)}')
     raw = [os.path.join(out, s.name, f'raw_{case}') for s, case in zip(chosen, cases)]
-    print('solver: ' + ', '.join(f'{s.name} case {c}' for s, c in zip(chosen, cases)))
+    print('solver: ' + ', '.join(f'{s.name} {c}' for s, c in zip(chosen, cases)))
     running = [
         simulate(scene.name, case, folder, line)
         for line, (scene, case, folder) in enumerate(zip(chosen, cases, raw))
@@ -174,22 +157,19 @@ def main(_) -> None:
     results, pictures = {}, []
     for scene, case, folder in zip(chosen, cases, raw):
         target = os.path.join(out, scene.name)
-        data, judged = judged_on(scene.name, folder, target)
-        rows = evaluate(scene.name, folder, data, target)
-        results[scene.name] = {'case': case, 'judged_on': judged, 'rows': rows}
-        pictures += draw(target, data)
-    text = '\n\n'.join(
-        f'{table(name, r["case"], r["rows"])}\nmodels on: {r["judged_on"]}'
-        for name, r in results.items()
-    )
+        rows = evaluate(scene.name, folder, target)
+        results[scene.name] = {'case': case, 'rows': rows}
+        pictures += draw(scene.name, target)
+    text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
     with open(os.path.join(out, 'table.txt'), 'w', encoding='utf-8') as file:
         file.write(text + '\n')
     with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as file:
         json.dump(results, file, indent=2)
     print('\n' + text + '\n')
-    print('soil RMS: error within the 8 modes; with truncation: what these cannot hold, too.')
+    print('soil: root mean square per coordinate, of all particles, what modes cut off included.')
     print('force of the trivial rows: the last known force, the mean force of the training runs.')
-    print('time: CPU seconds of the solver on one core; wall seconds of one compiled rollout.\n')
+    print('time: CPU seconds of the solver on one core; wall seconds of one compiled rollout, of a')
+    print('swept field with the particles of every frame: its force alone takes a fiftieth.\n')
     for path in pictures:
         print(os.path.relpath(path))
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The whole system on two cases that no model has seen: solver, graph networks, errors, run times.
+# The whole system on two runs that no model has seen: solver, learned simulators, errors, run times.
 #
 #   bash run_scripts/demo.sh                       # everything goes to demo_output/
 #   bash run_scripts/demo.sh --output_path=/tmp/d  # elsewhere

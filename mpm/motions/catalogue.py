@@ -112,3 +112,17 @@ def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> t
     if len(set(numbers)) < len(numbers):
         raise ValueError(f'a seed is named twice in {seeds!r}')
     return tuple(seed_case(chosen[seed % len(chosen)], seed) for seed in numbers)
+
+
+def select_runs(scene: scenes.Scene, names: list[str]) -> tuple:
+    """Returns the ids of runs that a person names: cases of the grid first.
+
+    Raises:
+        ValueError: one that does not exist, or that is named twice; none.
+    """
+    numbers = [name for name in names if name.isdecimal()]
+    cases = scenes.select_cases(scene, ','.join(numbers)) if numbers else ()
+    driven = [seed_case(*parse(scene, name)) for name in names if name not in numbers]
+    if len(set(driven)) < len(driven) or not names:
+        raise ValueError(f'{",".join(names)!r}: runs were expected, each once')
+    return cases + tuple(driven)

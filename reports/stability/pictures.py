@@ -135,7 +135,7 @@ def _limits(figure, curves):
         [c['factor'] for c in data], [c['crossed'] for c in data], 'o-', color=COLORS['pcg']
     )
     gravity.axhline(0.5, color=COLORS['pcg_thesis'], label='refused above')
-    gravity.set(title='Cells that soil crosses in a step', xlabel='gravity (g)')
+    gravity.set(title='Cells that soil crosses between exchanges', xlabel='gravity (g)')
     gravity.legend()
     for axes in (rest, gravity):
         axes.grid(True)

@@ -151,20 +151,6 @@ def measure(scene, cases, factors, raw_path: str, output_path: str) -> dict:
     return summary
 
 
-def selected(scene, names: list[str]) -> tuple:
-    """Returns the ids of runs that a person names: cases of the grid first.
-
-    Raises:
-        ValueError: one that does not exist, or that is named twice; none.
-    """
-    numbers = [name for name in names if name.isdecimal()]
-    cases = scenes.select_cases(scene, ','.join(numbers)) if numbers else ()
-    driven = [catalogue.seed_case(*catalogue.parse(scene, n)) for n in names if n not in numbers]
-    if len(set(driven)) < len(driven) or not names:
-        raise ValueError(f'--cases={",".join(names)}: runs were expected, each once')
-    return cases + tuple(driven)
-
-
 def _row_with_bar(scene, case, factor, packed, fine):
     with tqdm.tqdm(
         total=catalogue.motion_of(scene, case).simulated_frames,
@@ -205,7 +191,7 @@ def define_flags() -> None:
 def main(values, _) -> None:
     """Runs the command."""
     scene = scenes.scene_named(values.scene)
-    cases = selected(scene, values.cases)
+    cases = catalogue.select_runs(scene, values.cases)
     factors = [float(factor) for factor in values.grid_factors]
     summary = measure(scene, cases, factors, values.raw_path, values.output_path)
     print(table(summary))

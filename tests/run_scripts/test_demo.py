@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from mpm import scenes, splits
+from pca_tools import dataset
 from run_scripts import demo
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -15,15 +17,28 @@ def test_demo_table_leaves_out_what_a_row_lacks():
     text = demo.table('wheel', 7, [{'method': 'solver', 's per simulated s': 12.0}])
     title, _, _, row = text.splitlines()
     cells = [cell.strip() for cell in row.strip('|').split('|')]
-    assert title == 'wheel, case 7' and cells == ['solver', '-', '-', '-', '-', '12', '-']
+    assert title == 'wheel, 7' and cells == ['solver', '-', '-', '12', '-']
 
 
 @pytest.mark.parametrize(
     ('arguments', 'message'),
-    [(['--scenes=moon'], 'unknown scene'), (['--cases=1,2', '--scenes=wheel'], '2 cases for 1')],
+    [
+        (['--scenes=moon'], 'unknown scene'),
+        (['--cases=1,2', '--scenes=wheel'], '2 cases for 1'),
+        (['--cases=lift_0001', '--scenes=wheel'], 'wheel has no run'),
+    ],
 )
 def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, message):
     command = [sys.executable, '-m', 'run_scripts.demo', f'--output_path={tmp_path}', *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode != 0 and message in done.stderr and 'Traceback' not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('scene', sorted(demo.CASES))
+def test_no_model_has_seen_the_runs_of_the_demo(scene):
+    cases = dataset.read_metadata(str(ROOT / 'datasets' / demo.DATA[scene]))['cases']
+    assert demo.CASES[scene] in [case['case'] for case in cases['test']]
+    assert splits.split_of(scenes.scene_named(scene), demo.CASES[scene]) == 'test'
+    for preset in demo.MODELS[scene]:
+        assert (ROOT / 'models' / demo.DATA[scene] / preset / 'config.json').exists()

@@ -71,3 +71,11 @@ def test_seeds_take_turns_through_the_kinds():
 def test_bad_seeds_are_refused(seeds, kinds, words):
     with pytest.raises(ValueError, match=words):
         catalogue.select_seeds(scenes.EXCAVATION, seeds, kinds)
+
+
+def test_runs_are_named_by_case_or_by_kind_and_seed():
+    scene = scenes.EXCAVATION
+    assert catalogue.select_runs(scene, ['lift_3', '21']) == (21, 'lift_0003')
+    for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999']):
+        with pytest.raises(ValueError):
+            catalogue.select_runs(scene, names)

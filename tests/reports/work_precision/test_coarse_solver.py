@@ -55,15 +55,6 @@ def test_bad_choices_are_refused(measured, tmp_path):
         coarse_solver.measure(scenes.WHEEL, (63,), (2.0,), raw, path)
 
 
-def test_runs_are_named_by_case_or_by_kind_and_seed():
-    scene = scenes.EXCAVATION
-    found = coarse_solver.selected(scene, ['lift_0003', '21'])
-    assert found == (21, 'lift_0003')
-    for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999']):
-        with pytest.raises(ValueError):
-            coarse_solver.selected(scene, names)
-
-
 def test_frames_of_a_lead_in_are_paid_for(measured):
     run = raw_run.read_run(f'{measured[1]}/run_{CASE:03d}.npz')
     before = coarse_solver.cost(run)['milliseconds_per_step']
