@@ -162,16 +162,12 @@ def _drafts(ours, stiff, theirs, published) -> tuple:
 
 def draw(path: str, picture: str) -> None:
     """Draws the drafts of all cases, and the published means over `SPAN` frames."""
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
+    from matplotlib import figure
 
     content = files.read_json(path)
     cases = cases_of(content)
-    figure, axes = pyplot.subplots(
-        1, len(cases), figsize=(3.2 * len(cases), 3.2), layout='constrained', squeeze=False
-    )
+    drawn = figure.Figure(figsize=(3.2 * len(cases), 3.2), layout='constrained')
+    axes = drawn.subplots(1, len(cases), squeeze=False)
     time_s = np.arange(1, content['frames'] + 1) / scenes.FRAME_RATE
     for axis, (case, runs) in zip(axes[0], cases.items()):
         for name, colour in zip(PHYSICS, ('k', 'tab:orange', 'tab:red')):
@@ -185,8 +181,7 @@ def draw(path: str, picture: str) -> None:
         axis.set(title=f'{title}, {p["angle_deg"]:g}°', xlabel='s', ylim=(0.0, None))
     axes[0, 0].set_ylabel('draft, N')
     axes[0, 0].legend(fontsize=7, frameon=False)
-    figure.savefig(picture, dpi=110)
-    pyplot.close(figure)
+    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=110))
 
 
 def define_flags() -> None:

@@ -169,7 +169,7 @@ def main(_) -> None:
     print('soil: root mean square per coordinate, of all particles, what modes cut off included.')
     print('force of the trivial rows: the last known force, the mean force of the training runs.')
     print('time: CPU seconds of the solver on one core; wall seconds of one compiled rollout, of a')
-    print('swept field with the particles of every frame: its force alone takes a fiftieth.\n')
+    print('swept field with the particles of every frame and their modes, for its file.\n')
     for path in pictures:
         print(os.path.relpath(path))
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')

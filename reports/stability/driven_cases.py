@@ -24,7 +24,7 @@ AIR_WAY, AIR_FRAMES = 0.3, 180  # m, frames of a level ride
 
 
 def recorded_runs(data_path: str, n_run: int | None = None) -> list[dict]:
-    """Test runs: `name`, `poses` float64 [T, 7], `context` [T, C] or None, `way` of the soil in m.
+    """Test runs: `poses` float64 [T, 7], m, `context` [T, C] or None, `way` of the soil in m.
 
     The way is the farthest that the recorded soil gets from where it began, root mean square over
     particles and axes.
@@ -37,7 +37,6 @@ def recorded_runs(data_path: str, n_run: int | None = None) -> list[dict]:
             modes = run.position[:, run.n_rigid :].astype(np.float64)
             way = ((modes - modes[:1]) ** 2).sum(axis=(1, 2)).max()
             found[case['kind']] = {
-                'name': str(case['case']),
                 'poses': run.rigid_pose.astype(np.float64),
                 'context': run.step_context,
                 'way': float(np.sqrt(way / (3 * metadata['n_soil']))),
@@ -50,10 +49,14 @@ def rms(particles: np.ndarray) -> float:
     return float(np.sqrt((particles.astype(np.float64) ** 2).mean()))
 
 
-def longer(run: dict, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Poses and contexts of a run in another order of frames, from the last given one on."""
-    context = run['context']
-    return run['poses'][frames][H - 1 :], None if context is None else context[frames][H - 1 :]
+def roll_out(model, runs: list[dict], frames: np.ndarray) -> list:
+    """The rollouts of runs with their frames in another order, from the last given one on."""
+    rollouts = []
+    for run in runs:
+        context = run['context']
+        context = None if context is None else context[frames][H - 1 :]
+        rollouts.append(model.rollout(run['poses'][frames][H - 1 :], context=context))
+    return rollouts
 
 
 def _outcome(rollouts):
@@ -74,14 +77,13 @@ def to_and_fro(name: str, model, runs: list[dict], factor: int) -> list[Case]:
     """The path to its end and back, again and again: how far the soil is at the end."""
     n_frame = len(runs[0]['poses'])
     frames = shipped.to_and_fro(n_frame, H + factor * (n_frame - H))
-    ways, forces, rollouts = [], [], []
-    for run in runs:
-        path, context = longer(run, frames)
-        rollout = model.rollout(path, context=context)
-        ways.append(rms(rollout.particles(-1) - rollout.particles(0)) / run['way'])
-        forces.append(np.linalg.norm(rollout.force, axis=1).max())
-        rollouts.append(rollout)
-    note = f'worst {max(ways):.3g}, largest force {max(forces):.3g} N; {_statuses(rollouts)}'
+    rollouts = roll_out(model, runs, frames)
+    ways = [
+        rms(rollout.particles(-1) - rollout.particles(0)) / run['way']
+        for rollout, run in zip(rollouts, runs, strict=True)
+    ]
+    force = max(np.linalg.norm(rollout.force, axis=1).max() for rollout in rollouts)
+    note = f'worst {max(ways):.3g}, largest force {force:.3g} N; {_statuses(rollouts)}'
     what = f'{name}, path to and fro, {factor} x horizon: soil distance at the end over the true '
     return [
         Case(
@@ -95,14 +97,10 @@ def held(name: str, model, runs: list[dict], factor: int) -> list[Case]:
     """The tool stops at the end of its path: what soil and force do from then on."""
     n_frame = len(runs[0]['poses'])
     frames = shipped.hold(n_frame, H + factor * (n_frame - H))
-    creep, change, rollouts = [], [], []
-    for run in runs:
-        path, context = longer(run, frames)
-        rollout = model.rollout(path, context=context)
-        stop = n_frame - H + 60  # a second after the stop, when true soil has come to rest
-        creep.append(1e3 * rms(rollout.particles(-1) - rollout.particles(stop)))
-        change.append(float(np.linalg.norm(rollout.force[-1] - rollout.force[stop])))
-        rollouts.append(rollout)
+    rollouts = roll_out(model, runs, frames)
+    stop = n_frame - H + 60  # a second after the stop, when true soil has come to rest
+    creep = [1e3 * rms(r.particles(-1) - r.particles(stop)) for r in rollouts]
+    change = [float(np.linalg.norm(r.force[-1] - r.force[stop])) for r in rollouts]
     seconds = (len(frames) - n_frame - 60) / 60
     note = f'worst {max(creep):.3g} mm; the force changes by {max(change):.3g} N at most; '
     what = f'{name}, tool held at its end: what the soil moves in {seconds:.0f} s of rest'

@@ -72,6 +72,9 @@ def beside(solver_path: str, protocol_path: str, quantity: str, *methods: str) -
       protocol_path: JSON of `reports.protocol`.
       quantity: 'soil_mm' or 'force_l2'.
       *methods: of the protocol; of one with seeds the mean over them.
+
+    Raises:
+      KeyError: a run or a method that the protocol lacks.
     """
     key = {'soil_mm': 'soil_rms_mm', 'force_l2': 'force_relative_l2'}[quantity]
     coarse = {n: runs for n, runs in files.read_json(solver_path)['runs'].items() if n != FINE}

@@ -40,7 +40,7 @@ def run():
     poses = np.zeros((N_FRAME, 7))
     poses[:, 0] = np.arange(N_FRAME)
     poses[:, 1] = 2.0
-    return {'name': 'lift_0001', 'poses': poses, 'context': poses[:, :1], 'way': 0.005}
+    return {'poses': poses, 'context': poses[:, :1], 'way': 0.005}
 
 
 def test_the_path_goes_to_and_fro_from_the_last_given_frame(run):
