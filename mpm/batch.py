@@ -89,13 +89,7 @@ def _generate(scene, cases, output_path, settings, num_processes, show_progress)
     finished = raw_run.finished_runs(
         output_path,
         scene,
-        {
-            'youngs_modulus_Pa': settings.youngs_modulus,
-            'rheology': settings.rheology,
-            'sleep': settings.sleep,
-            'seed': settings.seed,
-            'solver_version': versions.SOLVER_VERSION,
-        },
+        settings.recorded() | {'solver_version': versions.SOLVER_VERSION},
     )
     todo = _unfinished(scene, cases, finished, output_path)
     if not todo:

@@ -26,6 +26,7 @@ from absl import app, flags, logging
 
 from mpm import bodies, scenes
 from mpm.batch import generate
+from mpm.constitutive import DILATION
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import RHEOLOGIES, Settings
@@ -68,6 +69,13 @@ _YOUNGS_MODULUS = flags.DEFINE_float(
 _RHEOLOGY = flags.DEFINE_enum(
     'rheology', 'local', RHEOLOGIES, 'Local mu(I), or nonlocal granular fluidity.'
 )
+_DILATION = flags.DEFINE_float(
+    'dilation',
+    0.0,
+    f'Keeps the volume of sheared soil ({DILATION:g} is what `mpm.verify` takes); 0: it packs more '
+    'closely, as in the data of record.',
+    lower_bound=0.0,
+)
 _SEED = flags.DEFINE_integer('seed', 0, 'Seed of the initial packing.')
 
 
@@ -95,7 +103,9 @@ def main(argv):
     try:
         scene = scenes.scene_named(_SCENE.value)
         runs = chosen_runs(scene)
-        settings = Settings(_YOUNGS_MODULUS.value, _RHEOLOGY.value, _SEED.value)
+        settings = Settings(
+            _YOUNGS_MODULUS.value, _RHEOLOGY.value, _SEED.value, dilation=_DILATION.value
+        )
         new = generate(scene, runs, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value)
     except (ValueError, OSError) as error:
         logging.error('%s', error)

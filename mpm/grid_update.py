@@ -1,7 +1,7 @@
 """The grid between two exchanges: velocities, walls, kicks and drifts.
 
 A node carries (vx, vy, vz, 1 / m). Nodes on and beyond a wall, and nodes that sleeping soil
-touches, do not move: they stay out of the list of free nodes, with zeros.
+touches, do not move: they stay out of the list of free nodes, with no velocity.
 """
 
 import numba
@@ -38,10 +38,11 @@ def start_nodes(nodes, grid, box, fall):
                     nodes.touched[touched] = node
                     touched += 1
                     is_side = k <= walls[3] or k >= walls[4]
+                    r = 1.0 / mass
                     if is_wall or nodes.asleep[number] or (is_side and walls[5] == 0):
                         vectors.store(velocity, node, zero)
+                        velocity[node + index(3)] = r
                         continue
-                    r = 1.0 / mass
                     velocity[node] *= r
                     velocity[node + index(1)] = velocity[node + index(1)] * r - fall
                     velocity[node + index(2)] *= 0.0 if is_side else r

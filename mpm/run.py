@@ -60,7 +60,8 @@ def _check_drive(scene, drive, frames, soil, settings) -> None:
 
 def soil_of(scene: scenes.Scene, parameters: dict, settings: Settings) -> Soil:
     """Returns the soil of a run."""
-    return make_soil(settings.youngs_modulus, scenes.static_friction(scene, parameters))
+    friction = scenes.static_friction(scene, parameters)
+    return make_soil(settings.youngs_modulus, friction, dilation=settings.dilation)
 
 
 def make_simulation(
@@ -154,15 +155,12 @@ def run_case(
         'split': splits.split_of(scene, motion.case),
         'solver_version': versions.SOLVER_VERSION,
         'data_version': versions.DATA_VERSION,
-        'seed': settings.seed,
         'context': context,
         **parameters,
-        'youngs_modulus_Pa': settings.youngs_modulus,
-        'rheology': settings.rheology,
-        'sleep': settings.sleep,
+        **{name: value for name, value in settings.recorded().items() if value is not None},
         'time_step_s': simulation.dt,
         'cell_size_m': simulation.grid.dx,
-        'soil': soil._asdict(),
+        'soil': {n: v for n, v in soil._asdict().items() if n != 'dilation' or v},
         'body_friction': drive.body.friction,
         # The worst frame of the run.
         **{f'penetration_{name}': value for name, value in deepest.items()},

@@ -29,6 +29,8 @@ class Settings:
         steps_per_frame: a multiple of 18 (`solver.EXCHANGE`); 0: from the CFL limit.
         sleep: whether soil that rests is left out (`sleeping`).
         single: whether the steps between exchanges are taken in float32; particles are float64.
+        dilation: K of `constitutive.dilated`, which keeps the volume of soil that is sheared; 0:
+            nothing does, as in the data of record.
     """
 
     youngs_modulus: float = 1.5e6
@@ -37,6 +39,7 @@ class Settings:
     steps_per_frame: int = 0
     sleep: bool = True
     single: bool = True
+    dilation: float = 0.0
 
     def __post_init__(self):
         if self.rheology not in RHEOLOGIES:
@@ -46,6 +49,19 @@ class Settings:
                 f'steps_per_frame is {self.steps_per_frame}, must be a multiple of {INTERVALS}: '
                 f'particles and grid exchange every {EXCHANGE:.3g} s'
             )
+
+    def recorded(self) -> dict:
+        """Returns what the record of a run says of them, which all runs of a folder share.
+
+        `dilation` is None without one, and then no record names it: these are the runs of before.
+        """
+        return {
+            'youngs_modulus_Pa': self.youngs_modulus,
+            'rheology': self.rheology,
+            'sleep': self.sleep,
+            'seed': self.seed,
+            'dilation': self.dilation or None,
+        }
 
 
 class Simulation:

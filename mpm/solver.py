@@ -215,7 +215,7 @@ def advance(
             # The first half kick of gravity and of the soil's own forces is in the velocity.
             fall = gravity if k > 0 else 0.0
             kick(nodes, grid, free, share, fall, settling, dt if k < steps else 0.0)
-        grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
+        grid_to_particles(block, nodes.velocity, nodes.displacement, grid, steps * dt, soil)
         clear(nodes, touched)
 
 

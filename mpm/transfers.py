@@ -16,6 +16,8 @@ Sources:
   MLS-MPM: Hu et al. (2018), ACM Trans. Graph. 37, 150.
 """
 
+import math
+
 import numba
 
 from mpm import vectors
@@ -33,7 +35,7 @@ from mpm.columns import (
     index,
     row,
 )
-from mpm.constitutive import pressure_of, update_stress
+from mpm.constitutive import dilated, pressure_of, update_stress
 
 
 @numba.njit(inline='always', **JIT)
@@ -301,13 +303,26 @@ def _put_gradient(out, first, step, columns, per_cell):
         out[at], out[at + step], out[at + index(2) * step] = x[axis], y[axis], z[axis]
 
 
+@numba.njit(inline='always', **JIT)
+def shear_rate(gradient, at):
+    """Returns gamma_dot = sqrt(2) |dev D| (1/s) of the nine entries of L from `at` on."""
+    xx, yy, zz = gradient[at], gradient[at + index(4)], gradient[at + index(8)]
+    xy = gradient[at + index(1)] + gradient[at + index(3)]
+    yz = gradient[at + index(5)] + gradient[at + index(7)]
+    zx = gradient[at + index(2)] + gradient[at + index(6)]
+    third = (xx + yy + zz) / 3.0
+    normal = (xx - third) ** 2 + (yy - third) ** 2 + (zz - third) ** 2
+    return math.sqrt(2.0 * normal + xy * xy + yz * yz + zx * zx)
+
+
 @numba.njit(**JIT)
-def grid_to_particles(block, velocity, displacement, grid):
-    """Eq. (4): what the particles take back at the end of an exchange interval."""
+def grid_to_particles(block, velocity, displacement, grid, interval, soil):
+    """Eq. (4), and (7) if the soil dilates: what particles take back after `interval` seconds."""
     q, kept = block.particles, block.weights
     flat = q.ravel()
     strides = strides_of(grid.shape)
     per_cell = 4.0 / grid.dx
+    packed = 1.0 / (grid.dx**3 * soil.bulk_density)
     for n in range(len(q)):
         base, at = block.base[n], index(WEIGHTS * n)
         u = interpolate(displacement, base, strides, kept, at)
@@ -318,3 +333,9 @@ def grid_to_particles(block, velocity, displacement, grid):
             q[n, V + axis] = v[axis]
         _put_gradient(flat, index(COLUMNS * n + C), index(1), columns, per_cell)
         return_elastic(block, n)
+        if soil.dilation > 0.0:
+            # The harmonic mean of the nodes' masses comes with the velocity for nothing; near a
+            # surface light nodes rule it, so it does not take the soil for denser than it is.
+            rate = shear_rate(flat, index(COLUMNS * n + C))
+            ratio = q[n, VOLUME_RATIO]
+            q[n, VOLUME_RATIO] = dilated(ratio, rate, packed / v[3], interval, soil)

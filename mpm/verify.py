@@ -18,6 +18,7 @@ from functools import partial
 from absl import app, flags, logging
 from tqdm import tqdm
 
+from mpm.constitutive import DILATION
 from mpm.scenes import EXCAVATION, FRAMES, SCENES, WHEEL
 from mpm.verification import convergence, density, kernel_rows, run_rows
 from mpm.verification.rows import Table
@@ -51,6 +52,7 @@ def rows_of(raw_path: str) -> dict:
         'incline_exchange': kernel_rows.incline_exchange,
         'incline_packing': kernel_rows.incline_packing,
         'incline_halt': kernel_rows.incline_halt,
+        'incline_dilating': kernel_rows.incline_dilating,
     }
     for scene in SCENES.values():
         rows[f'packing_{scene.name}'] = partial(run_rows.packed_soil, scene, raw_path)
@@ -70,7 +72,14 @@ def rows_of(raw_path: str) -> dict:
         rows[f'leak_{scene.name}'] = partial(run_rows.leak, scene, raw_path)
     for case in DENSITY_CASES:
         rows[f'density_{case}'] = partial(density.moved_soil, case, DRIVEN)
+        rows[f'dilating_{case}'] = partial(density.dilating_soil, case, DRIVEN)
+    rows['halved_dilating_186'] = partial(
+        convergence.halved_step, EXCAVATION, 186, frames, DILATION
+    )
     rows['more_particles_186'] = partial(density.more_particles, 186, MORE_PARTICLES_FRAMES)
+    rows['more_particles_dilating_186'] = partial(
+        density.more_particles, 186, MORE_PARTICLES_FRAMES, DILATION
+    )
     for option in convergence.SHORT_CUTS:
         for case in SHORT_CUT_CASES:
             rows[f'{option}_{case}'] = partial(

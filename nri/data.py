@@ -41,13 +41,14 @@ class NriData:
     source: str
 
 
-def load(path: str, split: str, nodes: str = 'modes') -> NriData:
+def load(path: str, split: str, nodes: str = 'modes', modes: int = 0) -> NriData:
     """Reads a split of either kind of folder.
 
     Args:
       path: folder.
       split: train, valid or test.
       nodes: 'modes' or 'modes_and_rigid', for datasets of this project only.
+      modes: how many of the modes of such a dataset, the first ones; 0: all.
 
     Raises:
       FileNotFoundError: no such folder or split.
@@ -61,7 +62,11 @@ def load(path: str, split: str, nodes: str = 'modes') -> NriData:
     if not os.path.isdir(path):
         raise FileNotFoundError(f'{path}: no such folder')
     if os.path.exists(os.path.join(path, 'metadata.json')):
-        data = _load_subspace(path, split, nodes)
+        data = _load_subspace(path, split, nodes, modes)
+    elif modes:
+        raise ValueError(
+            f'{path}: is no dataset of this project, so it has no modes to choose from'
+        )
     else:
         data = _load_kipf(path, split)
     if data.features.shape[1] < 2:
@@ -73,10 +78,12 @@ def _digest(paths) -> str:
     return hashlib.sha256(''.join(files.sha256_of_file(p) for p in paths).encode()).hexdigest()
 
 
-def _load_subspace(path, split, nodes):
+def _load_subspace(path, split, nodes, modes):
     runs = dataset.read_split(path, split)
     up = dataset.read_metadata(path).get('scene', {}).get('up_axis', 1)
-    n_modes = runs[0].n_modes
+    if modes > runs[0].n_modes:
+        raise ValueError(f'modes is {modes}, but {path} holds {runs[0].n_modes}')
+    n_modes = modes or runs[0].n_modes
     # The digest of the training runs says which dataset it is, whatever split is read.
     names = [n for n in ('metadata.json', 'train.tfrecord') if os.path.exists(f'{path}/{n}')]
     n_rigid = 0

@@ -39,7 +39,8 @@ def train(
       ValueError: bad data, another model in `model_path`, a loss that is not finite.
     """
     splits = {
-        split: nri_data.load(data_path, split, config.nodes) for split in ('train', 'valid', 'test')
+        split: nri_data.load(data_path, split, config.nodes, config.modes)
+        for split in ('train', 'valid', 'test')
     }
     offset, scale = nri_data.normalization(splits['train'])
     model = NriModel(config, splits['train'].node_names, offset, scale, splits['train'].digest)

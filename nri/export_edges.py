@@ -18,6 +18,7 @@ without any edge, or with all of them, is not exported unless --allow_degenerate
 that the encoder collapsed, not what the soil does.
 """
 
+import dataclasses
 import os
 import sys
 
@@ -110,8 +111,9 @@ def find_edges(
         without a meaning, an empty or saturated graph.
     """
     model = load_model(model_path)
-    data = nri_data.load(data_path, split, model.config.nodes)
-    trained_on = nri_data.load(data_path, 'train', model.config.nodes).digest
+    nodes = (model.config.nodes, model.config.modes)
+    data = nri_data.load(data_path, split, *nodes)
+    trained_on = nri_data.load(data_path, 'train', *nodes).digest
     if trained_on != model.data_digest:
         raise ValueError(
             f'{model_path} was trained on other data (sha256 {model.data_digest[:12]}...) than '
@@ -165,7 +167,10 @@ def completed(edges: edge_lists.EdgeList, data_path: str):
     kind = int(first.particle_type[0]) if first.n_rigid else None
     motion = None if first.n_rigid else 'none'
     scene = Scene.from_metadata(metadata, rigid_particle_type=kind, rigid_motion=motion)
-    modes = edge_lists.mode_names(scene.n_modes)
+    # A list may be of the first modes only, as models may have these only (`--modes`).
+    n_modes = len(edges.node_names) - sum(name.startswith('rigid_') for name in edges.node_names)
+    scene = dataclasses.replace(scene, n_modes=n_modes)
+    modes = edge_lists.mode_names(n_modes)
     adjacency = connectivity_utils.algorithm2(scene, first.n_rigid, edges.mask_for(modes))
     return adjacency, tuple(f'rigid_{i}' for i in range(first.n_rigid)) + modes
 

@@ -23,13 +23,13 @@ MIN_CNN_FRAMES = 14
 # Eight random streams per seed in int32.
 MAX_SEED = 2**28
 _LARGEST = 2**31 - 1
+MAX_NODES, MAX_FEATURES = 300, 100
 # Field -> its least and largest value; the largest are beyond any graph of the project, so that a
 # damaged number does not ask for its memory.
 _RANGES = {
     'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
-    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000),
+    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
 }  # fmt: skip
-MAX_NODES, MAX_FEATURES = 300, 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +55,7 @@ class NriConfig:
       epochs, batch_size, seed: of the training.
       supervised: train the encoder alone, with the true edges.
       nodes: which nodes of a dataset of this project; see `nri.data`.
+      modes: how many of its modes, the first ones; 0: all.
 
     Raises:
       ValueError: a value outside its range, with the range.
@@ -83,6 +84,7 @@ class NriConfig:
     seed: int = 0
     supervised: bool = False
     nodes: str = 'modes'
+    modes: int = 0
 
     def __post_init__(self):
         for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):

@@ -78,12 +78,7 @@ def _entry_of(path: str, settings: Settings) -> dict[str, Any]:
 
 def _shared(settings: Settings) -> dict[str, Any]:
     """Returns the parameters that all runs of a folder share."""
-    return {
-        'youngs_modulus_Pa': settings.youngs_modulus,
-        'rheology': settings.rheology,
-        'seed': settings.seed,
-        'solver_version': versions.SOLVER_VERSION,
-    }
+    return settings.recorded() | {'solver_version': versions.SOLVER_VERSION}
 
 
 def generate(

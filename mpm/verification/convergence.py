@@ -33,14 +33,15 @@ def drive(scene: scenes.Scene, case: int, frames: int, settings: Settings):
     return np.array([simulation.frame()[0] for _ in bar]), simulation
 
 
-def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
+def halved_step(scene: scenes.Scene, case: int, frames: int, dilation: float = 0.0) -> list[Check]:
     """The relative change of the mean force along x when the time step is halved."""
-    force, simulation = drive(scene, case, frames, Settings())
-    halved = Settings(steps_per_frame=2 * simulation.steps)
+    force, simulation = drive(scene, case, frames, Settings(dilation=dilation))
+    halved = Settings(steps_per_frame=2 * simulation.steps, dilation=dilation)
     finer, other = drive(scene, case, frames, halved)
     mean, change = force[:, 0].mean(), finer[:, 0].mean() / force[:, 0].mean() - 1.0
     apart = _rms_mm(simulation, other)
-    name = f'{scene.name} {case}: halved step, change of the mean force'
+    what = f'{scene.name} {case}' + (', dilating soil' if dilation else '')
+    name = f'{what}: halved step, change of the mean force'
     return [Check(name, change, 0.0, 0.01, f'{frames} frames, {mean:.1f} N; soil {apart:.2f} mm')]
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from mpm import scenes
+from mpm.constitutive import DILATION
 from mpm.contact import signed_distances
 from mpm.simulation import Settings
 from mpm.verification.convergence import drive, packed
@@ -49,14 +50,14 @@ def count(positions: np.ndarray, middles: np.ndarray, values: np.ndarray) -> np.
     return found
 
 
-def _driven(scene: scenes.Scene, case: int, frames: int):
-    """Drives a case.
+def _driven(scene: scenes.Scene, case: int, frames: int, dilation: float = 0.0):
+    """Drives a case of soil of a `dilation`.
 
     Returns:
         the mean force along x, N; the simulation; the density of soil that the blade has moved
         over that of the bed before; and in how many spheres it was counted.
     """
-    box, settings = scene.bin, Settings()
+    box, settings = scene.bin, Settings(dilation=dilation)
     start = packed(box, settings.youngs_modulus)[:, :3]
     force, simulation = drive(scene, case, frames, settings)
     end = simulation.positions()
@@ -70,6 +71,12 @@ def _driven(scene: scenes.Scene, case: int, frames: int):
     return float(force[:, 0].mean()), simulation, density, np.count_nonzero(is_moved)
 
 
+def _apart_mm(one, box, other, other_box) -> float:
+    """How far the surfaces of two simulations are apart, mm RMS over squares."""
+    apart = surface(one.positions(), box) - surface(other.positions(), other_box)
+    return 1e3 * float(np.sqrt((apart**2).mean()))
+
+
 def moved_soil(case: int, frames: int) -> list[Check]:
     """The density of soil that a blade has moved, over that of the bed before."""
     _, _, density, n_sphere = _driven(scenes.EXCAVATION, case, frames)
@@ -80,15 +87,35 @@ def moved_soil(case: int, frames: int) -> list[Check]:
     return [Check(name, density, 1.0, 0.05, note)]
 
 
-def more_particles(case: int, frames: int) -> list[Check]:
-    """The same cells with particles half as far apart: what the data's few particles change."""
+def dilating_soil(case: int, frames: int) -> list[Check]:
+    """The same of soil that regains what it loses, and what else that changes."""
+    box = scenes.EXCAVATION.bin
+    force, simulation, before, _ = _driven(scenes.EXCAVATION, case, frames)
+    other, dilating, density, n_sphere = _driven(scenes.EXCAVATION, case, frames, DILATION)
+    name = f'excavation {case}: dilating soil'
+    return [
+        Check(f'{name}, density of soil that moved over {1e3 * MOVED:.0f} mm over that before',
+              density, 1.0, 0.05, f'{frames} frames, {n_sphere} spheres; {before:.3f} without'),
+        reported(f'{name}, mean force over that without', other / force,
+                 f'{frames} frames, {force:.1f} N without'),
+        reported(f'{name}, surface in mm RMS', _apart_mm(dilating, box, simulation, box),
+                 'squares'),
+    ]  # fmt: skip
+
+
+def more_particles(case: int, frames: int, dilation: float = 0.0) -> list[Check]:
+    """The same cells with particles half as far apart: what the data's few particles change.
+
+    `dilation` is of the few; the many, which keep their volume, have none.
+    """
     scene = scenes.EXCAVATION
     box = dataclasses.replace(scene.bin, lattice=tuple(DENSER * n for n in scene.bin.lattice))
-    force, simulation, density, _ = _driven(scene, case, frames)
+    force, simulation, density, _ = _driven(scene, case, frames, dilation)
     more, other, denser, _ = _driven(dataclasses.replace(scene, bin=box), case, frames)
-    apart = surface(other.positions(), box) - surface(simulation.positions(), scene.bin)
     name = f'excavation {case}: {DENSER**3} times the particles'
-    rms = 1e3 * float(np.sqrt((apart**2).mean()))
+    if dilation:
+        name = f'{name} and few of dilating soil'
+    rms = _apart_mm(other, box, simulation, scene.bin)
     return [
         reported(f'{name}, mean force over that before', more / force,
                  f'{frames} frames, {force:.1f} N before'),

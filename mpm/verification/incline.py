@@ -46,9 +46,9 @@ LAYERS = 10  # of the profile
 HALTING_SPEED = 0.2  # m/s
 
 
-def beads() -> Soil:
+def beads(dilation: float = 0.0) -> Soil:
     """The glass beads of Jop et al. (2006), as stiff and dense as the soil of the scenes."""
-    soil = make_soil(1.5e6, math.tan(math.radians(20.9)))
+    soil = make_soil(1.5e6, math.tan(math.radians(20.9)), dilation=dilation)
     mu_2 = math.tan(math.radians(32.76))
     return soil._replace(mu_2=mu_2, inertial_number_0=0.279, grain_diameter=GRAIN_DIAMETER)
 
@@ -177,7 +177,9 @@ class Incline:
             share = dt if 0 < k < self._steps else 0.5 * dt
             drift = dt if k < self._steps else 0.0
             kick(nodes, grid, free, share, down if k > 0 else 0.0, settling, drift)
-        grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
+        grid_to_particles(
+            block, nodes.velocity, nodes.displacement, grid, self._exchange, self.soil
+        )
         clear(nodes, touched)
         self.particles = block.particles
         self.wrap()
@@ -276,6 +278,7 @@ def bagnold(
     share: float = 1.0,
     exchange: float = EXCHANGE,
     cells: int = 4,
+    soil: Soil | None = None,
 ) -> list[dict[str, float]]:
     """Lets beads flow that begin at a `share` of the closed form's speed; see `flow`.
 
@@ -285,8 +288,9 @@ def bagnold(
         share: of the speed.
         exchange: interval of the exchange between particles and grid, s.
         cells: that the period is long.
+        soil: None: `beads()`.
     """
-    layer = Incline(layer_bin(cells, denser), beads(), exchange)
+    layer = Incline(layer_bin(cells, denser), beads() if soil is None else soil, exchange)
     layer.start(lambda y: share * closed_form(y, layer.depth, FLOWING_DEG, layer.soil))
     return flow(layer, FLOWING_DEG, ends)
 

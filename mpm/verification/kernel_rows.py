@@ -1,6 +1,7 @@
 """Checks that need no run of a scene."""
 
 from mpm import experiments
+from mpm.constitutive import DILATION
 from mpm.solver import EXCHANGE
 from mpm.verification import incline
 from mpm.verification.rows import Check, reported
@@ -96,6 +97,20 @@ def incline_packing() -> list[Check]:
             speed = f'{name}: surface speed over closed form'
             rows.append(reported(speed, found['surface'], note))
     return rows
+
+
+def incline_dilating() -> list[Check]:
+    """The layer of as few particles as the data have, of soil that regains what it loses."""
+    soil, note = incline.beads(DILATION), f'K = {DILATION:g}, {_packed(1, SCENE_CELLS)}'
+    (found,) = incline.bagnold(1, (2.0, 4.0), cells=SCENE_CELLS, soil=soil)
+    speed = incline.halt(soil, RESTING_DEG['beads'], 1, SCENE_CELLS)
+    name = 'incline, dilating beads'
+    return [
+        Check(f'{name}: depth over that before', found['depth'], 1.0, 0.05, f'2 to 4 s, {note}'),
+        reported(f'{name}: surface speed over closed form', found['surface'], f'2 to 4 s, {note}'),
+        Check(f'{name} at {RESTING_DEG["beads"]:g} degrees: mean speed after 3 s, mm/s',
+              1e3 * speed, 0.0, 1.0, f'0.1 m/s at first; {note}'),
+    ]  # fmt: skip
 
 
 def incline_halt() -> list[Check]:

@@ -23,6 +23,11 @@ from nri.model import NriConfig, load_model
 from pca_tools import files
 from reports import command, isolated, record
 
+SETTINGS = (
+    'nodes', 'modes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate',
+    'decay_epochs',
+)  # fmt: skip
+
 
 def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: float) -> dict:
     """Trains NRI from one seed, or finishes it, and returns what it found.
@@ -35,11 +40,12 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
 
     Returns:
       the row of the seed: P(edge) [V, V] ([receiver][sender], null on the diagonal), spread over
-      the runs, edges above the threshold, test loss and status.
+      the runs, edges above the threshold, test loss and status, loss on valid after each epoch.
     """
     metrics = experiment.train(data_path, model_path, config)
+    history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
     model = load_model(model_path)
-    data = nri_data.load(data_path, 'train', config.nodes)
+    data = nri_data.load(data_path, 'train', config.nodes, config.modes)
     posterior = edge_posterior(model, data.features, 0)
     p = posterior.mean(axis=0)
     return {
@@ -50,6 +56,7 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
         'status': metrics['test']['status'],
         'test_loss': metrics['test']['loss'],
         'seconds': metrics['seconds'],
+        'valid_losses': [round(row['loss'], 3) for row in history],
         **spread(posterior, threshold),
         'probabilities': [[None if np.isnan(x) else round(float(x), 5) for x in r] for r in p],
     }
@@ -141,21 +148,24 @@ def define_flags() -> None:
     command.define_workers('Seeds trained at a time.')
     flags.DEFINE_float('threshold', 0.6, 'Edges have a probability above it.', 0.0, 1.0)
     flags.DEFINE_enum('nodes', 'modes', nri_data.NODE_KINDS, 'Nodes of the graph.')
+    flags.DEFINE_integer('modes', 0, 'How many of the modes, the first ones; 0: all.', 0)
     flags.DEFINE_integer('epochs', 8, 'Epochs of each training.', 1)
     flags.DEFINE_integer('hidden', 32, 'Width of all layers.', 1)
     flags.DEFINE_integer('window', 49, 'Frames that the encoder sees.', 2)
     flags.DEFINE_integer('stride', 2, 'Frames of the data between two of them.', 1)
     flags.DEFINE_integer('batch_size', 16, 'Windows in a batch.', 1)
     flags.DEFINE_float('learning_rate', 1e-3, 'Learning rate.', 0.0)
+    flags.DEFINE_integer('decay_start', None, 'Epoch from which it is halved; none: never.', 0)
+    flags.DEFINE_integer('decay_epochs', 10, 'Epochs between two halvings.', 1)
 
 
 def main(v, _) -> None:
     """Runs the command."""
-    names = ('nodes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate')
-    settings = {name: getattr(v, name) for name in names}
+    settings = {name: getattr(v, name) for name in SETTINGS}
+    settings['decay_start'] = v.epochs if v.decay_start is None else v.decay_start
     jobs = []
     for seed in range(v.seeds):
-        config = NriConfig(**settings, seed=seed, decay_start=v.epochs, decay_epochs=v.epochs)
+        config = NriConfig(**settings, seed=seed)
         model_path = os.path.abspath(os.path.join(v.work_path, f'seed_{seed}'))
         jobs.append((os.path.abspath(v.data_path), model_path, config, v.threshold))
     with workers.start(v.cluster, v.num_processes) as crew:

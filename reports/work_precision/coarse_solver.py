@@ -74,7 +74,10 @@ def measure_case(scene, case: int | str, factor: float, packed, fine, on_frame=N
     coarser = coarse.coarsened(scene, factor)
     thin = coarse.thinned(packed, coarser)
     settings = Settings(
-        fine.parameters['youngs_modulus_Pa'], fine.parameters['rheology'], fine.parameters['seed']
+        fine.parameters['youngs_modulus_Pa'],
+        fine.parameters['rheology'],
+        fine.parameters['seed'],
+        dilation=fine.parameters.get('dilation', 0.0),
     )
     run = run_case(coarser, case, thin, settings, on_frame)
     if run.positions.shape != fine.positions.shape:

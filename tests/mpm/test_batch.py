@@ -106,6 +106,19 @@ def test_same_seed_same_bits_other_seed_other_soil(coarse_excavation, tmp_path, 
     assert (runs[0].positions != runs[2].positions).any()
 
 
+def test_dilating_soil_is_recorded_and_kept_apart(coarse_excavation, tmp_path, short):
+    """Runs without it have the records, and so the digests, of before there was any."""
+    (plain,) = make(coarse_excavation, tmp_path / 'a', cases=(186,))
+    assert 'dilation' not in plain['parameters'] and 'dilation' not in plain['parameters']['soil']
+    (other,) = make(coarse_excavation, tmp_path / 'b', cases=(186,), dilation=6.0)
+    assert other['parameters']['dilation'] == other['parameters']['soil']['dilation'] == 6.0
+    a, b = (raw_run.read_run(str(tmp_path / name / 'run_186.npz')).positions for name in 'ab')
+    assert (a[0] == b[0]).all() and (a[-1] != b[-1]).any()  # the packing is the same
+    for folder, dilation in (('a', 6.0), ('b', 0.0), ('b', 2.0)):
+        with pytest.raises(ValueError, match='was made with dilation = '):
+            make(coarse_excavation, tmp_path / folder, cases=(22,), dilation=dilation)
+
+
 def test_finished_runs_are_not_made_again(coarse_excavation, tmp_path, short):
     make(coarse_excavation, tmp_path, cases=(22,))
     stamp = (tmp_path / 'run_022.npz').stat().st_mtime_ns

@@ -167,3 +167,29 @@ def test_soil_that_comes_apart_carries_nothing(soil):
     row[columns.S : columns.S + 6] = [30.0, -10.0, -20.0, 5.0, 0.0, 0.0]
     acting = update(row, [10.0, 0.0, 0.0] * 3, 1e-4, soil)
     assert not acting.any() and not row[columns.S : columns.S + 6].any()
+
+
+def test_dense_soil_dilates_as_it_is_sheared(soil):
+    """Eq. (7) against the closed form of e' = -K gamma_dot e (1 + e), in small intervals."""
+    soil = soil._replace(dilation=3.0)
+    rate, interval, intervals = 20.0, 1e-4, 4000
+    counted = 1.1  # over the density of the packing, where particles state 1
+    for _ in range(intervals):
+        # Stiff soil expands at once by what it states to be missing, and then states 1 again.
+        counted *= constitutive.dilated(1.0, rate, counted, interval, soil)
+    growth = math.exp(-3.0 * rate * interval * intervals)
+    excess = 0.1 * growth / (1.1 - 0.1 * growth)
+    assert counted - 1.0 == pytest.approx(excess, rel=0.02, abs=1e-12)
+
+
+@pytest.mark.parametrize(('rate', 'counted'), [(0.0, 1.5), (1e3, 0.99), (1e3, 0.1)])
+def test_soil_at_rest_or_no_denser_than_it_states_is_left_alone(soil, rate, counted):
+    soil = soil._replace(dilation=6.0)
+    assert constitutive.dilated(1.0, rate, counted, 1e-3, soil) == 1.0
+    assert 0.0 < constitutive.dilated(1.0, 1e9, 5.0, 1e-3, soil) < 1e-5  # however fast
+
+
+def test_dilation_is_refused_below_zero():
+    for value in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match='dilation must be 0 or positive'):
+            constitutive.make_soil(1.5e6, 0.7, dilation=value)

@@ -64,6 +64,17 @@ def test_modes_of_a_dataset(tmp_path):
     assert np.abs(normal[:, 1, :, 5]).max() < 0.9
 
 
+def test_first_modes_of_a_dataset(tmp_path):
+    folder = synthetic.write_dataset(tmp_path)
+    whole, some = data.load(folder, 'valid'), data.load(folder, 'valid', modes=2)
+    assert some.node_names == whole.node_names[:2] and some.digest == whole.digest
+    np.testing.assert_array_equal(some.features, whole.features[:, :2])
+    with pytest.raises(ValueError, match='modes is 4, but .* holds 3'):
+        data.load(folder, 'train', modes=4)
+    with pytest.raises(ValueError, match='no modes to choose from'):
+        data.load(small.write_springs(tmp_path / 'springs'), 'train', modes=2)
+
+
 def test_rigid_nodes_are_the_lowest_of_every_run(tmp_path):
     folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
     held = data.load(folder, 'train', 'modes_and_rigid')

@@ -132,6 +132,18 @@ def test_list_over_rigid_nodes_gives_its_mode_block(data, tmp_path, monkeypatch)
     export_edges.export(edges, data, str(tmp_path / 'out'))
 
 
+def test_list_of_the_first_modes_is_theirs(data, tmp_path):
+    """A model of two of the three modes: a list that a simulator of two modes takes."""
+    path = str(tmp_path / 'model')
+    experiment.train(data, path, NriConfig(**TINY, modes=2))
+    edges = export_edges.find_edges(path, data, keep=1)
+    assert edges.node_names == edge_lists.mode_names(2) and edges.n_edge == 1
+    adjacency, names = export_edges.completed(edges, data)
+    assert names[4:] == edge_lists.mode_names(2) and adjacency.n_edge == 4 * 2 + 1
+    export_edges.export(edges, data, str(tmp_path / 'out'))
+    edge_lists.read(str(tmp_path / 'out' / 'edges.json')).check_data(data)
+
+
 def test_renumbered_nodes_have_renumbered_edges(data, model_path):
     """The encoder sees no numbers: features in another order give the same edges in that order."""
     features = nri_data.load(data, 'train').features

@@ -46,14 +46,38 @@ def test_more_particles_are_compared_with_those_of_the_data(bed, monkeypatch):
         def positions(self):
             return bed + [0.0, self.rise, 0.0]
 
-    def driven(scene, case, frames):
+    def driven(scene, case, frames, dilation=0.0):
         box = scene.bin
         more = np.prod(box.lattice) / np.prod(BOX.lattice)
         assert box.dx == BOX.dx and (case, frames) == (186, 9)
-        return 100.0 * more, Run(box), 1.1 / more, 7
+        assert dilation in ((0.0,) if more > 1 else (0.0, 6.0))  # the many keep their volume
+        return 100.0 * more, Run(box), (1.0 if dilation else 1.1) / more, 7
 
     monkeypatch.setattr(density, '_driven', driven)
     force, packed, surface = density.more_particles(186, 9)
     assert (force.figure, packed.figure) == (8.0, pytest.approx(1.1 / 8))
     assert surface.figure == pytest.approx(2.0, rel=0.01)
     assert '1.100 before' in packed.note and '100.0 N before' in force.note
+    _, packed, _ = density.more_particles(186, 9, 6.0)
+    assert '1.000 before' in packed.note and 'dilating' in packed.name
+
+
+def test_dilating_soil_is_compared_with_soil_that_is_not(bed, monkeypatch):
+    class Run:
+        """Soil of which the dilating one lies 3 mm higher."""
+
+        def __init__(self, dilation):
+            self.rise = 3e-3 if dilation else 0.0
+
+        def positions(self):
+            return bed + [0.0, self.rise, 0.0]
+
+    def driven(scene, case, frames, dilation=0.0):
+        assert scene.bin == BOX and (case, frames) == (123, 5)
+        return (110.0, Run(dilation), 1.02, 7) if dilation else (100.0, Run(dilation), 1.16, 7)
+
+    monkeypatch.setattr(density, '_driven', driven)
+    packed, force, surface = density.dilating_soil(123, 5)
+    assert packed.figure == 1.02 and packed.passed and '1.160 without' in packed.note
+    assert force.figure == pytest.approx(1.1)
+    assert surface.figure == pytest.approx(3.0, rel=0.01)
