@@ -80,10 +80,10 @@ class Edges(Settings):
 
     Attributes:
       adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
-        where there is one, else ranked by correlation); 'correlation' (always ranked); the edge
-        file that was loaded; 'none' for a model without a graph, and for full_space, whose
-        radius graph is made in every step.
-      mode_edges: mode -> mode edges that are kept when they are ranked by correlation.
+        where there is one, else ranked by correlation); 'correlation' (always ranked);
+        'random' (by lot, from the seed); the edge file that was loaded; 'none' for a model without
+        a graph, and for full_space, whose radius graph is made in every step.
+      mode_edges: mode -> mode edges that are kept when they are ranked by correlation or drawn.
       surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
         edges that last.
       gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one

@@ -177,10 +177,33 @@ def rank_mode_edges(velocities, keep: int) -> np.ndarray:
     Raises:
       ValueError: if `keep` is negative or above r².
     """
-    r = velocities[0].shape[-2]
+    return _best(mode_correlations(velocities), keep)
+
+
+def random_mode_edges(n_modes: int, keep: int, seed: int) -> np.ndarray:
+    """`keep` mode -> mode edges by lot: what a list that was found is to be compared with.
+
+    Self-edges come first, as in `rank_mode_edges`.
+
+    Args:
+      n_modes: r.
+      keep: number of edges, at most r².
+      seed: of the lot; not negative.
+
+    Returns:
+      bool [r, r] mask, entry [receiver, sender].
+
+    Raises:
+      ValueError: if `keep` is negative or above r².
+    """
+    return _best(np.random.default_rng([seed, n_modes]).random((n_modes, n_modes)), keep)
+
+
+def _best(score, keep):
+    """Mask of the `keep` highest scores [r, r], the diagonal first."""
+    r = len(score)
     if not 0 <= keep <= r * r:
         raise ValueError(f'mode_edges is {keep}, must lie in [0, {r * r}]')
-    score = mode_correlations(velocities)
     np.fill_diagonal(score, np.inf)
     mask = np.zeros(r * r, bool)
     mask[np.argsort(-score, axis=None, kind='stable')[:keep]] = True

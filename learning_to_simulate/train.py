@@ -63,7 +63,9 @@ _MODEL = flags.DEFINE_string(
     + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
 )
 _ADJACENCY = flags.DEFINE_string(
-    'adjacency', None, 'edges.json, mask.npy, fully_connected, algorithm2 or none.'
+    'adjacency',
+    None,
+    'edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
 )
 _RIGID_MOTION = flags.DEFINE_string(
     'rigid_motion',

@@ -286,7 +286,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
     Args:
       config: its adjacency is 'fully_connected' or 'none'; 'algorithm2' (all mode edges where gates
         are learned, else `edges.json` of the dataset, else ranked by correlation); 'correlation';
-        or a file, `.json` or `.npy`.
+        'random'; or a file, `.json` or `.npy`.
       data_path: dataset folder.
       n_modes: r.
       velocities: of the modes on the training runs, as for `rank_mode_edges`.
@@ -310,6 +310,9 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
                 f'--adjacency=correlation to rank so many, or leave mode_edges out'
             )
         kind, name = shipped, f'{FILE_NAME} of the dataset'
+    if kind == 'random':
+        mask = connectivity_utils.random_mode_edges(n_modes, config.mode_edges, config.seed)
+        return ModeEdges(mask, None, f'{config.mode_edges} by lot, seed {config.seed}')
     if kind in ('algorithm2', 'correlation'):
         mask = connectivity_utils.rank_mode_edges(velocities, config.mode_edges)
         return ModeEdges(mask, None, f'{config.mode_edges} ranked by lagged correlation')

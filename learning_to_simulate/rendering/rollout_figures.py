@@ -46,6 +46,7 @@ WIDTH = 9.6  # inches
 # Margins and distances in inches.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.84, 0.92, 0.92, 0.72
 _GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP = 0.3, 0.16, 1.45, 0.78
+_LABEL_SIZE, _CHARACTER = 9, 0.073  # points and inches, of a label and of a letter in it
 # Points; a title of more characters is set smaller, so that it stays on one line.
 _TITLE_SIZE, _TITLE_LENGTH = 11.5, 88
 # Share of the predicted frames that have passed at each moment of the strip.
@@ -214,8 +215,12 @@ class _Page:
         axes.locator_params(nbins=5)
         axes.set_title(title, fontweight='bold')
         if column == 0:
-            lines = [row_label] * bool(row_label) + [f'{names[1]} (m)']
-            axes.set_ylabel('\n'.join(lines))
+            # A name that is longer than its row would run into that of the next one.
+            if len(row_label) * _CHARACTER > self._view_height:
+                row_label = row_label.replace(' (', '\n(')
+            lines = row_label.split('\n') * bool(row_label) + [f'{names[1]} (m)']
+            room = self._view_height / (_CHARACTER * max(map(len, lines)))
+            axes.set_ylabel('\n'.join(lines), fontsize=_LABEL_SIZE * min(1.0, room))
         if row == self._n_rows - 1:
             axes.set_xlabel(f'{names[0]} (m)', labelpad=1)
         axes.tick_params(labelleft=column == 0, labelbottom=row == self._n_rows - 1)

@@ -47,7 +47,7 @@ def define_flags() -> None:
     )  # fmt: skip
     flags.DEFINE_list(
         'train', [], 'Presets that are trained here, with several seeds; "PRESET --FLAG=VALUE" '
-        'with other flags of the training.',
+        'with other flags of the training, in which {seed} is the seed.',
     )  # fmt: skip
     flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
     command.define_workers('Models trained and rolled out at a time.')

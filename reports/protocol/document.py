@@ -150,7 +150,8 @@ def _jobs(found, data_path, values, folder):
         for seed, path in enumerate(map(os.path.abspath, paths)):
             flags_ = None
             if name in values.train:
-                flags_ = [*rollouts.training_flags(name), f'--seed={seed}', '--num_threads=1']
+                flags_ = [f.replace('{seed}', str(seed)) for f in rollouts.training_flags(name)]
+                flags_ += [f'--seed={seed}', '--num_threads=1']
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
     return jobs
 

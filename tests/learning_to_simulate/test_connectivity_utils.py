@@ -69,6 +69,17 @@ def test_ranked_edges_find_the_mode_that_leads():
     assert mask[1, 0] and mask.sum() == 5
 
 
+def test_drawn_edges_are_of_their_seed_and_as_likely_as_any():
+    drawn = [cu.random_mode_edges(8, 28, seed) for seed in range(200)]
+    assert all(mask.sum() == 28 and mask.diagonal().all() for mask in drawn)
+    np.testing.assert_array_equal(drawn[3], cu.random_mode_edges(8, 28, 3))
+    share = np.mean(drawn, axis=0)[~np.eye(8, dtype=bool)]
+    # 20 of 56; a share of 200 draws has a deviation of 0.034.
+    assert np.abs(share - 20 / 56).max() < 4 * 0.034 and share.std() > 0.02
+    with pytest.raises(ValueError, match='mode_edges is 65'):
+        cu.random_mode_edges(8, 65, 0)
+
+
 def test_correlations_are_those_of_numpy():
     """Independent: the mean over axes of numpy's correlation coefficients of the lagged series."""
     v = np.random.default_rng(5).normal(size=(2, 60, 3, 3)).cumsum(axis=1)

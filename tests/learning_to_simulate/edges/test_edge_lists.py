@@ -237,6 +237,8 @@ def test_default_preset_takes_the_list_of_the_dataset(data, tmp_path):
     assert make_model(folder, adjacency='correlation', mode_edges=5).mode_mask.sum() == 5
     with pytest.raises(ValueError, match='--adjacency=correlation'):
         make_model(folder, mode_edges=5)
+    drawn = make_model(folder, adjacency='random', mode_edges=5, seed=3)
+    assert drawn.mode_mask.sum() == 5 and drawn.edge_source == '5 by lot, seed 3'
     with pytest.raises(ValueError, match='another dataset'):
         other = synthetic.write_dataset(tmp_path / 'other', n_run=3)
         shutil.copy(f'{folder}/edges.json', other)

@@ -301,6 +301,9 @@ def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     assert [job[2] for job in jobs] == [
         None, *(['--preset=pcg', f'--seed={seed}', '--num_threads=1'] for seed in (0, 1))
     ]  # fmt: skip
+    values.train = ['pcg --adjacency=lists/{seed}.json']
+    (first, second) = document._jobs({values.train[0]: ['a', 'b']}, 'data', values, 'out')
+    assert first[2][1] == '--adjacency=lists/0.json' and second[2][2] == '--seed=1'
     for bad in ('', 'mlp modes=8', '--modes=8'):
         with pytest.raises(ValueError, match='--FLAG=VALUE'):
             rollouts.training_flags(bad)
