@@ -1,4 +1,4 @@
-"""What the solver's own parameters change: exchange interval, contact, damping, step.
+"""What the solver's own parameters change: exchange interval, contact, damping, step, dilation.
 
 One excavation case, one parameter at a time, all others at their values. Nothing is tuned by it:
 it says how far the ground truth depends on what no measurement fixes.
@@ -30,6 +30,7 @@ SWEEPS = {
     'contact stiffness, of M h': (contact.STIFFNESS, 0.0625, 1.0),
     'damping, of dx / c': (stability.DAMPING, 0.0, 0.03, 0.12),
     'steps, of the fewest': (1, 2, 4),
+    'dilation K': (0.0, 2.5, 6.0, 12.0),
 }
 
 
@@ -57,7 +58,7 @@ def changed(parameter: str, value: float):
 
 def drive(scene, case, particles, frames, parameter, value):
     """Returns force [frames, 3] (N), the heights of the surface (m), deepest cells and CPU s."""
-    settings = simulation.Settings()
+    settings = simulation.Settings(dilation=value if parameter == 'dilation K' else 0.0)
     soil = soil_of(scene, scene.parameters(case), settings)
     with changed(parameter, value):
         if parameter == 'steps, of the fewest':
@@ -118,8 +119,9 @@ def measure(scene, case: int, frames: int, path: str) -> dict:
     return summary
 
 
-def table(summary: dict) -> str:
-    """The rows as Markdown, each beside the solver as it is."""
+def table(path: str) -> str:
+    """The rows of a file as Markdown, each beside the solver as it is."""
+    summary = files.read_json(path)
     base = summary['rows'][0]['draft_N']
     header = ('parameter', 'value', 'mean draft N', 'change %', 'vertical N', 'second difference '
               'of the draft, %', 'surface mm RMS', 'deepest, cells', 'CPU s')  # fmt: skip
@@ -153,7 +155,8 @@ def main(values, _) -> None:
     scene = scenes.EXCAVATION
     if values.coarse:
         scene = experiments.coarse(scene)
-    print(table(measure(scene, values.case, values.frames, values.json)))
+    measure(scene, values.case, values.frames, values.json)
+    print(table(values.json))
 
 
 if __name__ == '__main__':

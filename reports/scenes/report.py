@@ -8,6 +8,7 @@ one thread, all scenes in turns in one process; only their ratios mean anything 
 Examples:
     python -m reports scenes --output_path=/tmp/scenes
     python -m reports scenes --output_path=/tmp/scenes --scenes=column,pair  # goes on
+    python -m reports scenes --output_path=/tmp/scenes63 --scenes=pair --data_runs=63
 """
 
 import functools
@@ -44,14 +45,14 @@ PARTS = 'model', 'exported', 'rollouts'
 BASE = 'widths'  # the scene of one blade, whose time is 1
 
 
-def make(folder: str, name: str) -> lts.Dataset:
-    """Simulates and converts a scene, unless its dataset is there."""
+def make(folder: str, name: str, num_runs: int = len(runs.SPLITS)) -> lts.Dataset:
+    """Simulates and converts so many runs of a scene, unless its dataset is there."""
     options = dict(SCENES[name])
     modes, dt = options.pop('modes'), options.pop('dt')
     raw, data = (os.path.join(folder, name, part) for part in ('raw', 'data'))
     if not os.path.exists(os.path.join(data, 'metadata.json')):
         if not os.path.exists(os.path.join(raw, 'manifest.json')):
-            made = (getattr(runs, name)(run) for run in range(len(runs.SPLITS)))
+            made = (getattr(runs, name)(run) for run in range(num_runs))
             write_raw(raw, made, dt, up_axis='y', name=name, gravity=(0, -9.81, 0), **options)
         convert.convert(raw, data, modes=modes)
     return lts.Dataset(data)
@@ -165,6 +166,7 @@ def _runs(values):
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_list('scenes', list(SCENES), 'Which scenes.')
+    flags.DEFINE_integer('data_runs', 0, 'Only make datasets of so many runs, SCENE/data each.', 0)
     flags.DEFINE_integer('rounds', 21, 'Timed rollouts of each scene.', 1)
     flags.DEFINE_integer('num_threads', 1, 'CPU threads.', 1)
     flags.DEFINE_string('output_path', None, 'Folder for data and models.', required=True)
@@ -179,6 +181,10 @@ def run(values, _) -> None:
     """
     if unknown := set(values.scenes) - set(SCENES):
         raise ValueError(f'unknown scenes {sorted(unknown)}; there are {", ".join(SCENES)}')
+    if values.data_runs:
+        for name in values.scenes:
+            print(make(values.output_path, name, values.data_runs).path)
+        return
     target = values.json_path or os.path.join(values.output_path, 'scenes.json')
     document = record.resume(target, {'recipe': RECIPE}, {'rows': {}})
     for name in values.scenes:

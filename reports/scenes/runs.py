@@ -9,15 +9,23 @@ from reports.scenes.box import Box, Moving
 
 DX = 0.04  # m
 SOIL = make_soil(1.5e6, friction_coefficient(35.0))
-SPLITS = ('train',) * 6 + ('valid', 'test', 'test')  # 9 runs a scene
+SPLITS = ('train',) * 6 + ('valid', 'test', 'test')  # of nine runs, and of every nine more
 # Shares of a parameter's range, in the order of SPLITS: the test runs lie within.
 SHARES = (0.0, 1.0, 0.5, 0.25, 0.75, 0.1, 0.4, 0.35, 0.65)
 
 
 def _between(low, high, run, turn=0):
     """A parameter of a run; another `turn` gives another order of the runs."""
-    share = SHARES[(run + turn) % 6] if run < 6 else SHARES[6 + (run + turn) % 3]
+    if run >= len(SPLITS):
+        share = np.random.default_rng([run, turn]).random()
+    else:
+        share = SHARES[(run + turn) % 6] if run < 6 else SHARES[6 + (run + turn) % 3]
     return low + (high - low) * share
+
+
+def split_of(run):
+    """The split of a run."""
+    return SPLITS[run % len(SPLITS)]
 
 
 def _column(run, rate, frames, width, lattice, flat=False):
@@ -34,7 +42,7 @@ def _column(run, rate, frames, width, lattice, flat=False):
     positions = np.stack(frames_of)
     if flat:  # one plane of the particles across
         positions = positions[:, :: lattice[2], :2]
-    return {'positions': positions.astype(np.float32), 'split': SPLITS[run],
+    return {'positions': positions.astype(np.float32), 'split': split_of(run),
             'parameters': {'speed_m_s': speed}}  # fmt: skip
 
 
@@ -97,7 +105,7 @@ def widths(run):
     box.settle()
     positions, points, forces = _recorded(box, [moving], 60, 60)
     return {'positions': positions, 'rigid_positions': points, 'force': forces[:, 0],
-            'split': SPLITS[run],
+            'split': split_of(run),
             'parameters': parameters | {'width_m': (0.2, 0.36)[wide]}}  # fmt: skip
 
 
@@ -119,7 +127,7 @@ def load(run):
     loads = at(np.arange(1, 61) / 60)[:, None].astype(np.float32)
     return {'positions': positions, 'rigid_positions': points, 'force': forces[:, 0],
             'context': {'load': float(loads[0, 0])}, 'step_context': loads,
-            'split': SPLITS[run], 'parameters': {'speed_m_s': speed}}  # fmt: skip
+            'split': split_of(run), 'parameters': {'speed_m_s': speed}}  # fmt: skip
 
 
 def pair(run):
@@ -136,6 +144,6 @@ def pair(run):
     box.settle()
     positions, points, forces = _recorded(box, [blade, Moving(wheel, pose)], 60, 60)
     return {'positions': positions, 'rigid_positions': points, 'force': forces.sum(axis=1),
-            'body_force': forces, 'split': SPLITS[run],
+            'body_force': forces, 'split': split_of(run),
             'parameters': parameters | {'wheel_speed_m_s': speed,
                                         'wheel_sinkage_m': sunk}}  # fmt: skip

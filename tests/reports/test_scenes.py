@@ -39,6 +39,14 @@ def test_runs_differ_and_the_test_runs_lie_within():
     assert min(inside) > 1.0 and max(inside) < 3.0
 
 
+def test_more_runs_differ_and_have_their_splits():
+    values = [[runs._between(1.0, 3.0, run, turn) for turn in (0, 1)] for run in range(9, 63)]
+    assert len({v for pair in values for v in pair}) == 108
+    assert 1.0 < np.min(values) < 1.1 and 2.9 < np.max(values) < 3.0
+    splits = [runs.split_of(run) for run in range(63)]
+    assert [splits.count(s) for s in ('train', 'valid', 'test')] == [42, 7, 14]
+
+
 def test_a_plane_column_falls_off_the_wall_and_keeps_its_particles():
     one, other = runs.column_2d(0), runs.column_2d(1)
     start, end = one['positions'][0], one['positions'][-1]
