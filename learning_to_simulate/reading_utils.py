@@ -234,7 +234,7 @@ def _stack(n_rigid, members, modes):
         position=np.stack([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]).astype(
             np.float64
         ),
-        force=None if first.force is None else np.stack([_force_of(run) for run in runs]),
+        force=None if first.force is None else np.stack([force_of(run) for run in runs]),
         context=context_of(runs),
         record=np.array([index for index, _, _ in members]),
         body=tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
@@ -252,10 +252,11 @@ def _stack(n_rigid, members, modes):
     )
 
 
-def _force_of(run):
-    """float64 [T, D] on the body, or [T, B D] on several where they are known one by one."""
+def force_of(run):
+    """float64 [T, D] (N) on the body, or [T, B D] on several where they are known one by one; None
+    without a force."""
     force = run.force if run.body_force is None else run.body_force.reshape(run.n_frames, -1)
-    return force.astype(np.float64)
+    return None if force is None else force.astype(np.float64)
 
 
 def context_of(runs) -> np.ndarray | None:

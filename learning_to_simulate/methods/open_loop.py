@@ -78,12 +78,11 @@ def constant_velocity(group, scene) -> Prediction:
 
 
 def mean_force(group, scene, mean, torque=None) -> Prediction:
-    """The mean force [D] (N) of the training runs in every frame, and their mean torque [D] (N m)
-    where there is one; nothing else."""
-    n_frame = group.position.shape[1] - H
-    shape = (len(group.position), n_frame, group.position.shape[-1])
+    """The mean force [D] (N; of several bodies one behind the other) of the training runs in every
+    frame, and their mean torque [D] (N m) where there is one; nothing else."""
+    shape = (len(group.position), group.position.shape[1] - H, 1)
     force, turn = (
-        None if value is None else np.broadcast_to(np.asarray(value, np.float64), shape).copy()
+        None if value is None else np.tile(np.asarray(value, np.float64), shape)
         for value in (mean, torque)
     )
     predicts = frozenset({FORCE} if turn is None else {FORCE, TORQUE})

@@ -138,9 +138,11 @@ def _prediction(path, metadata):
             f'{metadata["mode_number"]} modes'
         )
     up = metadata.get('scene', {}).get('up_axis', 1)
+    # Of several bodies `predicted_forces` is the sum; each is judged.
+    bodies = 'predicted_body_forces' in arrays
     force, torque = (
-        arrays[key].astype(np.float64) if key in arrays else None
-        for key in ('predicted_forces', 'predicted_torques')
+        arrays[key].astype(np.float64).reshape(len(nodes), -1) if key in arrays else None
+        for key in ('predicted_body_forces' if bodies else 'predicted_forces', 'predicted_torques')
     )
     return RunPrediction(
         modes=modes,

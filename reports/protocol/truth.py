@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import resting_bed
 from pca_tools import dataset, particles, subspace
@@ -33,7 +34,7 @@ class Truth:
       truncation: root mean square, mm, of what the subspace cuts off the run; None if unknown.
       motion: root mean square, mm, of the soil's displacement in the run.
       modes: float64 [T - H, r, 3] recorded scores, m.
-      force: float64 [T - H, 3], N, or None.
+      force: float64 [T - H, 3], N (of several bodies one behind the other), or None.
       height: float64 [T - H] of the body's mean particle, m, or None where it is given.
       torque: float64 [T - H, 3] about the body's reference point, N m, or None.
       across: the horizontal axis across the body's way.
@@ -141,6 +142,7 @@ class TruthReader:
         up = metadata.get('scene', {}).get('up_axis', 1)
         driven = metadata.get('scene', {}).get('rigid_motion') == 'driven'
         body = run.position[H:, : run.n_rigid].astype(np.float64)
+        force = reading_utils.force_of(run)
         return Truth(
             record=record,
             case=case.get('case', record),
@@ -153,7 +155,7 @@ class TruthReader:
             truncation=None if truncation is None else float(truncation),
             motion=float(1e3 * np.sqrt(motion)),
             modes=scores[H:],
-            force=None if run.force is None else run.force[H:].astype(np.float64),
+            force=None if force is None else force[H:],
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             across=_across(body, up),
