@@ -1,6 +1,5 @@
 """Pictures and movies of a rollout, on a made-up excavation."""
 
-import dataclasses
 import json
 import os
 import subprocess
@@ -239,20 +238,6 @@ class TestPictures:
             *made[:2], str(tmp_path), formats=['gif'], step_stride=20, beside={'other': path}
         )
         assert os.path.getsize(written[0]) > 1000
-
-    def test_long_names_stay_beside_their_rows(self, made, view):
-        frames = rollout_frames.load(*made[:2], 'a_model_of_a_long_name')
-        # As low as the bin of the wheel.
-        flat = dataclasses.replace(view, limits=np.array([[0.0, 1.0], [0.0, 0.45]]))
-        figure = rollout_figures.strip_figure(frames, flat, [0, 20, 40], dpi=50, beside=[frames])
-        figure.draw_without_rendering()
-        renderer = figure.canvas.get_renderer()
-        labels = [a.yaxis.label for a in figure.axes if 'a_model' in a.get_ylabel()]
-        boxes = [label.get_window_extent(renderer) for label in labels]
-        assert len(boxes) == 3  # two predictions and the error
-        for above, below in zip(boxes, boxes[1:]):
-            assert below.y1 < above.y0
-        assert min(box.x0 for box in boxes) > 0
 
     def test_a_rollout_of_another_run_is_not_drawn_beside(self, made, tmp_path):
         arrays = files.read_npz(made[0])
