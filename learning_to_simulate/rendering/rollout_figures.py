@@ -44,7 +44,7 @@ STYLE = {
 COLOR_LABELS = {'speed': 'soil speed (mm/s)', 'error': 'soil error (mm)'}
 WIDTH = 9.6  # inches
 # Margins and distances in inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.84, 0.92, 0.92, 0.72
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.98, 0.92, 0.92, 0.72
 _GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP = 0.3, 0.16, 1.45, 0.78
 _LABEL_SIZE, _CHARACTER = 9, 0.073  # points and inches, of a label and of a letter in it
 # Points; a title of more characters is set smaller, so that it stays on one line.
