@@ -7,7 +7,7 @@ Examples:
 
 Each row is written to JSON when it is made; the same command goes on with those that are absent.
 Runs that a row needs are read from RAW_PATH/excavation and RAW_PATH/wheel; those that are not
-there are simulated into it (about 40 s each). All rows take half an hour of one core. The exit
+there are simulated into it (about 40 s each). All rows take forty minutes of one core. The exit
 code is 1 if a check fails.
 """
 

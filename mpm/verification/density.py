@@ -88,7 +88,8 @@ def moved_soil(case: int, frames: int) -> list[Check]:
 
 
 def dilating_soil(case: int, frames: int) -> list[Check]:
-    """The same of soil that regains what it loses, and what else that changes."""
+    """What `moved_soil` counts, of soil that dilates (eq. 7); and its mean force and its surface
+    beside those of soil that does not."""
     box = scenes.EXCAVATION.bin
     force, simulation, before, _ = _driven(scenes.EXCAVATION, case, frames)
     other, dilating, density, n_sphere = _driven(scenes.EXCAVATION, case, frames, DILATION)
