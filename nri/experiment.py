@@ -1,5 +1,6 @@
 """One NRI training on disk: train, resume, keep the best, say how it went."""
 
+import dataclasses
 import os
 import time
 
@@ -8,7 +9,8 @@ import tensorflow as tf
 import tqdm
 
 from nri import data as nri_data
-from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriConfig, NriModel
+from nri.config import NriConfig
+from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriModel
 from nri.training import Trainer
 from pca_tools import files, folder_lock
 
@@ -104,7 +106,9 @@ def _open_folder(path, model):
     old, new = files.read_json(name), model.to_json()
     if old.get('kind') != 'nri':
         raise ValueError(f'{name}: not the config of an NRI model; nothing was written')
-    flat = [{**v, **v.pop('config', {})} for v in (old, new)]
+    # A setting that came later had its default before.
+    defaults = dataclasses.asdict(NriConfig())
+    flat = [{**defaults, **v.pop('config', {}), **v} for v in (old, new)]
     if differing := sorted(k for k in flat[0] | flat[1] if flat[0].get(k) != flat[1].get(k)):
         listed = ', '.join(
             f'{k}: {str(flat[0].get(k))[:40]} there, {str(flat[1].get(k))[:40]} now'

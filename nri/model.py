@@ -12,116 +12,15 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import known_shapes
-from nri import gumbel, losses
+from nri import gumbel, losses, pairs
+from nri.config import MAX_NODES, NriConfig
 from nri.decoder import DECODERS, unroll
 from nri.encoder import ENCODERS
 from pca_tools import files
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 SCHEMA_VERSION = 1
-MIN_CNN_FRAMES = 14
-# Eight random streams per seed in int32.
-MAX_SEED = 2**28
-_LARGEST = 2**31 - 1
-MAX_NODES, MAX_FEATURES = 300, 100
-# Field -> its least and largest value; the largest are beyond any graph of the project, so that a
-# damaged number does not ask for its memory.
-_RANGES = {
-    'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
-    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
-}  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class NriConfig:
-    """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
-
-    Attributes:
-      encoder, decoder: 'mlp' or 'cnn', 'mlp' or 'rnn'.
-      factor_graph: whether pairs exchange messages in the encoder.
-      skip_first: whether edge type 0 means that nothing is exchanged.
-      edge_types: K.
-      hidden: width of all layers.
-      window: frames that the encoder sees.
-      stride: frames of the data between two of the window.
-      segment: frames that the decoder predicts on its own; a random part of the window.
-      burn_in: true frames the decoder is fed before (the RNN needs some).
-      temperature: of the Gumbel-softmax, at least 0.05.
-      straight_through: sample edge types of exactly 0 and 1.
-      no_edge_prior: prior probability of type 0; None for the uniform prior.
-      output_variance: of the Gaussian likelihood, in normalised units.
-      learning_rate, decay, decay_epochs, decay_start: rate x decay each decay_epochs, first at
-        epoch decay_start.
-      epochs, batch_size, seed: of the training.
-      supervised: train the encoder alone, with the true edges.
-      nodes: which nodes of a dataset of this project; see `nri.data`.
-      modes: how many of its modes, the first ones; 0: all.
-
-    Raises:
-      ValueError: a value outside its range, with the range.
-    """
-
-    encoder: str = 'mlp'
-    decoder: str = 'mlp'
-    factor_graph: bool = True
-    skip_first: bool = True
-    edge_types: int = 2
-    hidden: int = 256
-    window: int = 49
-    stride: int = 1
-    segment: int = 10
-    burn_in: int = 1
-    temperature: float = 0.5
-    straight_through: bool = False
-    no_edge_prior: float | None = None
-    output_variance: float = 5e-5
-    learning_rate: float = 5e-4
-    decay: float = 0.5
-    decay_epochs: int = 50
-    decay_start: int = 50
-    epochs: int = 200
-    batch_size: int = 128
-    seed: int = 0
-    supervised: bool = False
-    nodes: str = 'modes'
-    modes: int = 0
-
-    def __post_init__(self):
-        for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):
-            if getattr(self, name) not in choices:
-                raise ValueError(f'{name} is {getattr(self, name)!r}, not one of {list(choices)}')
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.type is int and field.name != 'seed':
-                low, high = _RANGES.get(field.name, (1, _LARGEST))
-                if type(value) is not int or not low <= value <= high:
-                    raise ValueError(
-                        f'{field.name} is {value!r}, must be at least {low} and at most {high}'
-                    )
-            if field.type is float and not (
-                isinstance(value, (int, float)) and np.isfinite(value) and value > 0
-            ):
-                raise ValueError(f'{field.name} is {value!r}, must be positive and finite')
-            if field.type is bool and type(value) is not bool:
-                raise ValueError(f'{field.name} is {value!r}, must be true or false')
-        if not 0 <= self.seed < MAX_SEED:
-            raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
-        gumbel.check_temperature(self.temperature)
-        losses.log_prior(self.edge_types, self.no_edge_prior)
-        if self.burn_in + self.segment > self.window:
-            raise ValueError(
-                f'burn_in {self.burn_in} and segment {self.segment} are more than the window of '
-                f'{self.window} frames'
-            )
-        if self.encoder == 'cnn' and self.window < MIN_CNN_FRAMES:
-            raise ValueError(
-                f'window is {self.window}, the convolutions need at least {MIN_CNN_FRAMES} frames'
-            )
-
-    @property
-    def span(self) -> int:
-        """Frames of the data from the first to the last of a window, both included."""
-        return (self.window - 1) * self.stride + 1
+MAX_FEATURES = 100
 
 
 class NriModel(snt.Module):
@@ -159,11 +58,11 @@ class NriModel(snt.Module):
         )
         self._log_prior = losses.log_prior(config.edge_types, config.no_edge_prior)
         frames = tf.zeros([1, len(self.node_names), config.window, n_features])
-        types = tf.nn.softmax(self.encode(frames, is_training=True))
+        types = tf.nn.softmax(self.both_ways(self.logits(frames, is_training=True)))
         unroll(self.decoder, frames[:, :, :2], types)
         self._probabilities = tf.function(
             lambda features: tf.nn.softmax(
-                self.encode(self.normalized(features), is_training=False)
+                self.both_ways(self.logits(self.normalized(features), is_training=False))
             ),
             jit_compile=True,
             autograph=False,
@@ -192,6 +91,24 @@ class NriModel(snt.Module):
         """[B, V, T, F] in the units of the files -> about [-1, 1]."""
         return (features - self.offset[:, None]) / self.scale[:, None]
 
+    def logits(self, frames, is_training) -> tf.Tensor:
+        """Logits of the types that are chosen independently.
+
+        Args:
+          frames: [B, V, window, F], normalised.
+          is_training: whether layers are normalised with the statistics of this batch.
+
+        Returns:
+          [B, V (V - 1), K]; with `symmetric` [B, V (V - 1) / 2, K], of the pairs i < j.
+        """
+        logits = self.encode(frames, is_training)
+        return pairs.mean_of_both_ways(logits, frames.shape[1]) if self.config.symmetric else logits
+
+    def both_ways(self, of_pair) -> tf.Tensor:
+        """What `logits` is of, for each ordered pair: -> [B, V (V - 1), K]."""
+        n_node = len(self.node_names)
+        return pairs.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
+
     def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
         """Negative evidence bound of a batch, the same in training and validation.
 
@@ -207,13 +124,16 @@ class NriModel(snt.Module):
         """
         c = self.config
         frames = self.normalized(features)
-        logits = self.encode(frames, is_training)
+        logits = self.logits(frames, is_training)
         if c.supervised:
-            cross_entropy = tf.nn.sparse_softmax_cross_entropy_with_logits(true_edges, logits)
+            cross_entropy = tf.nn.sparse_softmax_cross_entropy_with_logits(
+                true_edges, self.both_ways(logits)
+            )
             return {'loss': tf.reduce_mean(cross_entropy)}
         n_node = frames.shape[1]
         sample_seed, segment_seed = tf.unstack(tf.random.experimental.stateless_split(seed, 2))
         types = gumbel.gumbel_softmax(logits, c.temperature, sample_seed, c.straight_through)
+        types = self.both_ways(types)
         length = c.burn_in + c.segment
         start = tf.random.stateless_uniform(
             [tf.shape(frames)[0], 1], segment_seed, maxval=c.window - length + 1, dtype=tf.int32

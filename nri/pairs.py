@@ -48,3 +48,26 @@ def pair_sums(of_receiver: tf.Tensor, of_sender: tf.Tensor) -> tf.Tensor:
 def sum_to_receivers(of_pair: tf.Tensor, n_node: int) -> tf.Tensor:
     """Sum over the senders of each receiver: [B, V (V - 1), C] -> [B, V, C]."""
     return tf.reduce_sum(tf.reshape(of_pair, [-1, n_node, n_node - 1, of_pair.shape[-1]]), axis=2)
+
+
+def one_way(n_node: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the pairs (i, j) with i < j, and of (j, i): int32 [V (V - 1) / 2] each."""
+    receivers, senders = pair_indices(n_node)
+    place = np.zeros((n_node, n_node), np.int32)
+    place[receivers, senders] = np.arange(len(receivers))
+    upper = np.triu_indices(n_node, 1)
+    return place[upper], place.T[upper]
+
+
+def both_ways(of_mutual: tf.Tensor, n_node: int) -> tf.Tensor:
+    """Values of pairs i < j for both directions: [B, V (V - 1) / 2, C] -> [B, V (V - 1), C]."""
+    source = np.zeros(n_node * (n_node - 1), np.int32)
+    for places in one_way(n_node):
+        source[places] = np.arange(len(places))
+    return tf.gather(of_mutual, source, axis=1)
+
+
+def mean_of_both_ways(of_pair: tf.Tensor, n_node: int) -> tf.Tensor:
+    """Mean of the two directions of each pair: [B, V (V - 1), C] -> [B, V (V - 1) / 2, C]."""
+    there, back = one_way(n_node)
+    return 0.5 * (tf.gather(of_pair, there, axis=1) + tf.gather(of_pair, back, axis=1))

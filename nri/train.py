@@ -28,7 +28,7 @@ import tensorflow as tf
 from absl import app, flags
 
 from nri import data, experiment
-from nri.model import NriConfig
+from nri.config import NriConfig
 from pca_tools import files
 
 _DEFINE = {
@@ -52,7 +52,7 @@ def define_flags():
             flags.DEFINE_enum('nodes', field.default, data.NODE_KINDS, 'Nodes of a dataset.')
             continue
         define = _DEFINE.get(field.type, flags.DEFINE_float)
-        define(field.name, field.default, 'See NriConfig in nri/model.py.')
+        define(field.name, field.default, 'See NriConfig in nri/config.py.')
 
 
 def main(argv):

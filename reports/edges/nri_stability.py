@@ -18,8 +18,9 @@ from cluster import workers
 from learning_to_simulate.edges import edge_lists, edge_picture
 from nri import data as nri_data
 from nri import experiment
+from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
-from nri.model import NriConfig, load_model
+from nri.model import load_model
 from pca_tools import files
 from reports import command, isolated, record
 

@@ -18,7 +18,8 @@ from absl import flags
 from matplotlib.figure import Figure
 
 from nri import data, particle_systems
-from nri.model import NriConfig, NriModel
+from nri.config import NriConfig
+from nri.model import NriModel
 from nri.training import Trainer
 from pca_tools import files
 from reports import command, markdown, record

@@ -17,6 +17,7 @@ from learning_to_simulate.learned_simulator import LearnedSimulator
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
 from nri import model as nri_model
+from nri.config import NriConfig
 from pca_tools import files
 from reports.fuzz.target import Promise, Target
 
@@ -76,7 +77,7 @@ def _possible_model(value) -> bool:
 
 
 def _write_nri(folder: str) -> None:
-    config = nri_model.NriConfig(hidden=4, window=6, segment=2, factor_graph=False)
+    config = NriConfig(hidden=4, window=6, segment=2, factor_graph=False)
     offset = np.zeros((1, 4))
     nri_model.NriModel(config, ('a', 'b', 'c'), offset, offset + 1.0, 'digest').save(folder)
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from nri import data, particle_systems, simulate
-from nri.model import NriConfig, NriModel
+from nri.config import NriConfig
+from nri.model import NriModel
 
 TINY = {'hidden': 8, 'window': 15, 'segment': 2, 'batch_size': 16}
 

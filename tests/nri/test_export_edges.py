@@ -12,7 +12,8 @@ from learning_to_simulate import connectivity_utils
 from learning_to_simulate.edges import edge_lists
 from nri import data as nri_data
 from nri import experiment, export_edges
-from nri.model import NriConfig, NriModel
+from nri.config import NriConfig
+from nri.model import NriModel
 from reports.edges import nri_stability
 from tests.learning_to_simulate import synthetic
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from nri.model import NriConfig, load_model
+from nri import model, pairs
+from nri.config import NriConfig
+from nri.model import load_model
 from pca_tools import files
 from tests.nri import small
 
@@ -30,10 +32,11 @@ def test_settings_outside_their_range_are_refused(settings, message):
         NriConfig(**settings)
 
 
-@pytest.mark.parametrize('kinds', [('mlp', 'mlp'), ('cnn', 'rnn')])
+@pytest.mark.parametrize('kinds', [('mlp', 'mlp', False), ('cnn', 'rnn', True)])
 def test_a_saved_model_gives_the_same_bits(tmp_path, kinds):
     held = small.springs(n_run=6)
-    made = small.model(held, encoder=kinds[0], decoder=kinds[1], burn_in=2)
+    encoder, decoder, symmetric = kinds
+    made = small.model(held, encoder=encoder, decoder=decoder, symmetric=symmetric, burn_in=2)
     made.encode(tf.constant(held.features), is_training=True)  # running averages of their own
     made.save(str(tmp_path))
     loaded = load_model(str(tmp_path))
@@ -127,6 +130,31 @@ def test_prior_moves_the_loss_by_its_divergence_only():
         assert float(a['nll']) == pytest.approx(float(b['nll']), rel=1e-6)
         assert float(a['kl']) != float(b['kl']) and min(float(a['kl']), float(b['kl'])) >= 0
         assert float(a['loss']) == pytest.approx(float(a['nll']) + float(a['kl']), rel=1e-6)
+
+
+def test_mutual_types_are_one_for_both_directions(monkeypatch):
+    """Logits are the mean of the two; the sample is one, and so counts once in the divergence."""
+    held = small.springs(n_run=4, n_objects=4)
+    plain, mutual = small.model(held), small.model(held, symmetric=True)
+    frames = mutual.normalized(held.features)
+    logits = plain.logits(frames, is_training=False).numpy()
+    receivers, senders = pairs.pair_indices(4)
+    back = [list(zip(receivers, senders)).index((j, i)) for i, j in zip(receivers, senders)]
+    want = tf.nn.softmax(0.5 * (logits + logits[:, back])).numpy()
+    got = mutual.edge_probabilities(held.features)
+    np.testing.assert_allclose(got, want, rtol=1e-5)
+    np.testing.assert_array_equal(got, got[:, back])
+    logits = plain.logits(frames, is_training=True).numpy()
+    want = tf.nn.softmax(0.5 * (logits + logits[:, back])).numpy()
+    kl = (want * np.log(2.0 * want)).sum(-1).sum(1).mean() / 4
+    values = mutual.losses(held.features, tf.constant([1, 2]), is_training=True)
+    assert float(values['kl']) == pytest.approx(0.5 * kl, rel=1e-4)
+    seen = []
+    predict = model.unroll
+    monkeypatch.setattr(model, 'unroll', lambda *a: (seen.append(a[2].numpy()), predict(*a))[1])
+    mutual.losses(held.features, tf.constant([1, 2]), is_training=True)
+    np.testing.assert_array_equal(seen[0], seen[0][:, back])
+    assert (seen[0][0, 0] != seen[0][0, 1]).all()
 
 
 def test_config_has_a_value_of_its_type_in_every_field():

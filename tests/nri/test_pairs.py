@@ -24,6 +24,19 @@ def test_pair_sums_and_receivers_in_kipf_order(n_node):
     assert pairs.n_nodes_of(len(order)) == n_node
 
 
+@pytest.mark.parametrize('n_node', [2, 3, 6])
+def test_values_of_mutual_pairs_against_a_matrix_and_its_transpose(n_node):
+    of_pair = np.random.default_rng(n_node).normal(size=(2, n_node * (n_node - 1), 3))
+    matrix = np.zeros((2, n_node, n_node, 3))
+    receivers, senders = pairs.pair_indices(n_node)
+    matrix[:, receivers, senders] = of_pair
+    want = 0.5 * (matrix + matrix.swapaxes(1, 2))
+    mean = pairs.mean_of_both_ways(tf.constant(of_pair), n_node)
+    np.testing.assert_allclose(mean, want[:, *np.triu_indices(n_node, 1)], rtol=1e-12)
+    both = pairs.both_ways(mean, n_node)
+    np.testing.assert_allclose(both, want[:, receivers, senders], rtol=1e-12)
+
+
 def test_a_number_of_pairs_that_no_graph_has_is_refused():
     with pytest.raises(ValueError, match='21 is not'):
         pairs.n_nodes_of(21)

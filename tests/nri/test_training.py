@@ -7,7 +7,8 @@ import pytest
 import tensorflow as tf
 
 from nri import data, experiment
-from nri.model import NriConfig, load_model
+from nri.config import NriConfig
+from nri.model import load_model
 from nri.training import LateDecay, Trainer
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -56,6 +57,14 @@ def test_another_config_or_other_data_do_not_resume(tmp_path):
         experiment.train(folder, model, config())
     with pytest.raises(ValueError, match='hidden: 8 there, 6 now'):
         experiment.train(folder, model, config(hidden=6))
+    # A folder from before a setting was there goes on with its default, and refuses another.
+    old = files.read_json(f'{model}/config.json')
+    del old['config']['symmetric']
+    files.write_json(f'{model}/config.json', old)
+    with pytest.raises(ValueError, match='symmetric: False there, True now'):
+        experiment.train(folder, model, config(symmetric=True))
+    with pytest.raises(ValueError, match='without training state'):
+        experiment.train(folder, model, config())
     other = small.write_springs(tmp_path / 'other', counts=(33, 16, 16))
     with pytest.raises(ValueError, match='data_digest'):
         experiment.train(other, model, config())
@@ -117,6 +126,7 @@ def test_learning_rate_decays_late():
     'settings',
     [
         {'encoder': 'cnn', 'decoder': 'rnn', 'burn_in': 3, 'window': 17, 'no_edge_prior': 0.9},
+        {'symmetric': True},
         {'factor_graph': False, 'skip_first': False, 'edge_types': 3, 'straight_through': True},
     ],
 )

@@ -1,0 +1,116 @@
+"""`NriConfig`: every setting of a model and of its training, checked."""
+
+import dataclasses
+
+import numpy as np
+
+from nri import gumbel, losses
+from nri.decoder import DECODERS
+from nri.encoder import ENCODERS
+
+MIN_CNN_FRAMES = 14
+# Eight random streams per seed in int32.
+MAX_SEED = 2**28
+_LARGEST = 2**31 - 1
+MAX_NODES = 300
+# Field -> its least and largest value; the largest are beyond any graph of the project, so that a
+# damaged number does not ask for its memory.
+_RANGES = {
+    'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
+    'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class NriConfig:
+    """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
+
+    Attributes:
+      encoder, decoder: 'mlp' or 'cnn', 'mlp' or 'rnn'.
+      factor_graph: whether pairs exchange messages in the encoder.
+      skip_first: whether edge type 0 means that nothing is exchanged.
+      symmetric: whether what acts is mutual, as a force between two objects is: both directions of
+        a pair then share one type, from the mean of their logits.
+      edge_types: K.
+      hidden: width of all layers.
+      window: frames that the encoder sees.
+      stride: frames of the data between two of the window.
+      segment: frames that the decoder predicts on its own; a random part of the window.
+      burn_in: true frames the decoder is fed before (the RNN needs some).
+      temperature: of the Gumbel-softmax, at least 0.05.
+      straight_through: sample edge types of exactly 0 and 1.
+      no_edge_prior: prior probability of type 0; None for the uniform prior.
+      output_variance: of the Gaussian likelihood, in normalised units.
+      learning_rate, decay, decay_epochs, decay_start: rate x decay each decay_epochs, first at
+        epoch decay_start.
+      epochs, batch_size, seed: of the training.
+      supervised: train the encoder alone, with the true edges.
+      nodes: which nodes of a dataset of this project; see `nri.data`.
+      modes: how many of its modes, the first ones; 0: all.
+
+    Raises:
+      ValueError: a value outside its range, with the range.
+    """
+
+    encoder: str = 'mlp'
+    decoder: str = 'mlp'
+    factor_graph: bool = True
+    skip_first: bool = True
+    symmetric: bool = False
+    edge_types: int = 2
+    hidden: int = 256
+    window: int = 49
+    stride: int = 1
+    segment: int = 10
+    burn_in: int = 1
+    temperature: float = 0.5
+    straight_through: bool = False
+    no_edge_prior: float | None = None
+    output_variance: float = 5e-5
+    learning_rate: float = 5e-4
+    decay: float = 0.5
+    decay_epochs: int = 50
+    decay_start: int = 50
+    epochs: int = 200
+    batch_size: int = 128
+    seed: int = 0
+    supervised: bool = False
+    nodes: str = 'modes'
+    modes: int = 0
+
+    def __post_init__(self):
+        for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):
+            if getattr(self, name) not in choices:
+                raise ValueError(f'{name} is {getattr(self, name)!r}, not one of {list(choices)}')
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.type is int and field.name != 'seed':
+                low, high = _RANGES.get(field.name, (1, _LARGEST))
+                if type(value) is not int or not low <= value <= high:
+                    raise ValueError(
+                        f'{field.name} is {value!r}, must be at least {low} and at most {high}'
+                    )
+            if field.type is float and not (
+                isinstance(value, (int, float)) and np.isfinite(value) and value > 0
+            ):
+                raise ValueError(f'{field.name} is {value!r}, must be positive and finite')
+            if field.type is bool and type(value) is not bool:
+                raise ValueError(f'{field.name} is {value!r}, must be true or false')
+        if not 0 <= self.seed < MAX_SEED:
+            raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
+        gumbel.check_temperature(self.temperature)
+        losses.log_prior(self.edge_types, self.no_edge_prior)
+        if self.burn_in + self.segment > self.window:
+            raise ValueError(
+                f'burn_in {self.burn_in} and segment {self.segment} are more than the window of '
+                f'{self.window} frames'
+            )
+        if self.encoder == 'cnn' and self.window < MIN_CNN_FRAMES:
+            raise ValueError(
+                f'window is {self.window}, the convolutions need at least {MIN_CNN_FRAMES} frames'
+            )
+
+    @property
+    def span(self) -> int:
+        """Frames of the data from the first to the last of a window, both included."""
+        return (self.window - 1) * self.stride + 1
