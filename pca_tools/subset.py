@@ -1,4 +1,4 @@
-"""Makes a smaller dataset: fewer training runs, all of valid and test as they are.
+"""Makes a smaller dataset: fewer training runs, all of valid and test as they are or some kinds.
 
 For learning curves, and to see what a kind of path teaches. Subspace, statistics and sampled
 particles stay those of the larger dataset, so errors of both are of one truth.
@@ -7,6 +7,9 @@ Examples:
     python -m pca_tools.subset --data_path=datasets/excavation_v2 --train_runs=28 --output_path=few
     python -m pca_tools.subset --data_path=datasets/excavation_v2 --kinds=grid --output_path=grid
     python -m pca_tools.subset --data_path=whole --kinds=grid:20,lift,stops --output_path=thinned
+
+    # judged on these kinds alone, too
+    python -m pca_tools.subset --data_path=whole --kinds=grid --every_split --output_path=grid_only
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ def subset(
     train_runs: int = 0,
     kinds: Mapping[str, int] | Sequence[str] = (),
     overwrite: bool = False,
+    every_split: bool = False,
 ) -> dict[str, Any]:
     """Writes a dataset with fewer training runs.
 
@@ -39,19 +43,21 @@ def subset(
         kinds: of training runs, each with how many of its runs, spread over them; 0 or no number:
             all of the kind. None: all kinds.
         overwrite: replace a finished dataset.
+        every_split: valid and test, too, hold these kinds alone, all runs of them.
 
     Returns:
         Its metadata.
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: a kind that the dataset does not have, or fewer runs than are asked for.
+        ValueError: a kind that the dataset does not have, or fewer runs than are asked for; a split
+            without any, or no kinds, with `every_split`.
     """
     limits = kinds if isinstance(kinds, Mapping) else dict.fromkeys(kinds, 0)
     convert.refuse_occupied_output(output_path, overwrite)
     base, space = convert.load_base(data_path)
     held = read_encoded(data_path, base)
-    found = [run.parameters.get('kind') or 'run' for run in held['train']]
+    found = [_kind(run) for run in held['train']]
     if unknown := limits.keys() - set(found):
         raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(set(found))}')
     places = [] if limits else list(range(len(found)))
@@ -60,11 +66,31 @@ def subset(
         places += _spread(of_kind, limit, f'{data_path}: runs of the kind {kind}')
     chosen = _spread(sorted(places), train_runs, f'{data_path}: such training runs')
     parts = held | {'train': numbered([held['train'][place] for place in chosen])}
+    if every_split:
+        parts |= _of_kinds(limits, held, data_path)
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
     metadata = make_metadata(world, parts, space, 1, base)
     indices = particles.read_sample(data_path, 'train').indices
     convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
     return metadata
+
+
+def _kind(run) -> str:
+    return run.parameters.get('kind') or 'run'
+
+
+def _of_kinds(kinds, held, data_path):
+    """Runs of the kinds in the splits other than train."""
+    if not kinds:
+        raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
+    judged = {
+        split: numbered([run for run in runs if _kind(run) in kinds])
+        for split, runs in held.items()
+        if split != 'train'
+    }
+    if empty := [split for split, runs in judged.items() if not runs]:
+        raise ValueError(f'{data_path}: {", ".join(empty)} without a run of {sorted(kinds)}')
+    return judged
 
 
 def _spread(places: list[int], limit: int, what: str) -> list[int]:
@@ -94,6 +120,7 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
     flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20: so many; default: all.')
+    flags.DEFINE_bool('every_split', False, 'Only these kinds in valid and test, too.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
@@ -109,6 +136,7 @@ def main(argv: Sequence[str]) -> None:
             values.train_runs,
             kinds_of(values.kinds),
             values.overwrite,
+            values.every_split,
         )
     except (ValueError, OSError) as error:
         sys.exit(f'error: {files.printable(error)}')

@@ -11,10 +11,10 @@ from tests.pca_tools.test_append import with_split
 
 @pytest.fixture
 def whole(tmp_path):
-    """Cases 1, 2, 4, 6 in train, 3 and 7 in valid, 5 in test; 2 and 6 are lifts."""
+    """Cases 1, 2, 4, 6 in train, 3 and 7 in valid, 5 in test; 2 and 6 are lifts, 7 stops."""
 
     def change(case, arrays):
-        with_split(case, arrays, kind='lift' if case in (2, 6) else 'grid')
+        with_split(case, arrays, kind={2: 'lift', 6: 'lift', 7: 'stops'}.get(case, 'grid'))
 
     raw = synthetic.write_raw_folder(
         str(tmp_path / 'raw'), 'excavation', range(1, 8), change=change
@@ -58,6 +58,22 @@ def test_runs_are_those_of_the_whole(whole, tmp_path, options, cases):
             np.testing.assert_array_equal(sample[place], whole_sample[old])
             assert few['projection_mse'][split][place] == base['projection_mse'][split][old]
     assert files.check_manifest(out)
+
+
+def test_kinds_of_every_split(whole, tmp_path):
+    out = str(tmp_path / 'grid')
+    few = subset.subset(whole, out, kinds=['grid'], every_split=True)
+    assert few['dataset_split'] == {'train': [1, 4], 'valid': [3], 'test': [5]}
+    base = files.read_json(f'{whole}/metadata.json')
+    assert few['projection_mse']['valid'] == base['projection_mse']['valid'][:1]
+    record, *others = dataset.read_split(out, 'valid')
+    assert not others and record.key == 0
+    np.testing.assert_array_equal(record.position, dataset.read_split(whole, 'valid')[0].position)
+    with pytest.raises(ValueError, match=r"valid, test without a run of \['lift'\]"):
+        subset.subset(whole, str(tmp_path / 'lifts'), kinds=['lift'], every_split=True)
+    with pytest.raises(ValueError, match='no kinds were named'):
+        subset.subset(whole, str(tmp_path / 'none'), every_split=True)
+    assert not (tmp_path / 'lifts').exists() and not (tmp_path / 'none').exists()
 
 
 @pytest.mark.parametrize(
