@@ -50,10 +50,10 @@ def name_of_folder(name: str) -> str:
     return re.sub(r'\W+', '_', name)
 
 
-def train(data_path: str, model_path: str, flags: list[str]) -> None:
+def train(data_path: str, model_path: str, flags: list[str], shown: bool = False) -> None:
     """Trains a model, goes on where its training ended, or finds it done; see `_run`."""
     if not _is_trained(model_path):
-        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
+        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags], shown)
 
 
 def _is_trained(model_path):
@@ -90,17 +90,18 @@ def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
     return output
 
 
-def _run(flags):
-    """Runs `learning_to_simulate.train`.
+def _run(flags, shown=False):
+    """Runs `learning_to_simulate.train`; `shown`: on the terminal.
 
     Raises:
-      ValueError: it failed; the message holds its last lines.
+      ValueError: it failed; the message holds its last lines, where they were not shown.
     """
     # Ends with this process: a worker that is killed leaves no training behind.
     command = [sys.executable, '-m', 'storage.parent', str(os.getpid()), _TRAIN, *flags]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=not shown, text=True, check=False)
     if done.returncode:
-        tail = '\n'.join((done.stdout + done.stderr).strip().splitlines()[-5:])
+        printed = (done.stdout or '') + (done.stderr or '')
+        tail = '\n'.join(printed.strip().splitlines()[-5:])
         raise ValueError(f'learning_to_simulate.train {" ".join(flags)} failed:\n{tail}')
 
 
