@@ -4,7 +4,8 @@ Examples:
     python -m reports nri_stability --data_path=datasets/excavation \\
         --work_path=/tmp/nri_excavation --output_path=docs/edges/excavation_nri.json
 
-Resumes where it was stopped; a picture (.png) lies beside the JSON. The JSON holds P(edge) of every
+Resumes where it was stopped; pictures of the graphs (.png) and of the losses (_loss.png) lie beside
+the JSON. The JSON holds P(edge) of every
 seed, mean over the training runs, and is what `reports edge_ablation --nri_path` takes.
 """
 
@@ -13,6 +14,7 @@ import os
 
 import numpy as np
 from absl import flags
+from matplotlib import figure
 
 from cluster import workers
 from learning_to_simulate.edges import edge_lists, edge_picture
@@ -131,13 +133,37 @@ def draw(path: str, result: dict) -> None:
       result: what the JSON holds.
     """
     rows = result['seeds']
-    figure, axes = edge_picture.new_figure(len(rows) + 1)
+    drawn, axes = edge_picture.new_figure(len(rows) + 1)
     p = matrices(rows)
     titles = [f'seed {r["seed"]}: {r["edges"]} edges, {r["entropy_bits"]:.2f} bits' for r in rows]
     for axis, matrix, title in zip(axes[0], [*p, p.mean(axis=0)], [*titles, 'mean over seeds']):
         edge_picture.show_matrix(axis, matrix, rows[0]['node_names'])
         axis.set_title(title, fontsize=10)
-    edge_picture.save(path, figure)
+    edge_picture.save(path, drawn)
+
+
+def draw_losses(path: str, result: dict) -> None:
+    """Loss on valid after each epoch, of every seed.
+
+    Args:
+      path: PNG file.
+      result: what the JSON holds.
+    """
+    drawn = figure.Figure(figsize=(7.5, 3.6), layout='constrained')
+    axes = drawn.subplots()
+    for row in result['seeds']:
+        epochs = range(1, len(row['valid_losses']) + 1)
+        axes.plot(epochs, row['valid_losses'], label=f'seed {row["seed"]}')
+    axes.axvline(
+        result['settings']['decay_start'] + 1,
+        color='0.6',
+        linestyle='--',
+        label='rate halved from here',
+    )
+    axes.set(xlabel='epochs', ylabel='loss on valid (negative evidence bound)')
+    axes.grid(alpha=0.3)
+    drawn.legend(loc='outside right', frameon=False, fontsize='small')
+    files.write_atomically(path, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 
 def define_flags() -> None:
@@ -182,7 +208,9 @@ def main(v, _) -> None:
     }
     os.makedirs(os.path.dirname(os.path.abspath(v.output_path)), exist_ok=True)
     files.write_json(v.output_path, result)
-    draw(os.path.splitext(v.output_path)[0] + '.png', result)
+    stem = os.path.splitext(v.output_path)[0]
+    draw(f'{stem}.png', result)
+    draw_losses(f'{stem}_loss.png', result)
     for name, value in result['compared'].items():
         print(f'{name:22s} {value}')
 

@@ -14,6 +14,7 @@ from nri import data as nri_data
 from nri import experiment, export_edges
 from nri.config import NriConfig
 from nri.model import NriModel
+from pca_tools import files
 from reports.edges import nri_stability
 from tests.learning_to_simulate import synthetic
 
@@ -183,7 +184,7 @@ def test_comparison_of_seeds_against_hand_counts():
     assert empty['jaccard'] is None and empty['correlation'] is None
 
 
-def test_stability_in_miniature(data, tmp_path):
+def test_stability_in_miniature(data, tmp_path, monkeypatch):
     config = NriConfig(**TINY, seed=1)
     rows = [nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)] * 2
     again = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
@@ -192,6 +193,15 @@ def test_stability_in_miniature(data, tmp_path):
     assert compared['agreement']['mean'] == 1.0
     nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': rows})
     assert (tmp_path / 'a.png').stat().st_size > 1000
+    lines = []
+    monkeypatch.setattr(
+        'matplotlib.axes.Axes.plot', lambda axes, x, y, label: lines.append((list(x), y, label))
+    )
+    result = {'seeds': rows[:1], 'settings': {'decay_start': config.decay_start}}
+    nri_stability.draw_losses(str(tmp_path / 'b.png'), result)
+    history = files.read_json(str(tmp_path / 'seed_1' / 'history.json'))
+    losses = [round(epoch['loss'], 3) for epoch in history]
+    assert lines == [(list(range(1, len(losses) + 1)), losses, 'seed 1')]
 
 
 def test_kipfs_data_have_no_body_to_complete(model_path, tmp_path):
