@@ -1,14 +1,15 @@
-"""`NriConfig`: every setting of a model and of its training, checked."""
+"""`NriConfig`: every setting of a model and of its training, checked; without TensorFlow."""
 
 import dataclasses
+import math
 
 import numpy as np
 
-from nri import gumbel, losses
-from nri.decoder import DECODERS
-from nri.encoder import ENCODERS
-
+# `encoder.ENCODERS` and `decoder.DECODERS` hold what they name.
+ENCODERS, DECODERS = ('mlp', 'cnn'), ('mlp', 'rnn')
 MIN_CNN_FRAMES = 14
+# Below it the softmax saturates in float32 and the gradient vanishes.
+MIN_TEMPERATURE = 0.05
 # Eight random streams per seed in int32.
 MAX_SEED = 2**28
 _LARGEST = 2**31 - 1
@@ -19,6 +20,33 @@ _RANGES = {
     'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
     'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
 }  # fmt: skip
+
+
+def check_temperature(temperature: float) -> None:
+    """Refuses temperatures that are not finite or below `MIN_TEMPERATURE`.
+
+    Raises:
+      ValueError: with the value and the limit.
+    """
+    if not MIN_TEMPERATURE <= temperature < float('inf'):
+        raise ValueError(
+            f'temperature is {temperature}, must be finite and at least {MIN_TEMPERATURE}: below '
+            f'it the gradient of the sample vanishes'
+        )
+
+
+def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
+    """float32 [K] log probabilities: uniform, or `no_edge_prior` for type 0 and the rest equally.
+
+    Raises:
+      ValueError: a probability outside (0, 1).
+    """
+    if no_edge_prior is None:
+        return np.full(n_types, -math.log(n_types), np.float32)
+    if not 0.0 < no_edge_prior < 1.0:
+        raise ValueError(f'no_edge_prior is {no_edge_prior}, must lie in (0, 1)')
+    rest = math.log1p(-no_edge_prior) - math.log(n_types - 1)
+    return np.array([math.log(no_edge_prior)] + [rest] * (n_types - 1), np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +126,8 @@ class NriConfig:
                 raise ValueError(f'{field.name} is {value!r}, must be true or false')
         if not 0 <= self.seed < MAX_SEED:
             raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
-        gumbel.check_temperature(self.temperature)
-        losses.log_prior(self.edge_types, self.no_edge_prior)
+        check_temperature(self.temperature)
+        log_prior(self.edge_types, self.no_edge_prior)
         if self.burn_in + self.segment > self.window:
             raise ValueError(
                 f'burn_in {self.burn_in} and segment {self.segment} are more than the window of '

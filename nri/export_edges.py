@@ -20,16 +20,14 @@ that the encoder collapsed, not what the soil does.
 
 import dataclasses
 import os
-import sys
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
-from learning_to_simulate import connectivity_utils
+from learning_to_simulate import command, connectivity_utils
 from learning_to_simulate.edges import edge_lists, edge_picture
 from learning_to_simulate.scene import Scene
 from nri import data as nri_data
-from nri.model import load_model
 from pca_tools import dataset, files
 
 MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'
@@ -110,6 +108,8 @@ def find_edges(
       FileNotFoundError, ValueError: no model or data there, data of another dataset, edge types
         without a meaning, an empty or saturated graph.
     """
+    from nri.model import load_model  # loads TensorFlow; help does not wait for it
+
     model = load_model(model_path)
     nodes = (model.config.nodes, model.config.modes)
     data = nri_data.load(data_path, split, *nodes)
@@ -203,25 +203,20 @@ def define_flags():
     flags.DEFINE_bool('allow_degenerate', False, 'Export an empty or saturated graph too.')
 
 
-def main(argv):
+def main(v):
     """Runs the command."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    v = flags.FLAGS
-    try:
-        edges = find_edges(
-            v.model_path,
-            v.data_path,
-            split=v.split,
-            threshold=v.threshold,
-            keep=v.keep,
-            self_edges=v.self_edges,
-            no_edge_type=v.no_edge_type,
-            allow_degenerate=v.allow_degenerate,
-        )
-        names = export(edges, v.data_path, v.output_path)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    command.import_tensorflow()
+    edges = find_edges(
+        v.model_path,
+        v.data_path,
+        split=v.split,
+        threshold=v.threshold,
+        keep=v.keep,
+        self_edges=v.self_edges,
+        no_edge_type=v.no_edge_type,
+        allow_degenerate=v.allow_degenerate,
+    )
+    names = export(edges, v.data_path, v.output_path)
     r = edges.report
     print(
         f'{edges.n_edge} of {edges.mask.size} edges between {len(edges.node_names)} nodes; '
@@ -233,4 +228,4 @@ def main(argv):
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(main)

@@ -2,23 +2,10 @@
 
 import tensorflow as tf
 
-# Below it the softmax saturates in float32 and the gradient vanishes.
-MIN_TEMPERATURE = 0.05
+from nri.config import check_temperature
+
 # float32 numbers nearest to 0 and 1 for which both logarithms of a Gumbel draw are finite.
 _LOWEST, _HIGHEST = 2.0**-126, 1.0 - 2.0**-24
-
-
-def check_temperature(temperature: float) -> None:
-    """Refuses temperatures that are not finite or below `MIN_TEMPERATURE`.
-
-    Raises:
-      ValueError: with the value and the limit.
-    """
-    if not MIN_TEMPERATURE <= temperature < float('inf'):
-        raise ValueError(
-            f'temperature is {temperature}, must be finite and at least {MIN_TEMPERATURE}: below '
-            f'it the gradient of the sample vanishes'
-        )
 
 
 def gumbel_from_uniform(uniform: tf.Tensor) -> tf.Tensor:
@@ -40,7 +27,7 @@ def gumbel_softmax(logits, temperature: float, seed, straight_through: bool = Fa
       float32 [..., K], sums to 1.
 
     Raises:
-      ValueError: see `check_temperature`.
+      ValueError: see `config.check_temperature`.
     """
     check_temperature(temperature)
     noise = gumbel_from_uniform(tf.random.stateless_uniform(tf.shape(logits), seed))

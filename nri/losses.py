@@ -7,20 +7,6 @@ import numpy as np
 import tensorflow as tf
 
 
-def log_prior(n_types: int, no_edge_prior: float | None) -> np.ndarray:
-    """float32 [K] log probabilities: uniform, or `no_edge_prior` for type 0 and the rest equally.
-
-    Raises:
-      ValueError: a probability outside (0, 1).
-    """
-    if no_edge_prior is None:
-        return np.full(n_types, -math.log(n_types), np.float32)
-    if not 0.0 < no_edge_prior < 1.0:
-        raise ValueError(f'no_edge_prior is {no_edge_prior}, must lie in (0, 1)')
-    rest = math.log1p(-no_edge_prior) - math.log(n_types - 1)
-    return np.array([math.log(no_edge_prior)] + [rest] * (n_types - 1), np.float32)
-
-
 def kl_to_prior(logits: tf.Tensor, log_prior_types) -> tf.Tensor:
     """Kullback-Leibler divergence of the edge types from their prior, per pair.
 

@@ -13,7 +13,7 @@ import tensorflow as tf
 
 from learning_to_simulate import known_shapes
 from nri import gumbel, losses, pairs
-from nri.config import MAX_NODES, NriConfig
+from nri.config import MAX_NODES, NriConfig, log_prior
 from nri.decoder import DECODERS, unroll
 from nri.encoder import ENCODERS
 from pca_tools import files
@@ -56,7 +56,7 @@ class NriModel(snt.Module):
         self.decoder = DECODERS[config.decoder](
             n_features, config.hidden, config.edge_types, config.skip_first
         )
-        self._log_prior = losses.log_prior(config.edge_types, config.no_edge_prior)
+        self._log_prior = log_prior(config.edge_types, config.no_edge_prior)
         frames = tf.zeros([1, len(self.node_names), config.window, n_features])
         types = tf.nn.softmax(self.both_ways(self.logits(frames, is_training=True)))
         unroll(self.decoder, frames[:, :, :2], types)

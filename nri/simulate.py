@@ -12,13 +12,13 @@ and (S, V, V); for Kuramoto feat_ (S, V, T, 3) and edges_. T = length / sample_f
 
 import dataclasses
 import os
-import sys
 import time
 
 import numpy as np
 import tqdm
-from absl import app, flags
+from absl import flags
 
+from learning_to_simulate import command
 from nri import particle_systems
 from pca_tools import files
 
@@ -130,29 +130,23 @@ def define_flags():
     flags.DEFINE_string('output_path', None, 'Folder for the files.', required=True)
 
 
-def main(argv):
+def main(given):
     """Reads the flags and writes the files."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    given = flags.FLAGS
     started = time.time()
     settings = {'n_objects': given.n_objects, 'dt': given.dt}
     if given.interaction_strength is not None:
         settings['interaction_strength'] = given.interaction_strength
     counts = {split: given[f'num_{split}'].value for split in SPLITS}
-    try:
-        system = particle_systems.SYSTEMS[given.system](**settings)
-        write_dataset(
-            system,
-            given.system,
-            counts,
-            given.length,
-            given.sample_freq,
-            given.seed,
-            given.output_path,
-        )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    system = particle_systems.SYSTEMS[given.system](**settings)
+    write_dataset(
+        system,
+        given.system,
+        counts,
+        given.length,
+        given.sample_freq,
+        given.seed,
+        given.output_path,
+    )
     print(
         f'{given.system}, {given.n_objects} objects: {sum(counts.values())} runs of '
         f'{given.length // given.sample_freq - 1} frames in {given.output_path}; '
@@ -162,4 +156,4 @@ def main(argv):
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(main)

@@ -22,14 +22,12 @@ uses a type for less than 1 % or more than 99 % of the pairs is reported as COLL
 """
 
 import dataclasses
-import sys
 
-import tensorflow as tf
-from absl import app, flags
+from absl import flags
 
-from nri import data, experiment
+from learning_to_simulate import command
+from nri import data
 from nri.config import NriConfig
-from pca_tools import files
 
 _DEFINE = {
     int: flags.DEFINE_integer,
@@ -55,15 +53,17 @@ def define_flags():
         define(field.name, field.default, 'See NriConfig in nri/config.py.')
 
 
-def main(argv):
+def main(given):
     """Reads the flags and trains."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    given = flags.FLAGS
+    command.import_tensorflow()  # here, so that help does not wait for it
+    import tensorflow as tf
+
+    from nri import experiment
+
     fields = [field.name for field in dataclasses.fields(NriConfig)]
     minutes = given.max_minutes
+    config = NriConfig(**{name: given[name].value for name in fields})
     try:
-        config = NriConfig(**{name: given[name].value for name in fields})
         experiment.train(
             given.data_path,
             given.model_path,
@@ -71,10 +71,10 @@ def main(argv):
             None if minutes is None else 60.0 * minutes,
             given.take_over_lock,
         )
-    except (ValueError, OSError, tf.errors.OpError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    except tf.errors.OpError as error:
+        raise ValueError(str(error)) from error
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(main)

@@ -43,6 +43,17 @@ def test_help_needs_no_tensorflow_and_ends_with_0(name):
     assert '--output_path' in done.stdout or '--model_path' in done.stdout
 
 
+@pytest.mark.parametrize('module', ['nri.simulate', 'nri.train', 'nri.export_edges'])
+def test_help_of_nri_needs_no_tensorflow_and_ends_with_0(module):
+    code = f'import sys; sys.modules["tensorflow"] = None; sys.argv[0] = {module!r}; import runpy; '
+    code += f'runpy.run_module({module!r}, run_name="__main__")'
+    done = subprocess.run(
+        [sys.executable, '-c', code, '--help'], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert '_path' in done.stdout
+
+
 def test_help_of_training_says_what_every_flag_means():
     text = lts('train', '--help').stdout
     for meaning in ('how many of the H - 1 last velocities are inputs', 'plain MLP', "preset's)"):

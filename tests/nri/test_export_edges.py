@@ -13,7 +13,7 @@ from learning_to_simulate.edges import edge_lists
 from nri import data as nri_data
 from nri import experiment, export_edges
 from nri.config import NriConfig
-from nri.model import NriModel
+from nri.model import NriModel, load_model
 from pca_tools import files
 from reports.edges import nri_stability
 from tests.learning_to_simulate import synthetic
@@ -150,8 +150,8 @@ def test_renumbered_nodes_have_renumbered_edges(data, model_path):
     """The encoder sees no numbers: features in another order give the same edges in that order."""
     features = nri_data.load(data, 'train').features
     order = np.array([2, 0, 1])
-    straight = export_edges.edge_posterior(export_edges.load_model(model_path), features, 0)
-    model = export_edges.load_model(model_path)
+    straight = export_edges.edge_posterior(load_model(model_path), features, 0)
+    model = load_model(model_path)
     model.offset, model.scale = model.offset[order], model.scale[order]
     renumbered = export_edges.edge_posterior(model, features[:, order], 0)
     assert np.nanstd(straight) > 1e-3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from nri import gumbel
+from nri import config, gumbel
 
 SEED = tf.constant([3, 7])
 
@@ -20,7 +20,7 @@ def test_gradient_survives_at_the_lowest_temperature():
     for straight_through in (False, True):
         with tf.GradientTape() as tape:
             sample = gumbel.gumbel_softmax(
-                logits, gumbel.MIN_TEMPERATURE, SEED, straight_through=straight_through
+                logits, config.MIN_TEMPERATURE, SEED, straight_through=straight_through
             )
             loss = tf.reduce_sum(sample[:, 0])
         gradient = tape.gradient(loss, logits).numpy()

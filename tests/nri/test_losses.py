@@ -5,29 +5,29 @@ import pytest
 import tensorflow as tf
 from scipy import stats
 
-from nri import losses
+from nri import config, losses
 
 
 def test_divergence_of_saturated_logits_is_exact():
     for size in (1e3, 1e30):
         logits = tf.constant([[size, -size], [-size, size]])
-        uniform = losses.kl_to_prior(logits, losses.log_prior(2, None)).numpy()
+        uniform = losses.kl_to_prior(logits, config.log_prior(2, None)).numpy()
         np.testing.assert_allclose(uniform, np.log(2), atol=1e-6)
-        sparse = losses.kl_to_prior(logits, losses.log_prior(2, 0.9)).numpy()
+        sparse = losses.kl_to_prior(logits, config.log_prior(2, 0.9)).numpy()
         np.testing.assert_allclose(sparse, [-np.log(0.9), -np.log(0.1)], rtol=1e-6)
 
 
 def test_gradient_of_the_divergence_is_finite_when_saturated():
     logits = tf.Variable([[1e3, -1e3], [1e30, -1e30]])
     with tf.GradientTape() as tape:
-        divergence = tf.reduce_sum(losses.kl_to_prior(logits, losses.log_prior(2, None)))
+        divergence = tf.reduce_sum(losses.kl_to_prior(logits, config.log_prior(2, None)))
     assert np.isfinite(tape.gradient(divergence, logits)).all()
 
 
 @pytest.mark.parametrize('prior', [None, 0.05, 0.5, 0.99])
 def test_divergence_is_that_of_scipy_and_never_negative(prior):
     logits = np.random.default_rng(0).normal(0, 3, (1000, 3))
-    log_prior = losses.log_prior(3, prior)
+    log_prior = config.log_prior(3, prior)
     got = losses.kl_to_prior(tf.constant(logits, tf.float32), log_prior).numpy()
     weights = np.exp(logits) / np.exp(logits).sum(-1, keepdims=True)
     np.testing.assert_allclose(
@@ -41,7 +41,7 @@ def test_divergence_is_that_of_scipy_and_never_negative(prior):
 @pytest.mark.parametrize('prior', [0.0, 1.0, -0.1, float('nan')])
 def test_impossible_priors_are_refused(prior):
     with pytest.raises(ValueError, match='no_edge_prior'):
-        losses.log_prior(2, prior)
+        config.log_prior(2, prior)
 
 
 def test_likelihood_is_that_of_a_gaussian_and_at_the_best_variance_where_errors_are_large():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
+from nri import config
 from nri.decoder import DECODERS, unroll
 from nri.encoder import ENCODERS
 from tests.nri import numpy_twin
@@ -92,3 +93,7 @@ def test_what_is_found_for_a_run_does_not_depend_on_the_others_in_its_batch():
     together = encoder(tf.constant(x), is_training=False).numpy()
     alone = [encoder(tf.constant(x[i : i + 1]), is_training=False).numpy() for i in range(3)]
     np.testing.assert_allclose(together, np.concatenate(alone), atol=1e-5)
+
+
+def test_every_kind_of_a_config_has_its_network():
+    assert (tuple(ENCODERS), tuple(DECODERS)) == (config.ENCODERS, config.DECODERS)
