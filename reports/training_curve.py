@@ -107,13 +107,13 @@ def mean_of(runs: list[dict], key: str) -> float | None:
     return None if any(v is None for v in values) else float(np.mean(np.abs(values)))
 
 
-def table(path: str) -> str:
+def table(*paths: str) -> str:
     """Errors of the judged runs beside the trivial predictors, and how flat the curves are."""
     header = ('data, runs', 'method', 'steps', 'last quarter over the one before: soil, force²',
               'soil MSE 1e-4 m²', 'median', 'against the better trivial', 'force rel. L2',
               'mean size of MPE %')  # fmt: skip
     lines = []
-    for row in files.read_json(path)['rows'].values():
+    for row in (row for path in paths for row in files.read_json(path)['rows'].values()):
         n_run = len(row['runs']['model'])
         where = f'{row["data"]}, {row["judge"]}, {n_run}'
         if where not in {line[0] for line in lines}:
