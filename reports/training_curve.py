@@ -3,7 +3,7 @@
 Trains each preset for as many steps as are asked for, reads what the training logged of valid at
 each checkpoint (`--save_every`), rolls the weights out and puts the trivial predictors beside them.
 How flat the curve is, the table says: the mean error over the last quarter of the checkpoints, over
-that of the quarter before.
+that of the quarter before. A method that is fitted at once has a row and no curve.
 
 Examples:
     # the published presets, looked at ten times
@@ -51,7 +51,7 @@ def measure(data_path: str, method: str, judge: str, work_path: str) -> dict:
     model = os.path.join(work_path, name, rollouts.name_of_folder(method))
     rollouts.train(data_path, model, rollouts.training_flags(method), shown=True)
     curve = curve_of(model)
-    if len(curve) < 4:
+    if 0 < len(curve) < 4:
         raise ValueError(
             f'{model}: valid was looked at {len(curve)} times; its last quarter can be compared '
             f'from 4 on (--save_every)'
@@ -121,9 +121,10 @@ def table(*paths: str) -> str:
                 (where, f'*{text}*', '', '', *_errors(row['runs'][name], None))
                 for name, text in markdown.TRIVIAL.items()
             ]
-        flat = [markdown.cell(change(row['curve'], key)) for key in ('soil_mse', 'force_mse')]
+        curve = row['curve']  # empty for a method that is fitted at once
+        flat = [markdown.cell(change(curve, key)) for key in ('soil_mse', 'force_mse') if curve]
         lines.append(
-            (where, row['method'].split(' --num_steps')[0], row['curve'][-1]['step'],
+            (where, row['method'].split(' --num_steps')[0], curve[-1]['step'] if curve else '',
              ', '.join(flat), *_errors(row['runs']['model'], row['runs']))
         )  # fmt: skip
     return markdown.table(header, lines)
@@ -152,7 +153,7 @@ def draw(path: str, picture: str) -> None:
     """Draws soil and force on valid against the steps, each as a share of its first value."""
     from matplotlib import figure
 
-    rows = list(files.read_json(path)['rows'].values())
+    rows = [row for row in files.read_json(path)['rows'].values() if row['curve']]
     drawn = figure.Figure(figsize=(9, 4.2), layout='constrained')
     panels = drawn.subplots(1, 2)
     for axes, key, title in zip(

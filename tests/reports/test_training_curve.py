@@ -100,3 +100,15 @@ def test_too_few_looks_are_refused(made, monkeypatch, tmp_path):
     )
     with pytest.raises(ValueError, match='looked at 1 times'):
         made[0]('pcg_thesis')
+
+
+def test_a_method_that_is_fitted_at_once_has_a_row_and_no_curve(made, monkeypatch, tmp_path):
+    trained = made[0]('pcg_thesis')
+    monkeypatch.setattr(training_curve.rollouts, 'train', lambda *a, **k: None)
+    fitted = training_curve.measure('sets/other', 'path_ridge', 'valid', str(tmp_path / 'ridge'))
+    assert fitted['curve'] == []
+    path = str(tmp_path / 'out.json')
+    files.write_json(path, {'rows': {'a': trained, 'b': fitted}})
+    cells = [cell.strip() for cell in training_curve.table(path).splitlines()[-1].split('|')[1:-1]]
+    assert cells[:4] == ['other, valid, 2', 'path_ridge', '', '']
+    training_curve.draw(path, str(tmp_path / 'out.png'))
