@@ -142,7 +142,7 @@ def _errors(runs, all_runs):
         beside = f'wins {int((np.array(own) < trivial).sum())} of {len(runs)}'
     return (
         'not finite' if soil is None else 1e4 * soil,
-        1e4 * float(np.median(known)),
+        1e4 * float(np.median(known)) if known else None,
         beside,
         mean_of(runs, 'force_relative_l2'),
         mean_of(runs, 'force_mpe'),
@@ -150,7 +150,7 @@ def _errors(runs, all_runs):
 
 
 def draw(path: str, picture: str) -> None:
-    """Draws soil and force on valid against the steps, each as a share of its first value."""
+    """Draws soil and force on valid against the steps, a line for each row that has a curve."""
     from matplotlib import figure
 
     rows = [row for row in files.read_json(path)['rows'].values() if row['curve']]
@@ -161,6 +161,8 @@ def draw(path: str, picture: str) -> None:
     ):
         for number, row in enumerate(rows):
             points = [(p['step'], p[key]) for p in row['curve'] if p.get(key) is not None]
+            if not points:
+                continue
             steps, values = np.array(points).T
             if key == 'force_mse':
                 values = np.sqrt(values)

@@ -92,6 +92,11 @@ def test_a_run_that_blew_up_wins_nowhere_and_has_no_mean(made, tmp_path):
     files.write_json(path, {'rows': {'a': row}})
     line = training_curve.table(path).splitlines()[-1]
     assert 'not finite' in line and 'wins 0 of 2' in line
+    row['runs']['model'][1] = run(None, None)
+    row['curve'] = [point | {'soil_mse': None} for point in row['curve']]
+    files.write_json(path, {'rows': {'a': row}})
+    assert 'not finite |  | wins 0 of 2' in training_curve.table(path)
+    training_curve.draw(path, str(tmp_path / 'out.png'))
 
 
 def test_too_few_looks_are_refused(made, monkeypatch, tmp_path):
