@@ -157,18 +157,18 @@ def draw(path: str, picture: str) -> None:
     drawn = figure.Figure(figsize=(9, 4.2), layout='constrained')
     panels = drawn.subplots(1, 2)
     for axes, key, title in zip(
-        panels, ('soil_mse', 'force_mse'), ('soil, MSE m²', 'force, RMS N'), strict=True
+        panels, ('soil_mse', 'force_mse'), ('soil, MSE 1e-4 m²', 'force, RMS N'), strict=True
     ):
         for number, row in enumerate(rows):
             points = [(p['step'], p[key]) for p in row['curve'] if p.get(key) is not None]
             if not points:
                 continue
             steps, values = np.array(points).T
-            if key == 'force_mse':
-                values = np.sqrt(values)
+            values = np.sqrt(values) if key == 'force_mse' else 1e4 * values
             label = f'{row["method"].split(" --")[0]}, {row["data"]}'
-            axes.plot(steps, values, 'o-', markersize=3, color=f'C{number}', label=label)
-        axes.set(xscale='log', yscale='log', xlabel='training steps', ylabel=f'{title} (valid)')
+            axes.plot(steps / 1000, values, 'o-', markersize=3, color=f'C{number}', label=label)
+        axes.set(xlabel='thousand training steps', ylabel=f'{title} (valid)')
+        axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
     handles, labels = panels[0].get_legend_handles_labels()
     drawn.legend(
