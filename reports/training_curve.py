@@ -93,18 +93,15 @@ def curve_of(model_path: str) -> list[dict]:
 def change(curve: list[dict], key: str) -> float | None:
     """Mean over the last quarter of the checkpoints, over that of the quarter before; None where
     one of them has no number."""
-    values = [row.get(key) for row in curve]
-    n = len(values) // 4
-    last, before = values[-n:], values[-2 * n : -n]
-    if any(v is None for v in last + before):
-        return None
-    return float(np.mean(last) / np.mean(before))
+    n = len(curve) // 4
+    known = [row[key] for row in curve[-2 * n :] if row.get(key) is not None]
+    return float(np.mean(known[n:]) / np.mean(known[:n])) if len(known) == 2 * n else None
 
 
 def mean_of(runs: list[dict], key: str) -> float | None:
     """Mean over runs, of the size of percentages; None where a run has none."""
     values = [run[key] for run in runs]
-    return None if any(v is None for v in values) else float(np.mean(np.abs(values)))
+    return None if None in values else float(np.mean(np.abs(values)))
 
 
 def table(*paths: str) -> str:
@@ -112,8 +109,10 @@ def table(*paths: str) -> str:
     header = ('data, runs', 'method', 'steps', 'last quarter over the one before: soil, force²',
               'soil MSE 1e-4 m²', 'median', 'against the better trivial', 'force rel. L2',
               'mean size of MPE %')  # fmt: skip
-    lines = []
-    for row in (row for path in paths for row in files.read_json(path)['rows'].values()):
+    lines: list[tuple] = []
+    rows = [row for path in paths for row in files.read_json(path)['rows'].values()]
+    order = list(dict.fromkeys(row['data'] for row in rows))
+    for row in sorted(rows, key=lambda row: order.index(row['data'])):
         n_run = len(row['runs']['model'])
         where = f'{row["data"]}, {row["judge"]}, {n_run}'
         if where not in {line[0] for line in lines}:

@@ -97,7 +97,8 @@ def table(*paths: str) -> str:
         r = files.read_json(path)
         rows.append(
             (r['system'], r['n_objects'], 'yes' if r['settings'].get('symmetric') else 'no',
-             r['runs']['train'], r['settings']['epochs'], r['seconds_per_epoch'], round(r['seconds'] / 60), f'{r["test_accuracy"]:.2%}',
+             r['runs']['train'], r['settings']['epochs'], r['seconds_per_epoch'],
+             round(r['seconds'] / 60), f'{r["test_accuracy"]:.2%}',
              f'{r["published_accuracy"]:.1%}')
         )  # fmt: skip
     return markdown.table(header, rows)

@@ -162,7 +162,7 @@ def draw_losses(path: str, result: dict) -> None:
     )
     axes.set(xlabel='epochs', ylabel='loss on valid (negative evidence bound)')
     axes.grid(alpha=0.3)
-    drawn.legend(loc='outside right', frameon=False, fontsize='small')
+    drawn.legend(loc='outside right center', frameon=False, fontsize='small')
     files.write_atomically(path, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 
