@@ -34,6 +34,7 @@ MAY_IMPORT = {
     'learning_to_simulate': ('pca_tools', 'storage.markdown'),
     'nri': (
         'pca_tools',
+        'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.edges.edge_lists',
         'learning_to_simulate.edges.edge_picture',
