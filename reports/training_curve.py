@@ -21,6 +21,7 @@ A second call goes on, and keeps the rows of other data and presets.
 
 import glob
 import os
+import re
 
 import numpy as np
 from absl import flags
@@ -33,6 +34,8 @@ from reports.protocol import rollouts
 SCHEMA_VERSION = 1
 # What metrics.json says of a run and a curve or table takes over.
 _KEYS = ('soil_mse', 'force_relative_l2', 'force_mpe')
+# Flags of a method that say how it was trained and watched, not what it is.
+_OF_THE_TRAINING = re.compile(r' --(num_steps|save_every|num_threads)=\S+')
 
 
 def measure(data_path: str, method: str, judge: str, work_path: str) -> dict:
@@ -123,7 +126,7 @@ def table(*paths: str) -> str:
         curve = row['curve']  # empty for a method that is fitted at once
         flat = [markdown.cell(change(curve, key)) for key in ('soil_mse', 'force_mse') if curve]
         lines.append(
-            (where, row['method'].split(' --num_steps')[0], curve[-1]['step'] if curve else '',
+            (where, _OF_THE_TRAINING.sub('', row['method']), curve[-1]['step'] if curve else '',
              ', '.join(flat), *_errors(row['runs']['model'], row['runs']))
         )  # fmt: skip
     return markdown.table(header, lines)

@@ -212,3 +212,15 @@ def test_kipfs_data_have_no_body_to_complete(model_path, tmp_path):
     )  # fmt: skip
     assert export_edges.completed(edges, str(tmp_path)) is None
     assert connectivity_utils.fully_connected(2).n_edge == 4
+
+
+def test_shipped_list_is_that_of_the_seed_with_the_least_loss():
+    """It is stored beside the posterior of all seeds, from which it follows."""
+    folder = pathlib.Path(__file__).resolve().parents[2] / 'docs' / 'edges'
+    held = files.read_json(str(folder / 'excavation_v2_nri.json'))
+    best = min(held['seeds'], key=lambda seed: min(seed['valid_losses']))
+    edges = edge_lists.read(str(folder / 'excavation_v2_nri' / 'edges.json'))
+    probabilities = nri_stability.matrices([best])[0]
+    np.testing.assert_array_equal(edges.probabilities, probabilities)
+    np.testing.assert_array_equal(edges.mask, np.nan_to_num(probabilities) > edges.threshold)
+    assert edges.digests['model'] == best['weights'] and edges.n_edge == best['edges']

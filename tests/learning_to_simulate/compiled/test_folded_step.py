@@ -72,9 +72,9 @@ def _inputs(model, group):
 
 
 def _tolerance(values, share):
-    """A share of their range, and two units in the last place: a force of an untrained network may
-    hardly vary about a large mean, and processors round the last digit differently."""
-    return share * _range(values) + 2.0 * float(np.spacing(np.abs(values).max()))
+    """A share of their range, but not below one unit in the last place: a force of an untrained
+    network may hardly vary about a large mean, where that share is less than float32 can tell."""
+    return max(share * _range(values), float(np.spacing(np.abs(values).max())))
 
 
 def _range(values):
