@@ -27,6 +27,7 @@ REPORTS = {
     'swept_field': ('swept_field', 'a swept field per run: errors, rates, restarts, ten lengths'),
     'free_tool': ('free_tool', 'force in the air, starts in contact, stops, soil inside the tool'),
     'training_curve': ('training_curve', 'valid against training steps: is a training flat?'),
+    'cross_validation': ('cross_validation', 'a dozen runs: each judged by models without it'),
     'learning_curve': ('learning_curve', 'errors against the number of training runs'),
     'reliability': ('reliability_curves', 'errors of frames against promised bounds'),
     'driven_times': ('driven_times', 'error against time on driven runs: table, picture'),

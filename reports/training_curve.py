@@ -33,7 +33,7 @@ from reports.protocol import rollouts
 
 SCHEMA_VERSION = 1
 # What metrics.json says of a run and a curve or table takes over.
-_KEYS = ('soil_mse', 'force_relative_l2', 'force_mpe')
+KEYS = ('soil_mse', 'force_relative_l2', 'force_mpe')
 # Flags of a method that say how it was trained and watched, not what it is.
 _OF_THE_TRAINING = re.compile(r' --(num_steps|save_every|num_threads)=\S+')
 
@@ -67,7 +67,7 @@ def measure(data_path: str, method: str, judge: str, work_path: str) -> dict:
         'judge': judge,
         'curve': curve,
         'runs': {
-            predictor: [{key: run.get(key) for key in _KEYS} for run in runs]
+            predictor: [{key: run.get(key) for key in KEYS} for run in runs]
             for predictor, runs in found['runs'].items()
         },
     }

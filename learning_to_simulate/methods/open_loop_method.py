@@ -119,8 +119,10 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
             return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
         return path_ridge.PathRidge.fit(
-            train_groups, valid_groups, scene, surface, config.max_samples, progress=progress
-        )
+            train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
+            leave_one_out=config.leave_one_out, kernels=config.ridge_kernels.split(','),
+            n_best=config.best_choices,
+        )  # fmt: skip
     if not scene.has_force:
         raise ValueError(f'{config.model} is a formula of the force, which {data_path} lacks')
     cases = [cases_of(group, 'train', metadata) for group in train_groups]

@@ -5,10 +5,11 @@ decides: the pose, its velocity, how deep and how far the tool has been, what it
 with a state has to beat this before its dynamics can be said to be learned. It knows the path since
 the start and not the soil, so it serves bounded episodes from a known bed only.
 
-Each output has its own width of the kernel, ridge and inputs; the valid runs choose them.
+Each output has its own width of the kernel, ridge and inputs. The valid runs choose them; or, where
+a dataset has a dozen runs, each run of train and valid as judge of what the others give; the mean
+of the best few is then less a matter of luck than the best.
 """
 
-import dataclasses
 import itertools
 import json
 
@@ -16,85 +17,18 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import open_loop, path_inputs
+from learning_to_simulate.methods.kernel_ridge import Regression, errors_left_out
 from learning_to_simulate.scene import RigidMotion, Scene
 from pca_tools import files
 
 FILE_NAME = 'path_ridge.npz'
-# Widths and ridges that the valid runs choose from; widths per number of inputs.
+# Widths and ridges that are chosen from; widths per number of inputs.
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+# Samples that choose where runs are left out; what is chosen is fitted to all `max_samples`.
+_CHOOSING_SAMPLES = 1500
 # The force itself as a target, beside its change since the last given frame.
 _FREE_FORCE = 'free force'
-
-
-@dataclasses.dataclass(frozen=True)
-class Regression:
-    """One fitted kernel ridge: `y(x) = offset + sum_i dual_i exp(-gamma |x' - x'_i|^2)`.
-
-    Attributes:
-      inputs: which inputs it sees, a name of `path_inputs.SETS`.
-      gamma: width of the kernel on scaled inputs.
-      alpha: ridge.
-      shift, scale: [I], x' = (x - shift) / scale.
-      samples: [n, I] scaled inputs of training.
-      dual: [n, O].
-      offset: [O], the mean of training; None where the output is the change since the last given
-        frame.
-    """
-
-    inputs: str
-    gamma: float
-    alpha: float
-    shift: np.ndarray
-    scale: np.ndarray
-    samples: np.ndarray
-    dual: np.ndarray
-    offset: np.ndarray | None = None
-
-    @classmethod
-    def fit(cls, inputs: str, x, y, gamma: float, alphas) -> list['Regression']:
-        """Fits outputs y [n, O] to inputs x [n, I], once with each ridge and all with one kernel.
-
-        `gamma` is per number of inputs.
-        """
-        from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
-
-        shift, scale = x.mean(axis=0), x.std(axis=0)
-        scale = np.where(scale > 1e-9 * np.maximum(np.abs(shift), 1.0), scale, 1.0)
-        parts = (shift, scale, (x - shift) / scale)
-        gamma = gamma / x.shape[1]
-        gram = _kernel(parts[2], parts[2], gamma)
-        return [
-            cls(inputs, gamma, alpha, *parts,
-                np.asarray(KernelRidge(alpha=alpha, kernel='precomputed').fit(gram, y).dual_coef_))
-            for alpha in alphas
-        ]  # fmt: skip
-
-    def columns(self, which: slice, offset) -> 'Regression':
-        """The regression of some of the outputs; they share all but the dual coefficients."""
-        return dataclasses.replace(
-            self, dual=np.ascontiguousarray(self.dual[:, which]), offset=offset
-        )
-
-    def predict(self, x) -> np.ndarray:
-        """Outputs [S, T - H, O] of frames H .. T - 1 from inputs [S, T, I] of all frames."""
-        return self.since_start(self(x[:, H - 1 :]))
-
-    def since_start(self, values) -> np.ndarray:
-        """Outputs [S, T - H, O] from what is regressed for frames H - 1 .. T - 1.
-
-        Changes since the last given frame begin there: what is regressed for it is taken off.
-        """
-        return values[:, 1:] - values[:, :1] if self.offset is None else values[:, 1:] + self.offset
-
-    def kernel(self, x) -> np.ndarray:
-        """[..., n] of inputs [..., I] and the samples."""
-        flat = ((x - self.shift) / self.scale).reshape(-1, x.shape[-1])
-        return _kernel(flat, self.samples, self.gamma).reshape(*x.shape[:-1], -1)
-
-    def __call__(self, x) -> np.ndarray:
-        """Outputs [..., O] at inputs [..., I]."""
-        return self.kernel(x) @ self.dual
 
 
 class PathRidge:
@@ -103,8 +37,8 @@ class PathRidge:
     Args:
       scene: what exists.
       reader: `path_inputs.PathInputs` of the scene.
-      regressions: output ('soil', 'force', 'height') -> `Regression`.
-      choices: what was tried on the valid runs, for the record.
+      regressions: output ('soil', 'force', 'height') -> list of `Regression`, whose mean it is.
+      choices: what was tried, for the record.
     """
 
     def __init__(self, scene: Scene, reader, regressions: dict, choices=()):
@@ -122,6 +56,9 @@ class PathRidge:
         gammas=GAMMAS,
         alphas=ALPHAS,
         progress=iter,
+        leave_one_out=False,
+        kernels=('gaussian',),
+        n_best=1,
     ) -> 'PathRidge':
         """Fits all outputs, and chooses inputs, width and ridge by the error on the valid runs.
 
@@ -133,6 +70,10 @@ class PathRidge:
             with their cube.
           gammas, alphas: to choose from; `gammas` are divided by the number of inputs.
           progress: wraps the list of choices, e.g. `tqdm.tqdm`.
+          leave_one_out: train on the valid runs, too, and choose by the error on each run of a fit
+            to all others. Errors on valid are then errors of training.
+          kernels: names of `kernel_ridge.KERNELS`.
+          n_best: so many of the best choices with each kernel, fitted, are averaged.
 
         Raises:
           ValueError: no runs, or a body whose motion is not known (the path is all there is).
@@ -143,78 +84,60 @@ class PathRidge:
             )
         if not train or not valid:
             raise ValueError('path_ridge needs train runs to fit and valid runs to choose by')
-        reader = path_inputs.PathInputs.of(train, scene, surface)
-        stride = max(1, -(-sum(g.position[:, H:, 0, 0].size for g in train) // max_samples))
-        targets = [_targets(g, scene) for g in train]
-        y = {name: _samples([t[name] for t in targets], stride) for name in targets[0]}
-        # Only a force has a mean to begin from; what has changed since the start begins from 0.
-        offsets = {name: y[name].mean(axis=0) if name == _FREE_FORCE else None for name in y}
-        ends = np.cumsum([0, *(values.shape[1] for values in y.values())])
-        y = np.concatenate(
-            [v if offsets[n] is None else v - offsets[n] for n, v in y.items()], axis=1
-        )
-        truth = [{n: v[:, H:] for n, v in _targets(g, scene).items()} for g in valid]
-        seen = {
-            name: [[reader.read(g, name) for g in groups] for groups in (train, valid)]
-            for name in reader.sets
-        }
-        best: dict[str, tuple] = {}
-        choices = []
-        for inputs, gamma in progress(list(itertools.product(reader.sets, gammas))):
-            wholes = Regression.fit(inputs, _samples(seen[inputs][0], stride), y, gamma, alphas)
-            kernels = [wholes[0].kernel(x[:, H - 1 :]) for x in seen[inputs][1]]
-            for whole in wholes:
-                values = [kernel @ whole.dual for kernel in kernels]
-                for i, (target, offset) in enumerate(offsets.items()):
-                    which = slice(*ends[i : i + 2])
-                    regression = whole.columns(which, offset)
-                    output = open_loop.FORCE if target == _FREE_FORCE else target
-                    error = _error(
-                        [regression.since_start(v[..., which]) for v in values],
-                        [t[target] for t in truth],
-                    )
-                    choices.append(
-                        {'output': output, 'target': target, 'inputs': inputs, 'gamma': gamma,
-                         'alpha': whole.alpha, 'valid_error': error}
-                    )  # fmt: skip
-                    if output not in best or error < best[output][0]:
-                        best[output] = (error, regression)
-        return cls(scene, reader, {n: r for n, (_, r) in best.items()}, choices)
+        groups = [*train, *valid] if leave_one_out else train
+        reader = path_inputs.PathInputs.of(groups, scene, surface)
+        samples = _Samples(groups, scene, reader, max_samples)
+        grid = progress(list(itertools.product(kernels, reader.sets, gammas)))
+        if leave_one_out:
+            few = _Samples(groups, scene, reader, min(max_samples, _CHOOSING_SAMPLES))
+            tried = _left_out(few, grid, alphas)
+        else:
+            tried = _on_valid(samples, valid, scene, reader, grid, alphas)
+        choices = list(tried)
+        of_kernel = {}
+        for choice in choices:
+            of_kernel.setdefault((choice['output'], choice['kernel']), []).append(choice)
+        regressions = {}
+        for (name, _), of_one in of_kernel.items():
+            best = sorted(of_one, key=lambda choice: choice['error'])[:n_best]
+            regressions.setdefault(name, []).extend(map(samples.fitted, best))
+        return cls(scene, reader, regressions, choices)
 
     def predict(self, group, cases=None) -> open_loop.Prediction:
         """Frames H .. T - 1 of the S runs of a group; their cases add nothing."""
         del cases
         predicted = {}
-        for name, regression in self.regressions.items():
-            x = self.reader.read(group, regression.inputs)
-            predicted[name] = regression.predict(x)
+        for name, regressions in self.regressions.items():
+            each = []
+            for regression in regressions:
+                values = regression.predict(self.reader.read(group, regression.inputs))
+                if name == open_loop.FORCE and regression.offset is None:
+                    values += group.force[:, H - 1 : H]
+                each.append(values)
+            predicted[name] = np.mean(each, axis=0)
         n_rigid, dim = group.n_rigid, group.position.shape[-1]
-        height = force = None
+        height = None
         if 'height' in predicted:
             start = group.position[:, H - 1, :n_rigid, self.scene.up_axis].mean(axis=1)
             height = start[:, None] + predicted['height'][..., 0]
         position = open_loop.held_position(group, self.scene, height)
         soil = predicted['soil'].reshape(*position.shape[:2], self.scene.n_modes, dim)
         position[:, :, n_rigid:] += soil
-        if 'force' in predicted:
-            force = predicted['force']
-            if self.regressions['force'].offset is None:
-                force = group.force[:, H - 1 : H] + force
-        return open_loop.Prediction(position, force, frozenset(predicted))
+        return open_loop.Prediction(position, predicted.get(open_loop.FORCE), frozenset(predicted))
 
     def save(self, path: str) -> None:
         """Writes the regressions as one `.npz`, whole or not at all."""
         arrays = {}
         about = {'scene': self.scene.to_json(), 'reader': self.reader.to_json(), 'outputs': {}}
-        for name, regression in self.regressions.items():
-            about['outputs'][name] = {
-                'inputs': regression.inputs,
-                'gamma': regression.gamma,
-                'alpha': regression.alpha,
-            }
-            for part in ('shift', 'scale', 'samples', 'dual', 'offset'):
-                if (values := getattr(regression, part)) is not None:
-                    arrays[f'{name}/{part}'] = values
+        for name, regressions in self.regressions.items():
+            about['outputs'][name] = [
+                {key: getattr(r, key) for key in ('inputs', 'gamma', 'alpha', 'kernel')}
+                for r in regressions
+            ]
+            for i, regression in enumerate(regressions):
+                for part in ('shift', 'scale', 'samples', 'dual', 'offset'):
+                    if (values := getattr(regression, part)) is not None:
+                        arrays[f'{name}/{i}/{part}'] = values
         about['choices'] = self.choices
         files.write_npz(path, about=np.array(json.dumps(about)), **arrays)
 
@@ -232,42 +155,27 @@ class PathRidge:
             scene = Scene.from_json(about['scene'])
             regressions = {}
             for name, values in about['outputs'].items():
-                parts = {
-                    key.removeprefix(f'{name}/'): array.astype(np.float64)
-                    for key, array in arrays.items()
-                    if key.startswith(f'{name}/')
-                }
-                regressions[name] = Regression(**values, **parts)
-                _check(regressions[name])
+                # Before there could be several, an output was no list and its arrays had no number.
+                each = {f'{name}/': values} if isinstance(values, dict) else {
+                    f'{name}/{i}/': of_one for i, of_one in enumerate(values)
+                }  # fmt: skip
+                regressions[name] = [_loaded(v, arrays, prefix) for prefix, v in each.items()]
             reader = path_inputs.PathInputs.from_json(about['reader'], scene)
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise ValueError(f'{path}: is not a path_ridge model ({error!r})') from error
         return cls(scene, reader, regressions, about['choices'])
 
 
-def _kernel(a, b, gamma):
-    """exp(-gamma |a - b|^2) [n_a, n_b] of scaled inputs; in place, since these are large."""
-    square = a @ b.T
-    square *= -2.0
-    square += (a**2).sum(axis=1)[:, None]
-    square += (b**2).sum(axis=1)
-    np.maximum(square, 0.0, out=square)
-    square *= -gamma
-    return np.exp(square, out=square)
-
-
-def _check(r):
-    n, inputs = r.samples.shape
-    if (
-        r.shift.shape != (inputs,)
-        or r.scale.shape != (inputs,)
-        or r.dual.ndim != 2
-        or len(r.dual) != n
-        or (r.offset is not None and r.offset.shape != r.dual.shape[1:])
-        or not all(np.isfinite(v).all() for v in (r.shift, r.scale, r.samples, r.dual))
-        or not (r.scale > 0).all()
-    ):
-        raise ValueError('arrays do not fit each other')
+def _loaded(values, arrays, prefix):
+    """One regression out of the arrays of a file."""
+    parts = {
+        key.removeprefix(prefix): array.astype(np.float64)
+        for key, array in arrays.items()
+        if key.startswith(prefix)
+    }
+    regression = Regression(**values, **parts)
+    regression.check()
+    return regression
 
 
 def _targets(group, scene) -> dict[str, np.ndarray]:
@@ -286,19 +194,99 @@ def _targets(group, scene) -> dict[str, np.ndarray]:
     return targets | ({_FREE_FORCE: group.force} if scene.has_force else {})
 
 
-def _samples(groups, stride):
-    """Every `stride`-th of all frames from the last given one on, [n, ...].
+class _Samples:
+    """Frames of runs that regressions are fitted to, with all targets side by side.
 
-    Successive runs begin one frame later, so that together they cover all frames.
+    Every `stride`-th frame from the last given one on; successive runs begin one frame later, so
+    that together they cover all frames.
+
+    Args:
+      groups: lists of `RunGroup`.
+      scene: of the dataset.
+      reader: `path_inputs.PathInputs` of the scene.
+      max_samples: n is not more than it by much.
+
+    Attributes:
+      run: int [n], the run of each sample.
+      y: [n, O], all targets less their offsets.
+      columns: target -> its columns in y.
+      offsets: target -> [O'] or None, see `Regression`.
     """
-    runs = (run for values in groups for run in values)
-    return np.concatenate([run[H - 1 + i % stride :: stride] for i, run in enumerate(runs)])
+
+    def __init__(self, groups, scene, reader, max_samples):
+        self._groups, self._reader = groups, reader
+        count = sum(g.position[:, H:, 0, 0].size for g in groups)
+        self._stride = max(1, -(-count // max_samples))
+        targets = [_targets(g, scene) for g in groups]
+        y = {name: self._taken([t[name] for t in targets]) for name in targets[0]}
+        # Only a force has a mean to begin from; what has changed since the start begins from 0.
+        self.offsets = {n: v.mean(axis=0) if n == _FREE_FORCE else None for n, v in y.items()}
+        ends = np.cumsum([0, *(values.shape[1] for values in y.values())])
+        self.columns = {n: slice(*ends[i : i + 2]) for i, n in enumerate(y)}
+        self.y = np.concatenate(
+            [v if self.offsets[n] is None else v - self.offsets[n] for n, v in y.items()], axis=1
+        )
+        shapes = [t[open_loop.SOIL].shape[:2] for t in targets]
+        starts = np.cumsum([0, *(n_run for n_run, _ in shapes)])
+        numbers = [start + np.arange(n_run) for start, (n_run, _) in zip(starts, shapes)]
+        self.run = self._taken([np.repeat(n[:, None], s[1], 1) for n, s in zip(numbers, shapes)])
+
+    def _taken(self, groups):
+        runs = (run for values in groups for run in values)
+        return np.concatenate(
+            [r[H - 1 + i % self._stride :: self._stride] for i, r in enumerate(runs)]
+        )
+
+    def inputs(self, name: str) -> np.ndarray:
+        """Inputs [n, I] of a set."""
+        return self._taken([self._reader.read(g, name) for g in self._groups])
+
+    def fitted(self, choice: dict) -> Regression:
+        """The regression of a choice."""
+        x = self.inputs(choice['inputs'])
+        (whole,) = Regression.fit(
+            choice['inputs'], x, self.y, choice['gamma'], [choice['alpha']], choice['kernel']
+        )
+        return whole.columns(self.columns[choice['target']], self.offsets[choice['target']])
 
 
-def _error(predicted, truth):
-    """What the valid runs choose by: mean over runs of the RMS error.
+def _on_valid(samples, valid, scene, reader, grid, alphas):
+    """Every choice with its error on the valid runs."""
+    truth = [{n: v[:, H:] for n, v in _targets(g, scene).items()} for g in valid]
+    seen = {name: (samples.inputs(name), [reader.read(g, name) for g in valid])
+            for name in reader.sets}  # fmt: skip
+    for kernel, inputs, gamma in grid:
+        wholes = Regression.fit(inputs, seen[inputs][0], samples.y, gamma, alphas, kernel)
+        grams = [wholes[0].gram(x[:, H - 1 :]) for x in seen[inputs][1]]
+        for whole in wholes:
+            values = [gram @ whole.dual for gram in grams]
+            for target, which in samples.columns.items():
+                of_target = whole.columns(which, samples.offsets[target])
+                errors = [
+                    ((of_target.since_start(v[..., which]) - t[target]) ** 2).mean(axis=(1, 2))
+                    for v, t in zip(values, truth, strict=True)
+                ]
+                yield _choice(target, kernel, inputs, gamma, whole.alpha, np.concatenate(errors))
+
+
+def _left_out(samples, grid, alphas):
+    """Every choice with its error on each run of a fit to all others."""
+    runs = np.unique(samples.run)
+    for kernel, inputs, gamma in grid:
+        x = samples.inputs(inputs)
+        off = errors_left_out(x, samples.y, samples.run, gamma, alphas, kernel)
+        for alpha, errors in zip(alphas, off, strict=True):
+            for target, which in samples.columns.items():
+                square = (errors[:, which] ** 2).mean(axis=1)
+                of_run = np.array([square[samples.run == run].mean() for run in runs])
+                yield _choice(target, kernel, inputs, gamma, alpha, of_run)
+
+
+def _choice(target, kernel, inputs, gamma, alpha, square):
+    """A choice by the mean over runs of the RMS error, from mean squares of the runs.
 
     Not relative to the force: that of runs which hardly touch the soil would decide.
     """
-    errors = [((p - t) ** 2).mean(axis=(1, 2)) for p, t in zip(predicted, truth, strict=True)]
-    return float(np.sqrt(np.concatenate(errors)).mean())
+    output = open_loop.FORCE if target == _FREE_FORCE else target
+    return {'output': output, 'target': target, 'kernel': kernel, 'inputs': inputs, 'gamma': gamma,
+            'alpha': alpha, 'error': float(np.sqrt(square).mean())}  # fmt: skip

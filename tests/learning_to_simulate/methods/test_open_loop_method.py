@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import evaluation, presets
-from learning_to_simulate.methods import open_loop_method, registry, resting_bed, tool_motion
+from learning_to_simulate.methods import (
+    kernel_ridge,
+    open_loop_method,
+    open_loop_settings,
+    registry,
+    resting_bed,
+    tool_motion,
+)
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -64,6 +71,10 @@ def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
         open_loop_method.open_model(model, data, 'test', {'max_samples': 5})
     with pytest.raises(ValueError, match='max_samples'):
         presets.make_config('path_ridge', max_samples=0)
+    for names in ('box', 'matern,', 'matern,matern'):
+        with pytest.raises(ValueError, match='ridge_kernels'):
+            presets.make_config('path_ridge', ridge_kernels=names)
+    assert set(open_loop_settings.RIDGE_KERNELS) == kernel_ridge.KERNELS.keys()
 
 
 @pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])

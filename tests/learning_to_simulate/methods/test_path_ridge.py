@@ -1,48 +1,30 @@
 """Kernel ridge on the path: its closed form, what it may not look at, and what it reaches."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from learning_to_simulate import metrics, reading_utils
 from learning_to_simulate.methods import open_loop
-from learning_to_simulate.methods.path_ridge import PathRidge, Regression
+from learning_to_simulate.methods.path_ridge import PathRidge
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
 H = 6
+FEW_RUNS = {'leave_one_out': True, 'kernels': ('gaussian', 'matern'), 'n_best': 3}
 FEW = {'gammas': (0.1, 1.0), 'alphas': (1e-6, 1e-3)}
 
 
-def fitted(folder, motion='prescribed', **data):
+def fitted(folder, motion='prescribed', options=None, **data):
     """A method fitted to a synthetic dataset, its scene and test runs."""
     path = synthetic.write_dataset(folder, motion=motion, n_run=8, **data)
     metadata = dataset.read_metadata(path)
     groups = {n: reading_utils.read_groups(path, n, metadata) for n in ('train', 'valid', 'test')}
     scene = reading_utils.read_scene(path, metadata, groups['train'], None)
-    return PathRidge.fit(groups['train'], groups['valid'], scene, **FEW), scene, groups['test'][0]
-
-
-def test_a_regression_is_the_closed_form():
-    """dual = (K + alpha I)^-1 y on inputs of mean 0 and deviation 1."""
-    rng = np.random.default_rng(0)
-    x, y = rng.normal(3.0, [1.0, 50.0, 0.0], (40, 3)), rng.normal(size=(40, 2))
-    regression = Regression.fit('path', x, y, gamma=0.6, alphas=[1.0, 0.03])[1]
-    scaled = (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)
-
-    def kernel(a, b):
-        return np.exp(-0.2 * ((a[:, None] - b[None]) ** 2).sum(axis=-1))
-
-    dual = np.linalg.solve(kernel(scaled, scaled) + 0.03 * np.eye(40), y)
-    np.testing.assert_allclose(regression.dual, dual, rtol=1e-8, atol=1e-10)
-    new = rng.normal(3.0, [1.0, 50.0, 0.0], (2, 5, 3))
-    at = ((new - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)).reshape(
-        10, 3
-    )
-    np.testing.assert_allclose(
-        regression(new).reshape(10, 2), kernel(at, scaled) @ dual, rtol=1e-8, atol=1e-9
-    )
+    method = PathRidge.fit(groups['train'], groups['valid'], scene, **FEW, **(options or {}))
+    return method, scene, groups['test'][0]
 
 
 @pytest.mark.parametrize('motion', ['prescribed', 'driven'])
@@ -95,28 +77,78 @@ def test_the_coming_path_changes_nothing_before_it(tmp_path):
     assert np.abs(found.position - expected.position)[:, 25 - H :, group.n_rigid :].max() > 1e-3
 
 
-def test_a_file_gives_the_same_method_back_and_a_damaged_one_is_refused(tmp_path):
-    method, _, group = fitted(tmp_path / 'data', 'driven', context=True)
+@pytest.mark.parametrize(('options', 'n_best'), [(None, 1), (FEW_RUNS, 6)])
+def test_a_file_gives_the_same_method_back_and_a_damaged_one_is_refused(tmp_path, options, n_best):
+    method, _, group = fitted(tmp_path / 'data', 'driven', options, context=True)
+    assert {len(each) for each in method.regressions.values()} == {n_best}
     path = str(tmp_path / 'path_ridge.npz')
     method.save(path)
     again = PathRidge.load(path)
     for one, other in zip(method.predict(group)[:2], again.predict(group)[:2]):
         np.testing.assert_array_equal(one, other)
-    assert again.choices == method.choices and len(method.choices) == 4 * 4
+    assert again.choices == method.choices
+    assert len(method.choices) == 4 * 4 * (2 if options else 1)  # targets, widths and ridges
     arrays = dict(np.load(path))
-    arrays['soil/scale'] = arrays['soil/scale'][:-1]
+    arrays['soil/0/scale'] = arrays['soil/0/scale'][:-1]
     np.savez(path, **arrays)
     with pytest.raises(ValueError, match='is not a path_ridge model'):
         PathRidge.load(path)
 
 
+def test_a_file_from_before_there_could_be_several_is_read(tmp_path):
+    method, _, group = fitted(tmp_path / 'data')
+    path = str(tmp_path / 'path_ridge.npz')
+    method.save(path)
+    arrays = {key.replace('/0/', '/'): value for key, value in np.load(path).items()}
+    about = json.loads(str(arrays['about']))
+    for name, (values,) in about['outputs'].items():
+        del values['kernel']
+        about['outputs'][name] = values
+    np.savez(path, **arrays | {'about': np.array(json.dumps(about))})
+    for one, other in zip(method.predict(group)[:2], PathRidge.load(path).predict(group)[:2]):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_force_is_the_mean_of_its_regressions(tmp_path):
+    method, _, group = fitted(tmp_path, 'driven', FEW_RUNS | {'n_best': 24})
+    each = method.regressions['force']
+    assert {regression.offset is None for regression in each} == {True, False}
+    single = [
+        PathRidge(method.scene, method.reader, method.regressions | {'force': [one]})
+        for one in each
+    ]
+    forces = [one.predict(group).force for one in single]
+    np.testing.assert_allclose(method.predict(group).force, np.mean(forces, axis=0), rtol=1e-12)
+
+
 def test_the_valid_runs_choose(tmp_path):
     method, _, _ = fitted(tmp_path)
-    for output, regression in method.regressions.items():
+    for output, (regression,) in method.regressions.items():
         tried = [c for c in method.choices if c['output'] == output]
-        best = min(tried, key=lambda c: c['valid_error'])
+        best = min(tried, key=lambda c: c['error'])
         assert (regression.inputs, regression.alpha) == (best['inputs'], best['alpha'])
         assert (regression.offset is not None) == (best['target'] == 'free force')
+
+
+def test_left_out_runs_choose_and_all_runs_are_fitted(tmp_path):
+    by_valid, _, group = fitted(tmp_path / 'a')
+    left_out, scene, _ = fitted(tmp_path / 'b', options=FEW_RUNS)
+    n_frame = group.position.shape[1] - H + 1
+    n_run = [len(m.regressions['soil'][0].samples) / n_frame for m in (by_valid, left_out)]
+    assert n_run == [8, 10]  # train; train and valid
+    for output, regressions in left_out.regressions.items():
+        for kernel in ('gaussian', 'matern'):
+            tried = [c for c in left_out.choices if (c['output'], c['kernel']) == (output, kernel)]
+            best = sorted(tried, key=lambda c: c['error'])[:3]
+            found = [r for r in regressions if r.kernel == kernel]
+            for regression, choice in zip(found, best, strict=True):
+                assert (regression.inputs, regression.alpha) == (choice['inputs'], choice['alpha'])
+    truth = group.position[:, H:]
+    found, still = (
+        metrics.soil_mse(p.position, truth, group.n_rigid, scene.n_soil).mean()
+        for p in (left_out.predict(group), open_loop.persistence(group, scene))
+    )
+    assert found < 0.2 * still
 
 
 def test_a_body_of_unknown_motion_is_refused(tmp_path):
