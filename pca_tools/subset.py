@@ -23,6 +23,7 @@ from absl import app, flags
 from pca_tools import convert, files, particles
 from pca_tools.append import numbered, read_encoded
 from pca_tools.encode import make_metadata
+from pca_tools.metadata import SPLITS
 from pca_tools.splits import spread_over
 
 
@@ -68,6 +69,36 @@ def subset(
     parts = held | {'train': numbered([held['train'][place] for place in chosen])}
     if every_split:
         parts |= _of_kinds(limits, held, data_path)
+    return _write(data_path, output_path, parts, base, space, overwrite)
+
+
+def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) -> dict[str, Any]:
+    """Writes a dataset of the same runs in other splits, for cross-validation.
+
+    Args:
+        data_path: a dataset of `convert` with a particle sample.
+        output_path: the new one.
+        places: split -> its runs, counted through train, valid and test of the old one.
+
+    Returns:
+        Its metadata. Subspace and statistics stay those of the old one.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: `output_path` is occupied.
+    """
+    convert.refuse_occupied_output(output_path, False)
+    base, space = convert.load_base(data_path)
+    held = read_encoded(data_path, base)
+    runs = [run for split in SPLITS for run in held.get(split, [])]
+    parts = {
+        split: numbered([runs[place] for place in of_split]) for split, of_split in places.items()
+    }
+    return _write(data_path, output_path, parts, base, space, False)
+
+
+def _write(data_path, output_path, parts, base, space, overwrite):
+    """Writes encoded runs with what they share; returns the metadata."""
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
     metadata = make_metadata(world, parts, space, 1, base)
     indices = particles.read_sample(data_path, 'train').indices

@@ -6,9 +6,13 @@ judged. Each method is trained anew on every fold, from as many seeds as asked f
 what metadata.json says of the data stay as they are.
 
 Examples:
+    # your own dozen runs
+    python -m reports cross_validation --data_path=my_data --train='path_ridge_few_runs,pcg' \\
+        --work_path=build/folds --output_path=build/cross_validation.json
+
     # the authors' records: eleven and twelve runs
     python -m reports cross_validation --data_path=../original/Excavation_PCA \\
-        --train='path_ridge --leave_one_out,pcg' --work_path=build/folds \\
+        --train='path_ridge_few_runs,pcg' --work_path=build/folds \\
         --output_path=docs/cross_validation.json
 
 A second call goes on, and keeps the rows of other data and methods.
@@ -20,8 +24,8 @@ import shutil
 import numpy as np
 from absl import flags
 
-from pca_tools import dataset, files
-from pca_tools.metadata import METADATA_NAME, SPLITS
+from pca_tools import dataset, files, subset
+from pca_tools.metadata import SPLITS
 from pca_tools.splits import spread_over
 from reports import command, markdown, record
 from reports.protocol import rollouts
@@ -68,19 +72,14 @@ def make_folds(data_path: str, n_fold: int, n_valid: int, work_path: str) -> lis
     """Writes a dataset folder for each fold, or finds them there; returns their paths.
 
     Args:
-      data_path: a dataset folder in the authors' form (metadata.json, records, subspace) without
-        particle samples or cases, which would have to be dealt, too.
+      data_path: a dataset of `pca_tools.convert`, or a folder in the authors' form: records,
+        metadata.json and the files of the subspace, which are copied.
       n_fold, n_valid: of `deal`.
       work_path: folder for the folds.
 
     Raises:
-      ValueError: as of `deal`; a dataset with a manifest, or other folds in `work_path`.
+      ValueError: as of `deal`, or other folds in `work_path`.
     """
-    if files.check_manifest(data_path) is not None:
-        raise ValueError(
-            f'{data_path}: has splits of its own by purpose (manifest.json): judge methods on it '
-            f'with reports.protocol; folds are for folders of records alone'
-        )
     held = [split for split in SPLITS if os.path.exists(dataset.split_path(data_path, split))]
     runs = [run for split in held for run in dataset.read_split(data_path, split)]
     dealt = deal(len(runs), n_fold, n_valid)
@@ -92,13 +91,16 @@ def make_folds(data_path: str, n_fold: int, n_valid: int, work_path: str) -> lis
         if files.read_json(marker) != facts:
             raise ValueError(f'{work_path}: holds folds of other runs or another number of them')
         return folders
-    beside = [name for name in sorted(os.listdir(data_path)) if not name.endswith('.tfrecord')]
-    if METADATA_NAME not in beside:
-        raise ValueError(f'{data_path}: holds no {METADATA_NAME}')
+    is_ours = files.check_manifest(data_path) is not None
     for folder, parts in zip(folders, dealt, strict=True):
+        shutil.rmtree(folder, ignore_errors=True)  # of a call that was killed
+        if is_ours:
+            subset.deal(data_path, folder, parts)
+            continue
         os.makedirs(folder, exist_ok=True)
-        for name in beside:
-            shutil.copy(os.path.join(data_path, name), folder)
+        for name in sorted(os.listdir(data_path)):
+            if not name.endswith('.tfrecord'):
+                shutil.copy(os.path.join(data_path, name), folder)
         for split, places in parts.items():
             dataset.write_split(dataset.split_path(folder, split), [runs[p] for p in places])
     files.write_json(marker, facts)
@@ -126,9 +128,8 @@ def measure(folders: list[str], method: str, seed: int, work_path: str) -> dict:
             training.append(f'--seed={seed}')
         rollouts.train(folder, model, training)
         output = rollouts.roll_out(folder, model, 'test', os.path.join(work_path, 'rollouts'))
-        for predictor, runs in files.read_json(os.path.join(output, 'metrics.json'))[
-            'runs'
-        ].items():
+        errors = files.read_json(os.path.join(output, 'metrics.json'))['runs']
+        for predictor, runs in errors.items():
             found.setdefault(predictor, []).extend({k: run.get(k) for k in KEYS} for run in runs)
         print(f'{method}, seed {seed}, fold {fold}: {output}', flush=True)
     return found

@@ -26,7 +26,7 @@ FILE_NAME = 'path_ridge.npz'
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 # Samples that choose where runs are left out; what is chosen is fitted to all `max_samples`.
-_CHOOSING_SAMPLES = 1500
+_CHOOSING_SAMPLES = 800
 # The force itself as a target, beside its change since the last given frame.
 _FREE_FORCE = 'free force'
 

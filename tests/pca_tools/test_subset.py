@@ -107,3 +107,27 @@ def test_a_finished_dataset_is_replaced_only_when_told(whole, tmp_path):
     with pytest.raises(ValueError, match='use --overwrite to replace it'):
         subset.subset(whole, out, 2)
     assert subset.subset(whole, out, 2, overwrite=True)['dataset_split']['train'] == [2, 6]
+
+
+def test_runs_are_dealt_to_other_splits_with_all_that_is_known_of_them(whole, tmp_path):
+    out = str(tmp_path / 'dealt')
+    dealt = subset.deal(whole, out, {'train': [6, 0], 'valid': [4], 'test': [1, 5]})
+    # Counted through train (1, 2, 4, 6), valid (3, 7) and test (5).
+    assert dealt['dataset_split'] == {'train': [5, 1], 'valid': [3], 'test': [2, 7]}
+    base = files.read_json(f'{whole}/metadata.json')
+    old = [(split, place) for split in ('train', 'valid', 'test')
+           for place in range(len(base['dataset_split'][split]))]  # fmt: skip
+    for split, places in {'train': [6, 0], 'valid': [4], 'test': [1, 5]}.items():
+        for new, place in enumerate(places):
+            was, at = old[place]
+            run, sample = (
+                dataset.read_split(out, split)[new],
+                particles.read_sample(out, split)[new],
+            )
+            np.testing.assert_array_equal(run.position, dataset.read_split(whole, was)[at].position)
+            np.testing.assert_array_equal(sample, particles.read_sample(whole, was)[at])
+            assert dealt['projection_mse'][split][new] == base['projection_mse'][was][at]
+    assert Subspace.load(f'{out}/subspace.npz').digest == base['pca']['digest']
+    assert files.check_manifest(out)
+    with pytest.raises(ValueError):
+        subset.deal(whole, out, {'train': [0]})

@@ -5,11 +5,11 @@ import os
 import numpy as np
 import pytest
 
-from pca_tools import dataset, files
+from pca_tools import convert, dataset, files
 from reports import cross_validation
 from reports.protocol import rollouts
-from reports.record import ROOT
 from tests.learning_to_simulate import synthetic
+from tests.pca_tools import synthetic as raw_runs
 
 
 @pytest.mark.parametrize(('n_run', 'n_fold', 'n_valid'), [(11, 4, 2), (12, 4, 3), (3, 3, 1)])
@@ -57,12 +57,18 @@ def test_folds_hold_the_runs_of_all_splits(records, tmp_path):
         cross_validation.make_folds(records, 3, 1, work)
 
 
-def test_refuses_data_with_splits_of_their_own(tmp_path):
-    with pytest.raises(ValueError, match='splits of its own'):
-        cross_validation.make_folds(
-            os.path.join(ROOT, 'datasets', 'wheel'), 2, 1, str(tmp_path / 'work')
-        )
-    assert not os.path.exists(tmp_path / 'work')
+def test_folds_of_a_converted_dataset_are_datasets(tmp_path):
+    raw = raw_runs.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(1, 8))
+    data, work = str(tmp_path / 'data'), str(tmp_path / 'work')
+    convert.convert(raw, data, modes=3)
+    folders = cross_validation.make_folds(data, 3, 1, work)
+    cases = [dataset.read_metadata(folder)['dataset_split'] for folder in folders]
+    assert sorted(case for fold in cases for case in fold['test']) == list(range(1, 8))
+    for folder, fold in zip(folders, cases, strict=True):
+        assert files.check_manifest(folder)
+        assert sorted(case for part in fold.values() for case in part) == list(range(1, 8))
+    os.remove(os.path.join(work, 'folds.json'))  # as if the call had been killed before
+    assert cross_validation.make_folds(data, 3, 1, work) == folders
 
 
 def test_the_table_counts_wins_and_means_by_seed(tmp_path):
