@@ -29,7 +29,7 @@ from pca_tools.metadata import SPLITS
 from pca_tools.splits import spread_over
 from reports import command, markdown, record
 from reports.protocol import rollouts
-from reports.training_curve import KEYS, mean_of
+from reports.training_curve import KEYS, OF_THE_TRAINING, mean_of
 
 SCHEMA_VERSION = 1
 _DONE = 'folds.json'
@@ -137,20 +137,23 @@ def measure(folders: list[str], method: str, seed: int, work_path: str) -> dict:
 
 def table(path: str) -> str:
     """Errors over all runs: mean and range over seeds of the means over runs; wins beside them."""
-    header = ('data, runs', 'method', 'soil MSE 1e-4 m²', 'median', 'against the better trivial',
-              'force rel. L2', 'mean size of MPE %')  # fmt: skip
+    header = ('data, runs', 'method', 'runs seen', 'soil MSE 1e-4 m²', 'median',
+              'against the better trivial', 'force rel. L2', 'mean size of MPE %')  # fmt: skip
     lines: list[tuple] = []
     for row in files.read_json(path)['rows'].values():
         first = row['seeds'][0]
         where = f'{row["data"]}, {len(first["model"])}'
         if where not in {line[0] for line in lines}:
             lines += [
-                (where, f'*{text}*', *_cells([first[name]], None))
+                (where, f'*{text}*', '', *_cells([first[name]], None))
                 for name, text in markdown.TRIVIAL.items()
             ]
         seeds = [seed['model'] for seed in row['seeds']]
         count = f' ({len(seeds)} seeds)' if len(seeds) > 1 else ''
-        lines.append((where, row['method'] + count, *_cells(seeds, first)))
+        n_run = len(first['model'])
+        seen = [n_run - len(range(fold, n_run, row['folds'])) for fold in range(row['folds'])]
+        method = OF_THE_TRAINING.sub('', row['method']) + count
+        lines.append((where, method, markdown.span(seen), *_cells(seeds, first)))
     return markdown.table(header, lines)
 
 
@@ -188,7 +191,7 @@ def define_flags() -> None:
 def main(values, _) -> None:
     """Runs the command."""
     name = os.path.basename(os.path.normpath(values.data_path))
-    work_path = os.path.join(values.work_path, name)
+    work_path = os.path.join(values.work_path, f'{name}_{values.num_folds}')
     folders = make_folds(values.data_path, values.num_folds, values.num_valid, work_path)
     path = values.output_path
     held = files.read_json(path)['rows'] if os.path.exists(path) else {}
@@ -196,7 +199,7 @@ def main(values, _) -> None:
         seeds = []
         for seed in range(values.num_seeds):
             seeds.append(measure(folders, method, seed, work_path))
-            held[f'{name} {method}'] = {
+            held[f'{name} {method} {len(folders)}'] = {
                 'data': name, 'method': method, 'folds': values.num_folds, 'seeds': seeds,
                 'record': record.provenance(),
             }  # fmt: skip

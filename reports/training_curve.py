@@ -35,7 +35,7 @@ SCHEMA_VERSION = 1
 # What metrics.json says of a run and a curve or table takes over.
 KEYS = ('soil_mse', 'force_relative_l2', 'force_mpe')
 # Flags of a method that say how it was trained and watched, not what it is.
-_OF_THE_TRAINING = re.compile(r' --(num_steps|save_every|num_threads)=\S+')
+OF_THE_TRAINING = re.compile(r' --(num_steps|save_every|num_threads)=\S+')
 
 
 def measure(data_path: str, method: str, judge: str, work_path: str) -> dict:
@@ -126,7 +126,7 @@ def table(*paths: str) -> str:
         curve = row['curve']  # empty for a method that is fitted at once
         flat = [markdown.cell(change(curve, key)) for key in ('soil_mse', 'force_mse') if curve]
         lines.append(
-            (where, _OF_THE_TRAINING.sub('', row['method']), curve[-1]['step'] if curve else '',
+            (where, OF_THE_TRAINING.sub('', row['method']), curve[-1]['step'] if curve else '',
              ', '.join(flat), *_errors(row['runs']['model'], row['runs']))
         )  # fmt: skip
     return markdown.table(header, lines)

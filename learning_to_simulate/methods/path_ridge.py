@@ -107,10 +107,12 @@ class PathRidge:
         """Frames H .. T - 1 of the S runs of a group; their cases add nothing."""
         del cases
         predicted = {}
+        sets = {r.inputs for regressions in self.regressions.values() for r in regressions}
+        seen = {name: self.reader.read(group, name) for name in sets}
         for name, regressions in self.regressions.items():
             each = []
             for regression in regressions:
-                values = regression.predict(self.reader.read(group, regression.inputs))
+                values = regression.predict(seen[regression.inputs])
                 if name == open_loop.FORCE and regression.offset is None:
                     values += group.force[:, H - 1 : H]
                 each.append(values)
@@ -215,6 +217,7 @@ class _Samples:
 
     def __init__(self, groups, scene, reader, max_samples):
         self._groups, self._reader = groups, reader
+        self._inputs: dict[str, np.ndarray] = {}
         count = sum(g.position[:, H:, 0, 0].size for g in groups)
         self._stride = max(1, -(-count // max_samples))
         targets = [_targets(g, scene) for g in groups]
@@ -239,7 +242,9 @@ class _Samples:
 
     def inputs(self, name: str) -> np.ndarray:
         """Inputs [n, I] of a set."""
-        return self._taken([self._reader.read(g, name) for g in self._groups])
+        if name not in self._inputs:
+            self._inputs[name] = self._taken([self._reader.read(g, name) for g in self._groups])
+        return self._inputs[name]
 
     def fitted(self, choice: dict) -> Regression:
         """The regression of a choice."""

@@ -86,9 +86,9 @@ def test_the_table_counts_wins_and_means_by_seed(tmp_path):
     path = str(tmp_path / 'cv.json')
     files.write_json(path, {'schema_version': 1, 'rows': {'a pcg': row}})
     lines = cross_validation.table(path).splitlines()
-    assert lines[2].startswith('| a, 2 | *persistence* | 2 | 2 |')
+    assert lines[2].startswith('| a, 2 | *persistence* |  | 2 | 2 |')
     soil = '1.25 (0.75 to 1.75)'
-    cells = f'| a, 2 | pcg (2 seeds) | {soil} | {soil} | wins 1.5 (1 to 2) of 2 | 0.2 | 20 |'
+    cells = f'| a, 2 | pcg (2 seeds) | 1 | {soil} | {soil} | wins 1.5 (1 to 2) of 2 | 0.2 | 20 |'
     assert lines[-1] == cells
 
 

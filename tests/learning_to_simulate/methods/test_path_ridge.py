@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import metrics, reading_utils
-from learning_to_simulate.methods import open_loop
+from learning_to_simulate.methods import open_loop, path_ridge
+from learning_to_simulate.methods.path_inputs import PathInputs
 from learning_to_simulate.methods.path_ridge import PathRidge
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
@@ -118,6 +119,11 @@ def test_the_force_is_the_mean_of_its_regressions(tmp_path):
         for one in each
     ]
     forces = [one.predict(group).force for one in single]
+    pushed = dataclasses.replace(group, force=group.force + [5.0, 0.0, 0.0])
+    for regression, one, force in zip(each, single, forces, strict=True):
+        # What is regressed is the change since the last given frame, or the force itself.
+        change = [5.0, 0.0, 0.0] if regression.offset is None else [0.0, 0.0, 0.0]
+        np.testing.assert_allclose(one.predict(pushed).force, force + change, atol=1e-9)
     np.testing.assert_allclose(method.predict(group).force, np.mean(forces, axis=0), rtol=1e-12)
 
 
@@ -149,6 +155,21 @@ def test_left_out_runs_choose_and_all_runs_are_fitted(tmp_path):
         for p in (left_out.predict(group), open_loop.persistence(group, scene))
     )
     assert found < 0.2 * still
+
+
+@pytest.mark.parametrize('most', [10_000, 40])
+def test_each_sample_knows_its_run(tmp_path, most):
+    path = synthetic.write_dataset(tmp_path, n_run=3)
+    metadata = dataset.read_metadata(path)
+    groups = reading_utils.read_groups(path, 'train', metadata)
+    groups += reading_utils.read_groups(path, 'valid', metadata)
+    scene = reading_utils.read_scene(path, metadata, groups, None)
+    samples = path_ridge._Samples(groups, scene, PathInputs.of(groups, scene), most)
+    forces = [force[H - 1 :] for group in groups for force in group.force]
+    y = samples.y[:, samples.columns['free force']] + samples.offsets['free force']
+    assert sorted(set(samples.run)) == list(range(len(forces)))
+    for run, value in zip(samples.run, y, strict=True):
+        assert np.abs(forces[run] - value).max(axis=1).min() < 1e-9
 
 
 def test_a_body_of_unknown_motion_is_refused(tmp_path):
