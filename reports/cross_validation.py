@@ -140,7 +140,9 @@ def table(path: str) -> str:
     header = ('data, runs', 'method', 'runs seen', 'soil MSE 1e-4 m²', 'median',
               'against the better trivial', 'force rel. L2', 'mean size of MPE %')  # fmt: skip
     lines: list[tuple] = []
-    for row in files.read_json(path)['rows'].values():
+    rows = files.read_json(path)['rows'].values()
+    order = list(dict.fromkeys(row['data'] for row in rows))
+    for row in sorted(rows, key=lambda row: (order.index(row['data']), row['folds'])):
         first = row['seeds'][0]
         where = f'{row["data"]}, {len(first["model"])}'
         if where not in {line[0] for line in lines}:

@@ -20,13 +20,13 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import evaluation, metrics, reading_utils
+from learning_to_simulate import metrics, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import registry
 from pca_tools import dataset, files
 from reports import command, markdown
 from reports.record import ROOT
-from reports.work_precision import solver_rows, survey
+from reports.work_precision import points, solver_rows
 
 SCENES = ('excavation', 'wheel')
 ORIGINAL_FOLDERS = {'excavation': 'Excavation_PCA', 'wheel': 'Wheel_PCA'}
@@ -56,7 +56,7 @@ def times(models_path: str, reports_path: str) -> str:
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
     rows: list[tuple] = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
-        report = os.path.join(reports_path, scene, survey.DOCUMENT)
+        report = os.path.join(reports_path, scene, points.DOCUMENT)
         measured = _times_of_report(report) if os.path.exists(report) else {}
         for preset in METHODS.values():
             path = os.path.join(models_path, scene, preset, 'metrics.json')
@@ -72,7 +72,7 @@ def times(models_path: str, reports_path: str) -> str:
 
 
 def _times_of_report(path):
-    document = survey.read_document(path)
+    document = points.read_document(path)
     found = {}
     for point in document['points']:
         found.setdefault(point.label, point.seconds_per_second(document['dt']))
@@ -81,6 +81,8 @@ def _times_of_report(path):
 
 def correction(model_path: str, data_path: str) -> str:
     """Table 3.2: the wheel without and with rigid correction, MSE 1e-4 m²."""
+    from learning_to_simulate import evaluation
+
     names = ('MSE 1e-4 m²', 'published, without', 'with', 'ours, without', 'with')
     opened = registry.open_model(model_path, data_path, 'test')
     model, metadata, groups = opened.model, opened.metadata, opened.groups

@@ -161,6 +161,8 @@ class PathRidge:
                 each = {f'{name}/': values} if isinstance(values, dict) else {
                     f'{name}/{i}/': of_one for i, of_one in enumerate(values)
                 }  # fmt: skip
+                if not each:
+                    raise ValueError(f'no regression of {name}')
                 regressions[name] = [_loaded(v, arrays, prefix) for prefix, v in each.items()]
             reader = path_inputs.PathInputs.from_json(about['reader'], scene)
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:

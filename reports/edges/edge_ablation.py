@@ -31,16 +31,11 @@ import time
 from functools import partial
 
 import numpy as np
-import tensorflow as tf
 import tqdm
 from absl import flags
 
-from learning_to_simulate import connectivity_utils, evaluation, presets, reading_utils
-from learning_to_simulate.compiled.folded_step import rollout_function
+from learning_to_simulate import connectivity_utils, presets, reading_utils
 from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import subspace_method
-from learning_to_simulate.rollout import rollout_inputs
-from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from reports import command, record, timing
 from reports.edges import edge_ablation_report
@@ -108,6 +103,11 @@ class Bench:
     """
 
     def __init__(self, data_path: str, config):
+        import tensorflow as tf
+
+        from learning_to_simulate.methods import subspace_method
+        from learning_to_simulate.training.trainer import Trainer
+
         self.config, self._data_path = config, data_path
         self._metadata = dataset.read_metadata(data_path)
         self._groups = self._read('train')
@@ -150,6 +150,8 @@ class Bench:
         Returns:
           the row: edges, mask, errors on both splits, seconds of one core.
         """
+        from learning_to_simulate import evaluation
+
         clock, trainer = time.process_time(), self._trainer
         for variable, value in zip(self._state, self._start):
             variable.assign(value)
@@ -202,6 +204,10 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
     Returns:
       variant -> dict of `ms_min`, `ms_median`, `ms_p95`, `ms_p99`, `ms_worst` and `edges`.
     """
+    from learning_to_simulate.compiled.folded_step import rollout_function
+    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.rollout import rollout_inputs
+
     metadata = dataset.read_metadata(data_path)
     groups, runs = (
         reading_utils.read_groups(data_path, split, metadata, PCG.rigid_particles)
@@ -251,6 +257,8 @@ def _nri_rows(v):
 
 def run(v) -> dict:
     """Trains what is not yet in the JSON, times all graphs, and returns the whole result."""
+    import tensorflow as tf
+
     budget, nri_rows = _budget(v), _nri_rows(v)
     scene = os.path.basename(os.path.normpath(v.data_path))
     identity = {'scene': scene, 'budget': budget}

@@ -16,7 +16,7 @@ import os
 from absl import flags
 from matplotlib.figure import Figure
 
-from nri import experiment, particle_systems, simulate
+from nri import particle_systems, simulate
 from nri.config import NriConfig
 from pca_tools import files
 from reports import command, markdown, record
@@ -63,6 +63,8 @@ def run(system, n_objects, work_path, counts, config):
     Returns:
       what the JSON file holds.
     """
+    from nri import experiment
+
     name = f'{system}{n_objects}'
     data_path = os.path.join(work_path, f'data_{name}')
     if not os.path.exists(os.path.join(data_path, f'simulation_{name}.json')):

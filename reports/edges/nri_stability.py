@@ -19,10 +19,8 @@ from matplotlib import figure
 from cluster import workers
 from learning_to_simulate.edges import edge_lists, edge_picture
 from nri import data as nri_data
-from nri import experiment
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
-from nri.model import load_model
 from pca_tools import files
 from reports import command, isolated, record
 
@@ -45,6 +43,9 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
       the row of the seed: P(edge) [V, V] ([receiver][sender], null on the diagonal), spread over
       the runs, edges above the threshold, test loss and status, loss on valid after each epoch.
     """
+    from nri import experiment
+    from nri.model import load_model
+
     metrics = experiment.train(data_path, model_path, config)
     history = files.read_json(os.path.join(model_path, experiment.HISTORY_FILE))
     model = load_model(model_path)

@@ -19,8 +19,6 @@ from matplotlib.figure import Figure
 
 from nri import data, particle_systems
 from nri.config import NriConfig
-from nri.model import NriModel
-from nri.training import Trainer
 from pca_tools import files
 from reports import command, markdown, record
 
@@ -78,6 +76,9 @@ def _runs(stiffness, n_run, seed):
 
 def accuracy(stiffness, epochs):
     """Edge accuracy on new runs of the encoder trained with labels."""
+    from nri.model import NriModel
+    from nri.training import Trainer
+
     train = _runs(stiffness, TRAIN_RUNS, 2)
     config = NriConfig(
         hidden=64, batch_size=64, learning_rate=2e-3, epochs=epochs, decay_start=epochs // 2,

@@ -33,7 +33,6 @@ from absl import flags
 
 from pca_tools import files
 from reports import command, markdown, record
-from reports.fuzz import kill_tasks
 
 _EVENTS = ('open', 'os.rename', 'os.mkdir', 'os.remove', 'os.rmdir', 'shutil.rmtree', 'os.truncate')
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
@@ -55,8 +54,8 @@ def _name_of_point(event, arguments, folder):
     return f'{event} {" -> ".join(plain)}'
 
 
-def _child(task, folder, kill_at=None, points_file=None) -> None:
-    """Runs a task in this (forked) process, and ends it."""
+def _child(action, folder, kill_at=None, points_file=None) -> None:
+    """Calls `action` with the folder in this (forked) process, and ends it."""
     count = 0
     points = []
 
@@ -76,7 +75,7 @@ def _child(task, folder, kill_at=None, points_file=None) -> None:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             sys.addaudithook(hook)
-            task.run(folder) if task else kill_tasks.prepare(folder)
+            action(folder)
         if points_file:
             files.write_json(points_file, points)
         code = 0
@@ -87,11 +86,11 @@ def _child(task, folder, kill_at=None, points_file=None) -> None:
         os._exit(code)
 
 
-def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
-    """Runs a task in a fork; returns its exit code, negative for a signal."""
+def _run(action, folder, kill_at=None, points_file=None, kill_after=None) -> int:
+    """Calls `action` with the folder in a fork; returns its exit code, negative for a signal."""
     pid = os.fork()
     if not pid:
-        _child(task, folder, kill_at, points_file)
+        _child(action, folder, kill_at, points_file)
     if kill_after is not None:
         end = time.monotonic() + kill_after
         while time.monotonic() < end:
@@ -106,13 +105,13 @@ def _run(task, folder, kill_at=None, points_file=None, kill_after=None) -> int:
 class Plan:
     """One task with its undisturbed run: named points, duration and result."""
 
-    def __init__(self, name: str, base: str, work: str):
-        self.name, self._task = name, kill_tasks.TASKS[name]
+    def __init__(self, name: str, task, base: str, work: str):
+        self.name, self._task = name, task
         self._base, self._work = base, work
         folder = self._fresh()
         start = time.monotonic()
         points_file = os.path.join(work, 'points.json')
-        if _run(self._task, folder, points_file=points_file):
+        if _run(self._task.run, folder, points_file=points_file):
             raise OSError(f'{name} fails without a kill')
         self._seconds = time.monotonic() - start
         self.points = files.read_json(points_file)
@@ -130,7 +129,7 @@ class Plan:
     def kill_at(self, point: int) -> str:
         """Kills at a named point; returns what was lost, '' for nothing."""
         folder = self._fresh()
-        if _run(self._task, folder, point) != -signal.SIGKILL:
+        if _run(self._task.run, folder, point) != -signal.SIGKILL:
             return 'the point was not reached'
         return self._lost(folder)
 
@@ -139,12 +138,12 @@ class Plan:
         while True:
             folder, after = self._fresh(), rng.uniform(0.0, self._seconds)
             start = time.monotonic()
-            if _run(self._task, folder, kill_after=after) == -signal.SIGKILL:
+            if _run(self._task.run, folder, kill_after=after) == -signal.SIGKILL:
                 return self._lost(folder)
             self._seconds = time.monotonic() - start  # the first run may have compiled something
 
     def _lost(self, folder):
-        if code := _run(self._task, folder):
+        if code := _run(self._task.run, folder):
             return f'the same command fails afterwards ({code})'
         found = self._fingerprint(folder)
         differing = sorted(n for n in {*found, *self._whole} if found.get(n) != self._whole.get(n))
@@ -169,11 +168,13 @@ def run(
     Raises:
         OSError: a task fails without a kill, or has other points than `rows` say.
     """
+    from reports.fuzz import kill_tasks  # here: all forks find it imported
+
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
         base = os.path.join(folder, 'base')
         os.mkdir(base)
-        if _run(None, base):
+        if _run(kill_tasks.prepare, base):
             raise OSError('the data of the tasks could not be made')
         if 'solver runs' in moments:
             kill_tasks.warm(os.path.join(folder, 'warm'))
@@ -184,7 +185,7 @@ def run(
         for i, (name, count) in enumerate(moments.items()):
             work = os.path.join(folder, str(i))
             os.mkdir(work)
-            plan = Plan(name, base, work)
+            plan = Plan(name, kill_tasks.TASKS[name], base, work)
             n = len(plan.points)
             row = rows.setdefault(name, {'points': n, 'named': 0, 'random': 0, 'lost': 0})
             if row['points'] != n:
@@ -237,6 +238,8 @@ def define_flags() -> None:
 
 def main(values, _) -> int:
     """Runs the command; exit code 1 if anything was lost."""
+    from reports.fuzz import kill_tasks
+
     names = values.tasks or list(kill_tasks.TASKS)
     if unknown := set(names) - set(kill_tasks.TASKS):
         raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')

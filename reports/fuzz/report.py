@@ -13,23 +13,15 @@ Examples:
     python -m reports fuzz --count=2000 --targets=subspace.npz --output_path=/tmp/fuzz
 """
 
-import contextlib
-import multiprocessing
 import os
-import queue
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import tqdm
 from absl import flags
 
 from pca_tools import files
 from reports import command, markdown, record
-from reports.fuzz import bench
-from reports.fuzz.targets import TARGETS
-from storage import parent
 
 COLUMNS = {
     'refused': 'refused',
@@ -37,116 +29,7 @@ COLUMNS = {
     'possible': 'read as another valid file',
     'failed': 'failures',
 }
-_BLOCK, _PART = 100, 5000  # inputs that a worker takes, and those between two saves
-
-
-def _work(blocks, results, names, seed, note):
-    parent.end_with_parent()
-    bench.limit_memory()
-    with bench.benches(names) as made:
-        while (block := blocks.get()) is not None:
-            results.put((block, bench.run_block(made, seed, *block, note)))
-
-
-class Pool:
-    """Processes that take blocks of inputs; one that dies is replaced.
-
-    Args:
-        names: of the targets.
-        seed: of the inputs.
-        num_processes: at a time.
-    """
-
-    def __init__(self, names: list[str], seed: int, num_processes: int = 1):
-        self._context = multiprocessing.get_context('spawn')
-        self._blocks, self._results = self._context.Queue(), self._context.Queue()
-        self._names, self._seed = names, seed
-        self._folder = tempfile.TemporaryDirectory()
-        self._workers: dict = {}
-        for slot in range(num_processes):
-            self._start(slot)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, *_):
-        """Lets the workers end, or ends them in the middle of their blocks."""
-        for process in self._workers.values():
-            self._blocks.put(None) if kind is None else process.kill()
-        for process in self._workers.values():
-            process.join()
-        self._blocks.cancel_join_thread()
-        self._folder.cleanup()
-
-    def run(self, first: int, last: int, show: Callable[[int], Any] = lambda done: None) -> dict:
-        """Runs inputs `first` .. `last` - 1.
-
-        Args:
-            first: first number.
-            last: one beyond the last number.
-            show: is told how many more inputs are done.
-
-        Returns:
-            `counts`: target -> outcome -> number; `failures`: list of target, number and reason. A
-            process that dies is a failure of the input at hand.
-        """
-        counts = {name: dict.fromkeys(bench.OUTCOMES, 0) for name in self._names}
-        failures, done = [], 0
-        for start in range(first, last, _BLOCK):
-            self._blocks.put((start, min(start + _BLOCK, last)))
-        while done < last - first:
-            try:
-                (start, end), result = self._results.get(timeout=1.0)
-            except queue.Empty:
-                for number, code in self._bury():
-                    name, done = bench.dealt(self._names, number).name, done + 1
-                    why = f'the process died with code {code}'
-                    failures.append({'target': name, 'number': number, 'why': why})
-                    counts[name]['failed'] += 1
-                continue
-            for name, outcomes in result['counts'].items():
-                for outcome, n in outcomes.items():
-                    counts[name][outcome] += n
-            failures += result['failures']
-            done += end - start
-            show(end - start)
-        return {'counts': counts, 'failures': failures}
-
-    def _note(self, slot):
-        return os.path.join(self._folder.name, str(slot))
-
-    def _start(self, slot):
-        arguments = (self._blocks, self._results, self._names, self._seed, self._note(slot))
-        self._workers[slot] = self._context.Process(target=_work, args=arguments, daemon=True)
-        self._workers[slot].start()
-
-    def _bury(self):
-        """Replaces dead workers, puts the rest of their blocks back; returns (input, exit code)."""
-        died = []
-        for slot, process in list(self._workers.items()):
-            if self._hangs(slot):
-                process.kill()
-                process.join()
-            if process.exitcode is None:
-                continue
-            if not os.path.exists(self._note(slot)):
-                raise OSError(f'a fuzzing process ended with {process.exitcode} before any input')
-            with open(self._note(slot), encoding='utf-8') as file:
-                first, last, number = map(int, file.read().split())
-            for block in ((first, number), (number + 1, last)):
-                if block[0] < block[1]:
-                    self._blocks.put(block)
-            died.append((number, process.exitcode))
-            os.remove(self._note(slot))
-            self._start(slot)
-        return died
-
-    def _hangs(self, slot):
-        """Whether an input has taken longer than the alarm inside of the worker allows, which
-        cannot stop a loop that is not Python's."""
-        with contextlib.suppress(FileNotFoundError):
-            return time.time() - os.path.getmtime(self._note(slot)) > 60 * bench.SECONDS
-        return False
+_PART = 5000  # inputs between two saves
 
 
 def missing(parts: list[dict], count: int) -> Iterator[tuple[int, int]]:
@@ -189,13 +72,15 @@ def joined(parts: list[dict], new: dict) -> list[dict]:
 def _sum(counts):
     """Counts of several parts in one."""
     return {
-        name: {outcome: sum(c[name][outcome] for c in counts) for outcome in bench.OUTCOMES}
+        name: {outcome: sum(c[name][outcome] for c in counts) for outcome in COLUMNS}
         for name in counts[0]
     }
 
 
 def save_failures(path: str, failures: list[dict], names: list[str], seed: int) -> None:
     """Writes the inputs that failed, with the reason beside each."""
+    from reports.fuzz import bench
+
     for failure in failures:
         folder = os.path.join(path, f'{failure["number"]:07d}')
         name, data = bench.make_input(names, seed, failure['number'])
@@ -212,6 +97,8 @@ def table(path: str) -> str:
 
 
 def _table(parts):
+    from reports.fuzz.targets import TARGETS
+
     counts = _sum([part['counts'] for part in parts])
     promises = {target.name: target.promise.value for target in TARGETS}
     rows = []
@@ -235,6 +122,9 @@ def define_flags() -> None:
 
 def main(values, _) -> int:
     """Runs the command; exit code 1 if an input failed."""
+    from reports.fuzz.pool import Pool
+    from reports.fuzz.targets import TARGETS
+
     known = [target.name for target in TARGETS]
     names = [name for name in known if values.targets is None or name in values.targets]
     if unknown := set(values.targets or ()) - set(known):

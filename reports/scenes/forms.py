@@ -17,9 +17,6 @@ import numpy as np
 from absl import flags
 
 import learning_to_simulate as lts
-from learning_to_simulate.export import export_formats, exporting
-from learning_to_simulate.export_c import benchmark
-from learning_to_simulate.export_c import exporting as exporting_c
 from pca_tools import files
 from reports import command, markdown, record
 from reports.scenes import report
@@ -53,6 +50,10 @@ def judge(name: str, folder: str, calls: int) -> dict[str, dict]:
 
 
 def _row(kind, model, data, path, calls):
+    from learning_to_simulate.export import export_formats, exporting
+    from learning_to_simulate.export_c import benchmark
+    from learning_to_simulate.export_c import exporting as exporting_c
+
     if kind == 'c':
         compared = exporting_c.export(model, data, path, kind)['compared']
         ms = 1e-3 * benchmark.measure(model, data, calls)['C step']['median_us']
@@ -65,6 +66,8 @@ def _row(kind, model, data, path, calls):
 
 def _litert_ms(path, calls):
     """Median ms a step of a LiteRT file, on one thread."""
+    from learning_to_simulate.export import export_formats
+
     interpreter = export_formats.litert_interpreter()(model_path=path, num_threads=1)
     step = interpreter.get_signature_runner()
     inputs = {

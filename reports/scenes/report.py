@@ -17,9 +17,8 @@ import os
 from absl import flags
 
 import learning_to_simulate as lts
-from learning_to_simulate import evaluation, render_rollout
+from learning_to_simulate import render_rollout
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.methods import subspace_method
 from pca_tools import convert, files, write_raw
 from reports import command, markdown, record, timing
 from reports.scenes import runs
@@ -70,6 +69,8 @@ def judge(folder: str, name: str) -> dict:
     Raises:
       ValueError, OSError: of the parts.
     """
+    from learning_to_simulate import evaluation
+
     data = make(folder, name)
     path, exported, pictures = (os.path.join(folder, name, x) for x in PARTS)
     model = lts.train(preset(name), data, path)
@@ -107,6 +108,8 @@ def judge(folder: str, name: str) -> dict:
 @functools.cache
 def _opened(model_path, data_path):
     """The model with its test runs; its rollouts are compiled once."""
+    from learning_to_simulate.methods import subspace_method
+
     return subspace_method.open_model(model_path, data_path, 'test')
 
 

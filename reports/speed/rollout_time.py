@@ -19,26 +19,12 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import subspace_method
-from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
-from reports.speed.original_style import (
-    OriginalNetwork,
-    appended_pairs,
-    numpy_pairs,
-    original_rollout,
-)
 
 ORIGINAL_STEPS = 100  # of the slow way
 
-# The original way, fully connected, L = 128, by how its py_function lists the pairs.
-ORIGINALS = {
-    'original way: pairs appended, as published': appended_pairs,
-    'original way, pairs made by numpy': numpy_pairs,
-}
 METHODS: dict[str, dict] = {
     'fully connected, L = 128, plain': {'preset': 'fcg_original', 'plain': True},
     'fully connected, L = 128': {'preset': 'fcg_original'},
@@ -53,6 +39,16 @@ METHODS: dict[str, dict] = {
 }  # fmt: skip
 
 
+def _originals():
+    """The original way, fully connected, L = 128, by how its py_function lists the pairs."""
+    from reports.speed.original_style import appended_pairs, numpy_pairs
+
+    return {
+        'original way: pairs appended, as published': appended_pairs,
+        'original way, pairs made by numpy': numpy_pairs,
+    }
+
+
 def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> dict:
     """A warmed-up rollout of test runs, as a row with 'call', 'steps' and what the model is.
 
@@ -62,6 +58,10 @@ def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> 
       overrides: preset, config fields, and 'plain'.
       batch: B; test runs are repeated to fill it.
     """
+    from learning_to_simulate.compiled.folded_step import rollout_function
+    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
+
     plain = overrides.get('plain', False)
     config = presets.make_config(**{k: v for k, v in overrides.items() if k != 'plain'})
     groups, runs = (
@@ -83,6 +83,8 @@ def prepare(data_path: str, metadata: dict, overrides: dict, batch: int = 1) -> 
 def prepare_original(data_path: str, pairs) -> dict:
     """The rollout of the original way on the first test run, as a row of `prepare`; `pairs` lists
     the pairs of nodes."""
+    from reports.speed.original_style import OriginalNetwork, original_rollout
+
     group = reading_utils.read_groups(data_path, 'test', dataset.read_metadata(data_path))[0]
     position, n = group.position[:1], group.n_rigid
     steps = min(ORIGINAL_STEPS, position.shape[1] - H)
@@ -114,7 +116,7 @@ def measure(data_path: str, rounds: int, batch_sizes=()) -> list[dict]:
         }
     else:
         prepared = {name: prepare(data_path, metadata, o) for name, o in METHODS.items()}
-        prepared |= {n: prepare_original(data_path, pairs) for n, pairs in ORIGINALS.items()}
+        prepared |= {n: prepare_original(data_path, pairs) for n, pairs in _originals().items()}
     jobs = {
         name: timing.Job(row.pop('call'), row.pop('steps') * row['batch'])
         for name, row in prepared.items()

@@ -20,10 +20,9 @@ import time
 
 from absl import flags
 
-from learning_to_simulate import checkpoints, reading_utils
+from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.live.stepping import Stepper
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
 
@@ -46,6 +45,9 @@ class Timed:
     """
 
     def __init__(self, pair: str, rate_hz: float = 0.0):
+        from learning_to_simulate import checkpoints
+        from learning_to_simulate.live.stepping import Stepper
+
         if pair.count(':') != 1:
             raise ValueError(f'{pair!r} is not "model folder:dataset folder"')
         self.name, data_path = pair.split(':')

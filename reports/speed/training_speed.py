@@ -21,19 +21,13 @@ import time
 from functools import partial
 
 import numpy as np
-import sonnet as snt
-import tensorflow as tf
 import tqdm
 from absl import flags
 
-from learning_to_simulate import evaluation, presets, reading_utils
+from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import subspace_method
-from learning_to_simulate.training import noise_utils
-from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
-from reports.speed.original_style import OriginalNetwork, appended_pairs, numpy_pairs
 
 ORIGINAL = 'original way'
 NUMPY_PAIRS = 'original way, pairs made by numpy'
@@ -50,6 +44,9 @@ def _read(data_path, split, config):
 
 def our_step(data_path: str, preset: str, batch_size: int, **overrides):
     """A function that runs the next training step of a preset and returns its loss."""
+    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.training.trainer import Trainer
+
     config = presets.make_config(preset, batch_size=batch_size, **overrides)
     metadata, groups = _read(data_path, 'train', config)
     model = subspace_method.make_model(data_path, metadata, groups, config)
@@ -57,12 +54,18 @@ def our_step(data_path: str, preset: str, batch_size: int, **overrides):
     return lambda: float(trainer.step(next(count))['loss'])
 
 
-def original_step(data_path: str, batch_size: int, pairs=appended_pairs, latent_size: int = 128):
+def original_step(data_path: str, batch_size: int, pairs=None, latent_size: int = 128):
     """A function that runs the next training step of the original way and returns its loss.
 
-    All pairs of nodes, listed by `pairs`, L = 128, one message-passing step: the network of
-    `fcg_original`.
+    All pairs of nodes, listed by `pairs` (None: `appended_pairs`), L = 128, one message-passing
+    step: the network of `fcg_original`.
     """
+    import sonnet as snt
+    import tensorflow as tf
+
+    from learning_to_simulate.training import noise_utils
+    from reports.speed.original_style import OriginalNetwork, appended_pairs
+
     _, (group, *_) = _read(data_path, 'train', presets.make_config('fcg_original'))
     types = tf.constant(group.particle_type, tf.int32)
     n_rigid, n_frame = group.n_rigid, group.position.shape[1]
@@ -80,7 +83,7 @@ def original_step(data_path: str, batch_size: int, pairs=appended_pairs, latent_
     runs = (tf.constant(group.position, tf.float32), tf.constant(force, tf.float32))
     data = tf.data.Dataset.from_tensor_slices(runs).repeat().flat_map(windows)
     batches = iter(data.shuffle(SHUFFLED, seed=0).batch(batch_size, drop_remainder=True))
-    network = OriginalNetwork(latent_size, pairs=pairs)
+    network = OriginalNetwork(latent_size, pairs=pairs or appended_pairs)
     optimizer = snt.optimizers.Adam(LEARNING_RATE)
 
     def loss_of(position, force, seed):
@@ -126,6 +129,8 @@ def measure(data_path: str, batch_size: int, rounds: int, steps: int, **override
       a row per method: samples per second by the clock and by processor time (medians of the
       turns), and how many times those of the original way.
     """
+    from reports.speed.original_style import appended_pairs, numpy_pairs
+
     width = overrides.get('latent_size', 128)
     methods = {
         name: original_step(data_path, batch_size, pairs, width)
@@ -176,6 +181,10 @@ def time_to_error(data_path: str, preset: str, target: float, budget: float, **o
       a row; 'seconds' is None where the target was not reached; 'curve' holds (seconds, step,
       share) of every validation, share None where a rollout was not finite.
     """
+    from learning_to_simulate import evaluation
+    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.training.trainer import Trainer
+
     config = presets.make_config(preset, **overrides)
     metadata, groups = _read(data_path, 'train', config)
     _, valid = _read(data_path, 'valid', config)

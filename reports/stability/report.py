@@ -12,6 +12,7 @@ Examples:
     python -m reports stability_report --parts=nri,subspace --output_path=/tmp/stability
 """
 
+import importlib
 import os
 import time
 
@@ -20,26 +21,17 @@ from absl import flags
 
 from pca_tools import files
 from reports import command, record
-from reports.stability import (
-    cases,
-    driven_cases,
-    extrapolation_cases,
-    network_cases,
-    nri_cases,
-    pictures,
-    rollout_cases,
-    solver_cases,
-    subspace_cases,
-)
+from reports.stability import cases, pictures
 
+# Part -> module whose `run_all` it is.
 PARTS = {
-    'solver': solver_cases.run_all,
-    'subspace': subspace_cases.run_all,
-    'rollouts': rollout_cases.run_all,
-    'driven': driven_cases.run_all,
-    'extrapolation': extrapolation_cases.run_all,
-    'network': network_cases.run_all,
-    'nri': nri_cases.run_all,
+    'solver': 'solver_cases',
+    'subspace': 'subspace_cases',
+    'rollouts': 'rollout_cases',
+    'driven': 'driven_cases',
+    'extrapolation': 'extrapolation_cases',
+    'network': 'network_cases',
+    'nri': 'nri_cases',
 }
 REPORT, DATA = 'stability.md', 'stability.json'
 
@@ -62,12 +54,13 @@ def report(parts: list[str], is_quick: bool, output_path: str) -> list[cases.Cas
     curves: dict = {}
     seconds: dict[str, float] = {}
     for part in parts:
+        module = importlib.import_module(f'reports.stability.{PARTS[part]}')
         started = time.process_time()
 
         def bar(items, part=part):
             return tqdm.tqdm(items, desc=part, disable=None, leave=False)
 
-        new, drawn = PARTS[part](is_quick, bar)
+        new, drawn = module.run_all(is_quick, bar)
         rows += new
         curves |= drawn
         seconds[part] = round(time.process_time() - started, 1)

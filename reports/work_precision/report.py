@@ -23,14 +23,18 @@ Examples:
 """
 
 import os
+from typing import TYPE_CHECKING
 
 from absl import flags
 
 from pca_tools import files
 from reports import command, isolated
 from reports.record import ROOT
-from reports.work_precision import families, measure, pictures, survey, tables
+from reports.work_precision import families, pictures, tables
 from reports.work_precision.points import choose
+
+if TYPE_CHECKING:
+    from reports.work_precision import survey
 
 QUICK_TRAINING = {'num_steps': 400, 'unroll_steps': 60, 'unroll_length': 4}
 
@@ -55,6 +59,8 @@ def recommendation(document: dict, budget_ms: float) -> str:
     Raises:
       ValueError: no model is that fast; says the fastest.
     """
+    from reports.work_precision import measure
+
     point = choose(document['points'], budget_ms)
     errors = ', '.join(
         f'{split} {point.position_error(split):.3g} mm' for split in measure.SPLITS
@@ -72,8 +78,10 @@ def recommendation(document: dict, budget_ms: float) -> str:
     )
 
 
-def make_settings(values) -> survey.Settings:
+def make_settings(values) -> 'survey.Settings':
     """Flags -> settings of the survey."""
+    from reports.work_precision import survey
+
     if values.quick:
         whole, sweeps, training = families.QUICK_WHOLE, families.QUICK_SWEEPS, QUICK_TRAINING
         seeds = sweep_seeds = 1
@@ -131,6 +139,8 @@ def define_flags() -> None:
 
 def main(values, _) -> None:
     """Runs the command."""
+    from reports.work_precision import survey
+
     if values.from_json:
         document = survey.read_document(os.path.join(values.output_path, survey.DOCUMENT))
     else:

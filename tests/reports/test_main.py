@@ -45,3 +45,13 @@ def test_old_and_new_names_run_the_same_report(tmp_path):
 def test_help_shows_the_flags_of_the_report_itself():
     text = run('reports', 'compare_forces', '--help').stdout
     assert '--original_path' in text and 'python -m reports compare_forces' in text
+
+
+def test_no_report_needs_tensorflow_to_begin():
+    """A fresh interpreter in which it cannot be imported: `--help` does not wait seconds for it."""
+    modules = ', '.join(f'reports.{module}' for module, _ in command.REPORTS.values())
+    code = f'import sys; sys.modules["tensorflow"] = None; import {modules}'
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f'a report imports TensorFlow at its top:\n{done.stderr}'

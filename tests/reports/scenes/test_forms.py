@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from learning_to_simulate.export import exporting
+from learning_to_simulate.export_c import exporting as exporting_c
 from reports.scenes import forms
 
 ROW = {
@@ -29,8 +31,8 @@ def test_a_form_that_is_refused_says_why(monkeypatch, tmp_path):
 
     monkeypatch.setattr(forms.report, 'make', lambda folder, name: type('D', (), {'path': 'x'}))
     monkeypatch.setattr(forms.lts, 'train', lambda *_: None)
-    monkeypatch.setattr(forms.exporting_c, 'export', refuse)
-    monkeypatch.setattr(forms.exporting, 'export', refuse)
+    monkeypatch.setattr(exporting_c, 'export', refuse)
+    monkeypatch.setattr(exporting, 'export', refuse)
     rows = forms.judge('pair', str(tmp_path), 1)
     assert rows == {kind: {'refused': 'the C form knows one body'} for kind in forms.FORMS}
 
@@ -41,6 +43,6 @@ def test_a_fault_is_no_refusal(monkeypatch, tmp_path):
 
     monkeypatch.setattr(forms.report, 'make', lambda folder, name: type('D', (), {'path': 'x'}))
     monkeypatch.setattr(forms.lts, 'train', lambda *_: None)
-    monkeypatch.setattr(forms.exporting_c, 'export', fail)
+    monkeypatch.setattr(exporting_c, 'export', fail)
     with pytest.raises(OSError, match='disk full'):
         forms.judge('pair', str(tmp_path), 1)

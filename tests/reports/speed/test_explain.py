@@ -7,7 +7,7 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, presets, reading_utils, rollout
 from learning_to_simulate.methods import registry, subspace_method
 from pca_tools import dataset
-from reports.speed import explain, product_count
+from reports.speed import explain, explanation, product_count
 from tests.learning_to_simulate import models, synthetic
 
 
@@ -65,10 +65,10 @@ def _three_frames(*arguments):
 
 
 def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
-    monkeypatch.setattr(explain, 'rollout_inputs', _three_frames)
+    monkeypatch.setattr(explanation, 'rollout_inputs', _three_frames)
     tf.config.run_functions_eagerly(True)  # no compilation: the items are the same
     try:
-        values = explain.Explanation(*trained).measure(rounds=1)
+        values = explanation.Explanation(*trained).measure(rounds=1)
     finally:
         tf.config.run_functions_eagerly(False)
     items = {item['name'].split(' (')[0]: item for item in values['items']}
@@ -91,4 +91,4 @@ def test_model_without_a_graph_is_refused(trained, monkeypatch):
     object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
     monkeypatch.setattr(subspace_method, 'open_model', lambda *_: opened)
     with pytest.raises(ValueError, match="'mlp' has no graph"):
-        explain.Explanation(path, data)
+        explanation.Explanation(path, data)
