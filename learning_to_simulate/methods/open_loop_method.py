@@ -23,7 +23,7 @@ from learning_to_simulate import (
     rollout_status,
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import path_ridge, registry, resting_bed
+from learning_to_simulate.methods import open_loop, path_ridge, registry, resting_bed
 from learning_to_simulate.methods.earthmoving import EarthmovingForce, soil_parameters
 from learning_to_simulate.methods.open_loop_settings import OpenLoopConfig
 from learning_to_simulate.methods.registry import OpenedModel
@@ -34,6 +34,7 @@ from learning_to_simulate.scene import Scene
 from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock
 
+_UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
 _FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}
 
 
@@ -156,6 +157,13 @@ def train(data_path, model_path, config, options) -> dict:
         model = load(model_path)
     _, summary = OpenLoopEvaluator(model, metadata).run(valid, 'valid')
     print(evaluation.table(summary))
+    if config.leave_one_out:
+        off = model.method.least_errors()
+        print(
+            'valid was trained on, so the table says how well it is fitted; the best choice, each '
+            'run left out, is off by (RMS per value): '
+            + ', '.join(f'{name} {error:.3g} {_UNITS[name]}' for name, error in off.items())
+        )
     print(f'fitted {config.preset}: {model_path}')
     return summary
 

@@ -127,6 +127,14 @@ class PathRidge:
         position[:, :, n_rigid:] += soil
         return open_loop.Prediction(position, predicted.get(open_loop.FORCE), frozenset(predicted))
 
+    def least_errors(self) -> dict[str, float]:
+        """Output -> error of its best choice: mean over the judging runs of the RMS, m or N."""
+        found: dict[str, float] = {}
+        for choice in self.choices:
+            name = choice['output']
+            found[name] = min(found.get(name, choice['error']), choice['error'])
+        return found
+
     def save(self, path: str) -> None:
         """Writes the regressions as one `.npz`, whole or not at all."""
         arrays = {}

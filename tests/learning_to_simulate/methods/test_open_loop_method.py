@@ -102,3 +102,14 @@ def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():
     places = -np.array([0.1, 0.4, 0.7])
     profile = resting_bed.surface_profile(hill[::5], places, frame, 0.02, spacing)
     assert profile - flat == pytest.approx([0.0, 0.05, 0.0], abs=0.006)
+
+
+def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):
+    data = trained[0]
+    config = presets.make_config('path_ridge_few_runs', max_samples=60)
+    registry.train(data, str(tmp_path / 'model'), config)
+    printed = capsys.readouterr().out
+    assert 'valid was trained on' in printed
+    method = open_loop_method.load(str(tmp_path / 'model')).method
+    left_out = min(c['error'] for c in method.choices if c['output'] == 'force')
+    assert f'force {left_out:.3g} N' in printed
