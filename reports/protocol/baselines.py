@@ -74,6 +74,8 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
     scene = reading_utils.read_scene(folder, metadata, train, None)
     found = trivial(reader)
     for preset, config in open_loop_settings.PRESETS.items():
+        if config.leave_one_out:  # trains on valid, which chooses here
+            continue
         try:
             method = open_loop_method.fit(config, folder, metadata, train, valid, scene)
         except ValueError as error:  # a blade's formula has no wheel, and so on
@@ -81,7 +83,7 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
             continue
         about = (
             {n: {'inputs': r.inputs, 'gamma': r.gamma, 'alpha': r.alpha, 'samples': len(r.samples)}
-             for n, r in method.regressions.items()}
+             for n, (r,) in method.regressions.items()}
             if preset == 'path_ridge'
             else method.parameters_to_json()
         )  # fmt: skip
