@@ -1,7 +1,8 @@
 """Makes a smaller dataset: fewer training runs, all of valid and test as they are or some kinds.
 
-For learning curves, and to see what a kind of path teaches. Subspace, statistics and sampled
-particles stay those of the larger dataset, so errors of both are of one truth.
+For learning curves, and to see what a kind of path teaches; `deal` writes all runs to other splits,
+for cross-validation. Subspace, statistics and sampled particles stay those of the larger dataset,
+so errors of both are of one truth.
 
 Examples:
     python -m pca_tools.subset --data_path=datasets/excavation_v2 --train_runs=28 --output_path=few

@@ -113,7 +113,7 @@ def measure(folders: list[str], method: str, seed: int, work_path: str) -> dict:
     Args:
       folders: of `make_folds`.
       method: `PRESET --FLAG=VALUE ...`, as of `reports.protocol`.
-      seed: of the trainings.
+      seed: of the trainings; of no meaning to a method that draws nothing.
       work_path: folder for models and rollouts.
 
     Returns:
@@ -124,7 +124,7 @@ def measure(folders: list[str], method: str, seed: int, work_path: str) -> dict:
         name = f'{rollouts.name_of_folder(method)}_{seed}_fold_{fold}'
         model = os.path.join(work_path, 'models', name)
         training = rollouts.training_flags(method)
-        if seed:  # what is fitted at once has no seed, and no flag of it
+        if rollouts.has_seed(method):
             training.append(f'--seed={seed}')
         rollouts.train(folder, model, training)
         output = rollouts.roll_out(folder, model, 'test', os.path.join(work_path, 'rollouts'))
@@ -192,14 +192,15 @@ def define_flags() -> None:
 
 def main(values, _) -> None:
     """Runs the command."""
+    counts = {m: values.num_seeds if rollouts.has_seed(m) else 1 for m in values.train}
     name = os.path.basename(os.path.normpath(values.data_path))
     work_path = os.path.join(values.work_path, f'{name}_{values.num_folds}')
     folders = make_folds(values.data_path, values.num_folds, values.num_valid, work_path)
     path = values.output_path
     held = files.read_json(path)['rows'] if os.path.exists(path) else {}
-    for method in values.train:
+    for method, count in counts.items():
         seeds = []
-        for seed in range(values.num_seeds):
+        for seed in range(count):
             seeds.append(measure(folders, method, seed, work_path))
             held[f'{name} {method} {len(folders)}'] = {
                 'data': name, 'method': method, 'folds': values.num_folds, 'seeds': seeds,

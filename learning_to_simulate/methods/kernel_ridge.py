@@ -107,8 +107,8 @@ def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -
     """What the samples of each run are off when the others alone are fitted, for each ridge.
 
     With G = (K + alpha I)^-1 and c = G y, a fit without the samples g is off by G_gg^-1 c_g on
-    them (Cook & Weisberg 1982, 2.2, for groups; tested against fits without them), so that one
-    eigendecomposition serves all runs and ridges.
+    them (Rasmussen & Williams 2006, 5.12, has it for one sample), so that one eigendecomposition
+    serves all runs and ridges.
 
     Args:
       x: [n, I] inputs, scaled here as `Regression.fit` does.

@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 
+from learning_to_simulate import presets
 from pca_tools import dataset, files
 from reports.protocol.run_errors import RunPrediction
 from reports.record import ROOT
@@ -43,6 +44,16 @@ def training_flags(name: str) -> list[str]:
     if not preset or preset[0] == '-' or not all(other.startswith('--') for other in others):
         raise ValueError(f'--train={name}: PRESET or PRESET --FLAG=VALUE was expected')
     return [f'--preset={preset}', *others]
+
+
+def has_seed(name: str) -> bool:
+    """Whether anything is drawn in the training of a method of --train.
+
+    Raises:
+      ValueError: no preset of that name, or as `training_flags`.
+    """
+    preset = training_flags(name)[0].removeprefix('--preset=')
+    return hasattr(presets.make_config(preset), 'seed')
 
 
 def name_of_folder(name: str) -> str:

@@ -1,6 +1,7 @@
 """Cross-validation: folds that judge every run once, and a table from known errors."""
 
 import os
+import types
 
 import numpy as np
 import pytest
@@ -120,6 +121,33 @@ def test_every_run_is_predicted_by_a_model_of_its_fold(records, tmp_path, monkey
         ]
         assert [run['soil_mse'] for run in found['model']] == expected
     flags = [training for _, training in trained.values()]
-    assert flags == 3 * [['--preset=pcg', '--modes=2']] + 3 * [
-        ['--preset=pcg', '--modes=2', '--seed=1']
+    assert flags == [
+        ['--preset=pcg', '--modes=2', f'--seed={seed}'] for seed in range(2) for _ in range(3)
     ]
+    cross_validation.measure(folders, 'path_ridge --max_samples=60', 0, work)
+    assert trained.popitem()[1][1] == ['--preset=path_ridge', '--max_samples=60']
+    with pytest.raises(ValueError, match='unknown preset'):
+        cross_validation.measure(folders, 'pgc', 0, work)
+
+
+def test_what_draws_nothing_is_trained_once(records, tmp_path, monkeypatch):
+    """Whatever --num_seeds says; two folds each."""
+    asked = []
+
+    def measure(folders, method, seed, work_path):
+        asked.append((method, seed))
+        run = {'soil_mse': 1e-4, 'force_relative_l2': 0.5, 'force_mpe': 1.0}
+        return dict.fromkeys(('model', 'stay_still', 'constant_velocity'), [run] * 6)
+
+    monkeypatch.setattr(cross_validation, 'measure', measure)
+    values = types.SimpleNamespace(
+        data_path=records, work_path=str(tmp_path / 'work'), num_folds=2, num_valid=1, num_seeds=2,
+        train=['path_ridge_few_runs', 'pcg'], output_path=str(tmp_path / 'found.json'),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match='unknown preset'):  # before anything is done
+        cross_validation.main(types.SimpleNamespace(**vars(values) | {'train': ['pcg', 'pgc']}), [])
+    assert not asked and not os.path.exists(values.work_path)
+    cross_validation.main(values, [])
+    assert asked == [('path_ridge_few_runs', 0), ('pcg', 0), ('pcg', 1)]
+    rows = files.read_json(values.output_path)['rows']
+    assert [len(row['seeds']) for row in rows.values()] == [1, 2]
