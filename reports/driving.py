@@ -131,7 +131,7 @@ def main(values, _) -> None:
         **record.provenance(values.num_threads),
         'data': {
             'path': os.path.basename(os.path.normpath(values.data_path)),
-            'version': int(metadata['cases']['test'][0].get('data_version', 1)),
+            'version': record.data_version(metadata),
             'runs': {split: len(metadata['cases'][split]) for split in dataset.SPLITS},
             'subspace': metadata['pca']['digest'],
         },

@@ -23,6 +23,12 @@ def provenance(threads: int | None = None) -> dict:
     return {'command': command, 'commit': _commit(), 'machine': facts(threads)}
 
 
+def data_version(metadata: dict) -> int:
+    """Of a dataset: that of the first case that states one; 1 of those made before it was."""
+    cases = (case for split in metadata.get('cases', {}).values() for case in split)
+    return int(next((case['data_version'] for case in cases if 'data_version' in case), 1))
+
+
 def resume(path: str, identity: dict, empty: dict) -> dict:
     """The document of an earlier call, to go on with, or a new one.
 

@@ -208,12 +208,6 @@ def _way_back(poses) -> float:
     return float(np.linalg.norm(poses[:, :3] - poses[-1, :3], axis=1).max())
 
 
-def _data_version(data):
-    """Of the first case that states one, or None."""
-    cases = (case for split in data.metadata.get('cases', {}).values() for case in split)
-    return next((case['data_version'] for case in cases if 'data_version' in case), None)
-
-
 def by_kind(path: str) -> str:
     """A table of the errors by kind of path, from the JSON of this report."""
     rows = files.read_json(path)['runs']
@@ -304,7 +298,7 @@ def main(values, _) -> None:
         'split': values.split,
         'config': stored['config'],
         'training': files.read_json(os.path.join(values.model_path, 'metrics.json'))['training'],
-        'data_version': _data_version(data),
+        'data_version': record.data_version(data.metadata),
         **measure(model, data, values.split),
     }
     for name, path in others.items():

@@ -49,7 +49,7 @@ def define_flags() -> None:
         'train', [], 'Presets that are trained here, with several seeds; "PRESET --FLAG=VALUE" '
         'with other flags of the training, in which {seed} is the seed.',
     )  # fmt: skip
-    flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train.', 1)
+    flags.DEFINE_integer('num_seeds', 5, 'Seeds of --train; one for what draws nothing.', 1)
     command.define_workers('Models trained and rolled out at a time.')
     flags.DEFINE_string(
         'work_path', None, 'Folder for trainings and rollouts; calls resume.', required=True

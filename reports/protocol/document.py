@@ -22,7 +22,7 @@ def data_facts(reader: TruthReader, truths: dict) -> dict:
     first = truths[SPLITS[0]][0]
     return {
         'path': os.path.relpath(reader.folder, record.ROOT),
-        'version': reader.metadata.get('data_version', 1),
+        'version': record.data_version(reader.metadata),
         'train_runs': len(dataset.read_split(reader.folder, 'train')),
         'sha256': {
             f'{n}.tfrecord': files.sha256_of_file(dataset.split_path(reader.folder, n))
@@ -133,11 +133,11 @@ def _models_of(dataset_name, values):
 
 
 def trained_here(values, folder: str) -> dict[str, list[str]]:
-    """Method of --train -> the model folders of its seeds, under `folder`."""
+    """Method of --train -> the model folders of its seeds, under `folder`; one of what has none."""
     return {
         name: [
             os.path.join(folder, f'{rollouts.name_of_folder(name)}_{seed}')
-            for seed in range(values.num_seeds)
+            for seed in range(values.num_seeds if rollouts.has_seed(name) else 1)
         ]
         for name in values.train
     }
@@ -151,7 +151,9 @@ def _jobs(found, data_path, values, folder):
             flags_ = None
             if name in values.train:
                 flags_ = [f.replace('{seed}', str(seed)) for f in rollouts.training_flags(name)]
-                flags_ += [f'--seed={seed}', '--num_threads=1']
+                flags_ += ['--num_threads=1']
+                if rollouts.has_seed(name):
+                    flags_.append(f'--seed={seed}')
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
     return jobs
 

@@ -68,6 +68,10 @@ class WorkPrecisionPoint:
             return None
         return float(np.mean(values))
 
+    def n_run(self, split: str) -> int:
+        """Runs of a split that the row was measured on."""
+        return max(map(len, self.runs.get(split, {}).values()), default=0)
+
     def position_error(self, split: str) -> float | None:
         """Soil error, mm RMS: in full space where the dataset states its truncation error, else
         within the subspace."""

@@ -75,7 +75,8 @@ def table(document: dict) -> str:
         '▲ on the front of soil error and time, ● of force error and time (test). Soil errors are '
         'RMS per coordinate with the truncation error of the modes, mean over runs and seeds; of '
         'best trivial: soil MSE within the modes over that of the better of persistence and '
-        'constant velocity; in brackets the range over seeds. Times: whole compiled rollouts in '
+        'constant velocity, whose force is the mean of the training runs; in brackets the range '
+        'over seeds. Times: whole compiled rollouts in '
         'turns, median; live: single steps from Python. First call: compilation included. MB: '
         'peak of a process of its own, TensorFlow included.',
     ]
@@ -113,11 +114,16 @@ def summary(*paths: str) -> str:
     documents = [read_document(path) for path in paths]
     header: list[str] = ['mean (range over trainings)']
     found: dict[str, dict] = {}
+    few: dict[str, str] = {}
     for document in documents:
         header += [f'{document["scene"]}: soil RMS mm', 'force rel. L2', 'ms per step']
+        n_run = max(point.n_run('test') for point in document['points'])
         for point in over_seeds(document['points']):
             if point.label in SUMMARY:
                 seeds = [p for p in document['points'] if p.label == point.label]
+                count = seeds[0].n_run('test')
+                if count < n_run:  # the solver: not every case was simulated again
+                    few[point.label] = f'{point.label} ({count} runs of {n_run})'
                 found.setdefault(point.label, {})[document['scene']] = (
                     markdown.span([p.position_error('test') for p in seeds]),
                     markdown.span([force_error(p, 'test') for p in seeds]),
@@ -127,7 +133,10 @@ def summary(*paths: str) -> str:
     return markdown.table(
         header,
         [
-            [label, *(c or None for d in documents for c in cells.get(d['scene'], empty))]
+            [
+                few.get(label, label),
+                *(c or None for d in documents for c in cells.get(d['scene'], empty)),
+            ]
             for label in SUMMARY
             if (cells := found.get(label))
         ],

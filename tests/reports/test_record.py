@@ -38,3 +38,13 @@ def test_a_sweep_goes_on_with_its_own_rows_alone(tmp_path):
     files.write_json(path, [1])
     with pytest.raises(ValueError, match='holds something else'):
         record.resume(path, {'budget': 3}, empty)
+
+
+def test_the_version_of_data_stands_with_their_cases():
+    old = {'cases': {'train': [{'case': 1}]}}
+    assert record.data_version(old) == record.data_version({}) == 1
+    old['cases']['test'] = [{'case': 2, 'data_version': '2'}]
+    assert record.data_version(old) == 2
+    shipped = files.read_json(f'{record.ROOT}/datasets/wheel_v2/metadata.json')
+    stored = files.read_json(f'{record.ROOT}/docs/protocol/wheel_v2.json')
+    assert stored['data']['version'] == record.data_version(shipped) == 2

@@ -29,7 +29,12 @@ from reports.work_precision import (
     tables,
 )
 from reports.work_precision import report as error_vs_runtime
-from reports.work_precision.points import WorkPrecisionPoint, choose, pareto_front
+from reports.work_precision.points import (
+    WorkPrecisionPoint,
+    choose,
+    pareto_front,
+    write_document,
+)
 from tests.learning_to_simulate import models, synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -152,6 +157,19 @@ def test_table_shows_fronts_seeds_and_failures():
     assert 'num_steps 7' in text and 'abacus' in text
     columns = {line.count('|') for line in text.splitlines() if line.startswith('|')}
     assert len(columns) == 1
+
+
+def test_rows_of_fewer_runs_than_the_others_say_so(tmp_path):
+    document = make_document()
+    one = {'test': {'soil_rms_mm_full': [5.0], 'force_relative_l2': [0.3]}}
+    document['points'] += [
+        make_point('pcg', seed=0), make_point('pcg', seed=1),
+        make_point('solver, cells x 2', runs=one, overrides={}),
+    ]  # fmt: skip
+    write_document(path := str(tmp_path / 'points.json'), document)
+    text = tables.summary(path)
+    assert '| solver, cells x 2 (1 runs of 2) | 5 |' in text
+    assert '| pcg | 4.5 |' in text  # two seeds of two runs each are no more runs than two
 
 
 def test_csv_has_a_line_per_point_and_seed():
