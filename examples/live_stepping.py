@@ -9,7 +9,7 @@ def main(seconds: float = 1.5):
     """Moves the blade forward and down for some seconds; returns the last frame."""
     model = lts.load('excavation')
     live = model.stepper()
-    pose, velocity = model.starts.pose[0], np.array([-0.05, -0.03, 0.0])
+    pose, velocity = model.starts.pose[0].copy(), np.array([-0.05, -0.03, 0.0])
     live.start(pose, velocity)
     for k in range(round(seconds / live.dt)):
         pose[:3] += velocity * live.dt

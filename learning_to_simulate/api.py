@@ -163,6 +163,7 @@ class TrainedModel:
         self.model = self._method.load_code().load(path)
         self._at_rest: tuple | None = None
         self._roller: Any = None
+        self._newest: tuple | None = None
 
     def __repr__(self) -> str:
         return f'<{self.config.model} model {self.path!r} of the scene {self.scene.name!r}>'
@@ -192,8 +193,8 @@ class TrainedModel:
         return self._from_rest()[1]
 
     def _from_rest(self):
-        if self._method.on_particles:
-            raise ValueError(f'{self.path}: a model on particles has no live stepping and no paths')
+        if not self._method.steps:
+            raise ValueError(f'{self.path}: {self.config.model} has no live stepping and no paths')
         self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
             from learning_to_simulate.live import resting_start
@@ -281,10 +282,24 @@ class TrainedModel:
         if self._method.live:
             return self._path_roller().recorded(opened.evaluator, group, name)
         rollout = opened.evaluator.roll_out(group)
-        return of_recorded_run(group, rollout, self.scene, self._soil(), name)
+        return of_recorded_run(group, rollout, self.scene, self._soil_of(run.split), name)
+
+    def _soil_of(self, split):
+        """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
+        from learning_to_simulate.live.soil import Soil
+
+        space = Dataset(split.folder).subspace
+        if self._method.on_particles or space is None:
+            return None
+        return Soil(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):
-        return registry.open_model(self.path, split.folder, split.name)
+        """The model with the runs of a split. That of the newest split is kept: rollouts of single
+        runs compile once."""
+        key = split.folder, split.name
+        if self._newest is None or self._newest[0] != key:
+            self._newest = key, registry.open_model(self.path, *key)
+        return self._newest[1]
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:
         """Rolls out every run of a split.
@@ -362,5 +377,6 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
     Raises:
       ValueError, OSError, SystemExit: as `registry.train`.
     """
+    path = os.fspath(path)
     registry.train(data.path, path, config, save_every=save_every)
     return TrainedModel(path)

@@ -129,7 +129,8 @@ def make_config(preset: str, **overrides):
       a `TrainConfig`, or the settings of the preset's method.
 
     Raises:
-      ValueError: unknown preset or field, or a value outside its range.
+      ValueError: unknown preset, model or field, a model that the preset is none of, or a value
+        outside its range.
     """
     known = registry.all_presets()
     if preset not in known:
@@ -137,6 +138,9 @@ def make_config(preset: str, **overrides):
     fields = {f.name for f in dataclasses.fields(known[preset])}
     if unknown := set(overrides) - fields:
         raise ValueError(f'unknown config fields {sorted(unknown)}')
+    model = overrides.get('model')
+    if model is not None and type(known[preset_of_model(model)]) is not type(known[preset]):
+        raise ValueError(f'preset {preset!r} is one of {known[preset].model!r}, not of {model!r}')
     return dataclasses.replace(
         known[preset], **{k: v for k, v in overrides.items() if v is not None}
     )

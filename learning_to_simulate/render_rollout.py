@@ -45,6 +45,18 @@ _PNG_DPI, _GIF_DPI, _MP4_DPI = 200, 100, 150
 _PALETTE_SAMPLES = 6
 
 
+def target_and_format(path: str) -> tuple[str, str]:
+    """A picture's path without its ending, and the format that the ending names.
+
+    Raises:
+        ValueError: another ending.
+    """
+    target, ending = os.path.splitext(path)
+    if ending not in ('.png', '.gif', '.mp4'):
+        raise ValueError(f'{path}: must end in .png, .gif or .mp4')
+    return target, ending[1:]
+
+
 def render(
     rollout_path: str,
     data_path: str | None,

@@ -121,14 +121,22 @@ def _overrides() -> dict:
 
 def _open(overrides) -> registry.OpenedModel:
     """The trained model and the runs of the split."""
-    return registry.open_model(
+    preset, motion = _PRESET.value, _RIGID_MOTION.value
+    opened = registry.open_model(
         _MODEL_PATH.value,
         _DATA_PATH.value,
         _EVAL_SPLIT.value,
-        overrides,
+        overrides if preset is None else overrides | {'preset': preset},
         raw_path=_RAW_PATH.value,
         rigid_correction=_RIGID_CORRECTION.value,
     )
+    stored = str(opened.model.simulator.scene.rigid_motion)
+    if motion not in (None, stored):
+        raise ValueError(
+            f'--rigid_motion={motion} contradicts the model in {_MODEL_PATH.value}, which has '
+            f'{stored!r}: leave the flag out'
+        )
+    return opened
 
 
 def _train(overrides):

@@ -27,8 +27,11 @@ def add_start(model_path: str, data_path: str) -> list[str]:
     command.import_tensorflow()
     from learning_to_simulate import checkpoints
     from learning_to_simulate.live import resting_start
+    from learning_to_simulate.methods import registry
     from pca_tools import dataset
 
+    if registry.of_folder(model_path).network is None:
+        raise ValueError(f'{model_path}: no model in a subspace, which alone lacks its start')
     model = checkpoints.load_model(model_path)
     metadata = dataset.read_metadata(data_path)
     checkpoints.check_dataset(model_path, model, data_path, metadata)

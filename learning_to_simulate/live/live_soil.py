@@ -15,8 +15,8 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.live.resting_start import Starts
-from learning_to_simulate.live.stepping import FLAG, Frame, Stepper
-from learning_to_simulate.rollout_status import Judgement
+from learning_to_simulate.live.stepping import FLAG, HOLD, Frame, Stepper
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
 from pca_tools import rigid_fit
 
@@ -128,6 +128,7 @@ class LiveSoil:
         self._outside, self._make = outside, back_end
         self._steppers: dict[int, Stepper] = {}
         self._stepper = None
+        self._pose: np.ndarray | None = None  # of the newest frame
         self._beginning = Beginning(self._scene, starts, self._scene.n_modes)
         self._of_size(len(starts.kept[0]))  # compiles now and not in the first frame
 
@@ -170,7 +171,7 @@ class LiveSoil:
         stepper = self._of_size(len(chosen.kept))
         judgement = chosen.judged(stepper.judge)
         stepper.begin(chosen.history(), chosen.context, judgement)
-        self._stepper, self._beginning = stepper, chosen
+        self._stepper, self._beginning, self._pose = stepper, chosen, chosen.pose
         return judgement
 
     def step(self, pose=None, context=None) -> Frame:
@@ -191,14 +192,19 @@ class LiveSoil:
             raise ValueError('call start() before step()')
         if context is not None:
             context = self._beginning.read_context(context)
+        if pose is not None:
+            pose = self._beginning.read(pose)
+        frame = self._stepper.step(None if pose is None else self._beginning.nodes(pose), context)
+        if self._outside == HOLD and frame.now != RolloutStatus.OK:  # the body stayed, too
+            return frame._replace(pose=self._pose)
         if pose is None:
-            frame = self._stepper.step(None, context)
-            return frame._replace(pose=self._fitted(frame.rigid_pose))
-        pose = self._beginning.read(pose)
-        frame = self._stepper.step(self._beginning.nodes(pose), context)
-        if self._scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
+            pose = self._fitted(frame.rigid_pose)
+        elif self._scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
             up = self._scene.up_axis
             pose[up] += (frame.rigid_pose - self._beginning.nodes(pose))[:, up].mean()
+        if pose is not None:
+            pose.setflags(write=False)
+        self._pose = pose
         return frame._replace(pose=pose)
 
     def _fitted(self, nodes):

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import json
-import os
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -157,15 +156,13 @@ class SoilRollout:
         from learning_to_simulate import render_rollout
         from learning_to_simulate.rendering import rollout_frames
 
-        target, ending = os.path.splitext(path)
-        if ending not in ('.png', '.gif', '.mp4'):
-            raise ValueError(f'{path}: must end in .png, .gif or .mp4')
-        frames = rollout_frames.of_rollout(self)
-        render_rollout.render_frames(frames, target, [ending[1:]], **options)
+        target, kind = render_rollout.target_and_format(path)
+        render_rollout.render_frames(rollout_frames.of_rollout(self), target, [kind], **options)
 
 
 class PathRoller:
-    """Rolls out paths of one model; compiled once per body size and block of lengths.
+    """Rolls out paths of one model; compiled once per body size, number of paths and block of
+    lengths.
 
     Args:
       model: `checkpoints.Model`.

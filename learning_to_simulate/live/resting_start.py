@@ -28,7 +28,7 @@ SAME_START_M = 1e-5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Starts:
-    """K ways to begin.
+    """K ways to begin; those of a model folder cannot be written to.
 
     Attributes:
       cases: per start, the parameters that the dataset states of its case ({} if it states none).
@@ -204,6 +204,8 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
 
 def _parse(path):
     arrays = files.read_npz(path)
+    for values in arrays.values():  # a stepper shares them with whoever looks at them
+        values.setflags(write=False)
     try:
         parts = {
             name: tuple(np.split(arrays[name], np.cumsum(arrays[f'{name}_counts'])[:-1]))

@@ -37,6 +37,10 @@ def read_poses(path: str) -> np.ndarray:
 def run(values) -> None:
     """Runs the command with its flags."""
     path = read_poses(values.poses)
+    if values.picture:
+        from learning_to_simulate import render_rollout
+
+        render_rollout.target_and_format(values.picture)  # before the work
     for target in filter(None, (values.output_path, values.picture)):
         command.writable_folder(os.path.dirname(os.path.abspath(target)))
     command.import_tensorflow()

@@ -66,17 +66,18 @@ class OpenLoopEvaluator:
     Args:
       model: the method.
       metadata: of the dataset; its `cases` hold the soil's parameters.
+      split: of the runs that are rolled out.
     """
 
-    def __init__(self, model: OpenLoopModel, metadata: dict):
-        self._model, self._metadata = model, metadata
+    def __init__(self, model: OpenLoopModel, metadata: dict, split: str):
+        self._model, self._metadata, self._split = model, metadata, split
         self.scene = model.simulator.scene
 
-    def roll_out(self, group, split: str) -> Rollout:
-        """`Rollout` of one `RunGroup` of a split."""
+    def roll_out(self, group) -> Rollout:
+        """`Rollout` of one `RunGroup` of the split."""
         simulator = self._model.simulator
         start = time.perf_counter()
-        predicted = self._model.method.predict(group, cases_of(group, split, self._metadata))
+        predicted = self._model.method.predict(group, cases_of(group, self._split, self._metadata))
         seconds = time.perf_counter() - start
         judgements = rollout_status.judge(
             group, predicted.position, predicted.force, simulator.statistics, simulator.scene
@@ -85,7 +86,7 @@ class OpenLoopEvaluator:
 
     def run(self, groups, split: str, progress=iter):
         """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`."""
-        results = evaluation.roll_out_all(lambda g: self.roll_out(g, split), groups, progress)
+        results = evaluation.roll_out_all(self.roll_out, groups, progress)
         return results, evaluation.summarise(results, self._model, self._metadata, split)
 
 
@@ -155,7 +156,7 @@ def train(data_path, model_path, config, options) -> dict:
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
-    _, summary = OpenLoopEvaluator(model, metadata).run(valid, 'valid')
+    _, summary = OpenLoopEvaluator(model, metadata, 'valid').run(valid, 'valid')
     print(evaluation.table(summary))
     if config.leave_one_out:
         off = model.method.least_errors()
@@ -237,17 +238,17 @@ def open_model(
     whole = SimpleNamespace(config=SimpleNamespace(modes=0), scene=model.simulator.scene)
     checkpoints.check_dataset(model_path, SimpleNamespace(simulator=whole), data_path, metadata)
     groups = reading_utils.read_groups(data_path, split, metadata)
-    evaluator = OpenLoopEvaluator(model, metadata)
+    evaluator = OpenLoopEvaluator(model, metadata, split)
     return OpenedModel(
-        model, groups, metadata, evaluator, lambda: _one_step_errors(evaluator, groups, split)
+        model, groups, metadata, evaluator, lambda: _one_step_errors(evaluator, groups)
     )
 
 
-def _one_step_errors(evaluator, groups, split):
+def _one_step_errors(evaluator, groups):
     """Mean squared errors of the first predicted frame: each frame is a prediction of its own."""
     rows = []
     for group in groups:
-        rollout, first = evaluator.roll_out(group, split), slice(H, H + 1)
+        rollout, first = evaluator.roll_out(group), slice(H, H + 1)
         n_soil = evaluator.scene.n_soil
         soil = metrics.soil_mse(
             rollout.position[:, :1], group.position[:, first], group.n_rigid, n_soil

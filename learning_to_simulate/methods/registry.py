@@ -51,6 +51,11 @@ class Method:
     live: str | None = None
     default_preset: str | None = None
 
+    @property
+    def steps(self) -> bool:
+        """Whether its models start from a bed at rest and take poses, live or as whole paths."""
+        return bool(self.network or self.live)
+
     def load_code(self) -> ModuleType:
         """The module with its functions; TensorFlow is imported without its start-up lines."""
         command.import_tensorflow()

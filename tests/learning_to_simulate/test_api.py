@@ -74,6 +74,13 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
     data = lts.Dataset('excavation')
     recorded, made = model.rollout(data.test[0]), model.rollout(path[:20])
     assert recorded.truth is not None and made.truth is None
+    opened = model._opened(data.test)  # a second run of the split compiles nothing anew
+    assert model.rollout(data.test[1]).truth is not None and model._opened(data.test) is opened
+    assert model._opened(lts.Dataset('excavation').valid) is not opened
+    whole = recorded.particles(-1)
+    np.testing.assert_allclose(
+        whole, data.subspace.decode(recorded.modes[-1]).astype(np.float32), atol=1e-6
+    )
     from learning_to_simulate.rendering import rollout_frames
 
     for rollout in (recorded, made):
@@ -164,7 +171,9 @@ def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
     model, live, path = blade
     live.start(path[0], VELOCITY)
     frame = live.step(path[1])
-    for values in (frame.modes, frame.force, frame.rigid_pose):
+    starts = model.starts
+    for values in (frame.modes, frame.force, frame.rigid_pose, frame.pose, starts.pose[0],
+                   starts.modes, starts.body[0]):  # fmt: skip
         with pytest.raises(ValueError, match='read-only'):
             values[:] = 0
     stepper = live._stepper
@@ -197,6 +206,7 @@ def test_hold_stays_and_raise_refuses(blade):
         else:
             held = live.step(away)
             np.testing.assert_array_equal(held.modes, before.modes)
+            np.testing.assert_array_equal(held.pose, before.pose)  # the body stayed, too
             assert held.now == RolloutStatus.EXTRAPOLATING
         after = live.step(path[2])
         assert after.now == RolloutStatus.OK and not np.array_equal(after.modes, before.modes)
@@ -280,7 +290,7 @@ def test_trained_model_is_self_contained_and_an_old_folder_says_what_to_do(tmp_p
         'pcg', latent_size=8, num_steps=2, unroll_steps=0, mode_edges=4, rigid_particles=3
     )
     path = str(tmp_path / 'model')
-    model = lts.train(config, lts.Dataset(folder), path)
+    model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
     assert 'soil MSE' in str(model.evaluate(lts.Dataset(folder).test))
     backup = shutil.copytree(folder, tmp_path / 'backup')
     shutil.rmtree(folder)

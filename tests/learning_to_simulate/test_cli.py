@@ -83,6 +83,10 @@ def test_output_is_tried_before_the_work(tmp_path):
                f'--output_path={target}')  # fmt: skip
     assert done.returncode == 1 and 'cannot be written to' in done.stderr
     assert 'tensorflow' not in done.stderr
+    done = lts('rollout', '--model=excavation', f'--poses={tmp_path / "path.csv"}',
+               f'--output_path={tmp_path / "dig.npz"}', '--picture=dig.jpg')  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == 'error: dig.jpg: must end in .png, .gif or .mp4\n'
 
 
 def test_rollout_of_a_file_of_poses(tmp_path):

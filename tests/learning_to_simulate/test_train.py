@@ -157,6 +157,10 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
         assert not (tmp_path / 'new').exists()
     with pytest.raises(ValueError, match='unknown preset'):
         presets.make_config('gns')
+    for preset, model in (('mlp', 'path_ridge'), ('swept_field', 'mlp'), ('path_ridge', 'gns')):
+        with pytest.raises(ValueError, match=f"preset '{preset}' is one of .*, not of '{model}'"):
+            presets.make_config(preset, model=model)
+    assert presets.make_config('mixer_se', model='mixer_scse').model == 'mixer_scse'
 
 
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
@@ -176,6 +180,15 @@ def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     other = synthetic.write_dataset(tmp_path / 'other', force=False)
     with pytest.raises(ValueError, match='lacks rigid_body_force_mean'):
         registry.open_model(trained, other, 'test', {})
+
+
+@pytest.mark.parametrize(
+    'flag, stored', [('--preset=mlp', 'pcg'), ('--rigid_motion=driven', 'prescribed')]
+)
+def test_flags_that_contradict_the_model_are_refused(data, trained, flag, stored):
+    done = run('--mode=eval', f'--data_path={data}', f'--model_path={trained}', flag)
+    assert done.returncode != 0 and 'Traceback' not in done.stderr
+    assert f"{flag} contradicts the model in {trained}, which has '{stored}'" in done.stderr
 
 
 def test_one_step_errors_are_those_of_the_rollouts_first_frame(data, trained):

@@ -2,9 +2,11 @@
 
 import dataclasses
 
+from learning_to_simulate.config import Settings, number
+
 
 @dataclasses.dataclass(frozen=True)
-class SweptFieldConfig:
+class SweptFieldConfig(Settings):
     """What a swept field is and how it is trained.
 
     Attributes:
@@ -23,31 +25,25 @@ class SweptFieldConfig:
       seed: of first weights and draws.
 
     Raises:
-      ValueError: a number outside its range.
+      ValueError: a value of another type, or a number outside its range.
     """
 
     preset: str
     model: str = 'swept_field'
-    members: int = 3
-    latent_size: int = 128
-    hidden_layers: int = 3
-    force_latent_size: int = 64
-    num_steps: int = 6000
-    batch_size: int = 96
-    particles_per_frame: int = 48
+    members: int = number(3, 1, 100)
+    latent_size: int = number(128, 1, 4096)
+    hidden_layers: int = number(3, 1, 100)
+    force_latent_size: int = number(64, 1, 4096)
+    num_steps: int = number(6000, 1)
+    batch_size: int = number(96, 1)
+    particles_per_frame: int = number(48, 1)
     learning_rate: float = 3e-3
-    train_runs: int = 0
-    start_every: int = 100
-    seed: int = 0
+    train_runs: int = number(0, 0)
+    start_every: int = number(100, 0)
+    seed: int = number(0, 0)
 
-    def __post_init__(self):
-        for name, low in {
-            'members': 1, 'latent_size': 1, 'hidden_layers': 1, 'force_latent_size': 1,
-            'num_steps': 1, 'batch_size': 1, 'particles_per_frame': 1, 'train_runs': 0,
-            'start_every': 0, 'seed': 0,
-        }.items():  # fmt: skip
-            if getattr(self, name) < low:
-                raise ValueError(f'{name} is {getattr(self, name)}, must be at least {low}')
+    def rules(self):
+        """Raises where the learning rate is none."""
         if not 0 < self.learning_rate < 1:
             raise ValueError(f'learning_rate is {self.learning_rate}, must lie in (0, 1)')
 

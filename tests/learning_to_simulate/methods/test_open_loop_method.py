@@ -7,7 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
+import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets
+from learning_to_simulate.live import add_start
 from learning_to_simulate.methods import (
     kernel_ridge,
     open_loop_method,
@@ -43,6 +45,22 @@ def test_a_model_folder_rolls_out_to_the_files_of_every_method(trained, tmp_path
     assert summary['soil_mse_over_best_trivial'] < 0.5
     assert 'model' in evaluation.table(summary)
     assert set(opened.one_step_errors()) == {'one_step_position_mse', 'one_step_force_mse'}
+
+
+def test_the_api_rolls_recorded_runs_out_though_the_folder_has_no_start(trained):
+    data, path = trained
+    synthetic.write_subspace(data)
+    model, runs = lts.load(path), lts.Dataset(data).test
+    rollout = model.rollout(runs[0])
+    opened = registry.open_model(path, data, 'test')
+    (result, *_), _ = opened.evaluator.run(opened.groups, 'test')
+    n = rollout.rigid_nodes.shape[1]
+    np.testing.assert_array_equal(rollout.modes, result[2].position[0, :, n:])
+    assert rollout.particles(0).shape == (synthetic.N_SOIL, 3)
+    with pytest.raises(ValueError, match='path_ridge has no live stepping and no paths'):
+        model.stepper()
+    with pytest.raises(ValueError, match='no model in a subspace'):
+        add_start.add_start(path, data)
 
 
 def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):

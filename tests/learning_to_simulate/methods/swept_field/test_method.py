@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -10,6 +11,7 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.export_c import c_values, field_data
 from learning_to_simulate.live import path_rollout
 from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import fitting, method, settings
@@ -191,6 +193,38 @@ def test_settings_are_checked():
         settings.SweptFieldConfig('swept_field', members=0)
     with pytest.raises(ValueError, match='learning_rate'):
         settings.SweptFieldConfig('swept_field', learning_rate=2.0)
+    with pytest.raises(ValueError, match='num_steps is 10.5, must be of type int'):
+        settings.SweptFieldConfig('swept_field', num_steps=10.5)
+
+
+def test_without_valid_runs_a_field_has_no_bound(tmp_path, capsys):
+    """It is kept, steps in Python and has a C form."""
+    world.write_dataset(tmp_path, [(0.03, 'train'), (0.05, 'train'), (0.04, 'test')])
+    data_path, path = str(tmp_path / 'data'), str(tmp_path / 'model')
+    assert not os.path.exists(dataset.split_path(data_path, 'valid'))
+    config = settings.SweptFieldConfig('swept_field', **(SMALL | {'num_steps': 5}))
+    for _ in range(2):
+        assert registry.train(data_path, path, config) == {}
+        assert 'no valid runs' in capsys.readouterr().out
+    model = lts.load(path)
+    live, pose = model.stepper(), world.world_pose(world.path()[:, 0])
+    live.start(pose[0])
+    assert live.step(pose[1]).bound is None
+    values = field_data.values(model.model.field)
+    assert not len(values['bound']) and c_values.Structure('lts_field_model', values)
+    summary = model.evaluate(lts.Dataset(data_path).test).summary
+    assert summary['reliability']['force']['groups'] == []
+
+
+def test_valid_runs_without_particles_are_refused_before_the_training(
+    data_path, tmp_path, monkeypatch
+):
+    data = shutil.copytree(data_path, tmp_path / 'data')
+    (data / 'particles_valid.npz').unlink()
+    monkeypatch.setattr(fitting, 'fit', lambda *_: pytest.fail('it trains'))
+    config = settings.SweptFieldConfig('swept_field', **SMALL)
+    with pytest.raises(FileNotFoundError, match='particles_valid'):
+        registry.train(str(data), str(tmp_path / 'model'), config)
 
 
 @pytest.fixture(scope='module')
