@@ -7,7 +7,8 @@ import numba
 
 # Numba keeps compiled kernels beside the file that defines them and looks at that file alone when
 # it decides whether they are stale; a kernel inlines functions of other files. So the place
-# where they are kept is named by the contents of all files that define any.
+# where they are kept, beside the files or where NUMBA_CACHE_DIR says, is named by the contents of
+# all files that define any.
 _FOLDER = os.path.dirname(os.path.abspath(__file__))
 _digest = hashlib.sha256()
 for _name in sorted(os.listdir(_FOLDER)):
@@ -16,7 +17,8 @@ for _name in sorted(os.listdir(_FOLDER)):
             _source = _file.read()
         if b'@numba.njit' in _source or b'@intrinsic' in _source:
             _digest.update(_source)
-numba.config.CACHE_DIR = os.path.join(_FOLDER, '__pycache__', _digest.hexdigest()[:16])
+_cache = os.environ.get('NUMBA_CACHE_DIR') or os.path.join(_FOLDER, '__pycache__')
+numba.config.CACHE_DIR = os.path.join(_cache, _digest.hexdigest()[:16])
 
 # Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
 # (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular

@@ -132,9 +132,18 @@ def table(parts, selection: Selection = ALL) -> str:
 
 
 def digests_of(folder: str) -> dict[str, str]:
-    """Returns the id of each run of a folder, in order, and the digest of its content."""
+    """Returns the id of each run of a folder, in order, and the digest of its content.
+
+    Raises:
+        ValueError: the folder is of a solver that wrote no digests.
+    """
     manifest = raw_run.read_manifest(folder)
     runs = manifest['runs'] if manifest else []
+    if without := [run['file'] for run in runs if 'content' not in run]:
+        raise ValueError(
+            f'{folder}: {len(without)} runs ({without[0]} ...) have no digest of their content: of '
+            'an older solver; name another folder'
+        )
     return dict(sorted((str(run['case']), run['content']) for run in runs))
 
 
@@ -169,7 +178,11 @@ def make(
     for scene in {PARTS[part][0].name: PARTS[part][0] for part in parts}.values():
         folder = os.path.join(output_path, scene.name)
         if os.path.isdir(folder):
-            found[scene.name] = digests_of(folder)
+            try:
+                found[scene.name] = digests_of(folder)
+            except ValueError as error:
+                failures.append(str(error))
+                continue
             write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]}, indent=0)
     if failures:
         raise ValueError('\n'.join(failures))

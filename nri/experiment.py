@@ -46,6 +46,11 @@ def train(
     }
     offset, scale = nri_data.normalization(splits['train'])
     model = NriModel(config, splits['train'].node_names, offset, scale, splits['train'].digest)
+    for data in splits.values():  # the others are first measured after an epoch and at the end
+        try:
+            model.check_features(data.features)
+        except ValueError as error:
+            raise ValueError(f'{data.source}: {error}') from error
     trainer = Trainer(model, splits['train'])
     with folder_lock.locked(model_path, take_over_lock):
         _open_folder(model_path, model)

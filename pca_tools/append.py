@@ -4,7 +4,8 @@ Subspace, statistics and sampled particles stay those of the dataset, so every m
 trained on it fits the larger one, too. Long data can so be made part by part, on machines that do
 not keep the raw runs. A run that the dataset holds already is skipped; if both are of one solver
 version they must be equal.
-The larger dataset takes the place of the smaller one at the very end, as a whole.
+The larger dataset takes the place of the smaller one at the very end, as a whole; until then the
+smaller one is locked, so that of two commands at a time the second is refused.
 
 Examples:
     python -m pca_tools.append --raw_path=raw/excavation --data_path=datasets/Excavation
@@ -21,42 +22,63 @@ from typing import Any
 import numpy as np
 from absl import app, flags
 
-from pca_tools import convert, dataset, files, particles
-from pca_tools.encode import EncodedRun, encode_runs, make_metadata
+from pca_tools import convert, dataset, files, folder_lock, particles
+from pca_tools.encode import EncodedRun, encode_runs, make_metadata, make_trajectory
 from pca_tools.metadata import PROJECTION_KEYS, SPLITS
-from pca_tools.raw_runs import RawRuns
+from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.splits import given_splits
 
 
-def append(raw_path: str, data_path: str, check_units: bool = True) -> dict[str, Any]:
+def append(
+    raw_path: str,
+    data_path: str,
+    check_units: bool = True,
+    match_particles: bool = False,
+    take_over_lock: bool = False,
+) -> dict[str, Any]:
     """Adds the runs of a raw folder to a dataset.
 
     Args:
         raw_path: raw runs of the same scene and packing; all of them name a split.
         data_path: a dataset of `convert` with a particle sample; replaced as a whole.
         check_units: of `convert`.
+        match_particles: of `convert`.
+        take_over_lock: whether a lock that a process of another machine left may be taken.
 
     Returns:
         The metadata of the larger dataset. Truncation errors are kept for those numbers of modes
-        that the subspace has.
+        that the subspace has. Scene and statistics are those of the smaller one, the bounds hold
+        both.
 
     Raises:
         FileNotFoundError: a folder or file is missing.
-        ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, or a
-            run that the dataset holds with other content.
+        ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, a
+            run that the dataset holds with other content, a dataset with files of somebody else, or
+            one that another process writes.
+        OSError: the dataset cannot be written.
     """
+    dataset.read_metadata(data_path)  # the lock would make a folder that is absent
+    with folder_lock.locked(data_path, take_over_lock):
+        convert.refuse_occupied_output(data_path, overwrite=True)
+        return _append(raw_path, data_path, check_units, match_particles)
+
+
+def _append(
+    raw_path: str, data_path: str, check_units: bool, match_particles: bool
+) -> dict[str, Any]:
     base, space = convert.load_base(data_path)
     held = read_encoded(data_path, base)
     runs = RawRuns(raw_path)
+    if match_particles:
+        runs.match_particles(space.initial)
+    runs.check(check_units, convert.progress_bar)
     convert.refuse_other_scene(data_path, base, runs)
-    keys = convert.keys_of(runs)
-    new = _not_held(keys, held, runs, data_path)
+    sample = particles.read_sample(data_path, next(iter(held)))
+    new = _not_held(held, runs, sample, data_path)
     named = [runs.parameters(index).get('split') for index in new]
     dealt = given_splits([runs.cases[index] for index in new], named, need_train=False)
     if dealt is None:
         raise ValueError(f'{raw_path}: its runs name no split of {SPLITS} in their parameters')
-    runs.check(check_units, convert.progress_bar)
-    sample = particles.read_sample(data_path, next(iter(held)))
     parts = {split: [new[place] for place in part] for split, part in dealt.items() if part}
     added = encode_runs(runs, parts, space, space.n_modes, sample.indices, convert.progress_bar)
     together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
@@ -92,16 +114,17 @@ def read_encoded(data_path: str, metadata: dict[str, Any]) -> dict[str, list[Enc
 
 
 def _not_held(
-    keys: Sequence[tuple[Any, str]],
     held: dict[str, list[EncodedRun]],
     runs: RawRuns,
+    sample: particles.ParticleSample,
     data_path: str,
 ) -> list[int]:
     """Returns the indices of the runs that the dataset does not hold.
 
     Raises:
-        ValueError: there is none, or one is held with another path or force.
+        ValueError: there is none, or one is held with other content.
     """
+    keys = convert.keys_of(runs)
     records = {convert.kind_and_case(run.parameters): run for part in held.values() for run in part}
     new = []
     for index, key in enumerate(keys):
@@ -111,18 +134,32 @@ def _not_held(
         version = runs.parameters(index).get('solver_version')
         if version != records[key].parameters.get('solver_version'):
             continue  # the record stays; `refuse_other_scene` has warned of the versions
-        run, record = runs[index], records[key].trajectory
-        is_same = np.array_equal(
-            run.rigid_positions, record.position[:, : record.n_rigid]
-        ) and np.array_equal(run.force, record.force)
-        if not is_same:
+        if not _is_record_of(runs[index], records[key], sample, runs.scene):
             raise ValueError(
-                f'{data_path}: holds case {runs.cases[index]} with another path or force than the '
-                'raw run; nothing was changed'
+                f'{data_path}: holds case {runs.cases[index]} with other content (path, force, '
+                'context or particles) than the raw run; nothing was changed. A new run needs a '
+                'case id of its own'
             )
     if not new:
         raise ValueError(f'{data_path}: holds all {len(keys)} runs already; nothing was changed')
     return new
+
+
+def _is_record_of(
+    run: RawRun, record: EncodedRun, sample: particles.ParticleSample, scene: dict[str, Any]
+) -> bool:
+    """Whether a record was made of a raw run: equal series, and particles as near as the sample."""
+    held = record.trajectory
+    if len(run.positions) != held.n_frames:
+        return False
+    made = make_trajectory(held.key, run, held.position[:, held.n_rigid :], scene)
+    soil = particles.unpack(*record.sample, sample.rest, sample.resolution)
+    apart = np.abs(run.positions[:: sample.frame_stride, sample.indices] - soil)
+    # Stored to half a step; the other half is for float32.
+    return np.max(apart) < sample.resolution and all(
+        np.array_equal(getattr(made, field.name), getattr(held, field.name))
+        for field in dataclasses.fields(held)
+    )
 
 
 def numbered(part: list[EncodedRun]) -> list[EncodedRun]:
@@ -140,6 +177,14 @@ def define_flags() -> None:
     flags.DEFINE_bool(
         'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
     )
+    flags.DEFINE_bool(
+        'match_particles',
+        False,
+        'Reorder the particles of every run: each goes with its nearest neighbour in frame 0.',
+    )
+    flags.DEFINE_bool(
+        'take_over_lock', False, 'Also take the lock that a process of another machine left.'
+    )
 
 
 def main(argv: Sequence[str]) -> None:
@@ -149,7 +194,10 @@ def main(argv: Sequence[str]) -> None:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
     values = flags.FLAGS
     try:
-        metadata = append(values.raw_path, values.data_path, values.check_units)
+        metadata = append(
+            values.raw_path, values.data_path, values.check_units,
+            values.match_particles, values.take_over_lock,
+        )  # fmt: skip
     except (ValueError, OSError) as error:
         sys.exit(f'error: {files.printable(error)}')
     print(convert.summary(metadata, values.data_path))

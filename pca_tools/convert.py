@@ -31,6 +31,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import tempfile
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -40,7 +41,7 @@ from absl import app, flags
 from tqdm import tqdm
 
 from cluster import workers
-from pca_tools import dataset, files, particles, raw_writer, subspace
+from pca_tools import dataset, files, folder_lock, particles, raw_writer, subspace
 from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
 from pca_tools.metadata import (
     METADATA_NAME,
@@ -52,7 +53,13 @@ from pca_tools.statistics import mean_share
 
 DEFAULT_SPLIT = (0.8, 0.1, 0.1)
 # What must agree between raw runs and the dataset they are to fit; a scene may say more.
-_SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis')
+_SCENE_KEYS = (
+    'name', 'rigid_motion', 'rigid_edges', 'context_names', 'force', 'up_axis', 'bodies', 'dim',
+)  # fmt: skip
+# Flags that say how a subspace is made and its runs dealt: with --like both are there.
+_FLAGS_WITHOUT_LIKE = (
+    'modes', 'num_modes', 'centering', 'split', 'seed', 'hold_out', 'spread', 'frame_stride',
+)  # fmt: skip
 
 
 def convert(
@@ -136,12 +143,22 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
 
     Raises:
         ValueError: the folder holds something; the message says what to do.
+        OSError: nothing can be written beside it.
     """
+    above = os.path.realpath(output_path)
+    if not os.path.ismount(above):  # which is filled from inside
+        above = os.path.dirname(above)
+    while not os.path.lexists(above):
+        above = os.path.dirname(above)
+    try:
+        tempfile.TemporaryDirectory(dir=above).cleanup()
+    except OSError as error:
+        raise OSError(error.errno, f'cannot write {output_path}: {error.strerror}') from error
     if not os.path.exists(output_path):
         return
     if not os.path.isdir(output_path):
         raise ValueError(f'{output_path}: is a file, a folder was expected')
-    held = set(os.listdir(output_path))
+    held = set(os.listdir(output_path)) - {folder_lock.LOCK_NAME}  # of `append`
     if not held:
         return
     if files.MANIFEST_NAME not in held or METADATA_NAME not in held:
@@ -333,13 +350,18 @@ def define_flags() -> None:
     )
 
 
-def main(_: Sequence[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Runs the command."""
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
     # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
     os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
     values = flags.FLAGS
     if not (values.output_path or values.rehash):
         sys.exit('error: --output_path is missing: the folder of the new dataset')
+    idle = [f'--{name}' for name in _FLAGS_WITHOUT_LIKE if values[name].present]
+    if values.like and idle:
+        sys.exit(f'error: {", ".join(idle)} do not go with --like: subspace and splits are given')
     try:
         if values.rehash:
             changed = raw_writer.rehash(values.raw_path)

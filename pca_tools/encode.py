@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pca_tools import dataset, matching, particles
-from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION
+from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.statistics import motion_statistics
 from pca_tools.subspace import Subspace
@@ -67,18 +67,17 @@ def encode_runs(
         ValueError: a run is damaged, or its particles are not those of the subspace.
     """
     kept = space.truncated(n_modes)
-    spacing = matching.median_spacing(space.initial)
     encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
     order = [(name, index) for name, indices in parts.items() for index in indices]
     for name, index in progress(order, 'encode'):
         run = runs[index]
-        _refuse_other_particles(run, space, spacing)
+        _refuse_other_particles(run, space)
         scores = space.encode(run.positions)
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
         sample = run.positions[:: particles.FRAME_STRIDE, sampled]
         encoded[name].append(
             EncodedRun(
-                _make_trajectory(len(encoded[name]), run, kept_scores, runs.scene),
+                make_trajectory(len(encoded[name]), run, kept_scores, runs.scene),
                 {'case': run.case, **run.parameters},
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
@@ -88,19 +87,15 @@ def encode_runs(
     return encoded
 
 
-def _refuse_other_particles(run: RawRun, space: Subspace, spacing: float) -> None:
+def _refuse_other_particles(run: RawRun, space: Subspace) -> None:
     """Raises if column i is not the same particle as in the subspace."""
     if run.positions.shape[1] != space.n_soil:
         raise ValueError(
             f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
         )
-    shift = matching.median_shift(run.positions[0], space.initial)
-    if shift > spacing:
-        raise ValueError(
-            f'case {run.case}: its particles start {shift:.3g} m (median) from those of case '
-            f'{space.runs[0]}, more than their spacing of {spacing:.3g} m: not the same order '
-            '(then give --match_particles) or not the same packing'
-        )
+    first = f'case {space.runs[0]}'
+    if fault := matching.order_fault(run.positions[0], space.initial, first):
+        raise ValueError(f'case {run.case}: {fault}')
 
 
 def projection_details(
@@ -147,9 +142,17 @@ def _floors(
     }
 
 
-def _make_trajectory(
+def make_trajectory(
     key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
 ) -> dataset.Trajectory:
+    """Returns the record of a run.
+
+    Args:
+        key: its place in its split.
+        run: T frames.
+        scores: [T, r, 3] encoded positions.
+        scene: of the raw runs.
+    """
     one = {'rigid_motion': scene['rigid_motion'], 'points': run.rigid_positions.shape[1]}
     types = [
         np.full(
@@ -188,16 +191,19 @@ def make_metadata(
     """Returns the metadata of a dataset.
 
     Args:
-        world: `scene`, `bounds` and `dt` of all runs.
+        world: `scene`, `bounds` and `dt` of the runs that are new.
         encoded: split -> runs.
         space: their subspace.
         frame_stride: of the frames that it was fitted to.
-        base: metadata of the dataset to fit in with, whose statistics stay; None: those of train.
+        base: metadata of the dataset to fit in with, whose scene and statistics stay and whose
+            bounds are widened by those of the new runs; None: statistics of train.
     """
+    scene, bounds = world['scene'], world['bounds']
     if base is None:
         moments = motion_statistics([run.trajectory for run in encoded['train']])
     else:
         moments = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
+        scene, bounds = base['scene'], union_of_bounds([base['bounds'], bounds])
     trajectories = [run.trajectory for part in encoded.values() for run in part]
     n_frames = max(run.n_frames for run in trajectories)
     lengths = {name: [run.trajectory.n_frames for run in part] for name, part in encoded.items()}
@@ -205,8 +211,8 @@ def make_metadata(
 
     return {
         'schema_version': SCHEMA_VERSION,
-        'scene': world['scene'],
-        'bounds': world['bounds'],
+        'scene': scene,
+        'bounds': bounds,
         'sequence_length': n_frames - 1,
         'frames_stored': n_frames,
         # Only where the runs differ in length: sequence_length is then the longest.

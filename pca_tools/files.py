@@ -13,7 +13,7 @@ import math
 import os
 import sys
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,13 +75,16 @@ def write_npz(path: str, **arrays: Any) -> None:
     write_atomically(path, write)
 
 
-def read_npz(path: str, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
-    """Reads all arrays of a `.npz` file, without pickles and never more than the headers promise.
+def read_npz(
+    path: str, max_bytes: int = MAX_BYTES, only: Sequence[str] | None = None
+) -> dict[str, np.ndarray]:
+    """Reads the arrays of a `.npz` file, without pickles and never more than the headers promise.
 
     Args:
         path: the file.
         max_bytes: a file whose arrays together unpack to more than this is refused before it is
             unpacked.
+        only: names of the arrays to read, those of them that are there; None for all.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -103,6 +106,8 @@ def read_npz(path: str, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
                     raise ValueError(
                         f'member {member.filename!r} is not a numpy array or comes twice'
                     )
+                if only is not None and name not in only:
+                    continue
                 # What numpy writes; others may ask for more memory than the file has bytes.
                 if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError(f'member {member.filename!r} is packed in an unknown way')

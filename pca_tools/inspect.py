@@ -21,7 +21,7 @@ from pca_tools.dataset import Trajectory
 from pca_tools.inspection import inspect_folder, run_kinds
 from pca_tools.inspection.findings import Inspection, Level
 from pca_tools.raw_checks import AXES
-from pca_tools.statistics import mean_share, trivial_errors
+from pca_tools.statistics import HISTORY, mean_share, trivial_errors
 
 
 def report(inspection: Inspection, modes: int = 12) -> str:
@@ -113,7 +113,15 @@ def _trivial(inspection: Inspection) -> list[str]:
         '  soil MSE of the trivial predictors [1e-4 m^2]     persistence  constant velocity',
     ]
     for split, part in inspection.splits.items():
-        errors = [trivial_errors(run, inspection.n_soil) for run in part]
+        long = [run for run in part if run.n_frames > HISTORY]
+        if len(long) < len(part):
+            lines.append(
+                f'    {split}: {len(part) - len(long)} runs of {HISTORY} frames or fewer, which a '
+                'model is given, are left out'
+            )
+        if not long:
+            continue
+        errors = [trivial_errors(run, inspection.n_soil) for run in long]
         still, constant = (
             1e4 * np.mean([error[key] for error in errors])
             for key in ('stay_still', 'constant_velocity')

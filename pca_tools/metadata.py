@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from pca_tools import files
@@ -50,6 +51,14 @@ def read_metadata(folder: str) -> dict[str, Any]:
     if problems:
         raise ValueError(f'{path}: ' + '; '.join(problems) + _what_else(folder))
     return metadata
+
+
+def union_of_bounds(every: Sequence[list[list[float]]]) -> list[list[float]]:
+    """Returns the least bounds [[low, high]] * D that hold all given ones."""
+    return [
+        [min(low for low, _ in pairs), max(high for _, high in pairs)]
+        for pairs in zip(*every, strict=True)
+    ]
 
 
 def _what_else(folder: str) -> str:

@@ -188,14 +188,9 @@ class RawRuns(Sequence):
                 continue
             extent.add(run.positions, run.rigid_positions, self.dt, bounds)
             first = run if first is None else first
-            shift = matching.median_shift(run.positions[0], first.positions[0])
-            if shift > extent.spacing:
-                faults.append(
-                    f'case {run.case}: its particles start {shift:.3g} m (median) from those of '
-                    f'case {first.case}, more than their spacing of {extent.spacing:.3g} m: not '
-                    'the same order (then give --match_particles), or not the same packing (then '
-                    'train a full-space model: learning_to_simulate.train --model=full_space)'
-                )
+            begin, name = first.positions[0], f'case {first.case}'
+            if fault := matching.order_fault(run.positions[0], begin, name):
+                faults.append(f'case {run.case}: {fault}')
         if np.all(np.isfinite(extent.low)):
             if check_units:
                 faults += raw_checks.unit_faults(extent, self.bounds, self.dt)

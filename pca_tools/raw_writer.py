@@ -167,6 +167,8 @@ def _arrays_of(
     parameters = {**(run.get('parameters') or {}), 'case': run.get('case', index)}
     parameters['context'] = {key: float(value) for key, value in context.items()}
     parameters |= {key: run[key] for key in ('split', 'kind') if run.get(key) is not None}
+    if isinstance(parameters['case'], bool) or not isinstance(parameters['case'], (int, str)):
+        faults.append(f'case is {parameters["case"]!r}, a whole number or a text was expected')
     try:
         arrays['parameters'] = np.array(json.dumps(parameters, allow_nan=False))
     except (TypeError, ValueError) as error:

@@ -8,6 +8,8 @@ import numpy as np
 
 from pca_tools.dataset import KINEMATIC_PARTICLE_ID, Trajectory
 
+HISTORY = 6  # H, frames that a model is given
+
 
 def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[float]]:
     """Computes the normalisation statistics of DeepMind's metadata and of the authors'.
@@ -57,14 +59,14 @@ def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:
     return float(np.dot(shares, weights)) / total if total > 0 else 1.0
 
 
-def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = 6) -> dict[str, float]:
+def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = HISTORY) -> dict[str, float]:
     """Measures the predictors that need no model, on the soil, inside the subspace.
 
     Args:
-        trajectory: one run.
+        trajectory: one run of more than `history` frames.
         n_soil: N; W is orthonormal, so squared score errors / (3 N) are mean squared particle
             errors.
-        history: frames a model is given (H); prediction starts after them.
+        history: H; prediction starts after so many frames.
 
     Returns:
         `stay_still` and `constant_velocity` mean squared errors in m^2, mean over the predicted

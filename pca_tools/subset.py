@@ -52,13 +52,15 @@ def subset(
 
     Raises:
         FileNotFoundError: a file is missing.
-        ValueError: a kind that the dataset does not have, or fewer runs than are asked for; a split
-            without any, or no kinds, with `every_split`.
+        ValueError: no training runs, a kind that the dataset does not have, or fewer runs than are
+            asked for; a split without any, or no kinds, with `every_split`.
     """
     limits = kinds if isinstance(kinds, Mapping) else dict.fromkeys(kinds, 0)
     convert.refuse_occupied_output(output_path, overwrite)
     base, space = convert.load_base(data_path)
     held = read_encoded(data_path, base)
+    if 'train' not in held:
+        raise ValueError(f'{data_path}: has no training runs to choose from, only {list(held)}')
     found = [_kind(run) for run in held['train']]
     if unknown := limits.keys() - set(found):
         raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(set(found))}')
@@ -102,7 +104,7 @@ def _write(data_path, output_path, parts, base, space, overwrite):
     """Writes encoded runs with what they share; returns the metadata."""
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
     metadata = make_metadata(world, parts, space, 1, base)
-    indices = particles.read_sample(data_path, 'train').indices
+    indices = particles.read_sample(data_path, next(iter(base['cases']))).indices
     convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
     return metadata
 

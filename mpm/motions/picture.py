@@ -97,8 +97,10 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Picture file.', required=True)
 
 
-def main(_) -> None:
+def main(argv) -> None:
     """Runs the command."""
+    if len(argv) > 1:
+        raise app.UsageError(f'unknown arguments: {argv[1:]}')
     values = flags.FLAGS
     scene = scenes.scene_named(values.scene)
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,16 @@ from pca_tools.formats.full_space import (
     FullSpaceData,
     FullSpaceRun,
     ReadOptions,
+    bounds_of,
     check_run,
     type_column,
 )
-from pca_tools.metadata import SPLITS
+from pca_tools.metadata import SPLITS, union_of_bounds
 
 NAME = 'npz'
 TITLE = 'plain npz, one file per run'
+# What all files share, as far as they state it.
+_SHARED = ('dt', 'bounds', 'up_axis', 'rigid_motion')
 
 
 def run_files(folder: str) -> list[str]:
@@ -33,24 +37,60 @@ def run_files(folder: str) -> list[str]:
 
 
 def read(folder: str, options: ReadOptions) -> FullSpaceData:
-    """Opens a folder; `options.dt` is needed where the files have no `dt`."""
+    """Opens a folder; `options.dt` is needed where the files have no `dt`.
+
+    Raises:
+        ValueError: the files state different dt (and `options` none), upward axes or motions of the
+            body, or bounds that are none.
+    """
     names = run_files(folder)
-    first = files.read_npz(os.path.join(folder, names[0]))
+    stated: dict[str, dict[str, Any]] = {key: {} for key in _SHARED}  # key -> file -> value
+    for name in names:
+        path = os.path.join(folder, name)
+        arrays = files.read_npz(path, only=_SHARED)
+        found = {
+            'dt': _dt_of(arrays),
+            'bounds': bounds_of({k: v.tolist() for k, v in arrays.items() if k == 'bounds'}, path),
+            'up_axis': int(arrays['up_axis']) if 'up_axis' in arrays else None,
+            'rigid_motion': str(arrays['rigid_motion']) if 'rigid_motion' in arrays else None,
+        }
+        for key, value in found.items():
+            if value is not None:
+                stated[key][name] = value
+    bounds = list(stated['bounds'].values())
+    if len({len(one) for one in bounds}) > 1:
+        raise ValueError(f'{folder}: its files have bounds of two and of three axes')
+    context = files.read_npz(os.path.join(folder, names[0]), only=['context']).get('context')
 
     def runs() -> Iterator[FullSpaceRun]:
         for name in names:
             yield _run_of(os.path.join(folder, name), name.removesuffix('.npz'))
 
-    context = first.get('context', np.empty((0, 0)))
     return FullSpaceData(
         source=f'{folder} ({TITLE})',
         runs=runs,
-        dt=options.dt or _dt_of(first),
-        bounds=first['bounds'].tolist() if 'bounds' in first else None,
-        context_names=[f'context_{index}' for index in range(context.shape[-1])],
-        rigid_motion=str(first['rigid_motion']) if 'rigid_motion' in first else None,
-        up_axis=int(first['up_axis']) if 'up_axis' in first else None,
+        dt=options.dt or _only(folder, 'dt', stated['dt']),
+        bounds=union_of_bounds(bounds) if bounds else None,
+        context_names=[f'context_{i}' for i in range(0 if context is None else context.shape[-1])],
+        rigid_motion=_only(folder, 'rigid_motion', stated['rigid_motion']),
+        up_axis=_only(folder, 'up_axis', stated['up_axis']),
     )
+
+
+def _only(folder: str, key: str, stated: dict[str, Any]) -> Any:
+    """Returns what the files that state it agree on, None where none does.
+
+    Raises:
+        ValueError: they do not agree.
+    """
+    first, *others = stated or [None]
+    for name in others:
+        if stated[name] != stated[first]:
+            raise ValueError(
+                f'{folder}: {first} has {key} {stated[first]}, {name} {stated[name]}: runs of one '
+                'folder share it' + ('; give --dt if only the files say it wrong' * (key == 'dt'))
+            )
+    return stated.get(first)
 
 
 def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:

@@ -213,9 +213,12 @@ def _check_statistics(inspection: Inspection) -> None:
     if training is None:
         return
     found = statistics.motion_statistics(training)
-    # Only a dataset that lists the cases of its training split is known to hold all runs of its
-    # statistics.
-    whole = 'train' in held.get('cases', {})
+    # Statistics are of the runs that the subspace was fitted on: only a dataset that trains on just
+    # these (none appended or left out, no folder of the authors') must have their very values.
+    fitted = held.get('pca', {}).get('fitted_on')
+    whole = fitted is not None and sorted(fitted) == sorted(
+        str(case.get('case')) for case in held.get('cases', {}).get('train', [])
+    )
     agree = True
     for key, values in found.items():
         mean, promised = np.array(values), np.array(held[key])
@@ -235,7 +238,10 @@ def _check_statistics(inspection: Inspection) -> None:
                     'and accelerations are per frame, not divided by dt'
                 )
     if agree:
-        inspection.ok('statistics agree with the training records' + ('' if whole else ' in size'))
+        text = 'statistics agree with the training records' + ('' if whole else ' in size')
+        if fitted is not None and not whole:
+            text += f': they are of the {len(fitted)} runs that the subspace was fitted on'
+        inspection.ok(text)
 
 
 def _check_motion(inspection: Inspection) -> None:

@@ -57,6 +57,20 @@ def test_part_that_fails_does_not_stop_the_next(tmp_path, small, monkeypatch):
     assert len(record.digests_of(str(tmp_path / 'excavation'))) == 1
 
 
+def test_folder_of_an_older_solver_is_named(tmp_path, small):
+    make(tmp_path, ['wheel_free'], 1)
+    path = tmp_path / 'wheel' / 'manifest.json'
+    manifest = json.loads(path.read_text())
+    for entry in manifest['runs']:
+        del entry['content']
+        entry['parameters']['solver_version'] = '0'
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(
+        ValueError, match="(?s)wheel_free: .*made with solver_version = '0'.*digest"
+    ):
+        make(tmp_path, ['wheel_free'], 1)
+
+
 def test_other_content_is_found():
     expected = {'lift_0003': 'aa', '7': 'bb', '8': 'cc'}
     assert record.compare({'lift_0003': 'aa', '7': 'xx', '9': 'dd'}, expected) == ['7']

@@ -190,6 +190,16 @@ def test_bad_settings_are_one_line(tmp_path):
     assert not (tmp_path / 'model').exists()
 
 
+def test_splits_too_short_for_the_window_are_refused_before_the_training(tmp_path):
+    folder = small.write_springs(tmp_path / 'data')
+    for prefix in ('loc', 'vel'):
+        path = tmp_path / 'data' / f'{prefix}_test_springs3.npy'
+        np.save(path, np.load(path)[:, :9])
+    with pytest.raises(ValueError, match='data: test: runs have 9 frames; a window of 15'):
+        experiment.train(folder, str(tmp_path / 'model'), config())
+    assert not (tmp_path / 'model').exists()
+
+
 def accuracy_after(n_step, n_objects, **settings):
     """Edge accuracy on 500 new runs after training on 3000 springs runs."""
     held = small.springs(n_run=3000, n_objects=n_objects, n_frame=40)

@@ -282,6 +282,30 @@ def test_command_line(raw_excavation, tmp_path):
     assert 'Traceback' not in again.stderr
 
 
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (['--hold_out', '3', '5', '7'], "unknown arguments: ['5', '7']"),
+        (['--like=there', '--num_modes=4', '--split=1,0,0'], '--num_modes, --split do not go'),
+        (['--like=there', '--hold_out=3', '--seed=1'], '--seed, --hold_out do not go with --like'),
+    ],
+)
+def test_command_takes_nothing_that_it_does_not_heed(tmp_path, arguments, text):
+    out = f'--output_path={tmp_path}/out'
+    done = run_command('pca_tools.convert', '--raw_path=nowhere', out, *arguments)
+    assert done.returncode == 1 and text in done.stdout + done.stderr
+    assert 'Traceback' not in done.stderr and not os.listdir(tmp_path)
+
+
+def test_output_that_cannot_be_made_is_refused_before_the_work(raw_excavation, tmp_path):
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(OSError, match='cannot write .*file/new/out: Not a directory'):
+        convert.convert('no raw runs yet', str(tmp_path / 'file' / 'new' / 'out'))
+    with pytest.raises(FileNotFoundError, match='no such folder of raw runs'):
+        convert.convert('no raw runs yet', str(tmp_path / 'new' / 'out'))
+    assert os.listdir(tmp_path) == ['file']
+
+
 def test_help_shows_the_examples():
     done = run_command('pca_tools.convert', '--help')
     assert 'python -m pca_tools.convert --raw_path=' in done.stdout

@@ -204,6 +204,31 @@ def test_all_that_is_lacking_is_said_at_once_and_by_the_name(tmp_path):
     assert explain(str(tmp_path)).endswith('--output_path=RAW --dt=SECONDS --up_axis=0|1|2')
 
 
+def test_plain_runs_share_dt_and_axis_and_their_bounds_are_those_of_all(tmp_path):
+    folder, raw = tmp_path / 'npz', str(tmp_path / 'raw')
+    folder.mkdir()
+
+    def write(name, **arrays):
+        soil = np.random.default_rng(0).uniform(0.1, 0.4, (9, 8, 3))
+        np.savez(folder / f'{name}.npz', positions=soil, **arrays)
+
+    write('a', dt=0.1, bounds=[[0, 1], [0, 0.5], [0, 1]], up_axis=2)
+    write('b', dt=0.1, bounds=[[0, 0.7], [0, 2], [-1, 0.5]], up_axis=2)
+    write('c')
+    import_data(str(folder), raw)
+    runs = RawRuns(raw)
+    assert runs.dt == 0.1 and runs.scene['up_axis'] == 2
+    assert runs.bounds == [[0, 1], [0, 2], [-1, 1]]
+    write('b', dt=0.2, up_axis=2)
+    with pytest.raises(ValueError, match='a.npz has dt 0.1, b.npz 0.2: .*give --dt'):
+        import_data(str(folder), str(tmp_path / 'other'))
+    import_data(str(folder), str(tmp_path / 'other'), dt=0.2)
+    assert RawRuns(str(tmp_path / 'other')).dt == 0.2
+    write('b', dt=0.1, up_axis=1)
+    with pytest.raises(ValueError, match='a.npz has up_axis 2, b.npz 1'):
+        import_data(str(folder), str(tmp_path / 'third'))
+
+
 def test_a_folder_is_named_without_reading_its_runs(
     excavation, raw_excavation, tmp_path, monkeypatch
 ):

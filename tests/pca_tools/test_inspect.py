@@ -8,13 +8,14 @@ import shutil
 import numpy as np
 import pytest
 
-from pca_tools import dataset, files
+from pca_tools import convert, dataset, files, subset
 from pca_tools.inspect import initial_share, motion_shares, report
 from pca_tools.inspection import inspect_folder
 from pca_tools.inspection.findings import Level
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
-from tests.pca_tools.commands import run_command
+from tests.pca_tools import synthetic
+from tests.pca_tools.commands import REPOSITORY, run_command
 
 
 @pytest.fixture
@@ -124,6 +125,31 @@ def test_statistics_divided_by_dt(copy):
     assert 'vel_std is 60 times that of the training records (1 / dt is 60)' in texts(
         copy, Level.ERROR
     )
+
+
+def test_statistics_are_those_of_the_runs_that_were_there_first(excavation, copy, tmp_path):
+    few = str(tmp_path / 'few')
+    subset.subset(excavation, few, train_runs=3)
+    assert not texts(few, Level.ERROR)
+    assert 'training records in size: they are of the 10 runs that the subspace' in texts(
+        few, Level.OK
+    )
+    held = dataset.read_metadata(few)
+    change_metadata(few, vel_std=(np.array(held['vel_std']) * 60).tolist())
+    assert ' times that of the training records (1 / dt is 60)' in texts(few, Level.ERROR)
+
+
+@pytest.mark.parametrize('name', ['excavation_v2', 'wheel_v2'])
+def test_shipped_datasets_that_grew_pass(name):
+    inspection = inspect_folder(str(REPOSITORY / 'datasets' / name))
+    assert not inspection.failed, inspection.findings
+
+
+def test_runs_of_fewer_frames_than_a_model_is_given(tmp_path):
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(1, 6), frames=5)
+    data = str(tmp_path / 'data')
+    convert.convert(raw, data, modes=3)
+    assert 'train: 3 runs of 6 frames or fewer' in report(inspect_folder(data))
 
 
 def test_dt_and_units(copy):

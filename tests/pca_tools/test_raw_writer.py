@@ -83,6 +83,11 @@ def test_all_faults_are_told_at_once_and_nothing_is_written(tmp_path):
         arguments = {'dt': 1 / 60, 'up_axis': 'y', **bad}
         with pytest.raises(ValueError, match=r'dt is|up_axis is|rigid_motion|bounds is'):
             write_raw(str(tmp_path / 'raw'), own_runs(2), **arguments)
+    for case in (0.1, True, None):  # the converter would refuse the whole folder
+        with pytest.raises(ValueError, match=f'run 0: case is {case}, a whole number or a text'):
+            write_raw(
+                str(tmp_path / 'raw'), [next(own_runs(1)) | {'case': case}], 1 / 60, up_axis='y'
+            )
     with pytest.raises(ValueError, match='no runs'):
         write_raw(str(tmp_path / 'raw'), [], 1 / 60, up_axis='y')
     assert not os.listdir(tmp_path)

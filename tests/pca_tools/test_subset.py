@@ -131,3 +131,13 @@ def test_runs_are_dealt_to_other_splits_with_all_that_is_known_of_them(whole, tm
     assert files.check_manifest(out)
     with pytest.raises(ValueError):
         subset.deal(whole, out, {'train': [0]})
+
+
+def test_dataset_that_trains_on_nothing(whole, tmp_path):
+    raw = synthetic.write_raw_folder(str(tmp_path / 'new'), 'excavation', (8, 9))
+    tested = str(tmp_path / 'tested')
+    convert.convert(raw, tested, like=whole)
+    with pytest.raises(ValueError, match=r"has no training runs to choose from, only \['test'\]"):
+        subset.subset(tested, str(tmp_path / 'few'))
+    dealt = subset.deal(tested, str(tmp_path / 'dealt'), {'train': [1], 'test': [0]})
+    assert dealt['dataset_split'] == {'train': [9], 'test': [8]}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from absl import app
 
 from mpm import bodies, scenes
 from mpm.motions import catalogue, picture
@@ -35,3 +36,8 @@ def test_strips_show_path_and_outlines(scene, cases, tmp_path):
     pyplot.close(figure)
     picture.draw(scene, cases, str(tmp_path / 'a.png'))
     assert (tmp_path / 'a.png').read_bytes()[:4] == b'\x89PNG'
+
+
+def test_command_takes_flags_alone():
+    with pytest.raises(app.UsageError, match=r"unknown arguments: \['23'\]"):
+        picture.main(['picture', '23'])

@@ -1,9 +1,11 @@
 """The figures that are read from a run, on made-up runs."""
 
+import os
+
 import numpy as np
 import pytest
 
-from mpm import run, scenes
+from mpm import raw_run, run, scenes
 from mpm.motions import grid
 from mpm.verification import run_rows
 
@@ -41,3 +43,30 @@ def test_cutting_is_at_constant_speed_and_about_level(case):
     assert slope.max() < 0.36
     way = -np.diff(pose[:, 0]) * 60
     np.testing.assert_allclose(way, made.parameters['speed_m_s'], rtol=1e-6)
+
+
+@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=scenes.SCENES)
+def test_rows_of_all_runs_simulate_some_where_there_are_none(tmp_path, monkeypatch, scene):
+    made = []
+
+    def generate(scene, cases, folder, settings):
+        made.append((scene.name, tuple(cases)))
+        os.makedirs(folder)
+        parameters = {'penetration_deepest_cells': 0.1, 'penetration_inside': 0}
+        entries = [
+            {
+                'file': f'{case}.npz',
+                'case': case,
+                'bytes': 0,
+                'sha256': '',
+                'parameters': parameters,
+            }
+            for case in cases
+        ]
+        raw_run.write_manifest(folder, scene, entries)
+
+    monkeypatch.setattr(run_rows, 'generate', generate)
+    for _ in range(2):
+        (check,) = run_rows.leak(scene, str(tmp_path))
+        assert check.figure == 0.1
+    assert made == [(scene.name, run_rows.FIRST_CASES[scene.name])]

@@ -1,0 +1,65 @@
+"""Whether runs list the same particles in one order: beds that are sunk, cut, shuffled."""
+
+import numpy as np
+import pytest
+
+from pca_tools import convert, matching, write_raw
+from pca_tools.raw_runs import RawRuns
+
+
+def lattice(axes):
+    """Points of a regular lattice of spacing 0.05 m, [N, 3]."""
+    points = np.stack(np.meshgrid(*(0.05 * np.arange(n) for n in axes), indexing='ij'), -1)
+    return points.reshape(-1, 3)
+
+
+def beds():
+    """Name and points [N, 3] of beds of several kinds."""
+    rng = np.random.default_rng(0)
+    yield 'lattice', lattice((20, 8, 10))
+    yield 'plane', lattice((40, 40, 1))
+    yield 'random', rng.uniform(0, [1.0, 0.4, 0.5], (1600, 3))
+    yield 'jittered', lattice((20, 8, 10)) + rng.uniform(-0.02, 0.02, (1600, 3))
+
+
+@pytest.mark.parametrize(('name', 'bed'), list(beds()))
+def test_another_order_is_found(name, bed):
+    last = 55 * len(bed) // 100
+    partly = np.concatenate([bed[:last], np.roll(bed[last:], -1, axis=0)])
+    for points in (np.roll(bed, -1, axis=0), partly, bed[::-1]):
+        fault = matching.order_fault(points, bed, 'case 1')
+        assert 'case 1' in fault and 'not the same order (then give --match_particles)' in fault
+        order = matching.match_particles(points, bed)
+        assert not matching.order_fault(points[order], bed, 'case 1')
+
+
+@pytest.mark.parametrize(('name', 'bed'), list(beds()))
+@pytest.mark.parametrize('share', [0.1, 0.45])
+def test_beds_that_sank_or_were_cut_are_the_same(name, bed, share):
+    """Particles that flowed lie anywhere in the bed, the others sank by a tenth of a spacing."""
+    rng = np.random.default_rng(1)
+    sunk = bed + rng.normal(scale=0.005, size=bed.shape) * (np.ptp(bed, axis=0) > 0)
+    for _ in range(5):
+        moved = rng.random(len(bed)) < share
+        anywhere = rng.uniform(bed.min(axis=0), bed.max(axis=0), bed.shape)
+        points = np.where(moved[:, None], anywhere, sunk)
+        assert not matching.order_fault(points, bed, 'case 1')
+
+
+def test_runs_of_another_order_are_refused_wherever_they_come_in(tmp_path):
+    bed = lattice((20, 3, 3))
+    moved = bed + 0.02 * np.linspace(0, 1, 12)[:, None, None] * bed[:, [0]]
+    whole = [{'positions': moved}] * 4
+    shuffled = np.concatenate([moved[:, :99], np.roll(moved[:, 99:], -1, axis=1)], axis=1)
+    rolled = [{'positions': shuffled, 'kind': 'rolled'}] * 4
+    folders = {}
+    for name, runs in (('whole', whole), ('rolled', rolled), ('mixed', whole[:3] + rolled[:1])):
+        folders[name] = str(tmp_path / name)
+        write_raw(folders[name], runs, dt=0.1, up_axis=1)
+    data, text = str(tmp_path / 'data'), r' % of its particles start where case \d has other ones'
+    with pytest.raises(ValueError, match=f'case 3: 45{text}'):
+        convert.convert(folders['mixed'], data, modes=1)
+    convert.convert(folders['whole'], data, modes=1)
+    RawRuns(folders['rolled']).check()  # alone they are of one order
+    with pytest.raises(ValueError, match=f'case 0: 45{text}'):
+        convert.convert(folders['rolled'], str(tmp_path / 'new'), like=data)
