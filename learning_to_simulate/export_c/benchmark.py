@@ -11,7 +11,6 @@ Example:
 import ctypes
 import os
 import sys
-import tempfile
 import time
 
 import numpy as np
@@ -105,13 +104,10 @@ def timed_library() -> ctypes.CDLL:
     """The library with the loops of native/bench_calls.c, compiled plainly.
 
     Raises:
-      c_library.NoCompiler: there is no C compiler.
+      OSError, c_library.NoCompiler, c_library.CompileFailed: as `c_library.load_once`.
     """
-    folder = tempfile.mkdtemp(prefix='lts-benchmark-')
-    path = os.path.join(folder, 'timed.so')
     extra = [os.path.join(c_header.NATIVE, 'bench_calls.c')]
-    c_library.compile_sources(path, c_header.NATIVE, PLAIN_FLAGS, extra)
-    library = c_library.declared(ctypes.CDLL(path))
+    library = c_library.load_once(PLAIN_FLAGS, extra)
     pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
     count, real = ctypes.c_int64, ctypes.c_double
     library.lts_time_calls.argtypes = (

@@ -85,7 +85,7 @@ class CField(CInstance):
 
         Raises:
           ValueError: inputs that C does not know; a wheel without starts.
-          c_library.NoCompiler: the library is not compiled yet, and there is no C compiler.
+          c_library.NoCompiler, c_library.CompileFailed: as `c_library.load`.
         """
         values = field_data.values(field, starts, subspace)
         data = c_values.Structure('lts_field_model', values)

@@ -5,6 +5,7 @@ import functools
 import glob
 import hashlib
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -17,19 +18,24 @@ FLAGS = ('-std=c99', '-O3', '-fPIC', '-shared', '-fvisibility=hidden')
 
 
 class NoCompiler(RuntimeError):
-    """There is no C compiler, or it cannot compile the library."""
+    """There is no C compiler, or the library cannot be kept or loaded here."""
 
 
-def compiler() -> str:
-    """The system's C compiler: $CC, or the first of cc, gcc and clang.
+class CompileFailed(ValueError):
+    """There is a C compiler, and it cannot compile the sources."""
+
+
+def compiler() -> list[str]:
+    """The system's C compiler and its first arguments: $CC, or the first of cc, gcc and clang.
 
     Raises:
       NoCompiler: there is none.
+      ValueError: a $CC whose quotes do not close.
     """
-    named = os.environ.get('CC')
-    for name in (shlex.split(named)[0],) if named else ('cc', 'gcc', 'clang'):
+    named = os.environ.get('CC', '').strip()
+    for name, *more in [shlex.split(named)] if named else [['cc'], ['gcc'], ['clang']]:
         if path := shutil.which(name):
-            return path
+            return [path, *more]
     wanted = f'$CC is {named!r}, which' if named else 'none of cc, gcc and clang'
     raise NoCompiler(f'no C compiler: {wanted} is on the path; install one (apt install gcc)')
 
@@ -44,7 +50,8 @@ def compile_sources(output: str, project: str, flags=FLAGS, extra_sources=()) ->
       extra_sources: more C files.
 
     Raises:
-      NoCompiler: there is none, or it fails; with what it said.
+      NoCompiler: there is none.
+      CompileFailed: it fails; with what it said.
     """
     include, src = (os.path.join(project, part) for part in ('include', 'src'))
     _compile(output, [include, src], [*_c_files(src), *extra_sources], flags)
@@ -62,10 +69,10 @@ def _c_files(folder):
 def _compile(output, include, sources, flags):
     def build(name):
         include_flags = [f'-I{folder}' for folder in include]
-        command = [compiler(), *flags, *include_flags, *sources, '-o', name, '-lm']
+        command = [*compiler(), *flags, *include_flags, *sources, '-o', name, '-lm']
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
-            raise NoCompiler(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
+            raise CompileFailed(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
 
     files.write_atomically(output, build)
 
@@ -75,22 +82,38 @@ def load() -> ctypes.CDLL:
     """The library of this machine, compiled at the first call of all and kept in the user's cache.
 
     Raises:
-      NoCompiler: it is not there and cannot be compiled.
+      NoCompiler: it is not there and there is no compiler, or it cannot be loaded.
+      CompileFailed: as `compile_sources`.
     """
-    content = hashlib.sha256(repr(FLAGS).encode())
+    # A home may be shared by machines of several kinds.
+    content = hashlib.sha256(repr((FLAGS, platform.machine())).encode())
     for path in sorted(glob.glob(os.path.join(c_header.NATIVE, '*', '*'))):
         with open(path, 'rb') as file:
             content.update(file.read())
-    name = f'lts-{content.hexdigest()[:16]}.so'
-    path = os.path.join(_cache_folder(), name)
-    if not os.path.exists(path):
-        try:
-            os.makedirs(os.path.dirname(path), exist_ok=True)
-            compile_sources(path, c_header.NATIVE)
-        except OSError:  # a home that cannot be written
-            path = os.path.join(tempfile.mkdtemp(prefix='lts-'), name)
-            compile_sources(path, c_header.NATIVE)
-    return declared(ctypes.CDLL(path))
+    path = os.path.join(_cache_folder(), f'lts-{content.hexdigest()[:16]}.so')
+    try:
+        if not os.path.exists(path):
+            try:
+                os.makedirs(os.path.dirname(path), exist_ok=True)
+                compile_sources(path, c_header.NATIVE)
+            except OSError:  # a home that cannot be written
+                return load_once()
+        return declared(ctypes.CDLL(path))
+    except OSError as error:  # of another processor, or on a disk that runs no programs
+        raise NoCompiler(f'{path}: the C library cannot be loaded ({error})') from error
+
+
+def load_once(flags=FLAGS, extra_sources=()) -> ctypes.CDLL:
+    """The library, compiled for this process alone; arguments and errors as of `compile_sources`.
+
+    Raises:
+      OSError: no place for it, or it cannot be loaded.
+    """
+    # Once loaded it needs no file; where one that is in use cannot go, it stays.
+    with tempfile.TemporaryDirectory(prefix='lts-', ignore_cleanup_errors=True) as folder:
+        path = os.path.join(folder, 'lts.so')
+        compile_sources(path, c_header.NATIVE, flags, extra_sources)
+        return declared(ctypes.CDLL(path))
 
 
 def _cache_folder():

@@ -18,7 +18,7 @@ class CStep:
 
     Raises:
       ValueError: a model that has no C form.
-      c_library.NoCompiler: the library is not compiled yet, and there is no C compiler.
+      c_library.NoCompiler, c_library.CompileFailed: as `c_library.load`.
     """
 
     def __init__(self, model, n_rigid: int, rigid_correction: bool = True):

@@ -33,7 +33,7 @@ class CStepper(CSoil):
     Raises:
       ValueError: a model that has no C form, a subspace of another number of modes or particles
         than the model's, a body that it cannot take, a kernel that this machine lacks.
-      c_library.NoCompiler: the library is not compiled yet, and there is no C compiler.
+      c_library.NoCompiler, c_library.CompileFailed: as `c_library.load`.
     """
 
     def __init__(

@@ -35,16 +35,17 @@ def graph(model_path, data_path, model, n_rigid, subspace, name, values) -> dict
 
     Raises:
       ValueError: a difference above the tolerance.
+      c_library.CompileFailed: the project does not compile.
     """
+    try:
+        soil = _compiled(CSoil, name, values)
+    except c_library.NoCompiler as error:
+        return {'skipped': str(error)}
     opened = registry.open_model(model_path, data_path, 'test')
     groups = opened.groups
     group = next((g for g in groups if g.n_rigid == n_rigid), None)
     if group is None:
         return {'skipped': f'no test run has {n_rigid} rigid nodes'}
-    try:
-        soil = _compiled(CSoil, name, values)
-    except c_library.NoCompiler as error:
-        return {'skipped': str(error)}
     steppers = soil, stepping.Stepper(model, n_rigid, subspace)
     nodes, forces, particles = ([], []), ([], []), []
     motion = model.simulator.scene.rigid_motion

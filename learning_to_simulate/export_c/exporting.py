@@ -32,8 +32,8 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
       the description that is also in `export.json`.
 
     Raises:
-      ValueError: a model that has no C form, a dataset that it does not fit, or outputs beyond the
-        tolerance; nothing is left in `output_path`.
+      ValueError: a model that has no C form, a dataset that it does not fit, C that does not
+        compile, or outputs beyond the tolerance; nothing is left in `output_path`.
       FileNotFoundError: no model or dataset there.
     """
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):

@@ -26,7 +26,7 @@ def write(path: str, name: str, values: dict, version: int = 2) -> None:
       version: of FMI.
 
     Raises:
-      ValueError: no start, or a model without a body.
+      ValueError: no start, a model without a body, or sources that do not compile.
     """
     if not project.is_field(values) and not (values['n_start'] and values['n_rigid']):
         raise ValueError('an FMU needs a body, and a start from the training runs')

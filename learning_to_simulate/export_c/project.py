@@ -1,5 +1,8 @@
 """Writes a model as a C project: sources, header, CMake and pkg-config files, examples."""
 
+import functools
+import glob
+import hashlib
 import os
 import re
 import shutil
@@ -58,9 +61,25 @@ def struct(values: dict) -> str:
 
 
 def symbol(model_path: str) -> str:
-    """Name of a model in C: `lts_` and the last two folders of its path."""
-    parts = os.path.abspath(model_path).split(os.sep)[-2:]
-    return 'lts_' + re.sub(r'\W+', '_', '_'.join(parts), flags=re.ASCII).strip('_').lower()
+    """Name of a model in C: `lts_` and the last two folders of its path; with eight digits of their
+    digest where they give no letters or a name that the library has itself."""
+    path = '_'.join(os.path.abspath(model_path).split(os.sep)[-2:])
+    plain = re.sub(r'\W+', '_', path, flags=re.ASCII).strip('_').lower()
+    if plain and f'lts_{plain}' not in _library_names():
+        return f'lts_{plain}'
+    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:8]
+    return '_'.join(['lts', *[plain] * bool(plain), digest])
+
+
+@functools.cache
+def _library_names():
+    """Types, functions and files of the library."""
+    found = set()
+    for path in glob.glob(os.path.join(c_header.NATIVE, '*', '*')):
+        found.add(os.path.basename(path).partition('.')[0])
+        with open(path, encoding='utf-8') as file:
+            found.update(re.findall(r'\blts_\w+', file.read()))
+    return found
 
 
 def write_sources(folder: str, name: str, values: dict) -> None:

@@ -197,7 +197,7 @@ class Stepper:
         """Starts from checked float64 arrays, as `reset`, with the judgement of the start."""
         n = self._layout.n_rigid
         history.setflags(write=False)
-        with _Held(self._lock):
+        with Held(self._lock):
             self._back_end.reset(history, context)
             self._pose, self._frame = history[-1, :n], H - 1
             force = np.zeros(self._force_shape, np.float32) if self._scene.has_force else None
@@ -227,7 +227,7 @@ class Stepper:
             `outside='raise'` a frame that is not `ok`. The state stays as it was.
           RuntimeError: another thread uses the stepper.
         """
-        with _Held(self._lock):
+        with Held(self._lock):
             if self._last is None:
                 raise ValueError('call reset() with the first frames before step()')
             body = self._checked_body(rigid_pose)
@@ -304,7 +304,7 @@ class Stepper:
         )
 
 
-class _Held:
+class Held:
     """A lock that is held for a call, or a message: two threads would mix their paths."""
 
     def __init__(self, lock):

@@ -35,8 +35,8 @@ def ground(field, plane, size, bed=None, recorded=None) -> tuple[Ground, Bed]:
       ValueError: not a bed.
     """
     axes = field.axes
-    axes = field.axes
-    points, kept = field.rest, field.kept_spacing
+    # A view, so that who closes it for writing does not close the field's own.
+    points, kept = field.rest.view(), field.kept_spacing
     if isinstance(bed, HeightMap):
         points = _stretched(field, *_checked(bed))
     elif bed is not None:

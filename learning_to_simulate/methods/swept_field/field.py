@@ -89,6 +89,22 @@ class SweptField:
             return None
         return dict(zip(self.scene.context_names, np.moveaxis(np.asarray(values), -1, 0)))
 
+    def check_contexts(self, values) -> None:
+        """Refuses contexts [T, C] that a tool cannot have one after the other.
+
+        Raises:
+          ValueError: gravity or a load that is not positive; something else than the load changes.
+        """
+        for name, row in self.context(values).items():
+            if name in ('gravity', 'load') and not (row > 0).all():
+                raise ValueError(f'the {name} is {row[~(row > 0)][0]:g}, must be positive')
+            changes = np.flatnonzero(~np.isclose(row[1:], row[:-1]))
+            if name != 'load' and len(changes):
+                now, last = row[changes[0] + 1], row[changes[0]]
+                raise ValueError(
+                    f'{name} cannot change on the way, from {last:g} to {now:g}; begin anew'
+                )
+
     def heights(self, frames: Frame, members: int | None = None) -> np.ndarray:
         """Change [T] of the tool's height since its first frame (m), where it is predicted; sees
         only what is given of a path."""

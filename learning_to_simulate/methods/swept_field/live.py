@@ -9,6 +9,7 @@ As `live.LiveSoil`, with two differences: a step may last any time, since nothin
 `state` can be kept and put back.
 """
 
+import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +18,10 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import worse
 from learning_to_simulate.live.live_soil import Beginning
-from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame
+from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame, Held
 from learning_to_simulate.methods.swept_field import beds, quality
 from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
+from learning_to_simulate.methods.swept_field.tool_path import Bed
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
@@ -27,18 +29,21 @@ FASTEST, FASTEST_TURN = 3.0, 20.0
 
 
 class LiveState(NamedTuple):
-    """All that a field knows of its tool.
+    """All that a field knows of its tool; its arrays cannot be written to.
 
     Attributes:
+      beginning: the body, and which start it began from.
+      bed, ground: what it began on, as its path and as its soil need it.
       tool: state of one tool, see `tools.Tool.begin`.
-      ground: the bed that it began on.
       frame: the newest.
       count: frames since the start.
       context: float64 [C] in that frame, or None.
     """
 
-    tool: tuple
+    beginning: Beginning
+    bed: Bed
     ground: Ground
+    tool: tuple
     frame: Frame
     count: int
     context: np.ndarray | None
@@ -66,7 +71,7 @@ class LiveField:
             raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
         self._field, self._members, self._outside = field, members, outside
         self._starts, self._space = starts, subspace
-        self._beginning = Beginning(field.scene, starts, field.scene.n_modes)
+        self._lock = threading.Lock()
         self.soil = FieldSoil(field, subspace, members)
         self._state: LiveState | None = None
         field.warm_up(members)  # compiles now and not in the first frame
@@ -82,6 +87,7 @@ class LiveField:
 
         Raises:
           ValueError: before `start`.
+          RuntimeError: put back while another thread is at work here.
         """
         if self._state is None:
             raise ValueError('call start() before step()')
@@ -89,7 +95,8 @@ class LiveField:
 
     @state.setter
     def state(self, state: LiveState) -> None:
-        self._state = state
+        with Held(self._lock):
+            self._state = state
 
     @property
     def cases(self) -> list:
@@ -99,7 +106,7 @@ class LiveField:
     @property
     def start_index(self) -> int | None:
         """Which of the recorded starts the run began from; None before `start`."""
-        return self._beginning.index
+        return None if self._state is None else self._state.beginning.index
 
     def start(
         self, pose=None, velocity=None, case=None, context=None, bed=None, blade_width=None
@@ -111,15 +118,23 @@ class LiveField:
           velocity: [3] or [6] of the tool now; None for one at rest.
           case: of the dataset, for its bed and its tool; None for the flat bed.
           context: [C] or {name: value}, where the scene has one; None for that of the case.
+            Gravity and load must be positive.
           bed: None for that of the case; [N, 3] particles, m; or a `beds.HeightMap`.
           blade_width: m; None for that of the case.
 
         Raises:
           ValueError: something that cannot be used; the state stays as it was.
+          RuntimeError: another thread is at work here.
         """
+        with Held(self._lock):
+            return self._start(pose, velocity, case, context, bed, blade_width)
+
+    def _start(self, pose, velocity, case, context, bed, blade_width):
         field = self._field
         chosen = Beginning(field.scene, self._starts, field.scene.n_modes)
         chosen.choose(pose, velocity, case, context)
+        if chosen.context is not None:
+            field.check_contexts(chosen.context[None])
         context = field.context(chosen.context)
         size = self._size(chosen, context, blade_width)
         plane = field.tool.poses(field.axes, chosen.pose[None], _in_time(context))[0]
@@ -133,12 +148,11 @@ class LiveField:
         speed = field.tool.velocity(field.axes, chosen.velocity, size)
         tool, frame = field.tool.begin(field.grid, swept_bed, size[None], plane[None], speed[None])
         judgement = self._judge(frame, H - 1)
-        loads = np.zeros(3)
-        self._beginning, self._bed = chosen, swept_bed
-        self._state = LiveState(
-            tool, ground, self._frame(frame, plane, ground, chosen.pose, loads, None, judgement,
-                                      judgement), 0, chosen.context,
+        first = self._frame(
+            Swept(frame, plane, ground), chosen, chosen.pose, np.zeros(3), None, judgement,
+            judgement,
         )  # fmt: skip
+        self._state = _frozen(LiveState(chosen, swept_bed, ground, tool, first, 0, chosen.context))
         return judgement
 
     def _size(self, chosen, context, blade_width):
@@ -169,19 +183,24 @@ class LiveField:
 
         Raises:
           ValueError: before `start`; not a pose, a jump, a time that does not pass, a place beyond
-            the bins or under the floor; with `outside='raise'` a frame that is not `ok`. The state
-            stays as it was.
+            the bins or under the floor; another soil or planet, or a load that is not positive;
+            with `outside='raise'` a frame that is not `ok`. The state stays as it was.
+          RuntimeError: another thread is at work here.
         """
+        with Held(self._lock):
+            return self._step(pose, context, dt)
+
+    def _step(self, pose, context, dt):
         before, field = self.state, self._field
         dt = field.scene.dt if dt is None else float(dt)
-        context = before.context if context is None else self._changed(context, before.context)
-        pose = self._beginning.read(pose)
+        context = before.context if context is None else self._changed(context, before)
+        pose = before.beginning.read(pose)
         size = before.ground.size
         last = before.frame.modes.pose
         plane = field.tool.poses(field.axes, pose[None], _in_time(field.context(context)), last)[0]
         self._refuse_bad(plane, before, dt)
         tool, (plane,), frame = field.tool.step(
-            field.grid, self._bed, size[None], before.tool, plane[None], dt,
+            field.grid, before.bed, size[None], before.tool, plane[None], dt,
             lambda known: field.heights(known, self._members),
         )  # fmt: skip
         if field.tool.predicts_height:
@@ -205,17 +224,20 @@ class LiveField:
             spread, size = (f(loads[..., :2])[0] for f in (quality.spread, quality.size))
             bound = float(quality.bound(spread, size, weights))
         result = self._frame(
-            frame, plane, before.ground, pose, loads.mean(axis=0)[0, :3].astype(np.float64), bound,
+            Swept(frame, plane, before.ground), before.beginning, pose,
+            loads.mean(axis=0)[0, :3].astype(np.float64), bound,
             worse(before.frame.judgement, judgement), judgement,
         )  # fmt: skip
-        self._state = LiveState(tool, before.ground, result, before.count + 1, context)
+        self._state = _frozen(
+            before._replace(tool=tool, frame=result, count=before.count + 1, context=context)
+        )
         return result
 
-    def _frame(self, frame, plane, ground, pose, loads, bound, judgement, now):
+    def _frame(self, swept, beginning, pose, loads, bound, judgement, now):
         force, torque = self._field.axes.world_loads(loads)
         return Frame(
-            Swept(frame, plane, ground), force, self._beginning.nodes(pose), judgement, now.status,
-            self.soil, pose, torque, bound,
+            swept, force, beginning.nodes(pose), judgement, now.status, self.soil, pose, torque,
+            bound,
         )  # fmt: skip
 
     def _refuse_bad(self, plane, before, dt):
@@ -245,17 +267,9 @@ class LiveField:
             )
 
     def _changed(self, context, before):
-        """The context [C] of a coming frame: only the load of a wheel may change.
-
-        Raises:
-          ValueError: other names, not numbers; another soil or planet; a load that is not positive.
-        """
-        context = self._beginning.read_context(context)
-        now, last = self._field.context(context), self._field.context(before)
-        if other := [n for n in now if n != 'load' and not np.isclose(now[n], last[n])]:
-            raise ValueError(f'{other} cannot change on the way; call start() anew')
-        if not now['load'] > 0:
-            raise ValueError(f'the load is {now["load"]} N, must be positive')
+        """The context [C] of a coming frame; raises as `SweptField.check_contexts`."""
+        context = before.beginning.read_context(context)
+        self._field.check_contexts(np.stack([before.context, context]))
         return context
 
     def particles(self) -> np.ndarray:
@@ -263,8 +277,10 @@ class LiveField:
         return self.state.frame.particles()
 
     def body(self, pose) -> np.ndarray:
-        """float64 [R', 3], m: all particles of the tool at a pose, for drawing."""
-        return poses.placed(self._beginning.body, self._beginning.read(pose))
+        """float64 [R', 3], m: all particles of the tool at a pose, for drawing; raises before
+        `start`."""
+        beginning = self.state.beginning
+        return poses.placed(beginning.body, beginning.read(pose))
 
     def explain(self) -> str:
         """What the newest frame leaves out."""
@@ -280,3 +296,13 @@ class LiveField:
 def _in_time(context):
     """A context of one frame as one of a path of that frame."""
     return None if context is None else {name: value[None] for name, value in context.items()}
+
+
+def _frozen(values):
+    """The same values, their arrays closed for writing: the coming frames follow from them."""
+    if isinstance(values, np.ndarray):
+        values.setflags(write=False)
+    elif isinstance(values, tuple):
+        for value in values:
+            _frozen(value)
+    return values

@@ -13,7 +13,7 @@ from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.swept_field import fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
 from learning_to_simulate.training import model_folder
-from pca_tools import dataset, files, folder_lock, splits
+from pca_tools import dataset, files, folder_lock, particles, splits
 
 METRICS = 'metrics.json'
 
@@ -22,7 +22,7 @@ def train(data_path, model_path, config, options) -> dict:
     """Trains a field and leaves its model folder, or finds it done; see `registry.train`.
 
     The dataset needs its subspace and a sample of particles; nothing is saved on the way, a
-    training takes minutes.
+    training takes minutes. Without valid runs there are no metrics, and frames have no bound.
     """
     if options.rigid_motion or options.raw_path:
         raise ValueError(
@@ -35,25 +35,41 @@ def train(data_path, model_path, config, options) -> dict:
     own = METRICS, checkpoints.WEIGHTS_FILE
     with folder_lock.locked(model_path, options.take_over_lock):
         if not model_folder.holds_model(model_path, parts, own):
+            valid = _valid_runs(data_path, metadata)
             field, facts = fitting.fit(config, data_path, metadata)
-            _, summary = _evaluator(field, data_path, metadata, 'valid', facts['force_mean']).run(
-                reading_utils.read_groups(data_path, 'valid', metadata), 'valid', _bar
-            )
-            field.calibration = {
-                kind: row['weights_of_this_split'] for kind, row in summary['reliability'].items()
-            }
-            summary['training'] = facts
-            files.write_json(os.path.join(model_path, METRICS), summary)
+            if valid:
+                evaluator = _evaluator(field, data_path, metadata, 'valid', facts['force_mean'])
+                _, summary = evaluator.run(valid, 'valid', _bar)
+                field.calibration = {
+                    kind: row['weights_of_this_split']
+                    for kind, row in summary['reliability'].items()
+                }
+                summary['training'] = facts
+                files.write_json(os.path.join(model_path, METRICS), summary)
             cases = metadata.get('cases', {}).get('train', [])
             chosen = splits.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
             written = resting_start.write(model_path, data_path, {})
             data |= {'force_mean': facts['force_mean'], 'runs': runs}
             model_files.save(model_path, field, data, written)
-    summary = files.read_json(os.path.join(model_path, METRICS))
-    print(evaluation.table(summary))
+    summary = {}
+    if os.path.exists(metrics := os.path.join(model_path, METRICS)):
+        summary = files.read_json(metrics)
+        print(evaluation.table(summary))
+    else:
+        print(f'{data_path}: no valid runs, so nothing is judged and frames have no bound')
     print(f'trained {config.preset}: {model_path}')
     return summary
+
+
+def _valid_runs(data_path, metadata):
+    """The `RunGroup`s of valid, with their particles; [] where there are none."""
+    if not os.path.exists(dataset.split_path(data_path, 'valid')):
+        return []
+    groups = reading_utils.read_groups(data_path, 'valid', metadata)
+    if groups:
+        particles.read_sample(data_path, 'valid')  # missed now and not after the training
+    return groups
 
 
 def _bar(runs):

@@ -52,7 +52,8 @@ class FieldRoller:
 
     def beginning(self, path, velocity=None, case=None, context=None):
         """The start of a path, its poses, whether it begins on the bed of a case, and its context
-        [T, C] or None; as `live.path_rollout.PathRoller.beginning`."""
+        [T, C] or None; as `live.path_rollout.PathRoller.beginning`. Raises for contexts as
+        `SweptField.check_contexts`."""
         values = poses.numbers('path', path, (None, 7), (None, 3))
         if len(values) < 2:
             raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
@@ -69,6 +70,8 @@ class FieldRoller:
         chosen.choose(values[0], velocity, case, context)
         if contexts is None and chosen.context is not None:
             contexts = np.repeat(chosen.context[None], len(values), axis=0)
+        if contexts is not None:
+            self._field.check_contexts(contexts)
         return chosen, values, case is not None, contexts
 
     def roll_out(self, begun) -> list[SoilRollout]:

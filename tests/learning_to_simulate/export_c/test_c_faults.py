@@ -45,7 +45,7 @@ def sanitized(folder, sources, defines, flags=()):
     program = os.path.join(folder, 'program')
     files = [os.path.join(folder, 'src', f) for f in os.listdir(os.path.join(folder, 'src'))]
     command = [
-        c_library.compiler(), '-std=c99', '-O1', '-g', '-fsanitize=address,undefined',
+        *c_library.compiler(), '-std=c99', '-O1', '-g', '-fsanitize=address,undefined',
         '-fno-sanitize-recover=all', '-Wall', '-Wextra', '-Werror', f'-I{folder}/include',
         f'-I{folder}/src', *(f'-D{d}' for d in defines), *flags,
         *sorted(f for f in files if f.endswith('.c')), *sources, '-o', program, '-lm',

@@ -32,7 +32,7 @@ def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path):
     include = [f'-I{os.path.join(c_header.NATIVE, part)}' for part in ('include', 'src')]
     program = str(tmp_path / 'sizes')
     subprocess.run(
-        [c_library.compiler(), *include, str(tmp_path / 'sizes.c'), '-o', program], check=True
+        [*c_library.compiler(), *include, str(tmp_path / 'sizes.c'), '-o', program], check=True
     )
     printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     assert list(map(int, printed.split())) == expected

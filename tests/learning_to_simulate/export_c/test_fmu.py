@@ -267,7 +267,7 @@ def test_sources_alone_build_the_binary(shared, tmp_path):
     sources = [str(tmp_path / 'sources' / name) for name in listed]
     library = str(tmp_path / 'again.so')
     subprocess.run(
-        [c_library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
+        [*c_library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
          '-o', library, '-lm'], check=True,
     )  # fmt: skip
     symbols = subprocess.run(['nm', '-D', library], capture_output=True, text=True).stdout

@@ -1,21 +1,28 @@
 """The exported C project: built by CMake and without it, used from C++, two models in a program."""
 
+import ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import types
 
 import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints
+from learning_to_simulate.compiled.compiled_step import CompiledStep
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export_c import (
+    benchmark,
     c_library,
+    c_step,
     c_stepper,
     comparing,
     exporting,
+    fmu,
     model_data,
     project,
     starts,
@@ -138,6 +145,45 @@ def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
     assert 'no C compiler' in exporting.summary(description, out)
 
 
+@pytest.mark.parametrize('kind', ['c', 'fmu'])
+def test_what_does_not_compile_is_not_kept(kind, tmp_path, monkeypatch):
+    data, path, out = _saved(tmp_path)
+    monkeypatch.setenv('CC', 'false')  # it is there, and it fails
+    with pytest.raises(ValueError, match='false .* failed'):
+        exporting.export(path, data, out, kind)
+    assert not os.path.exists(out)
+
+
+def test_an_fmu_whose_own_sources_do_not_compile_is_not_kept(tmp_path, monkeypatch):
+    _, _, values = _small(tmp_path / 'data')
+    monkeypatch.setenv('CC', 'false')
+    with pytest.raises(c_library.CompileFailed):
+        fmu.write(str(tmp_path / 'small.fmu'), 'lts_small', values)
+    assert not os.path.exists(tmp_path / 'small.fmu')
+
+
+def test_names_of_models_are_not_those_of_the_library():
+    assert project.symbol('models/excavation/pcg') == 'lts_excavation_pcg'
+    assert project.symbol('/a/Wheel 2/best-one') == 'lts_wheel_2_best_one'
+    # Types, a function, and files; then names that leave no letter.
+    taken = ('/model', '/field/model', '/field/frame', '/kernels', '/field/places')
+    others = ('/a/\u571f/\u7802', '/a/\u7802/\u571f', '/--/..-', '/')
+    names = [project.symbol(path) for path in taken + others]
+    assert len(set(names)) == len(names)
+    for path, name in zip(taken, names):
+        assert re.fullmatch(path.replace('/', '_').join(['lts', '_[0-9a-f]{8}']), name)
+    assert all(re.fullmatch('lts_[0-9a-f]{8}', name) for name in names[len(taken) :])
+
+
+def test_a_model_in_a_folder_called_model_compiles(tmp_path):
+    _, _, values = _small(tmp_path / 'data')
+    name = project.symbol('/model')
+    folder = _written(tmp_path / 'project', name, values)
+    library = os.path.join(folder, 'model.so')
+    c_library.compile_sources(library, folder, benchmark.PLAIN_FLAGS)
+    assert CSoil.open(library, name).digest == values['digest']
+
+
 def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, capsys):
     data, path, out = _saved(tmp_path)
     values = types.SimpleNamespace(
@@ -168,12 +214,56 @@ def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypat
         c_library.compiler()
 
 
-def test_a_home_that_cannot_be_written_is_no_obstacle(tmp_path, monkeypatch):
-    blocked = tmp_path / 'file'
-    blocked.write_text('')
-    monkeypatch.setenv('XDG_CACHE_HOME', str(blocked))
+def test_a_compiler_may_have_arguments(tmp_path, monkeypatch):
+    plain = next(name for name in ('cc', 'gcc', 'clang') if shutil.which(name))
+    (tmp_path / 'one.c').write_text('int lts_one(void) { return VALUE; }\n')
+    monkeypatch.setenv('CC', f'env {plain} -DVALUE=7')
+    assert c_library.compiler() == [shutil.which('env'), plain, '-DVALUE=7']
+    c_library.compile_flat(str(tmp_path / 'one.so'), str(tmp_path), ['-shared', '-fPIC'])
+    assert ctypes.CDLL(str(tmp_path / 'one.so')).lts_one() == 7
+    monkeypatch.setenv('CC', ' ')
+    assert c_library.compiler() == [shutil.which(plain)]
+
+
+@pytest.fixture()
+def own_cache(tmp_path, monkeypatch):
+    """An empty cache of the library, and a process that has not loaded it yet."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
     c_library.load.cache_clear()
-    try:
-        assert c_library.load().lts_error_text(-3)
-    finally:
-        c_library.load.cache_clear()
+    yield tmp_path / 'cache' / 'learning_to_simulate'
+    c_library.load.cache_clear()
+
+
+def test_a_library_that_cannot_be_loaded_leaves_the_steps_to_tensorflow(
+    own_cache, tmp_path, monkeypatch
+):
+    """One of another processor, or in a home that runs no programs."""
+
+    def of_another_machine(output, *_):
+        with open(output, 'wb') as file:
+            file.write(b'\x7fELF')
+
+    monkeypatch.setattr(c_library, 'compile_sources', of_another_machine)
+    with pytest.raises(c_library.NoCompiler, match='cannot be loaded'):
+        c_library.load()
+    model, (group,), _ = models.make(tmp_path / 'data')
+    assert isinstance(c_step.best_step(model, group.n_rigid), CompiledStep)
+    # A home that several kinds of machines share has a library for each.
+    monkeypatch.setattr(c_library.platform, 'machine', lambda: 'another')
+    with pytest.raises(c_library.NoCompiler):
+        c_library.load()
+    assert len(os.listdir(own_cache)) == 2
+
+
+def test_libraries_of_one_process_leave_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
+    assert benchmark.timed_library().lts_error_text(-3)
+    assert not os.listdir(tmp_path)
+
+
+def test_a_home_that_cannot_be_written_is_no_obstacle(own_cache, tmp_path, monkeypatch):
+    own_cache.parent.write_text('')
+    (tmp_path / 'other').mkdir()
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'other'))
+    assert c_library.load().lts_error_text(-3)
+    assert not os.listdir(tmp_path / 'other')

@@ -1,5 +1,8 @@
 """Live steps against whole rollouts; beds that are given; bad input."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ from learning_to_simulate.live.path_rollout import velocity_between
 from learning_to_simulate.methods.swept_field import soil_physics, tool_path
 from learning_to_simulate.methods.swept_field.beds import HeightMap
 from learning_to_simulate.methods.swept_field.episodes import BedReader
+from learning_to_simulate.methods.swept_field.live import LiveField
+from learning_to_simulate.methods.swept_field.path_rollout import FieldRoller
 from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from tests.learning_to_simulate.methods.swept_field import small_wheel
@@ -16,6 +21,11 @@ from tests.learning_to_simulate.methods.swept_field import small_world as world
 @pytest.fixture(scope='module')
 def field():
     return world.make_field()
+
+
+@pytest.fixture(scope='module')
+def wheel_field():
+    return small_wheel.make_field()
 
 
 def whole(field, plane, points):
@@ -61,6 +71,72 @@ def test_a_kept_state_goes_on_to_the_same_bits(field):
     first = [live.step(pose).force for pose in poses[20:40]]
     live.state = kept
     np.testing.assert_array_equal([live.step(pose).force for pose in poses[20:40]], first)
+
+
+def test_a_kept_state_holds_its_bed_and_its_body(field):
+    """Put back after a start on another bed with another body, it goes on as if there were none."""
+    poses = world.world_pose(world.path()[:, 0])
+    live = world.make_live(field)
+    live.start(poses[0])
+    for pose in poses[1:20]:
+        live.step(pose)
+    kept = live.state
+    first = [live.step(pose) for pose in poses[20:40]]
+    live.start(poses[0], bed=HeightMap([0.1, 0.9], [0.22, 0.22]), blade_width=0.3)
+    live.state = kept
+    again = [live.step(pose) for pose in poses[20:40]]
+    np.testing.assert_array_equal([f.force for f in again], [f.force for f in first])
+    np.testing.assert_array_equal(again[-1].particles(), first[-1].particles())
+
+
+def test_what_a_frame_shows_cannot_be_written_to(field, wheel_field):
+    plane = small_wheel.path()[:, 0]
+    for live, poses in (
+        (world.make_live(field, outside='hold'), world.world_pose(world.path()[:, 0])),
+        (small_wheel.make_live(wheel_field), small_wheel.world_pose(plane)),
+    ):
+        live.start(poses[0])
+        for frame in (live.state.frame, live.step(poses[1])):
+            swept = frame.modes
+            shown = (frame.force, frame.torque, frame.pose, frame.rigid_pose)
+            for values in (*shown, *swept.frame, swept.pose, *swept.ground):
+                with pytest.raises(ValueError, match='read-only'):
+                    values += 1.0
+        for part in (*live.state.bed, live.state.frame.pose):
+            assert not part.flags.writeable
+    # What the model has, and others share, is as it was.
+    assert field.rest.flags.writeable
+
+
+def test_two_threads_are_told_so(field, monkeypatch):
+    """The second one is refused while the first is at work; nothing of the first is lost."""
+    poses = world.world_pose(world.path()[:, 0])
+    live = world.make_live(field)
+    live.start(poses[0])
+    first = live.state
+    begun, answered = threading.Event(), threading.Event()
+    whole = field.loads
+
+    def slow(*args):
+        begun.set()
+        assert answered.wait(60)
+        return whole(*args)
+
+    monkeypatch.setattr(field, 'loads', slow)
+    with ThreadPoolExecutor(1) as pool:
+        step = pool.submit(live.step, poses[1])
+        assert begun.wait(60)
+        for call in (
+            lambda: live.step(poses[1]),
+            lambda: live.start(poses[0]),
+            lambda: setattr(live, 'state', first),
+        ):
+            with pytest.raises(RuntimeError, match='another thread'):
+                call()
+        answered.set()
+        frame = step.result(60)
+    assert live.state.frame is frame and live.state.count == 1
+    live.step(poses[2])
 
 
 def test_the_state_does_not_grow(field):
@@ -170,11 +246,6 @@ def test_bad_starts_are_refused(field):
         world.make_live(field, members=9)
 
 
-@pytest.fixture(scope='module')
-def wheel_field():
-    return small_wheel.make_field()
-
-
 def test_a_wheel_finds_its_own_height_as_in_a_rollout(wheel_field):
     """Whatever height the user gives after the start; force, torque and soil with it."""
     field, plane = wheel_field, small_wheel.path()[:, 0]
@@ -220,3 +291,52 @@ def test_only_the_load_of_a_wheel_may_change(wheel_field):
     assert live.step(poses[2]).modes.pose[3] == 150.0 and np.isfinite(force).all()
     with pytest.raises(ValueError, match='a blade is asked for, the tool of this field is a wheel'):
         live.start(poses[0], blade_width=0.3)
+
+
+def test_a_kept_state_of_a_wheel_holds_its_start(wheel_field):
+    """Wheel, bed and soil of the other start are not those of the state."""
+    plane = small_wheel.path()[:, 0]
+    poses = small_wheel.world_pose(plane)
+    live = LiveField(wheel_field, **small_wheel.two_starts(wheel_field))
+    live.start(poses[0], case=7)
+    for pose in poses[1:15]:
+        live.step(pose)
+    kept = live.state
+    first = [live.step(pose) for pose in poses[15:30]]
+    live.start(case=8)
+    assert live.start_index == 1
+    live.state = kept
+    assert live.start_index == 0
+    again = [live.step(pose) for pose in poses[15:30]]
+    for name in ('force', 'torque', 'pose', 'rigid_pose'):
+        np.testing.assert_array_equal(*([getattr(f, name) for f in x] for x in (again, first)))
+    np.testing.assert_array_equal(again[-1].particles(), first[-1].particles())
+
+
+def test_a_path_takes_no_other_context_than_steps_do(wheel_field):
+    plane = small_wheel.path()[:, 0]
+    poses, contexts = small_wheel.world_pose(plane), small_wheel.contexts(plane)
+    parts = small_wheel.two_starts(wheel_field)
+    roller, live = FieldRoller(wheel_field, **parts), LiveField(wheel_field, **parts)
+    roller.beginning(poses, context=contexts)
+    for name, first, value, message in (
+        ('gravity', 1, 9.81, 'gravity cannot change on the way, from 3.72 to 9.81'),
+        ('friction_angle_deg', 20, 30.0, 'friction_angle_deg cannot change'),
+        ('load', 60, -8.0, 'the load is -8, must be positive'),
+        ('load', 0, 0.0, 'the load is 0, must be positive'),
+        ('gravity', 0, 0.0, 'the gravity is 0, must be positive'),
+    ):
+        wrong = contexts.copy()
+        wrong[first:, small_wheel.NAMES.index(name)] = value
+        with pytest.raises(ValueError, match=message):
+            roller.beginning(poses, context=wrong)
+        if not first:
+            with pytest.raises(ValueError, match=message):
+                roller.beginning(poses, context=wrong[0])
+            with pytest.raises(ValueError, match=message):
+                live.start(poses[0], context=wrong[0])
+            continue
+        live.start(poses[0], context=wrong[0])
+        with pytest.raises(ValueError, match=message):
+            for pose, context in zip(poses[1:], wrong[1:]):
+                live.step(pose, context=context)
