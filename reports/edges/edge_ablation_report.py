@@ -97,6 +97,26 @@ def agreement(*paths: str) -> str:
     return markdown.table(header, lines)
 
 
+def lists(*paths: str) -> str:
+    """What lists of edges between the same modes hold, and how far each agrees with the others."""
+    every = [edge_lists.read(path) for path in paths]
+    masks = [edges.mask for edges in every]
+    lines = []
+    for path, edges, mask in zip(paths, every, masks, strict=True):
+        shared = [
+            float((mask & other).sum() / (mask | other).sum())
+            for other in masks
+            if other is not mask and (mask | other).any()
+        ]
+        # Modes are counted from 1 in texts.
+        pairs = ', '.join(f'{j + 1} to {i + 1}' for i, j in np.argwhere(mask))
+        name = os.path.basename(path).removesuffix('.json').replace('_', ' ')
+        own = int(np.trace(mask))
+        lines.append((name, int(mask.sum()) - own, own, pairs, markdown.span(shared)))
+    header = ('list', 'edges', 'self-edges', 'sender to receiver', 'Jaccard with the others')
+    return markdown.table(header, lines)
+
+
 def _counts(rows):
     known = [row for row in rows if row['mode_edges'] is not None]
     if not known:

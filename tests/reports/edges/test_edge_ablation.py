@@ -138,3 +138,20 @@ def test_times_are_of_the_graphs_without_the_edges(tmp_path):
     timing = edge_ablation.time_steps(folder, masks, rounds=2)
     assert [timing[name]['edges'] for name in masks] == [4 * R, (4 + R) ** 2]
     assert all(0 < t['ms_min'] <= t['ms_median'] <= t['ms_p95'] for t in timing.values())
+
+
+def test_lists_show_their_pairs_and_what_they_share(tmp_path):
+    names, none = edge_lists.mode_names(3), np.full((3, 3), np.nan)
+    paths = []
+    for number, pairs in enumerate(([(0, 1), (2, 2)], [(0, 1), (1, 0)])):
+        mask = np.zeros((3, 3), bool)
+        for receiver, sender in pairs:
+            mask[receiver, sender] = True
+        paths.append(str(tmp_path / f'seed_{number}.json'))
+        edge_lists.write(paths[-1], edge_lists.EdgeList(mask, names, none, 'gates', None, {}))
+    rows = edge_ablation_report.lists(*paths).splitlines()[2:]
+    # One pair of three is in both: from mode 2, as texts count, to mode 1.
+    assert rows == [
+        '| seed 0 | 1 | 1 | 2 to 1, 3 to 3 | 0.333 |',
+        '| seed 1 | 2 | 0 | 2 to 1, 1 to 2 | 0.333 |',
+    ]
