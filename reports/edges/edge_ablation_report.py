@@ -99,10 +99,9 @@ def agreement(*paths: str) -> str:
 
 def lists(*paths: str) -> str:
     """What lists of edges between the same modes hold, and how far each agrees with the others."""
-    every = [edge_lists.read(path) for path in paths]
-    masks = [edges.mask for edges in every]
+    masks = [edge_lists.read(path).mask for path in paths]
     lines = []
-    for path, edges, mask in zip(paths, every, masks, strict=True):
+    for path, mask in zip(paths, masks, strict=True):
         shared = [
             float((mask & other).sum() / (mask | other).sum())
             for other in masks
