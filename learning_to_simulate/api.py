@@ -288,17 +288,18 @@ class TrainedModel:
         """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
         from learning_to_simulate.live.soil import Soil
 
-        space = Dataset(split.folder).subspace
-        if self._method.on_particles or space is None:
+        if self._method.on_particles:
             return None
+        space = Dataset(split.folder).subspace
+        if space is None:  # records alone
+            return self._soil() if self._method.steps and not self.scene.bodies else None
         return Soil(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):
-        """The model with the runs of a split. That of the newest split is kept: rollouts of single
-        runs compile once."""
-        key = split.folder, split.name
-        if self._newest is None or self._newest[0] != key:
-            self._newest = key, registry.open_model(self.path, *key)
+        """The model with the runs of a split. That of the newest one is kept, so that rollouts of
+        single runs compile once; a new `Dataset` is read anew, as its files may have changed."""
+        if self._newest is None or self._newest[0] is not split:
+            self._newest = split, registry.open_model(self.path, split.folder, split.name)
         return self._newest[1]
 
     def evaluate(self, split: Split, progress=iter) -> Evaluation:

@@ -170,7 +170,7 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
     if foreign:
         raise ValueError(
             f'{output_path}: holds files that are not of the dataset ({sorted(foreign)[:5]}); '
-            'nothing was changed, name another folder'
+            'nothing was changed; move them away, or name another folder'
         )
     if not overwrite:
         raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')

@@ -36,7 +36,7 @@ import learning_to_simulate as lts
 assert root not in pathlib.Path(lts.__file__).parents, lts.__file__
 model = lts.load(str(root / 'models' / 'excavation' / 'pcg'))
 live = model.stepper()
-pose = model.starts.pose[0]
+pose = model.starts.pose[0].copy()
 live.start(pose, velocity=[-0.05, -0.03, 0.0])
 for _ in range(60):
     pose[:3] += [-0.05 / 60, -0.03 / 60, 0.0]

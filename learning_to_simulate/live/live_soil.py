@@ -171,6 +171,7 @@ class LiveSoil:
         stepper = self._of_size(len(chosen.kept))
         judgement = chosen.judged(stepper.judge)
         stepper.begin(chosen.history(), chosen.context, judgement)
+        chosen.pose.setflags(write=False)
         self._stepper, self._beginning, self._pose = stepper, chosen, chosen.pose
         return judgement
 

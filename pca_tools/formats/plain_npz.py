@@ -7,6 +7,7 @@ the body.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -85,7 +86,10 @@ def _only(folder: str, key: str, stated: dict[str, Any]) -> Any:
     """
     first, *others = stated or [None]
     for name in others:
-        if stated[name] != stated[first]:
+        same = stated[name] == stated[first]
+        if key == 'dt':  # of time stamps, or of another kind of number
+            same = math.isclose(stated[name], stated[first], rel_tol=1e-6)
+        if not same:
             raise ValueError(
                 f'{folder}: {first} has {key} {stated[first]}, {name} {stated[name]}: runs of one '
                 'folder share it' + ('; give --dt if only the files say it wrong' * (key == 'dt'))

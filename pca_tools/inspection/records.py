@@ -216,8 +216,9 @@ def _check_statistics(inspection: Inspection) -> None:
     # Statistics are of the runs that the subspace was fitted on: only a dataset that trains on just
     # these (none appended or left out, no folder of the authors') must have their very values.
     fitted = held.get('pca', {}).get('fitted_on')
-    whole = fitted is not None and sorted(fitted) == sorted(
-        str(case.get('case')) for case in held.get('cases', {}).get('train', [])
+    trained = held.get('cases', {}).get('train')
+    whole = trained is not None and (
+        fitted is None or sorted(fitted) == sorted(str(case.get('case')) for case in trained)
     )
     agree = True
     for key, values in found.items():

@@ -14,6 +14,7 @@ import learning_to_simulate as lts
 from learning_to_simulate import api
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import add_start, poses, resting_start
+from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic
@@ -74,9 +75,6 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
     data = lts.Dataset('excavation')
     recorded, made = model.rollout(data.test[0]), model.rollout(path[:20])
     assert recorded.truth is not None and made.truth is None
-    opened = model._opened(data.test)  # a second run of the split compiles nothing anew
-    assert model.rollout(data.test[1]).truth is not None and model._opened(data.test) is opened
-    assert model._opened(lts.Dataset('excavation').valid) is not opened
     whole = recorded.particles(-1)
     np.testing.assert_allclose(
         whole, data.subspace.decode(recorded.modes[-1]).astype(np.float32), atol=1e-6
@@ -93,6 +91,26 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
     assert len(data.test) == 4 and data.test[-1].index == 3
     with pytest.raises(IndexError, match='has 4 runs'):
         data.test[4]
+
+
+def test_recorded_runs_of_a_split_are_opened_once_and_those_of_a_new_dataset_anew(
+    blade, tmp_path, monkeypatch
+):
+    model, _, _ = blade
+    copied = shutil.copytree(lts.Dataset('excavation').path, tmp_path / 'data')
+    (copied / 'manifest.json').unlink()  # it would refuse the records of below
+    opened, open_model = [], registry.open_model
+    monkeypatch.setattr(registry, 'open_model', lambda *a: opened.append(a) or open_model(*a))
+    data = lts.Dataset(str(copied))
+    first, second = (model.rollout(data.test[i]) for i in (0, 1))
+    assert len(opened) == 1
+    shutil.copy(copied / 'valid.tfrecord', copied / 'test.tfrecord')
+    changed = model.rollout(lts.Dataset(str(copied)).test[0])
+    assert len(opened) == 2
+    recorded = dataset.read_split(str(copied), 'valid')[0].position[:, -8:]
+    np.testing.assert_allclose(changed.truth[0], recorded, atol=1e-6)
+    assert not np.allclose(first.truth[0], changed.truth[0], atol=1e-3)
+    assert not np.allclose(first.truth[0], second.truth[0], atol=1e-3)
 
 
 @pytest.mark.parametrize('ending', ['.png', '.gif'])

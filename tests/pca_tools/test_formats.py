@@ -213,7 +213,7 @@ def test_plain_runs_share_dt_and_axis_and_their_bounds_are_those_of_all(tmp_path
         np.savez(folder / f'{name}.npz', positions=soil, **arrays)
 
     write('a', dt=0.1, bounds=[[0, 1], [0, 0.5], [0, 1]], up_axis=2)
-    write('b', dt=0.1, bounds=[[0, 0.7], [0, 2], [-1, 0.5]], up_axis=2)
+    write('b', dt=np.float32(0.1), bounds=[[0, 0.7], [0, 2], [-1, 0.5]], up_axis=2)
     write('c')
     import_data(str(folder), raw)
     runs = RawRuns(raw)

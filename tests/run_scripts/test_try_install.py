@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+import learning_to_simulate as lts
 from run_scripts import try_install
 
 
@@ -34,6 +35,13 @@ def test_a_package_without_a_digest_is_named(tmp_path):
 
 
 def test_the_minute_of_use_is_python_and_uses_what_ships():
-    ast.parse(try_install.SMOKE)
+    tree = ast.parse(try_install.SMOKE)
+    # All but the import from elsewhere and the training, on the sources.
+    live = [
+        line for line in tree.body if 'live' in ast.unparse(line) or 'pose' in ast.unparse(line)
+    ]
+    made = {'lts': lts, 'model': lts.load('excavation')}
+    exec(compile(ast.Module(live, []), 'smoke', 'exec'), made)  # noqa: S102
+    assert made['frame'].status == 'ok'
     assert (try_install.ROOT / 'models' / 'excavation' / 'pcg' / 'config.json').exists()
     assert (try_install.ROOT / 'examples' / 'your_own_data.py').exists()
