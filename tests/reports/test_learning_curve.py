@@ -64,7 +64,7 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr(learning_curve.subset, 'subset', subset)
     monkeypatch.setattr(learning_curve.document, 'protocol', protocol)
     values = SimpleNamespace(
-        data_path='data', sizes=['7', '0'], kinds=['lift:2'], train=['field'], num_seeds=2,
+        data_path='data', sizes=['7', '0'], kinds=['lift:2'], train=['mlp'], num_seeds=2,
         work_path=str(tmp_path / 'sizes'), output_path=str(tmp_path / 'curve'),
     )  # fmt: skip
     return values, judged
