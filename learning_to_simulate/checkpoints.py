@@ -291,12 +291,13 @@ def folder_digest(path: str) -> str:
 
 
 def refuse_contradictions(model_path, config, overrides):
-    """Raises ValueError if an override {field: value} is not what the model's config says."""
+    """Raises ValueError if an override {field: value} is not what the model's config, or scene,
+    says."""
     for field, value in overrides.items():
         if value != getattr(config, field):
             raise ValueError(
                 f'--{field}={value} contradicts the model in {model_path}, which has '
-                f'{getattr(config, field)!r}: leave the flag out'
+                f'{getattr(config, field)}: leave the flag out'
             )
 
 

@@ -121,6 +121,8 @@ def _overrides() -> dict:
 
 def _open(overrides) -> registry.OpenedModel:
     """The trained model and the runs of the split."""
+    from learning_to_simulate import checkpoints
+
     preset, motion = _PRESET.value, _RIGID_MOTION.value
     opened = registry.open_model(
         _MODEL_PATH.value,
@@ -130,12 +132,9 @@ def _open(overrides) -> registry.OpenedModel:
         raw_path=_RAW_PATH.value,
         rigid_correction=_RIGID_CORRECTION.value,
     )
-    stored = str(opened.model.simulator.scene.rigid_motion)
-    if motion not in (None, stored):
-        raise ValueError(
-            f'--rigid_motion={motion} contradicts the model in {_MODEL_PATH.value}, which has '
-            f'{stored!r}: leave the flag out'
-        )
+    if motion is not None:
+        scene = opened.model.simulator.scene
+        checkpoints.refuse_contradictions(_MODEL_PATH.value, scene, {'rigid_motion': motion})
     return opened
 
 

@@ -123,10 +123,7 @@ def measure(folders: list[str], method: str, seed: int, work_path: str) -> dict:
     for fold, folder in enumerate(folders):
         name = f'{rollouts.name_of_folder(method)}_{seed}_fold_{fold}'
         model = os.path.join(work_path, 'models', name)
-        training = rollouts.training_flags(method)
-        if rollouts.has_seed(method):
-            training.append(f'--seed={seed}')
-        rollouts.train(folder, model, training)
+        rollouts.train(folder, model, rollouts.flags_of_seed(method, seed))
         output = rollouts.roll_out(folder, model, 'test', os.path.join(work_path, 'rollouts'))
         errors = files.read_json(os.path.join(output, 'metrics.json'))['runs']
         for predictor, runs in errors.items():
@@ -192,15 +189,15 @@ def define_flags() -> None:
 
 def main(values, _) -> None:
     """Runs the command."""
-    counts = {m: values.num_seeds if rollouts.has_seed(m) else 1 for m in values.train}
+    asked = {method: rollouts.seeds_of(method, values.num_seeds) for method in values.train}
     name = os.path.basename(os.path.normpath(values.data_path))
     work_path = os.path.join(values.work_path, f'{name}_{values.num_folds}')
     folders = make_folds(values.data_path, values.num_folds, values.num_valid, work_path)
     path = values.output_path
     held = files.read_json(path)['rows'] if os.path.exists(path) else {}
-    for method, count in counts.items():
+    for method, wanted in asked.items():
         seeds = []
-        for seed in range(count):
+        for seed in wanted:
             seeds.append(measure(folders, method, seed, work_path))
             held[f'{name} {method} {len(folders)}'] = {
                 'data': name, 'method': method, 'folds': values.num_folds, 'seeds': seeds,

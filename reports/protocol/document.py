@@ -137,7 +137,7 @@ def trained_here(values, folder: str) -> dict[str, list[str]]:
     return {
         name: [
             os.path.join(folder, f'{rollouts.name_of_folder(name)}_{seed}')
-            for seed in range(values.num_seeds if rollouts.has_seed(name) else 1)
+            for seed in rollouts.seeds_of(name, values.num_seeds)
         ]
         for name in values.train
     }
@@ -150,10 +150,7 @@ def _jobs(found, data_path, values, folder):
         for seed, path in enumerate(map(os.path.abspath, paths)):
             flags_ = None
             if name in values.train:
-                flags_ = [f.replace('{seed}', str(seed)) for f in rollouts.training_flags(name)]
-                flags_ += ['--num_threads=1']
-                if rollouts.has_seed(name):
-                    flags_.append(f'--seed={seed}')
+                flags_ = [*rollouts.flags_of_seed(name, seed), '--num_threads=1']
             jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
     return jobs
 

@@ -46,12 +46,27 @@ def training_flags(name: str) -> list[str]:
     return [f'--preset={preset}', *others]
 
 
-def has_seed(name: str) -> bool:
-    """Whether anything is drawn in the training of a method of --train.
+def seeds_of(name: str, count: int) -> range:
+    """The seeds of a method of --train: `count` of them, one where nothing is drawn.
 
     Raises:
       ValueError: no preset of that name, or as `training_flags`.
     """
+    return range(count if _draws(name) else 1)
+
+
+def flags_of_seed(name: str, seed: int) -> list[str]:
+    """Flags of the training of a method of --train from a seed, which stands for {seed} in them.
+
+    Raises:
+      ValueError: as `seeds_of`.
+    """
+    given = [flag.replace('{seed}', str(seed)) for flag in training_flags(name)]
+    return [*given, *[f'--seed={seed}'] * _draws(name)]
+
+
+def _draws(name):
+    """Whether anything is drawn in the training of a method of --train."""
     preset = training_flags(name)[0].removeprefix('--preset=')
     return hasattr(presets.make_config(preset), 'seed')
 

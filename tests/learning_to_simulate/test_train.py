@@ -188,7 +188,7 @@ def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
 def test_flags_that_contradict_the_model_are_refused(data, trained, flag, stored):
     done = run('--mode=eval', f'--data_path={data}', f'--model_path={trained}', flag)
     assert done.returncode != 0 and 'Traceback' not in done.stderr
-    assert f"{flag} contradicts the model in {trained}, which has '{stored}'" in done.stderr
+    assert f'{flag} contradicts the model in {trained}, which has {stored}: ' in done.stderr
 
 
 def test_one_step_errors_are_those_of_the_rollouts_first_frame(data, trained):

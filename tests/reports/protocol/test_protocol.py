@@ -299,11 +299,11 @@ def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     # Only those of --train are trained, and have flags: other names may be any text.
     jobs = document._jobs({'field, one member': ['a'], 'pcg': ['b', 'c']}, 'data', values, 'out')
     assert [job[2] for job in jobs] == [
-        None, *(['--preset=pcg', '--num_threads=1', f'--seed={seed}'] for seed in (0, 1))
+        None, *(['--preset=pcg', f'--seed={seed}', '--num_threads=1'] for seed in (0, 1))
     ]  # fmt: skip
     values.train = ['pcg --adjacency=lists/{seed}.json']
     (first, second) = document._jobs({values.train[0]: ['a', 'b']}, 'data', values, 'out')
-    assert first[2][1] == '--adjacency=lists/0.json' and second[2][-1] == '--seed=1'
+    assert first[2][1] == '--adjacency=lists/0.json' and second[2][2] == '--seed=1'
     # A regression draws nothing: it is trained once, and is given no seed, which it would refuse.
     values.train = ['path_ridge']
     found = document.trained_here(values, 'work')
