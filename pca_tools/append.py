@@ -54,7 +54,7 @@ def append(
         FileNotFoundError: a folder or file is missing.
         ValueError: bad raw runs, another scene or packing, runs without a split, nothing new, a
             run that the dataset holds with other content, a dataset with files of somebody else, or
-            one that another process writes.
+            one that another process writes or has replaced meanwhile.
         OSError: the dataset cannot be written.
     """
     dataset.read_metadata(data_path)  # the lock would make a folder that is absent
@@ -66,6 +66,7 @@ def append(
 def _append(
     raw_path: str, data_path: str, check_units: bool, match_particles: bool
 ) -> dict[str, Any]:
+    listed = files.check_manifest(data_path, ())
     base, space = convert.load_base(data_path)
     held = read_encoded(data_path, base)
     runs = RawRuns(raw_path)
@@ -84,6 +85,10 @@ def _append(
     together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
     together = {split: numbered(part) for split, part in together.items() if part}
     metadata = make_metadata(runs.world, together, space, 1, base)
+    if files.check_manifest(data_path, ()) != listed:  # by `--overwrite`, which takes no lock
+        raise ValueError(
+            f'{data_path}: was replaced while runs were added; what is there now is kept, call again'
+        )
     convert.write_dataset(data_path, together, space, sample.indices, metadata, overwrite=True)
     return metadata
 

@@ -141,6 +141,22 @@ def test_second_command_is_refused_while_the_first_one_works(grown, tmp_path, mo
     assert '.lock.json' not in os.listdir(data) and files.check_manifest(data)
 
 
+def test_dataset_that_is_replaced_meanwhile_is_kept(grown, tmp_path, monkeypatch):
+    data, second = grown
+    third = synthetic.write_raw_folder(str(tmp_path / 'third'), 'excavation', (8, 9))
+    encode = append.encode_runs
+
+    def replace_meanwhile(*arguments):
+        convert.convert(third, data, like=data, overwrite=True)
+        return encode(*arguments)
+
+    monkeypatch.setattr(append, 'encode_runs', replace_meanwhile)
+    with pytest.raises(ValueError, match='was replaced while runs were added'):
+        append.append(second, data)
+    assert dataset.read_metadata(data)['dataset_split'] == {'test': [8, 9]}
+    assert files.check_manifest(data) and '.lock.json' not in os.listdir(data)
+
+
 def plain_runs(seed, count=4, bodies=None, lift=0.0, frames=24):
     """Runs of particles that go their own ways, all written as the cases 0, 1, ..."""
     rng = np.random.default_rng(seed)
