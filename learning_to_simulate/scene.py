@@ -130,8 +130,8 @@ class Scene:
         if self.bodies:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
-                'A graph network of modes (--preset=pcg) learns on them, rolls out recorded runs, '
-                'steps by particles (live.stepping.Stepper) and exports as SavedModel or LiteRT'
+                'Networks on modes (--preset=pcg or mlp) learn on them, roll out recorded runs, step '
+                'by particles (live.stepping.Stepper) and are exported as SavedModel or LiteRT'
             )
 
     def to_json(self) -> dict:

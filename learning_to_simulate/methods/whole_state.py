@@ -39,7 +39,6 @@ class WholeStateSimulator(LearnedSimulator):
         """
         if self._network is None:
             self._n_rigid = n_rigid
-            self.scene.check_one_body(f'the method {self.config.model}')
             rows = self._rigid_rows() + self.scene.n_modes
             self._network = self._make(self.config, rows * self.dim + self.load_size)
         if n_rigid != self._n_rigid:

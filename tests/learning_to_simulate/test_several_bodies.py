@@ -22,6 +22,7 @@ from reports.protocol import baselines, rollouts
 from reports.protocol.truth import TruthReader
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
 H = 6
 POINTS = {'blade': 4, 'wheel': 3}
@@ -83,14 +84,16 @@ def test_thinning_keeps_the_lowest_of_each_body(tmp_path):
         assert sorted(lowest) == kept.tolist()
 
 
-@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis'])
+@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis', 'mlp'])
 def test_a_step_is_that_of_the_numpy_twin(tmp_path, preset):
-    model, group = make(write(str(tmp_path)), preset, rigid_particles=0)
+    own = {'mode_edges': 0} if preset == 'mlp' else {}
+    model, group = make(write(str(tmp_path)), preset, rigid_particles=0, **own)
+    twin = WholeStateTwin if preset == 'mlp' else Twin
     layout = model.layout(7)
     state, known, _, _ = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
     coming = type(known)(known.offset[0], known.velocity[0])
     after, force = model.simulator.step(state, coming, None, layout)
-    expected, expected_force = Twin(model, 7).step(
+    expected, expected_force = twin(model, 7).step(
         group.position[0, :H], group.position[0, H, :7], None
     )
     np.testing.assert_allclose(after.offset[0] + layout.origin, expected, atol=1e-5)
@@ -168,8 +171,8 @@ def test_what_knows_one_body_says_so(made, tmp_path):
     model, group = made
     with pytest.raises(ValueError, match='the C form knows one'):
         model_data.values(model, 7)
-    with pytest.raises(ValueError, match='the method mlp knows one'):
-        make(write(str(tmp_path)), 'mlp', mode_edges=0)
+    with pytest.raises(ValueError, match='predict_torque knows one'):
+        make(write(str(tmp_path)), predict_torque=True)
     with pytest.raises(ValueError, match='7 nodes, not 6'):
         s = model.simulator
         Layout(model.layout(7), 6, s.scene, s.statistics, True)

@@ -64,9 +64,10 @@ class WholeStateTwin(Twin):
         n_body = {'prescribed': 0, 'driven': 1}.get(str(self.scene.rigid_motion), n)
         body = {0: np.zeros((n, 3)), 1: np.tile(rows[:1], (n, 1))}.get(n_body, rows[:n_body])
         out = np.concatenate([body, rows[n_body : n_body + self.r]])
-        load = rows[n_body + self.r] * s.force_std + s.force_mean
+        first, n_force = n_body + self.r, s.force_mean.size // 3  # of each body
+        load = rows[first : first + n_force].ravel() * s.force_std + s.force_mean
         if c.predict_torque:
-            load = np.append(load, rows[n_body + self.r + 1] * s.torque_std + s.torque_mean)
+            load = np.append(load, rows[first + 1] * s.torque_std + s.torque_mean)
         load = load * self._share(history[-1], next_body)
         return self._integrate(history, velocity, out, next_body, rate, driven), load
 
