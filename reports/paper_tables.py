@@ -2,17 +2,18 @@
 
 Published: M. J. Usmani & K. Skonieczny, "Accelerating Graph Networks for Real-Time Physics
 Simulation" (Concordia, 2023). Ours: times from the rows of `reports error_vs_runtime` where
-there are any (else from metrics.json), errors from the metrics.json of the models, the rigid
-correction by rolling the published wheel model out with and without it. Our errors are those of
-whole rollouts within the subspace; which space the published ones were taken in is not stated.
+there are any (else from metrics.json), errors from the metrics.json of the shipped models and, for
+trainings of many steps, from the files of `reports training_curve`; the rigid correction by rolling
+published wheel models out with and without it. Our errors are those of whole rollouts within the
+subspace; which space the published ones were taken in is not stated.
 
 Examples:
     # shipped models on shipped datasets
     python -m reports paper_tables --output_path=docs/paper_tables.md
 
-    # the authors' folders too: trivial predictors always, models where their metrics.json is given
-    python -m reports paper_tables --output_path=/tmp/tables.md --original_path=../original \\
-        --original_models=/tmp/original_models
+    # the rigid correction of other models too
+    python -m reports paper_tables --output_path=/tmp/tables.md \\
+        --correction=models/wheel/pcg_thesis:datasets/wheel --correction=/tmp/model:/tmp/data
 """
 
 import os
@@ -20,17 +21,23 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import metrics, reading_utils
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import registry
-from pca_tools import dataset, files
-from reports import command, markdown
+from pca_tools import files
+from reports import command, markdown, training_curve
 from reports.record import ROOT
 from reports.work_precision import points, solver_rows
 
 SCENES = ('excavation', 'wheel')
-ORIGINAL_FOLDERS = {'excavation': 'Excavation_PCA', 'wheel': 'Wheel_PCA'}
 METHODS = {'FCG': 'fcg_original', 'PCG': 'pcg_thesis', '`pcg`': 'pcg'}
+# Longer trainings: file of `training_curve`, name of its data, what the table calls them.
+CURVES = {
+    'excavation': (('published_presets', 'grid_v2', 'grid of record'),
+                   ('published_presets_authors', 'Excavation_PCA', "authors' records")),
+    'wheel': (('published_presets_wheel', 'wheel_grid_v2', 'grid of record'),
+              ('published_presets_authors', 'Wheel_PCA', "authors' records")),
+}  # fmt: skip
+WHEEL = os.path.join(ROOT, 'models', 'wheel', 'pcg_thesis'), os.path.join(ROOT, 'datasets', 'wheel')
+MANY = 12  # runs; of more of them the force's errors are told by median and range
 
 # Seconds of computing per simulated second at 60 Hz, i7-10700 / RTX 3080: Table 3.1.
 PUBLISHED_TIMES = {
@@ -79,31 +86,41 @@ def _times_of_report(path):
     return {label: seconds for label, seconds in found.items() if seconds}
 
 
-def correction(model_path: str, data_path: str) -> str:
-    """Table 3.2: the wheel without and with rigid correction, MSE 1e-4 m²."""
+def correction(pairs: list[str]) -> str:
+    """Table 3.2: wheels without and with rigid correction, MSE 1e-4 m².
+
+    Args:
+      pairs: 'MODEL:DATA', folders of models whose body is predicted, and of the data.
+
+    Raises:
+      ValueError: not two folders.
+    """
     from learning_to_simulate import evaluation
 
-    names = ('MSE 1e-4 m²', 'published, without', 'with', 'ours, without', 'with')
-    opened = registry.open_model(model_path, data_path, 'test')
-    model, metadata, groups = opened.model, opened.metadata, opened.groups
-    means = []
-    for corrected in (False, True):
-        evaluator = evaluation.Evaluator(model, metadata, rigid_correction=corrected)
-        means.append(evaluator.run(groups, 'test')[1]['mean']['model'])
-    return markdown.table(
-        names,
-        [
-            (part, *published, *(_scaled(mean[f'{part}_mse']) for mean in means))
-            for part, published in PUBLISHED_CORRECTION.items()
-        ],
-    )
+    names = ['MSE 1e-4 m²', 'published, without', 'with']
+    found = {part: [part, *published] for part, published in PUBLISHED_CORRECTION.items()}
+    for pair in pairs:
+        model_path, separator, data_path = pair.partition(':')
+        if not separator:
+            raise ValueError(f'{pair!r}: MODEL:DATA was expected, two folders')
+        opened = registry.open_model(model_path, data_path, 'test')
+        name, count = os.path.basename(data_path), sum(len(g.position) for g in opened.groups)
+        names += [f'{name}, {count} runs, without', 'with']
+        for corrected in (False, True):
+            evaluator = evaluation.Evaluator(
+                opened.model, opened.metadata, rigid_correction=corrected
+            )
+            mean = evaluator.run(opened.groups, 'test')[1]['mean']['model']
+            for part, cells in found.items():
+                cells.append(_scaled(mean[f'{part}_mse']))
+    return markdown.table(names, found.values())
 
 
 def _scaled(mse):
     return 'not finite' if mse is None or not np.isfinite(mse) else 1e4 * mse
 
 
-def errors(models_path: str, original_path: str | None, original_models: str | None) -> str:
+def errors(models_path: str, curves_path: str) -> str:
     """Table 3.3: soil MSE, and the force's percentage error of every test run."""
     names = ('', 'soil MSE 1e-4 m²', 'force MPE % of each run', 'mean of its size %')
     rows = []
@@ -114,18 +131,17 @@ def errors(models_path: str, original_path: str | None, original_models: str | N
         rows += _rows_of_models(
             f'{scene}, {{}}, our records, test', os.path.join(models_path, scene)
         )
-        folder = ORIGINAL_FOLDERS[scene]
-        if original_path and os.path.isdir(os.path.join(original_path, folder)):
-            rows += _trivial_rows(scene, os.path.join(original_path, folder))
-            if original_models:
-                models = os.path.join(original_models, folder)
-                rows += _rows_of_models(f"{scene}, {{}}, authors' records", models)
+        for name, data, text in CURVES[scene]:
+            path = os.path.join(curves_path, f'{name}.json')
+            rows += _rows_of_curves(f'{scene}, {{}}, {text}', path, data)
     return markdown.table(names, rows)
 
 
 def _error_row(label, mse, mpe):
     given = [v for v in mpe if v is not None]
     runs = ' '.join('-' if v is None else f'{v:.1f}' for v in mpe)
+    if len(given) > MANY:
+        runs = f'median {np.median(given):.1f}, {min(given):.1f} to {max(given):.1f}'
     whole = bool(given) and len(given) == len(mpe)
     return label, _scaled(mse), runs, float(np.mean(np.abs(given))) if whole else None
 
@@ -149,25 +165,28 @@ def _soil_and_force(summary, name):
     return summary['mean'][name]['soil_mse'], [r.get('force_mpe') for r in summary['runs'][name]]
 
 
-def _trivial_rows(scene, folder):
-    """What predictors that know nothing reach on the authors' published records."""
-    metadata = dataset.read_metadata(folder)
+def _rows_of_curves(label, path, data):
+    """Rows of longer trainings on one dataset, the trivial predictors first."""
+    if not os.path.exists(path):
+        return []
+    rows = [row for row in files.read_json(path)['rows'].values() if row['data'] == data]
+    names = {preset: method for method, preset in METHODS.items()}
     lines = []
-    for split in dataset.SPLITS:
-        if not os.path.exists(dataset.split_path(folder, split)):
-            continue
-        groups = reading_utils.read_groups(folder, split, metadata)
-        n_soil = reading_utils.read_scene(folder, metadata, groups, None).n_soil
-        for predict in (metrics.stay_still, metrics.constant_velocity):
-            found = []
-            for group in groups:
-                truth = group.position[:, H:]
-                guess = predict(group.position[:, :H], truth.shape[1])
-                found.append(metrics.soil_mse(guess, truth, group.n_rigid, n_soil))
-            mse, name = np.concatenate(found), markdown.TRIVIAL[predict.__name__]
-            text = f"{scene}, {name}, authors' records, {split}, {len(mse)} runs"
-            lines.append((text, _scaled(float(mse.mean()))))
+    for row in rows:
+        preset, curve = row['method'].split(' ')[0], row['curve']
+        if not lines:
+            lines = [
+                _error_row(label.format(text), *_of_runs(row['runs'][key]))
+                for key, text in markdown.TRIVIAL.items()
+            ]
+        steps = f', {curve[-1]["step"]} steps' if curve else ''
+        text = label.format(names.get(preset, preset)) + steps
+        lines.append(_error_row(text, *_of_runs(row['runs']['model'])))
     return lines
+
+
+def _of_runs(runs):
+    return training_curve.mean_of(runs, 'soil_mse'), [run['force_mpe'] for run in runs]
 
 
 def document(values) -> str:
@@ -175,12 +194,8 @@ def document(values) -> str:
     parts = ['# Tables of the thesis, published and ours', '', _note(), '']
     parts += ['## Table 3.1: seconds of computing per simulated second', '']
     parts.append(times(values.models_path, values.reports_path))
-    model = os.path.join(values.models_path, 'wheel', 'pcg_thesis')
-    data = os.path.join(values.datasets_path, 'wheel')
-    if os.path.isdir(model) and os.path.isdir(data):
-        parts += ['', '## Table 3.2: rigid correction, wheel, PCG', '', correction(model, data)]
-    parts += ['', '## Table 3.3: errors', '']
-    parts.append(errors(values.models_path, values.original_path, values.original_models))
+    parts += ['', '## Table 3.2: rigid correction, wheel, PCG', '', correction(values.correction)]
+    parts += ['', '## Table 3.3: errors', '', errors(values.models_path, values.curves_path)]
     return '\n'.join(parts) + '\n'
 
 
@@ -189,8 +204,11 @@ def _note():
         'Published: Usmani & Skonieczny 2023, their datasets, i7-10700 and RTX 3080; 20 million '
         'training steps is the default flag of their code, not stated. Ours: our solver and '
         'datasets, presets `fcg_original` (FCG), `pcg_thesis` (PCG) and the default `pcg`, trained '
-        'as the presets say, on the CPU. Soil errors of ours are within the subspace; for the '
-        'published ones the space is not stated. Beside them the predictors that know nothing.'
+        'as the presets say, on the CPU; rows that name their steps are of longer trainings '
+        '([how](results.md#the-published-configurations)). "Our records" are runs of version 1, '
+        'the grid of record those of versions 3 and 4. Soil errors of ours are within the '
+        'subspace; for the published ones the space is not stated. Beside them the predictors that '
+        'know nothing.'
     )
 
 
@@ -198,12 +216,11 @@ def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('output_path', None, 'Markdown file to write.', required=True)
     flags.DEFINE_string('models_path', os.path.join(ROOT, 'models'), 'Models by scene and preset.')
-    flags.DEFINE_string('datasets_path', os.path.join(ROOT, 'datasets'), 'Datasets by scene.')
+    flags.DEFINE_multi_string('correction', [':'.join(WHEEL)], 'MODEL:DATA of Table 3.2.')
     flags.DEFINE_string('reports_path', os.path.join(ROOT, 'docs', 'error_vs_runtime'),
                         'Folders of error_vs_runtime by scene.')  # fmt: skip
-    flags.DEFINE_string('original_path', None, "The authors' folders, if you have them.")
-    flags.DEFINE_string('original_models', None, 'Folder with <folder>/<preset>/metrics.json of '
-                        'models that were trained on them.')  # fmt: skip
+    flags.DEFINE_string('curves_path', os.path.join(ROOT, 'docs'), 'Folder of the files of '
+                        'training_curve.')  # fmt: skip
 
 
 def main(values, _) -> None:

@@ -5,10 +5,10 @@ import pathlib
 import numpy as np
 import pytest
 
+from pca_tools import files
 from reports import paper_tables
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-ORIGINAL = ROOT.parent / 'shared' / 'original'
 
 
 def cells(line):
@@ -28,7 +28,7 @@ def test_times_and_errors_of_the_shipped_models_stand_beside_the_published(tmp_p
     assert len({line.count('|') for line in lines}) == 1
     wheel = cells(lines[-1])
     assert wheel[0] == 'wheel, ours' and wheel[1] == '' and float(wheel[3]) > float(wheel[7])
-    lines = paper_tables.errors(str(ROOT / 'models'), None, None).splitlines()
+    lines = paper_tables.errors(str(ROOT / 'models'), str(ROOT / 'docs')).splitlines()
     assert len({line.count('|') for line in lines}) == 1
     rows = {cells(line)[0]: cells(line)[1:] for line in lines}
     assert rows['excavation, PCG, published'][0] == '0.025'
@@ -41,9 +41,36 @@ def test_failed_runs_are_shown_as_failures():
     assert paper_tables._error_row('a', None, [1.0, None]) == ('a', 'not finite', '1.0 -', None)
 
 
-@pytest.mark.skipif(not ORIGINAL.is_dir(), reason="the authors' records are not here")
-def test_trivial_predictors_on_the_authors_records():
-    rows = dict(paper_tables._trivial_rows('wheel', str(ORIGINAL / 'Wheel_PCA')))
-    assert len(rows) == 4  # two splits, two predictors
-    # Of the authors' test split 0.040 and 0.018 were measured; these are other runs of theirs.
-    assert all(0.004 < value < 0.4 for value in rows.values())
+def test_longer_trainings_stand_beside_the_predictors_that_know_nothing(tmp_path):
+    def run(soil, mpe):
+        return {'soil_mse': soil, 'force_relative_l2': 0.1, 'force_mpe': mpe}
+
+    few, many = [run(2e-4, -10.0), run(4e-4, 30.0)], [run(1e-4, float(i)) for i in range(13)]
+    trivial = {'stay_still': [run(8e-4, 50.0)], 'constant_velocity': [run(None, None)]}
+    files.write_json(
+        str(tmp_path / 'published_presets_wheel.json'),
+        {
+            'rows': {
+                str(i): {'data': data, 'method': method, 'curve': curve, 'runs': trivial | runs}
+                for i, (data, method, curve, runs) in enumerate(
+                    (
+                        ('other', 'pcg', [], {'model': few}),
+                        ('wheel_grid_v2', 'fcg_original --x=1', [{'step': 7}], {'model': few}),
+                        ('wheel_grid_v2', 'path_ridge', [], {'model': many}),
+                    )
+                )
+            }
+        },
+    )
+    lines = paper_tables.errors(str(tmp_path), str(tmp_path)).splitlines()
+    rows = {cells(line)[0]: cells(line)[1:] for line in lines}
+    assert rows['wheel, FCG, grid of record, 7 steps'] == ['3', '-10.0 30.0', '20']
+    assert rows['wheel, path_ridge, grid of record'] == ['1', 'median 6.0, 0.0 to 12.0', '6']
+    assert rows['wheel, persistence, grid of record'] == ['8', '50.0', '50']
+    assert rows['wheel, constant velocity, grid of record'] == ['not finite', '-', '']
+    assert not any('`pcg`' in name for name in rows)
+
+
+def test_correction_wants_two_folders():
+    with pytest.raises(ValueError, match="'models/wheel': MODEL:DATA was expected"):
+        paper_tables.correction(['models/wheel'])
