@@ -32,11 +32,21 @@ PUBLISHED = {
 }
 # A constant, high rate until the edges are found, then a late decay; small batches.
 RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
-# Training runs and what differs from the recipe: up to two hours of one core each. Ten springs may
-# know that forces are mutual (`symmetric`); the others are the published model.
+# Training runs and what differs from the recipe: up to two hours of one core each. Ten springs and
+# charges may know that forces are mutual (`symmetric`). Charges attract or repel each other: both
+# types send messages, where of springs the first one stands for no spring (`skip_first`).
 BUDGETS = {
     ('springs', 5): (50000, {'epochs': 180, 'decay_start': 100, 'decay_epochs': 10}),
-    ('charged', 5): (20000, {'epochs': 60, 'decay_start': 42, 'decay_epochs': 3}),
+    ('charged', 5): (
+        50000,
+        {
+            'symmetric': True,
+            'skip_first': False,
+            'epochs': 100,
+            'decay_start': 60,
+            'decay_epochs': 8,
+        },
+    ),
     ('springs', 10): (
         50000,
         {'symmetric': True, 'epochs': 84, 'decay_start': 50, 'decay_epochs': 6},
