@@ -45,23 +45,6 @@ PRESETS = {
     # This project's default: partial graph, conditioned inputs, displacement outputs, unrolled
     # training.
     'pcg': TrainConfig('pcg'),
-    # For few runs of steady flow (ten wheel runs): what soil does already predicts best what it
-    # will do, so the model starts from constant velocity and learns little, mostly in rollouts.
-    'pcg_steady': TrainConfig(
-        'pcg_steady',
-        velocity_inputs=5,
-        rate_scaled=False,
-        mode_order=2,
-        rigid_order=2,
-        noise_std=0.1,
-        zero_decoder=True,
-        latent_size=32,
-        num_steps=100,
-        unroll_length=24,
-        unroll_steps=1000,
-        unroll_batch_size=4,
-        unroll_learning_rate=2e-4,
-    ),
     # Holden et al. 2019: a plain MLP on the subspace state.
     'mlp': TrainConfig('mlp', model='mlp', latent_size=128, **_WHOLE_STATE),
     # For free driving: where the modes are follows from what the blade has done since the start.

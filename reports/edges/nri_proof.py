@@ -42,9 +42,9 @@ BUDGETS = {
         {
             'symmetric': True,
             'skip_first': False,
-            'epochs': 100,
-            'decay_start': 60,
-            'decay_epochs': 8,
+            'epochs': 40,
+            'decay_start': 26,
+            'decay_epochs': 4,
         },
     ),
     ('springs', 10): (

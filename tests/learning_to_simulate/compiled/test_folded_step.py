@@ -13,6 +13,7 @@ from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
 from tests.learning_to_simulate import models
 
 PREDICTED = {'preset': 'pcg_thesis', 'motion': 'predicted', 'rigid_counts': (6,), 'context': True}
+SECOND_ORDER = {'velocity_inputs': 5, 'rate_scaled': False, 'mode_order': 2, 'rigid_order': 2}
 CASES = {
     'prescribed': {},
     'prescribed, contact': {'contact': True},
@@ -28,7 +29,7 @@ CASES = {
         'overrides': {'message_passing_steps': 3, 'latent_size': 15},
     },
     'prescribed, published': {'preset': 'pcg_thesis'},
-    'prescribed, second order': {'preset': 'pcg_steady', 'overrides': {'zero_decoder': False}},
+    'prescribed, second order': {'overrides': SECOND_ORDER},
     'prescribed, path': {'overrides': {'path_inputs': True}},
     'prescribed, path and places': {
         'overrides': {'path_inputs': True, 'mode_order': 0, 'rate_scaled': False}
@@ -39,11 +40,7 @@ CASES = {
         'overrides': {'message_passing_steps': 2, 'velocity_inputs': 3},
     },
     'driven, full graph': {'motion': 'driven', 'overrides': {'adjacency': 'fully_connected'}},
-    'driven, second order': {
-        'motion': 'driven',
-        'preset': 'pcg_steady',
-        'overrides': {'zero_decoder': False},
-    },
+    'driven, second order': {'motion': 'driven', 'overrides': SECOND_ORDER},
     'driven, published': {
         'motion': 'driven',
         'preset': 'pcg_thesis',
