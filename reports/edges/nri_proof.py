@@ -32,33 +32,27 @@ PUBLISHED = {
 }
 # A constant, high rate until the edges are found, then a late decay; small batches.
 RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
-# Training runs and what differs from the recipe: up to two hours of one core each. Ten springs and
-# charges may know that forces are mutual (`symmetric`). Charges attract or repel each other: both
-# types send messages, where of springs the first one stands for no spring (`skip_first`).
+# Charges attract or repel each other: both types send messages, where of springs the first one
+# stands for no spring (`skip_first`); they may know that forces are mutual (`symmetric`).
+OF_SYSTEM = {'charged': {'symmetric': True, 'skip_first': False}}
+# Training runs and what differs from both: up to two hours of one core each. Ten springs may know
+# that forces are mutual, too.
 BUDGETS = {
     ('springs', 5): (50000, {'epochs': 180, 'decay_start': 100, 'decay_epochs': 10}),
-    ('charged', 5): (
-        50000,
-        {
-            'symmetric': True,
-            'skip_first': False,
-            'epochs': 40,
-            'decay_start': 26,
-            'decay_epochs': 4,
-        },
-    ),
+    ('charged', 5): (50000, {'epochs': 40, 'decay_start': 26, 'decay_epochs': 4}),
     ('springs', 10): (
         50000,
         {'symmetric': True, 'epochs': 84, 'decay_start': 50, 'decay_epochs': 6},
     ),
 }
+OTHERS = 20000, {'epochs': 60, 'decay_start': 42, 'decay_epochs': 3}
 
 
 def settings_of(system, n_objects):
-    """Runs of each split and config; systems without a budget take that of five charges."""
-    n_train, budget = BUDGETS.get((system, n_objects), BUDGETS['charged', 5])
+    """Runs of each split and `NriConfig` of V objects of a system."""
+    n_train, budget = BUDGETS.get((system, n_objects), OTHERS)
     counts = {'train': n_train, 'valid': 5000, 'test': 10000}
-    return counts, NriConfig(**RECIPE | budget)
+    return counts, NriConfig(**RECIPE | OF_SYSTEM.get(system, {}) | budget)
 
 
 def run(system, n_objects, work_path, counts, config):

@@ -21,6 +21,8 @@ def test_every_system_has_settings():
     for system, n_objects in nri_proof.PUBLISHED:
         counts, config = nri_proof.settings_of(system, n_objects)
         assert counts['train'] >= 10000 and config.decay_start < config.epochs
+        # Only charges act on each other whatever their type.
+        assert config.skip_first == (system != 'charged')
 
 
 def test_stiffness_rows_hold_the_refusal_above_the_limit(tmp_path, monkeypatch):
