@@ -1,15 +1,14 @@
 """The thesis' Tables 3.1, 3.2 and 3.3 in its layout, published figures beside ours.
 
 Published: M. J. Usmani & K. Skonieczny, "Accelerating Graph Networks for Real-Time Physics
-Simulation" (Concordia, 2023). Ours: times from the rows of `reports error_vs_runtime` where
-there are any (else from metrics.json), errors from the metrics.json of the shipped models and, for
-trainings of many steps, from the files of `reports training_curve`; the rigid correction by rolling
-published wheel models out with and without it. Our errors are those of whole rollouts within the
-subspace; which space the published ones were taken in is not stated.
+Simulation" (Concordia, 2023). Ours: times and errors from the metrics.json of the shipped models
+and, of trainings of many steps, from `docs/longer_trainings.json`; the rigid correction by rolling
+wheel models out with and without it. Our errors are those of whole rollouts within the subspace;
+which space the published ones were taken in is not stated.
 
 Examples:
     # shipped models on shipped datasets
-    python -m reports paper_tables --output_path=docs/paper_tables.md
+    python -m reports paper_tables --output_path=/tmp/tables.md
 
     # the rigid correction of other models too
     python -m reports paper_tables --output_path=/tmp/tables.md \\
@@ -23,19 +22,17 @@ from absl import flags
 
 from learning_to_simulate.methods import registry
 from pca_tools import files
-from reports import command, markdown, training_curve
+from reports import command, markdown
 from reports.record import ROOT
-from reports.work_precision import points, solver_rows
 
 SCENES = ('excavation', 'wheel')
 METHODS = {'FCG': 'fcg_original', 'PCG': 'pcg_thesis', '`pcg`': 'pcg'}
-# Longer trainings: file of `training_curve`, name of its data, what the table calls them.
-CURVES = {
-    'excavation': (('published_presets', 'grid_v2', 'grid of record'),
-                   ('published_presets_authors', 'Excavation_PCA', "authors' records")),
-    'wheel': (('published_presets_wheel', 'wheel_grid_v2', 'grid of record'),
-              ('published_presets_authors', 'Wheel_PCA', "authors' records")),
-}  # fmt: skip
+# Longer trainings: name of their data, and what the table calls it.
+LONGER = os.path.join(ROOT, 'docs', 'longer_trainings.json')
+DATA = {
+    'excavation': {'grid_v2': 'grid of record', 'Excavation_PCA': "authors' records"},
+    'wheel': {'wheel_grid_v2': 'grid of record', 'Wheel_PCA': "authors' records"},
+}
 WHEEL = os.path.join(ROOT, 'models', 'wheel', 'pcg_thesis'), os.path.join(ROOT, 'datasets', 'wheel')
 MANY = 12  # runs; of more of them the force's errors are told by median and range
 
@@ -58,32 +55,20 @@ PUBLISHED_ERRORS = {
 }
 
 
-def times(models_path: str, reports_path: str) -> str:
+def times(models_path: str) -> str:
     """Table 3.1: seconds of computing per simulated second."""
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
     rows: list[tuple] = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
-        report = os.path.join(reports_path, scene, points.DOCUMENT)
-        measured = _times_of_report(report) if os.path.exists(report) else {}
+        measured = {}
         for preset in METHODS.values():
             path = os.path.join(models_path, scene, preset, 'metrics.json')
-            if preset not in measured and os.path.exists(path):
+            if os.path.exists(path):
                 mean = files.read_json(path)['mean']['model']
                 measured[preset] = mean['seconds_per_simulated_second']
         fcg, pcg, ours = (measured.get(preset) for preset in METHODS.values())
-        rows.append(
-            (f'{scene}, ours', measured.get(solver_rows.FINE), measured.get('GNS on particles'),
-             fcg, None, pcg, None, ours)
-        )  # fmt: skip
+        rows.append((f'{scene}, ours', None, None, fcg, None, pcg, None, ours))
     return markdown.table(names, rows)
-
-
-def _times_of_report(path):
-    document = points.read_document(path)
-    found = {}
-    for point in document['points']:
-        found.setdefault(point.label, point.seconds_per_second(document['dt']))
-    return {label: seconds for label, seconds in found.items() if seconds}
 
 
 def correction(pairs: list[str]) -> str:
@@ -120,7 +105,7 @@ def _scaled(mse):
     return 'not finite' if mse is None or not np.isfinite(mse) else 1e4 * mse
 
 
-def errors(models_path: str, curves_path: str) -> str:
+def errors(models_path: str, longer_path: str) -> str:
     """Table 3.3: soil MSE, and the force's percentage error of every test run."""
     names = ('', 'soil MSE 1e-4 m²', 'force MPE % of each run', 'mean of its size %')
     rows = []
@@ -131,9 +116,8 @@ def errors(models_path: str, curves_path: str) -> str:
         rows += _rows_of_models(
             f'{scene}, {{}}, our records, test', os.path.join(models_path, scene)
         )
-        for name, data, text in CURVES[scene]:
-            path = os.path.join(curves_path, f'{name}.json')
-            rows += _rows_of_curves(f'{scene}, {{}}, {text}', path, data)
+        for data, text in DATA[scene].items():
+            rows += _rows_of_longer(f'{scene}, {{}}, {text}', longer_path, data)
     return markdown.table(names, rows)
 
 
@@ -165,37 +149,36 @@ def _soil_and_force(summary, name):
     return summary['mean'][name]['soil_mse'], [r.get('force_mpe') for r in summary['runs'][name]]
 
 
-def _rows_of_curves(label, path, data):
+def _rows_of_longer(label, path, data):
     """Rows of longer trainings on one dataset, the trivial predictors first."""
-    if not os.path.exists(path):
-        return []
     rows = [row for row in files.read_json(path)['rows'].values() if row['data'] == data]
     names = {preset: method for method, preset in METHODS.items()}
     lines = []
     for row in rows:
-        preset, curve = row['method'].split(' ')[0], row['curve']
+        preset = row['method'].split(' ')[0]
         if not lines:
             lines = [
                 _error_row(label.format(text), *_of_runs(row['runs'][key]))
                 for key, text in markdown.TRIVIAL.items()
             ]
-        steps = f', {curve[-1]["step"]} steps' if curve else ''
+        steps = f', {row["steps"]} steps' if row['steps'] else ''
         text = label.format(names.get(preset, preset)) + steps
         lines.append(_error_row(text, *_of_runs(row['runs']['model'])))
     return lines
 
 
 def _of_runs(runs):
-    return training_curve.mean_of(runs, 'soil_mse'), [run['force_mpe'] for run in runs]
+    soil = [run['soil_mse'] for run in runs]
+    return None if None in soil else float(np.mean(soil)), [run['force_mpe'] for run in runs]
 
 
 def document(values) -> str:
     """All three tables as Markdown."""
     parts = ['# Tables of the thesis, published and ours', '', _note(), '']
     parts += ['## Table 3.1: seconds of computing per simulated second', '']
-    parts.append(times(values.models_path, values.reports_path))
+    parts.append(times(values.models_path))
     parts += ['', '## Table 3.2: rigid correction, wheel, PCG', '', correction(values.correction)]
-    parts += ['', '## Table 3.3: errors', '', errors(values.models_path, values.curves_path)]
+    parts += ['', '## Table 3.3: errors', '', errors(values.models_path, values.longer_path)]
     return '\n'.join(parts) + '\n'
 
 
@@ -204,11 +187,10 @@ def _note():
         'Published: Usmani & Skonieczny 2023, their datasets, i7-10700 and RTX 3080; 20 million '
         'training steps is the default flag of their code, not stated. Ours: our solver and '
         'datasets, presets `fcg_original` (FCG), `pcg_thesis` (PCG) and the default `pcg`, trained '
-        'as the presets say, on the CPU; rows that name their steps are of longer trainings '
-        '([how](results.md#the-published-configurations)). "Our records" are runs of version 1, '
-        'the grid of record those of versions 3 and 4. Soil errors of ours are within the '
-        'subspace; for the published ones the space is not stated. Beside them the predictors that '
-        'know nothing; the force of persistence is the last given one, that of constant velocity '
+        'as the presets say, on the CPU; rows that name their steps are of longer trainings. "Our '
+        'records" are runs of version 1, the grid of record those of versions 3 and 4. Soil errors '
+        'of ours are within the subspace; for the published ones the space is not stated. Beside '
+        'them the predictors that know nothing; the force of persistence is the last given one, that of constant velocity '
         'the mean force of the training runs.'
     )
 
@@ -218,10 +200,7 @@ def define_flags() -> None:
     flags.DEFINE_string('output_path', None, 'Markdown file to write.', required=True)
     flags.DEFINE_string('models_path', os.path.join(ROOT, 'models'), 'Models by scene and preset.')
     flags.DEFINE_multi_string('correction', [':'.join(WHEEL)], 'MODEL:DATA of Table 3.2.')
-    flags.DEFINE_string('reports_path', os.path.join(ROOT, 'docs', 'error_vs_runtime'),
-                        'Folders of error_vs_runtime by scene.')  # fmt: skip
-    flags.DEFINE_string('curves_path', os.path.join(ROOT, 'docs'), 'Folder of the files of '
-                        'training_curve.')  # fmt: skip
+    flags.DEFINE_string('longer_path', LONGER, 'Rows of longer trainings.')
 
 
 def main(values, _) -> None:

@@ -4,19 +4,19 @@ Examples:
     # the graphs of NRI first (a list for each seed), then the comparison
     python -m reports nri_stability --data_path=datasets/excavation --work_path=/tmp/nri \\
         --output_path=docs/edges/excavation_nri.json
-    python -m reports edge_ablation --data_path=datasets/excavation \\
+    python -m reports edges --data_path=datasets/excavation \\
         --nri_path=docs/edges/excavation_nri.json --output_path=docs/edges/excavation.json
 
     # two rows with the budget of the shipped models
-    python -m reports edge_ablation --data_path=datasets/excavation --num_steps=3000 \\
+    python -m reports edges --data_path=datasets/excavation --num_steps=3000 \\
         --unroll_steps=2000 --unroll_length=16 --unroll_batch_size=8 \\
         --variants='none,correlation and self-edges' --output_path=docs/edges/excavation_long.json
 
     # the table and the picture again, from the JSON alone
-    python -m reports edge_ablation --output_path=docs/edges/excavation.json --report_only
+    python -m reports edges --output_path=docs/edges/excavation.json --report_only
 
     # the list of one variant (of the seed that was best on valid) as the dataset's own
-    python -m reports edge_ablation --output_path=docs/edges/excavation.json --report_only \\
+    python -m reports edges --output_path=docs/edges/excavation.json --report_only \\
         --variant='learned gates' --edges_path=datasets/excavation/edges.json
 
 Every row is the `pcg` preset with fewer steps. Rows of one seed differ in their edges alone: same

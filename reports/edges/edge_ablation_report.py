@@ -1,4 +1,4 @@
-"""Table and picture of `reports edge_ablation`, from its JSON alone."""
+"""Table and picture of `reports edges`, from its JSON alone."""
 
 import os
 import re
@@ -151,7 +151,7 @@ def edges_of(result: dict, variant: str) -> edge_lists.EdgeList:
         digests={'model': None} | result['budget']['data'],
         degenerate=edge_lists.degeneracy(mask),
         report={
-            'source': f'reports edge_ablation, {variant}, seed {best["seed"]}',
+            'source': f'reports edges, {variant}, seed {best["seed"]}',
             'edges_kept': int(mask.sum()),
         },
     )
@@ -205,9 +205,7 @@ def write(result: dict, stem: str) -> str:
         text = table(result)
         draw(f'{stem}.png', result)
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f'{stem}.json: not the result of reports edge_ablation ({error!r})'
-        ) from error
+        raise ValueError(f'{stem}.json: not the result of reports edges ({error!r})') from error
 
     files.write_text(f'{stem}.md', text + '\n')
     return text

@@ -6,7 +6,7 @@ Examples:
 
 Resumes where it was stopped; pictures of the graphs (.png) and of the losses (_loss.png) lie beside
 the JSON. The JSON holds P(edge) of every
-seed, mean over the training runs, and is what `reports edge_ablation --nri_path` takes.
+seed, mean over the training runs, and is what `reports edges --nri_path` takes.
 """
 
 import itertools

@@ -9,7 +9,7 @@ import tqdm
 from cluster import workers
 from pca_tools import dataset, files
 from reports import record
-from reports.protocol import reliability, rollouts, run_errors, tables
+from reports.protocol import curve, reliability, rollouts, run_errors
 from reports.protocol.truth import TruthReader
 
 SPLITS = ('valid', 'test')
@@ -82,7 +82,8 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
         {k: m[k] for k in ('name', 'baseline', 'about')}
         | {
             'seeds': [
-                {'seed': s['seed'], 'source': s['source'], 'runs': {n: [] for n in SPLITS}}
+                {k: s[k] for k in ('seed', 'source', 'curve') if k in s}
+                | {'runs': {n: [] for n in SPLITS}}
                 for s in m['seeds']
             ]
         }
@@ -129,12 +130,7 @@ def _models_of(dataset_name, values):
             raise ValueError(f'--model={item}: NAME=FOLDER was expected')
         found.setdefault(name, []).append(path)
     folder = os.path.join(values.work_path, 'models', dataset_name)
-    return found | trained_here(values, folder)
-
-
-def trained_here(values, folder: str) -> dict[str, list[str]]:
-    """Method of --train -> the model folders of its seeds, under `folder`; one of what has none."""
-    return {
+    return found | {
         name: [
             os.path.join(folder, f'{rollouts.name_of_folder(name)}_{seed}')
             for seed in rollouts.seeds_of(name, values.num_seeds)
@@ -195,6 +191,7 @@ def _model_method(name, paths, data_path, reader, folder):
             {
                 'seed': config.get('config', {}).get('seed'),
                 'source': os.path.relpath(path, record.ROOT) if shipped else 'trained for this',
+                'curve': curve.of_training(path),
                 'predictions': predictions,
             }
         )
@@ -202,14 +199,12 @@ def _model_method(name, paths, data_path, reader, folder):
     return {'name': name, 'baseline': False, 'about': about, 'seeds': seeds}
 
 
-def protocol(data_path: str, values, models: dict[str, list[str]] | None = None) -> dict:
-    """The document of one dataset; see `judge`.
+def protocol(data_path: str, values) -> dict:
+    """The document of one dataset, without what `tables.complete` adds; see `judge`.
 
     Args:
       data_path: its folder.
       values: flags of the command.
-      models: name -> folders of its seeds; those in `values.train` are presets that are trained
-        there. None: as the flags say.
     """
     from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
 
@@ -231,7 +226,7 @@ def protocol(data_path: str, values, models: dict[str, list[str]] | None = None)
         }
         for b in baselines.fit_all(reader)
     ]
-    found = _models_of(name_of(data_path), values) if models is None else models
+    found = _models_of(name_of(data_path), values)
     folder = _make_models(found, data_path, values)
     for name, paths in found.items():
         methods.append(_model_method(name, paths, data_path, reader, folder))
@@ -239,10 +234,9 @@ def protocol(data_path: str, values, models: dict[str, list[str]] | None = None)
     def progress(runs):
         return tqdm.tqdm(runs, unit='run', desc='judging', disable=None)
 
-    document = {
+    return {
         'schema_version': SCHEMA_VERSION,
         'scene': scene,
         'record': record.provenance(),
         **judge(reader, methods, progress),
     }
-    return tables.complete(document)

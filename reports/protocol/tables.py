@@ -2,7 +2,7 @@
 
 from pca_tools import files
 from reports import markdown
-from reports.protocol import over_runs, reliability
+from reports.protocol import curve, driven_runs, over_runs, reliability
 from reports.protocol.over_runs import ALL, QUIET_MM
 
 
@@ -122,6 +122,19 @@ def reliability_table(document: dict) -> str:
     return markdown.table(['method', *titles], rows)
 
 
+def training_table(document: dict) -> str:
+    """Of every training whose checkpoints were judged on valid: its steps, and the mean error over
+    the last quarter of them over that of the quarter before. '' where there is none."""
+    rows = []
+    for method in document['methods']:
+        for seed in method['seeds']:
+            if points := seed.get('curve'):
+                flat = (curve.change(points, key) for key in ('soil_mse', 'force_mse'))
+                rows.append((method['name'], seed['seed'], points[-1]['step'], *flat))
+    header = ('method', 'seed', 'steps', 'last quarter over the one before: soil', 'force')
+    return markdown.table(header, rows) if rows else ''
+
+
 def facts_table(document: dict) -> str:
     """What the judged data are, split by split."""
     rows = []
@@ -164,6 +177,24 @@ def horizons(path: str, split: str) -> str:
 def runs(path: str, split: str, name: str) -> str:
     """`run_table` of a stored document."""
     return run_table(files.read_json(path), split, name)
+
+
+def sizes(*paths: str) -> str:
+    """Mean errors of driven test runs (else of all) by number of training runs, of stored documents
+    of parts of one dataset; (low to high) over seeds."""
+    found = []
+    for path in paths:
+        document = files.read_json(path)
+        errors = driven_runs.condense(document)
+        judged = errors.get(driven_runs.DRIVEN) or errors[driven_runs.GRID]
+        found.append((document['data']['train_runs'], judged))
+    columns = [(q, name) for q in driven_runs.QUANTITIES for name in found[-1][1][q]]
+    lines = [
+        (count, *(markdown.span(errors[q].get(name, [])) for q, name in columns))
+        for count, errors in sorted(found, key=lambda row: row[0])
+    ]
+    titles = (f'{name}: {driven_runs.QUANTITIES[q]}' for q, name in columns)
+    return markdown.table(('training runs', *titles), lines)
 
 
 def complete(document: dict) -> dict:

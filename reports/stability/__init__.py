@@ -1,1 +1,1 @@
-"""The cases of `reports stability_report`, one file per part of the project."""
+"""The cases of `reports stability`, one file per part of the project."""

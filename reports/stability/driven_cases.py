@@ -1,4 +1,4 @@
-"""Models of driven tools far beyond what they were shown: paths ten times as long, stops, air."""
+"""Models of driven tools beyond what they were shown: longer, stopped, in the air, faster, deeper."""
 
 import os
 
@@ -19,6 +19,7 @@ MODELS = {
 }
 # One test run of each of these kinds, the first there is; beds at rest that nothing has cut.
 KINDS = ('smooth', 'stops', 'lift', 'slip', 'load', 'reverse')
+FASTER, DEEPER = 3, 0.08  # times as fast, m below the path
 AIR = 0.05  # m between the blade's edge and the bed
 AIR_WAY, AIR_FRAMES = 0.3, 180  # m, frames of a level ride
 
@@ -122,6 +123,30 @@ def air(name: str, model, runs: list[dict]) -> list[Case]:
     return [judged(PART, what, largest, 'N', None, f'soil moves by {moved:.3g} mm')]
 
 
+def beyond(name: str, model, run: dict, deeper: bool = True) -> list[Case]:
+    """A path that no training held: does the status say so?"""
+    poses = run['poses'][H - 1 :]
+    changed = {f'{FASTER} times as fast': (poses[::FASTER], FASTER)}
+    if deeper:
+        lower = poses.copy()
+        lower[:, 1] -= np.linspace(0.0, DEEPER, len(poses))
+        changed[f'ever deeper, {100 * DEEPER:.0f} cm at its end'] = lower, 1
+    rows = []
+    for what, (path, every) in changed.items():
+        context = run['context']
+        context = None if context is None else context[H - 1 :: every][: len(path)]
+        rollout = model.rollout(path, context=context)
+        share = 100 * np.mean([status == RolloutStatus.OK for status in rollout.frame_status])
+        largest = float(np.linalg.norm(rollout.force, axis=1).max())
+        rows.append(
+            Case(
+                PART, f'{name}, {what}: frames that are ok', float(share), '%', None,
+                _outcome([rollout]), f'{rollout.status}; largest force {largest:.3g} N',
+            )
+        )  # fmt: skip
+    return rows
+
+
 def run_all(is_quick, progress):
     """All rows; no curves."""
     import learning_to_simulate as lts
@@ -133,7 +158,9 @@ def run_all(is_quick, progress):
         runs = recorded_runs(os.path.join(ROOT, 'datasets', data), 1 if is_quick else None)
         name = f'{data}/{preset}'
         model = lts.load(os.path.join(ROOT, 'models', data, preset))
+        is_blade = data.startswith('excavation')
         rows += to_and_fro(name, model, runs, factor) + held(name, model, runs, factor)
-        if data.startswith('excavation'):
+        rows += beyond(name, model, runs[0], is_blade)  # a wheel's height is not given
+        if is_blade:
             rows += air(name, model, runs)
     return rows, {}

@@ -20,12 +20,9 @@ def draw_all(curves: dict, folder: str) -> list[str]:
     """Draws every picture whose curves are there; returns the names of the files."""
     names = []
     for name, key, draw in (
-        ('solver_stiffness.png', 'stiffness', _stiffness),
-        ('solver_limits.png', 'divergence', _limits),
         ('error_growth.png', 'growth', _growth),
         ('ten_horizons.png', 'horizon', _horizon),
         ('rigid_shape.png', 'rigid', _rigid),
-        ('extrapolation.png', 'extrapolation', _extrapolation),
         ('perturbed_starts.png', 'perturbation', _perturbation),
         ('springs.png', 'springs', _springs),
     ):
@@ -77,68 +74,6 @@ def _panels(figure, curves):
         one.grid(True)
         panels.append((one, [c for c in curves if c['model'].startswith(scene)]))
     return panels
-
-
-def _stiffness(figure, curves):
-    data = curves['stiffness']
-    figure.set_size_inches(9.2, 5.6)
-    factor = [c['factor'] for c in data]
-    step, cost, force, energy = figure.subplots(2, 2).ravel()
-    for axes, key, scale, title in (
-        (step, 'time_step_s', 1e3, 'Largest stable step (ms): falls as 1 / sqrt(E)'),
-        (cost, 'cpu_s_per_simulated_s', 1.0, 'Cost (CPU s per simulated s): rises as sqrt(E)'),
-    ):
-        values = np.array([c[key] for c in data]) * scale
-        axes.loglog(factor, values, 'o-', color=COLORS['pcg'], linewidth=1.4)
-        slope = -0.5 if axes is step else 0.5
-        ideal = values[1] * np.array(factor) ** slope
-        axes.loglog(factor, ideal, ':', color=GREY, label='slope of 1/2')
-        axes.set(title=title)
-        axes.legend()
-    colors = ('#56b4e9', '#0072b2', '#d55e00', INK)
-    for curve, color in zip(data, colors):
-        time = (1 + np.arange(len(curve['force_N']))) / FRAME_RATE
-        label = f'E x {curve["factor"]:g}'
-        force.plot(time, curve['force_N'], color=color, linewidth=1.2, label=label)
-    force.set(title='Draft of the blade (N)', xlabel='time (s)')
-    force.legend(ncols=2)
-    share = [c['energy_gained_J'] / c['work_J'] for c in data]
-    energy.semilogx(factor, share, 'o-', color=COLORS['pcg'], linewidth=1.4)
-    energy.axhline(1.0, color=COLORS['pcg_thesis'], linewidth=1.0, label='energy out of nothing')
-    energy.set(title='Energy the soil gained over work of the blade', ylim=(-0.1, 1.15))
-    energy.legend(loc='center right')
-    for axes in (step, cost, energy):
-        axes.set_xlabel("factor on Young's modulus 1.5 MPa")
-    for axes in (step, cost, force, energy):
-        axes.grid(True)
-
-
-def _limits(figure, curves):
-    figure.set_size_inches(9.2, 3.2)
-    rest, gravity = figure.subplots(1, 2)
-    known = [c for c in curves['divergence'] if c['speed_m_s'] is not None]
-    rest.semilogy(
-        [c['cfl'] for c in known], [1e3 * c['speed_m_s'] for c in known], 'o-', color=COLORS['pcg']
-    )
-    for c in curves['divergence']:
-        if c['speed_m_s'] is None:
-            rest.axvline(c['cfl'], color=COLORS['pcg_thesis'], linewidth=1.2)
-            rest.annotate(
-                'a particle leaves the grid', (c['cfl'], 0.5), rotation=90, ha='right', va='center',
-                xycoords=('data', 'axes fraction'), color=COLORS['pcg_thesis'], fontsize=8,
-            )  # fmt: skip
-    rest.axvspan(0.0, 0.8, color='#e6f2ee', zorder=0)
-    rest.annotate('allowed', (0.42, 0.93), xycoords=('data', 'axes fraction'), ha='center')
-    rest.set(title='Soil at rest: largest speed (mm/s)', xlabel='CFL number', xlim=(0.3, 2.05))
-    data = [c for c in curves['gravity'] if c['crossed'] is not None and c['factor'] > 0]
-    gravity.loglog(
-        [c['factor'] for c in data], [c['crossed'] for c in data], 'o-', color=COLORS['pcg']
-    )
-    gravity.axhline(0.5, color=COLORS['pcg_thesis'], label='refused above')
-    gravity.set(title='Cells that soil crosses between exchanges', xlabel='gravity (g)')
-    gravity.legend()
-    for axes in (rest, gravity):
-        axes.grid(True)
 
 
 def _growth(figure, curves):
@@ -208,46 +143,6 @@ def _rigid(figure, curves):
         axes.set(xlabel='time (s)', ylabel='largest change of a distance in the body (mm)')
         axes.legend()
     figure.set_size_inches(6.4, 3.6)
-
-
-def _extrapolation(figure, curves):
-    data = [c for c in curves['extrapolation'] if c['model'].startswith('excavation')]
-    keys = list(dict.fromkeys(c['key'] for c in data))
-    titles = {
-        'depth_m': 'depth (m)', 'speed_m_s': 'speed (m/s)', 'angle_deg': 'angle (degrees)',
-    }  # fmt: skip
-    figure.set_size_inches(9.6, 5.6)
-    panels = figure.subplots(2, len(keys), squeeze=False)
-    for column, key in enumerate(keys):
-        of_key = [c for c in data if c['key'] == key]
-        for row, (what, label) in enumerate(
-            (('moved_mm', 'RMS way of the soil (mm)'), ('force_N', 'mean force (N)'))
-        ):
-            axes = panels[row, column]
-            for model in dict.fromkeys(c['model'] for c in of_key):
-                of_model = [c for c in of_key if c['model'] == model]
-                x = [c['value'] for c in of_model]
-                y = [c[what] for c in of_model]
-                axes.plot(x, y, label=model.split()[1], **_style(of_model[0]))
-                for c in of_model:
-                    face = COLORS[_preset(c)] if c['status'] == 'ok' else 'white'
-                    axes.plot(
-                        c['value'], c[what], 'o', markersize=5, color=COLORS[_preset(c)],
-                        markerfacecolor=face, clip_on=False, zorder=3,
-                    )  # fmt: skip
-            trained = of_key[0]['trained']
-            axes.axvspan(0, trained, color='#e6f2ee', zorder=0)
-            axes.set(
-                xlim=(of_key[0]['value'] * 0.8, of_key[-1]['value']),
-                ylim=(0, 1.05 * max(c[what] for c in of_key)),
-                ylabel=label if column == 0 else None,
-            )
-            axes.grid(True)
-        panels[1, column].set_xlabel(titles[key])
-    panels[0, 0].legend()
-    figure.suptitle(
-        'Beyond the training range (shaded: trained; open circles: flagged by status)', fontsize=9
-    )
 
 
 def _perturbation(figure, curves):

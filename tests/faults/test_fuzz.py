@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pca_tools import files
-from reports.fuzz import bench, mutations, targets
-from reports.fuzz import report as fuzz
+from reports.attacks import bench, mutations, targets
+from reports.attacks import report as fuzz
 
 NAMES = [target.name for target in targets.TARGETS]
 

@@ -30,7 +30,7 @@ def test_a_writer_that_is_not_whole_is_found(tmp_path):
     """The results written file by file, as before: a kill leaves a mixture."""
     code = """
 import sys
-from reports.fuzz import kill_tasks, kills
+from reports.attacks import kill_tasks, kills
 def broken(folder):
     import os
     os.makedirs(f'{folder}/results', exist_ok=True)

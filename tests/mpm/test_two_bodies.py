@@ -6,7 +6,7 @@ import pytest
 from mpm import bodies
 from mpm.constitutive import make_soil
 from mpm.scenes import CORNER, Bin
-from reports.scenes.box import Box, Moving
+from tests.mpm.box import Box, Moving
 
 BLADE = bodies.make_blade(CORNER + 0.12, 0.12)
 WHEEL = bodies.make_wheel(0.15, CORNER + 0.12)

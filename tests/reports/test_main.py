@@ -1,4 +1,4 @@
-"""`python -m reports`: the list, the names, and the old commands."""
+"""`python -m reports`: the list and the names."""
 
 import importlib.util
 import pathlib
@@ -25,7 +25,7 @@ def test_without_a_name_all_reports_are_listed(capsys):
 
 
 def test_an_unknown_name_is_a_message():
-    with pytest.raises(SystemExit, match="no report 'moon'; there are results_table"):
+    with pytest.raises(SystemExit, match="no report 'moon'; there are protocol"):
         command.main(['moon'])
 
 
@@ -34,17 +34,15 @@ def test_every_name_has_a_module(name):
     assert importlib.util.find_spec(f'reports.{command.REPORTS[name][0]}')
 
 
-def test_old_and_new_names_run_the_same_report(tmp_path):
-    new = run('reports', 'results_table')
-    assert new.returncode == 0 and '| pcg  ' in new.stdout
-    assert run('run_scripts.results_table').stdout == new.stdout
-    refused = run('reports', 'results_table', str(tmp_path))
-    assert refused.returncode == 1 and 'metrics.json' in refused.stderr
+def test_bad_input_is_a_message_and_an_exit_code(tmp_path):
+    refused = run('reports', 'documents', str(tmp_path / 'none.md'))
+    assert refused.returncode == 1 and 'none.md' in refused.stderr
+    assert 'Traceback' not in refused.stderr
 
 
 def test_help_shows_the_flags_of_the_report_itself():
-    text = run('reports', 'compare_forces', '--help').stdout
-    assert '--original_path' in text and 'python -m reports compare_forces' in text
+    text = run('reports', 'paper_tables', '--help').stdout
+    assert '--models_path' in text and 'python -m reports paper_tables' in text
 
 
 def test_no_report_needs_tensorflow_to_begin():

@@ -23,12 +23,12 @@ def test_published_force_errors_have_the_size_that_the_text_compares():
     assert sizes['excavation', 'PCG'] > 10 * sizes['excavation', 'FCG']
 
 
-def test_times_and_errors_of_the_shipped_models_stand_beside_the_published(tmp_path):
-    lines = paper_tables.times(str(ROOT / 'models'), str(tmp_path)).splitlines()
+def test_times_and_errors_of_the_shipped_models_stand_beside_the_published():
+    lines = paper_tables.times(str(ROOT / 'models')).splitlines()
     assert len({line.count('|') for line in lines}) == 1
     wheel = cells(lines[-1])
     assert wheel[0] == 'wheel, ours' and wheel[1] == '' and float(wheel[3]) > float(wheel[7])
-    lines = paper_tables.errors(str(ROOT / 'models'), str(ROOT / 'docs')).splitlines()
+    lines = paper_tables.errors(str(ROOT / 'models'), paper_tables.LONGER).splitlines()
     assert len({line.count('|') for line in lines}) == 1
     rows = {cells(line)[0]: cells(line)[1:] for line in lines}
     assert rows['excavation, PCG, published'][0] == '0.025'
@@ -47,22 +47,23 @@ def test_longer_trainings_stand_beside_the_predictors_that_know_nothing(tmp_path
 
     few, many = [run(2e-4, -10.0), run(4e-4, 30.0)], [run(1e-4, float(i)) for i in range(13)]
     trivial = {'stay_still': [run(8e-4, 50.0)], 'constant_velocity': [run(None, None)]}
+    path = str(tmp_path / 'longer.json')
     files.write_json(
-        str(tmp_path / 'published_presets_wheel.json'),
+        path,
         {
             'rows': {
-                str(i): {'data': data, 'method': method, 'curve': curve, 'runs': trivial | runs}
-                for i, (data, method, curve, runs) in enumerate(
+                str(i): {'data': data, 'method': method, 'steps': steps, 'runs': trivial | runs}
+                for i, (data, method, steps, runs) in enumerate(
                     (
-                        ('other', 'pcg', [], {'model': few}),
-                        ('wheel_grid_v2', 'fcg_original --x=1', [{'step': 7}], {'model': few}),
-                        ('wheel_grid_v2', 'path_ridge', [], {'model': many}),
+                        ('other', 'pcg', None, {'model': few}),
+                        ('wheel_grid_v2', 'fcg_original --x=1', 7, {'model': few}),
+                        ('wheel_grid_v2', 'path_ridge', None, {'model': many}),
                     )
                 )
             }
         },
     )
-    lines = paper_tables.errors(str(tmp_path), str(tmp_path)).splitlines()
+    lines = paper_tables.errors(str(tmp_path), path).splitlines()
     rows = {cells(line)[0]: cells(line)[1:] for line in lines}
     assert rows['wheel, FCG, grid of record, 7 steps'] == ['3', '-10.0 30.0', '20']
     assert rows['wheel, path_ridge, grid of record'] == ['1', 'median 6.0, 0.0 to 12.0', '6']

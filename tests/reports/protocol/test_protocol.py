@@ -306,8 +306,8 @@ def test_methods_of_a_dataset_are_those_shipped_for_it_and_those_trained_here():
     assert first[2][1] == '--adjacency=lists/0.json' and second[2][2] == '--seed=1'
     # A regression draws nothing: it is trained once, and is given no seed, which it would refuse.
     values.train = ['path_ridge']
-    found = document.trained_here(values, 'work')
-    assert found == {'path_ridge': ['work/path_ridge_0']}
+    found = document._models_of('mine', values)
+    assert found == {'path_ridge': ['work/models/mine/path_ridge_0']}
     assert document._jobs(found, 'data', values, 'out')[0][2] == [
         '--preset=path_ridge', '--num_threads=1'
     ]  # fmt: skip

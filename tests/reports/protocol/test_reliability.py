@@ -5,8 +5,6 @@ import types
 import numpy as np
 import pytest
 
-from pca_tools import files
-from reports import reliability_curves
 from reports.protocol import reliability
 from reports.protocol.run_errors import RunPrediction
 
@@ -77,16 +75,3 @@ def test_what_is_not_finite_has_no_bound(bad):
     test[1] = (bad * test[1][0], *test[1][1:])
     assert reliability.judged({'valid': valid, 'test': test}, 'soil') is None
     assert reliability.judged({'valid': valid, 'test': []}, 'soil') is None
-
-
-def test_curves_are_drawn_of_documents_that_have_them(tmp_path):
-    rng = np.random.default_rng(3)
-    known = reliability.judged({'valid': runs_of(rng, 8), 'test': runs_of(rng, 8)}, 'soil')
-    method = {'name': 'made up', 'baseline': False, 'reliability': {'soil': known, 'force': known}}
-    document, picture = tmp_path / 'd.json', tmp_path / 'd.png'
-    files.write_json(str(document), {'scene': 'none', 'methods': [method]})
-    reliability_curves.draw([str(document)], str(picture))
-    assert picture.read_bytes().startswith(b'\x89PNG')
-    files.write_json(str(document), {'scene': 'none', 'methods': [{'name': 'a', 'seeds': []}]})
-    with pytest.raises(ValueError, match='has no bounds'):
-        reliability_curves.draw([str(document)], str(picture))

@@ -78,3 +78,15 @@ def test_the_ride_above_the_bed_is_level_and_clear_of_it(run):
     assert path[:, 1] == pytest.approx(driven_cases.AIR)  # the soil of this model lies at height 0
     assert path[0, 0] - path[-1, 0] == pytest.approx(driven_cases.AIR_WAY)
     assert row.figure == pytest.approx(driven_cases.AIR)
+
+
+def test_faster_and_deeper_paths_keep_their_contexts(run):
+    model = Model(bad=7.0)
+    rows = driven_cases.beyond('m', model, run)
+    (fast, context), (deep, _) = model.paths
+    np.testing.assert_array_equal(fast[:, :1], context)
+    assert set(np.diff(fast[:, 0])) == {float(driven_cases.FASTER)} and fast[0, 0] == H - 1
+    assert deep[0, 1] == 2.0 and deep[-1, 1] == pytest.approx(2.0 - driven_cases.DEEPER)
+    assert [row.outcome for row in rows] == 2 * [cases.FLAGGED]
+    assert rows[0].figure < 100.0
+    assert len(driven_cases.beyond('m', model, run, deeper=False)) == 1

@@ -1,4 +1,4 @@
-"""The stability report in miniature, and the altered runs that it is made of."""
+"""The stability report in miniature, and what it is made of."""
 
 import json
 import math
@@ -6,19 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from reports.stability import cases, extrapolation_cases, nri_cases, shipped, solver_cases
-from reports.stability import report as stability_report
-
-
-@pytest.fixture(scope='module')
-def wheel():
-    return shipped.load('wheel', 'pcg', 2)
-
-
-@pytest.fixture(scope='module')
-def excavation():
-    return shipped.load('excavation', 'pcg')
+from reports.stability import __main__ as stability_report
+from reports.stability import cases, nri_cases, shipped
 
 
 def test_outcome_follows_figure_and_threshold():
@@ -35,27 +24,6 @@ def test_to_and_fro_turns_at_both_ends():
     assert shipped.hold(3, 5).tolist() == [0, 1, 2, 2, 2]
 
 
-def test_blade_out_of_the_grid_is_the_blade_of_the_records_inside_it(excavation):
-    group = excavation.group
-    for run, record in enumerate(group.record):
-        case = excavation.metadata['cases']['test'][int(record)]
-        points = extrapolation_cases.blade_points(case, group.position.shape[1])
-        built = extrapolation_cases.blade_group(excavation, points)
-        body = group.position[run, :, : group.n_rigid]
-        # float32 records of about 0.6 m.
-        np.testing.assert_allclose(built.position[0, :, : group.n_rigid], body, atol=2e-7)
-
-
-def test_wheel_at_its_own_speed_is_the_wheel_of_the_records(wheel):
-    built = extrapolation_cases.wheel_group(wheel)
-    n = built.n_rigid
-    np.testing.assert_allclose(built.position[0, :, :n], wheel.group.position[0, :, :n], atol=2e-6)
-    faster = extrapolation_cases.wheel_group(wheel, travel=2.0)
-    np.testing.assert_array_equal(faster.position[:, :H, n:], built.position[:, :H, n:])
-    steps = [np.diff(g.position[0, :, :n].mean(axis=1), axis=0)[H + 5, 0] for g in (built, faster)]
-    assert steps[1] == pytest.approx(2 * steps[0], rel=1e-6)
-
-
 def test_bound_of_the_leapfrog_is_met_and_nearly_reached():
     """One spring of the highest frequency: the closed form of the swing, not a loose bound."""
     for stiffness in (0.01, 0.2, 0.6):
@@ -68,8 +36,6 @@ def test_bound_of_the_leapfrog_is_met_and_nearly_reached():
 def test_report_in_miniature(tmp_path, monkeypatch):
     """All parts on the smallest cases: every promise holds, and table, JSON and pictures agree."""
     monkeypatch.setattr(shipped, 'SCENES', ('excavation',))
-    monkeypatch.setattr(solver_cases, 'STIFFNESS', (0.1, 1.0))
-    monkeypatch.setattr(solver_cases, 'GRAVITIES', (0.0, 100.0))
     parts = list(stability_report.PARTS)
     rows = stability_report.report(parts, True, str(tmp_path))
     assert {row.outcome for row in rows} >= {cases.HOLDS, cases.REFUSED, cases.FLAGGED}
@@ -80,10 +46,7 @@ def test_report_in_miniature(tmp_path, monkeypatch):
     assert all(row.name in text for row in rows)
     for picture in tmp_path.glob('*.png'):
         assert f']({picture.name})' in text
-    assert len(list(tmp_path.glob('*.png'))) == 7  # no predicted body here
-    flagged = [row for row in rows if row.outcome == cases.FLAGGED and 'speed_m_s' in row.name]
-    # 0.1875, 0.225 and 0.3 m/s, where training ends at 0.15.
-    assert len(flagged) == 3
+    assert len(list(tmp_path.glob('*.png'))) == 4  # no predicted body here
 
 
 def test_unknown_part_is_refused(tmp_path):

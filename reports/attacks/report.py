@@ -1,0 +1,165 @@
+"""Feeds damaged and forged files to everything that reads files, and counts what happens.
+
+A reader may refuse (ValueError or OSError with the name of the file in its message) or return a
+value: the original one, or, where the files carry no checksum, one that some valid file could hold.
+Everything else is a failure: another exception, a crash of the process, more than 10 s, more than
+1 GB of memory, a damaged file that passes. Inputs are functions of (seed, number); those that fail
+are kept in `<output_path>/fuzz_failures/`. The same command goes on where it was stopped, and runs
+those parts again in which an input failed.
+
+Examples:
+    python -m reports fuzz --count=1000000 --seed=0 --num_processes=8 --output_path=docs
+
+    python -m reports fuzz --count=2000 --targets=subspace.npz --output_path=/tmp/fuzz
+"""
+
+import os
+import time
+from collections.abc import Iterator
+
+import tqdm
+from absl import flags
+
+from pca_tools import files
+from reports import command, markdown, record
+
+COLUMNS = {
+    'refused': 'refused',
+    'equal': 'read as the original',
+    'possible': 'read as another valid file',
+    'failed': 'failures',
+}
+_PART = 5000  # inputs between two saves
+
+
+def missing(parts: list[dict], count: int) -> Iterator[tuple[int, int]]:
+    """(first, one beyond the last) input of what is to be run, in pieces that are saved one by one.
+
+    Args:
+        parts: what was run; see `joined`. One in which an input failed is to be run again.
+        count: inputs in all.
+    """
+    whole = sorted((p['first'], p['last']) for p in parts if not p['failures'])
+    at = 0
+    for first, last in (*whole, (count, count)):
+        for start in range(at, min(first, count), _PART):
+            yield start, min(start + _PART, first, count)
+        at = max(at, last)
+
+
+def joined(parts: list[dict], new: dict) -> list[dict]:
+    """Parts with another one, in order: `first`, `last`, `commit`, `seconds`, `counts`, `failures`.
+
+    Neighbours of one commit without failures become one. What `new` was run again for goes.
+    """
+    kept = [p for p in parts if p['last'] <= new['first'] or p['first'] >= new['last']]
+    result: list[dict] = []
+    for part in sorted([*kept, new], key=lambda p: p['first']):
+        before = result[-1] if result else None
+        if (
+            before
+            and (before['last'], before['commit']) == (part['first'], part['commit'])
+            and not before['failures'] + part['failures']
+        ):
+            seconds = before['seconds'] + part['seconds']
+            counts = _sum([before['counts'], part['counts']])
+            result[-1] = before | {'last': part['last'], 'seconds': seconds, 'counts': counts}
+        else:
+            result.append(part)
+    return result
+
+
+def _sum(counts):
+    """Counts of several parts in one."""
+    return {
+        name: {outcome: sum(c[name][outcome] for c in counts) for outcome in COLUMNS}
+        for name in counts[0]
+    }
+
+
+def save_failures(path: str, failures: list[dict], names: list[str], seed: int) -> None:
+    """Writes the inputs that failed, with the reason beside each."""
+    from reports.attacks import bench
+
+    for failure in failures:
+        folder = os.path.join(path, f'{failure["number"]:07d}')
+        name, data = bench.make_input(names, seed, failure['number'])
+        os.makedirs(folder, exist_ok=True)
+        with open(os.path.join(folder, name), 'wb') as file:
+            file.write(data)
+        with open(os.path.join(folder, 'why.txt'), 'w', encoding='utf-8') as file:
+            file.write(f'{failure["target"]}\n{failure["why"]}\n')
+
+
+def table(path: str) -> str:
+    """The outcomes by target in a `fuzz.json`, as Markdown."""
+    return _table(files.read_json(path)['parts'])
+
+
+def _table(parts):
+    from reports.attacks.targets import TARGETS
+
+    counts = _sum([part['counts'] for part in parts])
+    promises = {target.name: target.promise.value for target in TARGETS}
+    rows = []
+    for name, outcomes in counts.items():
+        values = [outcomes[key] for key in COLUMNS]
+        rows.append([name, promises[name], sum(values), *values])
+    sums = [sum(o[key] for o in counts.values()) for key in COLUMNS]
+    rows.append(['**all**', '', sum(sums), *sums])
+    return markdown.table(('reader', 'promise', 'inputs', *COLUMNS.values()), rows)
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_integer('count', 10_000, 'Inputs in all, dealt to the readers in turn.', 1)
+    flags.DEFINE_integer('seed', 0, 'Seed of the inputs.')
+    flags.DEFINE_integer('num_processes', 1, 'Processes.', 1)
+    flags.DEFINE_float('minutes', None, 'Begin no further part after so many; default: run all.')
+    flags.DEFINE_list('targets', None, 'Names of readers as in the table; default: all.')
+    flags.DEFINE_string('output_path', None, 'Folder for fuzz.json and failing inputs.')
+
+
+def main(values, _) -> int:
+    """Runs the command; exit code 1 if an input failed."""
+    from reports.attacks.pool import Pool
+    from reports.attacks.targets import TARGETS
+
+    known = [target.name for target in TARGETS]
+    names = [name for name in known if values.targets is None or name in values.targets]
+    if unknown := set(values.targets or ()) - set(known):
+        raise ValueError(f'no readers named {sorted(unknown)}; there are {known}')
+    path = values.output_path
+    document: dict = {'parts': []}
+    if path:
+        os.makedirs(path, exist_ok=True)
+        identity = {'seed': values.seed, 'readers': names}
+        document = record.resume(f'{path}/fuzz.json', identity, document)
+    parts = document['parts']
+    todo = list(missing(parts, values.count))
+    end = time.monotonic() + 60.0 * (values.minutes or float('inf'))
+    with (
+        Pool(names, values.seed, values.num_processes) as pool,
+        tqdm.tqdm(total=sum(b - a for a, b in todo), unit='input', disable=None) as bar,
+    ):
+        for first, last in todo:
+            if time.monotonic() > end:
+                break
+            head, start = record.provenance(), time.monotonic()
+            part = {'first': first, 'last': last, 'commit': head['commit']}
+            part |= pool.run(first, last, bar.update)
+            part['seconds'] = round(time.monotonic() - start)
+            parts = joined(parts, part)
+            if path:
+                files.write_json(f'{path}/fuzz.json', document | head | {'parts': parts})
+                save_failures(f'{path}/fuzz_failures', part['failures'], names, values.seed)
+    print(_table(parts))
+    failures = [failure for part in parts for failure in part['failures']]
+    for failure in failures[:20]:
+        last_line = failure['why'].strip().splitlines()[-1]
+        print(f'input {failure["number"]} of {failure["target"]}: {last_line}')
+    return int(bool(failures))
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

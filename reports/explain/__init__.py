@@ -1,0 +1,1 @@
+"""What the rollout of a model leaves out for its scene, and what each item is worth."""

@@ -1,0 +1,222 @@
+"""What the rollout of a model leaves out for its scene: the items of `explain`, measured."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+
+from learning_to_simulate import connectivity_utils, reading_utils
+from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
+from learning_to_simulate.compiled.folded_step import FoldedStep
+from learning_to_simulate.compiled.step_form import PlainStep
+from learning_to_simulate.features import EMBEDDING_SIZE
+from learning_to_simulate.learned_simulator import Layout
+from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
+from learning_to_simulate.scene import RigidMotion
+from reports import timing
+from reports.explain import product_count
+
+
+@dataclasses.dataclass
+class Item:
+    """One thing that is left out.
+
+    Attributes:
+      name: what it is.
+      edges: that exist without it, on top.
+      mflop: per step, within the loop.
+      weights: trained numbers.
+      variants: names of the rollouts without and with it, or None if it cannot be switched alone.
+      us_per_step: time that it saves, or None.
+    """
+
+    name: str
+    edges: int | None = None
+    mflop: float | None = None
+    weights: int | None = None
+    variants: tuple[str, str] | None = None
+    us_per_step: float | None = None
+
+
+class Explanation:
+    """The items of one model and scene.
+
+    Args:
+      model_path: trained graph network.
+      data_path: its dataset folder; the first test run is rolled out.
+
+    Raises:
+      FileNotFoundError, ValueError: no model or data there, they do not belong together, or the
+        model has no graph.
+    """
+
+    def __init__(self, model_path: str, data_path: str):
+        opened = registry.open_model(model_path, data_path, 'test')
+        model, metadata, groups = opened.model, opened.metadata, opened.groups
+        self._simulator = simulator = model.simulator
+        if not simulator.config.has_lasting_graph:
+            raise ValueError(
+                f'{model_path}: model {simulator.config.model!r} has no graph that lasts'
+            )
+        self._calls: dict[str, tuple] = {}
+        group = groups[0].select(0)
+        self.layout = layout = model.layout(group.n_rigid)
+        inputs = self._add('all', model, group, layout)
+        self.mflop, self.mflop_ahead = product_count.specialised_frame(simulator, layout, inputs)
+        self.items = [
+            *self._edges(model, group),
+            *self._rigid_particles(model, data_path, metadata, group),
+            *self._modes(model, data_path, metadata, group),
+            *self._rewrites(model, group, inputs),
+            *self._folded(),
+            *self._absent(),
+        ]
+
+    @property
+    def n_weight(self) -> int:
+        """Trained numbers of the model."""
+        return _weights(self._simulator)
+
+    def _add(self, name, model, group, layout, kind=FoldedStep, **options):
+        """Makes a variant to be timed; returns its inputs."""
+        make_step = partial(kind, **options)
+        function = RolloutFunction(model.simulator, layout, make_step=make_step)
+        inputs = rollout_inputs(group, layout, model.simulator.scene)
+        self._calls[name] = (function, inputs)
+        return inputs
+
+    def _on_top(self, name, variant, model, group, layout):
+        """An item that is switched off by another graph."""
+        inputs = self._add(variant, model, group, layout)
+        mflop, _ = product_count.specialised_frame(model.simulator, layout, inputs)
+        return Item(
+            name,
+            layout.n_edge - self.layout.n_edge,
+            mflop - self.mflop,
+            _weights(model.simulator) - self.n_weight,
+            (variant, 'all'),
+        )
+
+    def _edges(self, model, group):
+        layout, s = self.layout, model.simulator
+        if layout.n_edge == layout.n_node**2:
+            return
+        full = connectivity_utils.fully_connected(layout.n_node)
+        full = Layout(full, group.n_rigid, s.scene, s.statistics, s.config)
+        yield self._on_top('edges that the graph does not have', 'full', model, group, full)
+
+    def _rigid_particles(self, model, data_path, metadata, group):
+        modes = model.simulator.config.modes
+        whole = reading_utils.read_groups(data_path, 'test', metadata, modes=modes)
+        (whole,) = (g.take(np.flatnonzero(g.record == group.record[0])) for g in whole
+                    if group.record[0] in g.record)  # fmt: skip
+        if whole.n_rigid == group.n_rigid:
+            return
+        name = f'rigid particles that are no nodes ({whole.n_rigid - group.n_rigid})'
+        try:
+            layout = model.layout(whole.n_rigid)
+        except ValueError:  # The edges come from a file and fit one number of nodes only.
+            yield Item(name)
+            return
+        yield self._on_top(name, 'whole body', model, whole, layout)
+
+    def _modes(self, model, data_path, metadata, group):
+        config = model.simulator.config
+        left_out = metadata['mode_number'] - model.simulator.scene.n_modes
+        if not left_out:
+            return
+        config = dataclasses.replace(config, modes=0)
+        train, test = (
+            reading_utils.read_groups(data_path, split, metadata, **config.nodes)
+            for split in ('train', 'test')
+        )
+        motion = str(model.simulator.scene.rigid_motion)
+        more = subspace_method.make_model(data_path, metadata, train, config, motion)
+        whole = next(g for g in test if g.n_rigid == group.n_rigid).select(0)
+        layout = more.layout(whole.n_rigid)
+        yield self._on_top(f'modes that are no nodes ({left_out})', 'modes', more, whole, layout)
+
+    def _rewrites(self, model, group, inputs):
+        """What is computed elsewhere or in another form, with the same result."""
+        s, layout = model.simulator, self.layout
+        self._add('nothing ahead', model, group, layout, ahead=False)
+        self._add('gathers', model, group, layout, dense=False)
+        self._add('plain', model, group, layout, PlainStep)
+        in_loop, _ = product_count.specialised_frame(s, layout, inputs, ahead=False)
+        name = f'what is known ahead ({self.mflop_ahead:.3g} MFLOP a step before the loop)'
+        yield Item(name, 0, in_loop - self.mflop, 0, ('nothing ahead', 'all'))
+        yield Item('gathers where a block holds all pairs', 0, 0.0, 0, ('gathers', 'all'))
+        plain = product_count.plain_frame(s, layout, *inputs[:3])
+        yield Item(
+            'plain form of a step, folded: together', 0, plain - in_loop, 0,
+            ('plain', 'nothing ahead'),
+        )  # fmt: skip
+
+    def _folded(self):
+        """Parts of the folded step, by the shapes of the layers; work per element where marked."""
+        s, layout = self._simulator, self.layout
+        width, steps = s.config.latent_size, s.config.message_passing_steps
+        n_node, n_edge, n_rigid = layout.n_node, layout.n_edge, layout.n_rigid
+        network = FoldedSimulator(s, layout)._network
+        senders, receivers = len(set(layout.senders)), len(set(layout.receivers))
+        per_node = 2 * width**2 * (2 * n_edge - senders - receivers) * steps
+        yield Item('. ends of an edge per edge, not per node', 0, per_node / 1e6, 0)
+        unused = sum(n_edge - sum(len(b.edges) for b in blocks) for blocks in network.blocks)
+        if unused:
+            yield Item('. edges that reach no output, of all steps', unused)
+        rows = (n_node + n_edge) * (1 + steps)
+        yield Item('. mean, scale, offset of LayerNorm (per element)', 0, 4 * width * rows / 1e6, 0)
+        constant = 2 * EMBEDDING_SIZE * width * n_node
+        yield Item('. embedding and means as features', 0, constant / 1e6, 0)
+        yield Item('. last update of the edges (per element)', 0, n_edge * width / 1e6, 0)
+        decoded = {RigidMotion.PRESCRIBED: 0, RigidMotion.DRIVEN: 1}
+        kept = decoded.get(s.scene.rigid_motion, n_rigid * s.dim)
+        if kept < n_rigid * s.dim:
+            heads = 2 * width * (n_rigid * s.dim - kept)
+            yield Item('. predictions of what is given of the body', 0, heads / 1e6, 0)
+
+    def _absent(self):
+        """What the scene lacks."""
+        s, width = self._simulator, self._simulator.config.latent_size
+        if not s.scene.has_force:
+            head = 2 * width * s.dim * self.layout.n_node / 1e6
+            yield Item('force: its head', 0, head, (width + 1) * s.dim)
+        if not s.scene.context_names:
+            yield Item('context: rows of the first layer')
+        if not s.scene.rigid_motion.is_known:
+            yield Item('coming motion of the body: rows of the first layer')
+
+    def measure(self, rounds: int) -> dict:
+        """Times all variants in turns, fills in the items and returns everything, JSON-able.
+
+        Args:
+          rounds: timed rollouts of each variant.
+        """
+        jobs = {
+            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
+            for name, (function, inputs) in self._calls.items()
+        }
+        times = timing.in_turns(jobs, rounds, 'rollouts in turns')
+        us = {name: 1e3 * np.array(found.samples_ms) for name, found in times.items()}
+        for item in self.items:
+            if item.variants:
+                off, on = (us[name] for name in item.variants)
+                item.us_per_step = float(np.median(off - on))
+        scene = self._simulator.scene
+        return {
+            'scene': scene.name,
+            'rigid_motion': str(scene.rigid_motion),
+            'nodes': self.layout.n_node,
+            'edges': self.layout.n_edge,
+            'weights': self.n_weight,
+            'mflop_per_step': self.mflop,
+            'mflop_ahead_per_step': self.mflop_ahead,
+            'us_per_step': float(np.median(us['all'])),
+            'us_per_step_of_variants': {name: samples.tolist() for name, samples in us.items()},
+            'items': [dataclasses.asdict(item) for item in self.items],
+        }
+
+
+def _weights(simulator):
+    return sum(int(np.prod(v.shape)) for v in simulator.trainable_variables)

@@ -1,1 +1,0 @@
-"""Times: rollouts, live steps, training; what a rollout leaves out."""

@@ -1,0 +1,249 @@
+"""Error against run time on driven test runs: what a frame of each method costs, beside its errors.
+
+The errors are those of a JSON of `reports protocol`, test runs that are driven freely. The times
+are those of one such run, on one thread, all models in turns: of a whole rollout until the load of
+every frame is there, and until every particle is; of live steps from Python, one by one. What the
+solver took for its runs stands in the dataset.
+
+Examples:
+    python -m reports times --data_path=datasets/excavation_v2 \\
+        --protocol=docs/protocol/excavation_v2.json --output_path=docs/times \\
+        --model=swept_field=models/excavation_v2/swept_field --model=mlp_driven=/tmp/mlp_driven_0
+
+    python -m reports documents docs/results.md     # the table again, from the JSON
+"""
+
+import re
+import time
+
+import numpy as np
+from absl import flags
+
+from learning_to_simulate.command import named_paths
+from pca_tools import dataset, files
+from reports import command, markdown, record, timing
+from reports.protocol import driven_runs
+
+SCHEMA_VERSION = 3
+ROUNDS = 5
+# Drawn as lines, where the protocol has them: nobody waits for a baseline.
+LINES = ('persistence', 'path ridge', 'earthmoving, fitted', 'Bekker-Wong-Janosi, fitted')
+COLUMNS = {
+    'load_ms': 'load, ms a frame',
+    'particles_ms': 'all particles, ms a frame',
+    'step_ms': 'live step, ms',
+    'step_p99_ms': '99 %',
+}
+
+
+def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) -> dict:
+    """Milliseconds of a frame, of each model.
+
+    Args:
+      data_path: dataset; the first driven test run on a flat bed gives the path.
+      models: name -> folder.
+      rounds: calls of each, in turns.
+
+    Returns:
+      name -> the keys of `COLUMNS`: medians over calls (CPU time of whole rollouts), and of live
+      steps the 99th percentile as well.
+
+    Raises:
+      ValueError: no such run with poses.
+    """
+    import learning_to_simulate as lts
+
+    poses, contexts = _driven_path(data_path)
+    jobs = {}
+    for name, folder in models.items():
+        model = lts.load(folder)
+
+        def loads(model=model):
+            return model.rollout(poses, context=contexts)
+
+        def particles(model=model):
+            rollout = model.rollout(poses, context=contexts)
+            for frame in range(len(rollout.modes)):
+                rollout.particles(frame)
+
+        n_frame = len(loads().modes)
+        jobs[f'{name} load'] = timing.Job(loads, n_frame)
+        jobs[f'{name} particles'] = timing.Job(particles, n_frame)
+        jobs[f'{name} step'] = timing.Job(_Steps(model, poses, contexts))
+    timed = timing.in_turns(jobs, rounds)
+    return {
+        name: {
+            f'{what}_ms': float(np.median(timed[f'{name} {what}'].processor_ms))
+            for what in ('load', 'particles')
+        }
+        | {
+            f'step{end}_ms': timed[f'{name} step'].percentile(q)
+            for end, q in (('', 50), ('_p99', 99))
+        }
+        for name in models
+    }
+
+
+class _Steps:
+    """Steps a model through a path; each call returns the seconds of every step."""
+
+    def __init__(self, model, poses, contexts):
+        self._live, self._poses, self._contexts = model.stepper(), poses, contexts
+
+    def __call__(self) -> list[float]:
+        def context(frame):
+            return {} if self._contexts is None else {'context': self._contexts[frame]}
+
+        velocity = (self._poses[1] - self._poses[0])[:3] / self._live.dt
+        self._live.start(self._poses[0], velocity=velocity, **context(0))
+        seconds = []
+        for frame, pose in enumerate(self._poses[1:], 1):
+            start = time.perf_counter()
+            self._live.step(pose, **context(frame))
+            seconds.append(time.perf_counter() - start)
+        return seconds
+
+
+def _driven_path(data_path):
+    """Poses and contexts of the first test run on a flat bed, off the grid."""
+    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
+    runs = dataset.read_split(data_path, 'test')
+    other = driven_runs.GRID, 'disturbed'
+    for run, case in zip(runs, cases, strict=False):
+        if case.get('kind') not in other and run.rigid_pose is not None:
+            return run.rigid_pose.astype(np.float64), run.step_context
+    raise ValueError(f'{data_path}: no test run on a flat bed, off the grid, with poses')
+
+
+def solver_ms(data_path: str) -> float | None:
+    """Milliseconds of CPU of a frame of the solver, median over the runs; None if not stated."""
+    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
+    runs = dataset.read_split(data_path, 'test')
+    known = [
+        1e3 * case['solver_cpu_s'] / (run.n_frames - 1)
+        for case, run in zip(cases, runs, strict=False)
+        if 'solver_cpu_s' in case
+    ]
+    return float(np.median(known)) if known else None
+
+
+def rows(times: dict, protocol: dict) -> tuple[list[dict], int]:
+    """Everything that has an error, and how many driven runs the protocol has.
+
+    Args:
+      times: JSON of this report.
+      protocol: JSON of `reports protocol`.
+
+    Returns:
+      dicts of `name`, `soil_mm` and `force_l2` (one value a seed) and the times that were taken.
+      Another form of a method, named 'METHOD, in C', has its errors.
+    """
+    errors = driven_runs.condense(protocol)[driven_runs.DRIVEN]
+    found = []
+    for name in dict.fromkeys(name for q in driven_runs.QUANTITIES for name in errors[q]):
+        of_method = {q: errors[q].get(name, []) for q in driven_runs.QUANTITIES}
+        forms = [n for n in times['models'] if n in (name, f'{name}, in C')]
+        for form in forms or [name]:
+            found.append({'name': form} | of_method | times['models'].get(form, {}))
+    return found, errors['runs']
+
+
+def table(times_path: str, protocol_path: str) -> str:
+    """Errors of driven test runs and times of a frame, by method; mean (low to high) over seeds."""
+    found, runs = rows(files.read_json(times_path), files.read_json(protocol_path))
+    columns = [key for key in COLUMNS if any(key in row for row in found)]
+    lines = [
+        (row['name'], *(markdown.span(row[q]) for q in driven_runs.QUANTITIES))
+        + tuple(row.get(key) for key in columns)
+        for row in found
+    ]
+    header = (f'{runs} driven test runs', *driven_runs.QUANTITIES.values())
+    return markdown.table((*header, *(COLUMNS[key] for key in columns)), lines)
+
+
+def draw(times_path: str, protocol_path: str, picture: str) -> None:
+    """Soil against the time of a frame with all its particles, force against that of its load.
+
+    Points that differ in the number of modes alone are joined by a line.
+    """
+    from matplotlib import figure
+
+    times = files.read_json(times_path)
+    found, runs = rows(times, files.read_json(protocol_path))
+    drawn = figure.Figure(figsize=(10, 4.6), layout='constrained')
+    groups: dict[str, list] = {}
+    for row in found:
+        if 'load_ms' in row:
+            groups.setdefault(re.sub(r', \d+ modes$', '', row['name']), []).append(row)
+    panels = zip(
+        drawn.subplots(1, 2), driven_runs.QUANTITIES.items(), ('particles_ms', 'load_ms'),
+        strict=True,
+    )  # fmt: skip
+    for axes, (error, title), clock in panels:
+        for number, (group, members) in enumerate(groups.items()):
+            members = sorted(members, key=lambda row: row[clock])
+            x = [row[clock] for row in members]
+            seeds = [row[error] for row in members]
+            mean, low, high = np.array([(np.mean(s), min(s), max(s)) for s in seeds]).T
+            label, colour = group if len(members) > 1 else members[0]['name'], f'C{number % 10}'
+            spread = [mean - low, high - mean]
+            axes.errorbar(x, mean, spread, fmt='o-', ms=5, capsize=3, color=colour, label=label)
+            for row, at, height in zip(members, x, mean, strict=True):
+                if len(members) > 1 and (modes := re.search(r', (\d+) modes$', row['name'])):
+                    axes.annotate(
+                        modes[1], (at, height), xytext=(4, 4), textcoords='offset points',
+                        fontsize='x-small', color=colour,
+                    )  # fmt: skip
+        for row in found:
+            if row['name'] in LINES and row[error]:
+                mean = np.mean(row[error])
+                axes.axhline(mean, color='0.6', lw=1, ls='--')
+                axes.annotate(
+                    row['name'], (0.5, mean), xycoords=('axes fraction', 'data'),
+                    fontsize='small', ha='center', va='bottom', color='0.4',
+                )  # fmt: skip
+        if times.get('solver_ms'):
+            axes.axvline(times['solver_ms'], color='0.8', lw=1)
+            axes.annotate(
+                'solver', (times['solver_ms'], 0.02), xycoords=('data', 'axes fraction'),
+                fontsize='small', ha='right', color='0.4',
+            )  # fmt: skip
+        of = 'with all particles' if clock == 'particles_ms' else 'force only'
+        axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread', ylabel=title)
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+    handles, labels = axes.get_legend_handles_labels()
+    drawn.legend(handles, labels, loc='outside lower center', ncols=4, fontsize='small')
+    drawn.suptitle(f'{runs} driven test runs: mean and range of trainings; numbers: modes')
+    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
+
+
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    flags.DEFINE_string('data_path', None, 'Dataset of the paths.', required=True)
+    flags.DEFINE_string('protocol', None, 'JSON of `reports protocol` on it.', required=True)
+    flags.DEFINE_multi_string('model', None, 'NAME=FOLDER, as in the protocol.', required=True)
+    flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
+    flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
+
+
+def main(values, _) -> None:
+    """Runs the command."""
+    models = named_paths('model', values.model, 'FOLDER')
+    methods = {m['name'] for m in files.read_json(values.protocol)['methods']}
+    if unknown := sorted(models.keys() - methods):
+        raise ValueError(f'--model: {values.protocol} judges {sorted(methods)}, no {unknown}')
+    path = f'{values.output_path}.json'
+    found = {
+        'schema_version': SCHEMA_VERSION,
+        **record.provenance(values.num_threads),
+        'solver_ms': solver_ms(values.data_path),
+        'models': time_models(values.data_path, models),
+    }
+    files.write_json(path, found)
+    draw(path, values.protocol, f'{values.output_path}.png')
+    print(table(path, values.protocol))
+
+
+if __name__ == '__main__':
+    command.start(define_flags, main)

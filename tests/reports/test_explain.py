@@ -1,0 +1,95 @@
+"""What the rollout leaves out, counted and listed."""
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, presets, reading_utils, rollout
+from learning_to_simulate.methods import registry, subspace_method
+from pca_tools import dataset
+from reports.explain import __main__ as explain
+from reports.explain import explanation, product_count
+from tests.learning_to_simulate import models, synthetic
+
+
+def test_products_count_what_depends_on_the_arguments():
+    w = tf.Variable(tf.ones([4, 5]))
+
+    def function(x):
+        both = tf.matmul(w, tf.ones([5, 6]))  # weights only: once, not per frame
+        y = tf.einsum('ab,bc->ac', x, both)
+        return tf.matmul(tf.reshape(y, [1, 3, 6]), tf.ones([1, 3, 2]), transpose_a=True)
+
+    got = product_count.mflop(function, tf.ones([3, 4]))
+    np.testing.assert_allclose(got * 1e6, 2 * (3 * 4 * 6) + 2 * (6 * 3 * 2))
+
+
+def test_plain_frame_equals_the_count_by_the_layers(tmp_path):
+    """Four rigid particles and three modes, L = 16, two hidden layers, one step."""
+    model, (group, *_), _ = models.make(tmp_path)
+    layout = model.layout(group.n_rigid)
+    inputs = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
+    v, e, width = 7, 4 * 3 + 5, 16
+    features = model.simulator.network.weights().node_encoder.layers[0][0].shape[0]
+    node = features + 2 * width + 2 * width  # encoder; ends of the edges
+    node += 4 * width + (2 * width + 6)  # update, decoder
+    edge = 4 + 2 * width + 3 * width  # encoder; messages, first layer of the edge alone
+    expected = 2 * width * (v * node + e * edge) + 2 * v * e * width  # and their sums
+    got = product_count.plain_frame(model.simulator, layout, *inputs[:3])
+    np.testing.assert_allclose(got * 1e6, expected)
+    in_loop, ahead = product_count.specialised_frame(model.simulator, layout, inputs)
+    whole, none = product_count.specialised_frame(model.simulator, layout, inputs, ahead=False)
+    assert none == 0 and 0 < in_loop < whole < got
+    # The same products, except for what is constant in time: it is made of the last columns alone.
+    np.testing.assert_allclose(in_loop + ahead, whole, rtol=0.02)
+
+
+@pytest.fixture(scope='module')
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('explain')
+    data = synthetic.write_dataset(folder / 'data', rigid_counts=(6,))
+    config = presets.make_config('pcg', **models.SMALL | {'rigid_particles': 2, 'modes': 2,
+                                                         'mode_edges': 3})  # fmt: skip
+    metadata = dataset.read_metadata(data)
+    groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
+    model = subspace_method.make_model(data, metadata, groups, config)
+    path = folder / 'model'
+    path.mkdir()
+    checkpoints.save_config(str(path), model, 2, {})
+    checkpoints.save_weights(str(path), model.simulator)
+    return str(path), data
+
+
+def _three_frames(*arguments):
+    state, known, context, _ = rollout.rollout_inputs(*arguments)
+    return state, type(known)(*(x[:3] for x in known[:2])), context, 3
+
+
+def test_every_item_is_listed_with_what_it_saves(trained, monkeypatch):
+    monkeypatch.setattr(explanation, 'rollout_inputs', _three_frames)
+    tf.config.run_functions_eagerly(True)  # no compilation: the items are the same
+    try:
+        values = explanation.Explanation(*trained).measure(rounds=1)
+    finally:
+        tf.config.run_functions_eagerly(False)
+    items = {item['name'].split(' (')[0]: item for item in values['items']}
+    edges = 2 * 2 + 3
+    assert (values['nodes'], values['edges']) == (4, edges)
+    assert items['edges that the graph does not have']['edges'] == 16 - edges
+    assert items['rigid particles that are no nodes']['edges'] == 4 * 2
+    assert items['modes that are no nodes']['weights'] == 16  # a row of the embedding
+    assert items['modes that are no nodes']['mflop'] > 0
+    assert items['what is known ahead']['mflop'] > 0
+    assert '. edges that reach no output, of all steps' not in items
+    assert items['context: rows of the first layer']['us_per_step'] is None
+    text = explain.table(values)
+    assert all(item['name'] in text for item in values['items']) and 'nan' not in text
+
+
+def test_model_without_a_graph_is_refused(trained, monkeypatch):
+    path, data = trained
+    opened = registry.open_model(path, data, 'test')
+    object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
+    monkeypatch.setattr(subspace_method, 'open_model', lambda *_: opened)
+    with pytest.raises(ValueError, match="'mlp' has no graph"):
+        explanation.Explanation(path, data)
