@@ -1,19 +1,21 @@
-"""Many runs of a scene into one folder: a pool of processes, a manifest, resuming."""
+"""Many runs of a scene into one folder: processes or a cluster, a manifest, resuming.
 
-import concurrent.futures
-import multiprocessing
+Kinds of runs that need another bin (`Scene.other_bins`) go into a folder of that name inside: all
+runs of a folder start from the same packing.
+"""
+
+import functools
 import os
-from concurrent.futures.process import BrokenProcessPool
 
 from tqdm import tqdm
 
+from cluster import workers
 from mpm import packing, raw_run, run, scenes, versions
 from mpm.constitutive import make_soil
 from mpm.files import one_writer, remove_temporary
-from mpm.motions.catalogue import motion_of
+from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
-from storage import parent
 
 
 def generate(
@@ -22,6 +24,8 @@ def generate(
     output_path: str,
     settings: Settings,
     num_processes: int = 1,
+    tool: dict | None = None,
+    where: str = '',
     show_progress: bool = True,
 ) -> list[dict]:
     """Simulates the runs that a folder does not hold yet.
@@ -32,9 +36,11 @@ def generate(
     Args:
         scene: the scene.
         cases: what to run, see `catalogue.motion_of`.
-        output_path: folder, made if absent.
+        output_path: folder, made if absent; of a cluster on a disk that all workers see.
         settings: of all runs in the folder.
         num_processes: runs at a time.
+        tool: `bodies.check_tool`, of all runs; None: what each run has.
+        where: see `cluster.workers`; '': processes of this machine.
         show_progress: whether to draw bars.
 
     Returns:
@@ -43,13 +49,73 @@ def generate(
     Raises:
         ValueError: if the folder holds another scene or other settings, another process writes into
             it, a motion is refused, or runs failed.
-        OSError: if the disk is full or a process was killed.
+        OSError: if the disk is full, a process was killed or the scheduler is gone.
     """
-    _check_cases(scene, cases, settings)
-    os.makedirs(output_path, exist_ok=True)
-    with one_writer(output_path):
-        remove_temporary(output_path)
-        return _generate(scene, cases, output_path, settings, num_processes, show_progress)
+    groups: dict[str | None, list] = {}
+    for case in cases:
+        groups.setdefault(catalogue.bin_name(scene, case), []).append(case)
+    _check_cases(scene, groups, settings, tool)
+    new: list[dict] = []
+    failures: list[str] = []
+    for name, some in groups.items():
+        folder = output_path if name is None else os.path.join(output_path, name)
+        os.makedirs(folder, exist_ok=True)
+        with one_writer(folder):
+            remove_temporary(folder)
+            job = _Job(scene.name, name, settings, tool, folder)
+            made, failed = _generate(job, some, num_processes, where, show_progress)
+        new += made
+        failures += failed
+    if failures:
+        raise ValueError(
+            f'{len(failures)} of {len(cases)} runs failed, {len(new)} were made and are kept in '
+            f'{output_path}:\n  ' + '\n  '.join(failures)
+        )
+    return new
+
+
+class _Job:
+    """What the runs of a folder share; goes to other processes.
+
+    Attributes:
+        scene: in the bin of the folder.
+        settings, tool, folder: of `generate`.
+    """
+
+    def __init__(self, scene_name, bin_name, settings, tool, folder):
+        self._names = scene_name, bin_name
+        self.settings, self.tool, self.folder = settings, tool, folder
+
+    @property
+    def scene(self) -> scenes.Scene:
+        scene, name = self._names
+        return catalogue.in_bin(scenes.scene_named(scene), name)
+
+    def shared(self) -> dict:
+        """Returns the parameters that all runs of the folder share."""
+        common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
+        return self.settings.recorded() | common
+
+    def simulate(self, case, on_frame=None) -> dict | str:
+        """Makes one run; returns its entry of the manifest, or why there is none."""
+        try:
+            packed = _packed(self.scene.bin, self.settings, self.folder)
+            found = run.run_case(self.scene, case, packed, self.settings, on_frame, self.tool)
+        except ValueError as error:  # it would fail again
+            return str(error)
+        return raw_run.write_run(self.folder, found)
+
+
+def _simulate(job_and_case) -> dict | str:
+    job, case = job_and_case
+    return job.simulate(case)
+
+
+@functools.lru_cache(maxsize=1)
+def _packed(box, settings, folder) -> tuple:
+    """The packing of a folder of raw runs, made if it is absent."""
+    soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
+    return packing.settled(box, soil, settings.seed, folder)
 
 
 def _name(scene: scenes.Scene, case) -> str:
@@ -58,129 +124,75 @@ def _name(scene: scenes.Scene, case) -> str:
     return f'{scene.name} case {case}'
 
 
-def _check_cases(scene, cases, settings) -> None:
+def _check_cases(scene, groups, settings, tool) -> None:
     """Raises with the name of the first run whose motion is refused."""
+    cases = [case for some in groups.values() for case in some]
     names = [case.case if isinstance(case, Recording) else case for case in cases]
     twice = sorted({str(name) for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f'{scene.name}: the runs {twice} are named twice')
-    for case in cases:
-        try:
-            run.check_motion(scene, motion_of(scene, case), settings)
-        except ValueError as error:
-            raise ValueError(f'{_name(scene, case)}: {error}') from error
+    for name, some in groups.items():
+        for case in some:
+            try:
+                run.prepared(catalogue.in_bin(scene, name), case, settings, tool)
+            except ValueError as error:
+                raise ValueError(f'{_name(scene, case)}: {error}') from error
 
 
-def _unfinished(scene, cases, finished: list[dict], folder: str) -> list:
-    """Returns the cases that are not among the finished; refuses a path of other content."""
+def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
+    """Returns the cases that are not among the finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
+    todo = []
     for case in cases:
-        if isinstance(case, Recording) and case.case in done:
-            made, asked = done[case.case], motion_of(scene, case).parameters
-            if any(made.get(name) != value for name, value in asked.items()):
-                raise ValueError(
-                    f'{folder}: {raw_run.file_name(case.case)} was made from another content or '
-                    f'with another tool than {case.path} asks for; name another folder'
-                )
-    return [c for c in cases if (c.case if isinstance(c, Recording) else c) not in done]
+        name = case.case if isinstance(case, Recording) else case
+        if name not in done:
+            todo.append(case)
+            continue
+        asked = catalogue.motion_of(job.scene, case, job.tool).parameters
+        other = [key for key in ('path_sha256', 'tool') if asked.get(key) != done[name].get(key)]
+        if other:
+            raise ValueError(
+                f'{job.folder}: {raw_run.file_name(name)} was made with another {" and ".join(other)}; '
+                'name another folder'
+            )
+    return todo
 
 
-def _generate(scene, cases, output_path, settings, num_processes, show_progress) -> list[dict]:
-    finished = raw_run.finished_runs(
-        output_path,
-        scene,
-        settings.recorded() | {'solver_version': versions.SOLVER_VERSION},
-    )
-    todo = _unfinished(scene, cases, finished, output_path)
+def _generate(job: _Job, cases, num_processes, where, show_progress):
+    """Makes the runs of one folder; returns the new entries and why others failed."""
+    scene = job.scene
+    finished = raw_run.finished_runs(job.folder, scene, job.shared())
+    todo = _unfinished(job, cases, finished)
+    new: list[dict] = []
+    failures: list[str] = []
     if not todo:
-        return []
-    packed = _packed(scene, settings, output_path)
-    shared = (scene, packed, settings, output_path)
-    new, failures = [], []
+        return new, failures
+    # Made once, before the workers would all make it.
+    _packed(scene.bin, job.settings, job.folder)
 
-    def note(case, simulate) -> None:
+    def note(case, result) -> None:
         """Adds a finished run to the manifest, or the reason why there is none to the failures."""
-        try:
-            new.append(simulate())
-        except ValueError as error:
-            failures.append(f'{_name(scene, case)}: {error}')
+        if isinstance(result, str):
+            failures.append(f'{_name(scene, case)}: {result}')
         else:
-            raw_run.write_manifest(output_path, scene, finished + new)
+            new.append(result)
+            raw_run.write_manifest(job.folder, scene, finished + new)
 
-    if num_processes == 1 or len(todo) == 1:
+    if not where and (num_processes == 1 or len(todo) == 1):
         for number, case in enumerate(todo):
+            frames = catalogue.motion_of(scene, case, job.tool).simulated_frames
+            title = f'{_name(scene, case)} ({number + 1} of {len(todo)})'
             with tqdm(
-                total=motion_of(scene, case).simulated_frames,
-                desc=f'{_name(scene, case)} ({number + 1} of {len(todo)})',
-                unit='frame',
-                disable=not show_progress,
-                mininterval=1.0,
+                total=frames, desc=title, unit='frame', disable=not show_progress, mininterval=1.0
             ) as bar:
-
-                def show(frame, bar=bar):
-                    bar.update(frame - bar.n)
-
-                note(case, lambda case=case, show=show: _simulate(shared, case, show))
-    else:
-        _in_processes(
-            (scene, settings, output_path), todo, min(num_processes, len(todo)), note, show_progress
-        )
-    if failures:
-        raise ValueError(
-            f'{len(failures)} of {len(todo)} runs failed, {len(new)} were made and are kept in '
-            f'{output_path}:\n  ' + '\n  '.join(failures)
-        )
-    return new
-
-
-def _in_processes(folder, todo, num_processes, note, show_progress) -> None:
-    """Simulates the cases in processes of their own; `note` takes each as it is finished."""
-    context = multiprocessing.get_context('spawn')
-    pool = concurrent.futures.ProcessPoolExecutor(num_processes, context, _keep, folder)
-    try:
-        futures = {pool.submit(_simulate_kept, case): case for case in todo}
-        with tqdm(
-            total=len(todo), desc=folder[0].name, unit='run', disable=not show_progress
-        ) as bar:
-            for future in concurrent.futures.as_completed(futures):
-                note(futures[future], future.result)
-                bar.update()
-    except BrokenProcessPool as error:
-        raise OSError(
-            'a process was killed from outside (out of memory?); finished runs are kept, the same '
-            'command goes on'
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _packed(scene, settings, folder) -> tuple:
-    """Returns the packing of a folder of raw runs, made if it is absent."""
-    soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
-    return packing.settled(scene.bin, soil, settings.seed, folder)
-
-
-# What all runs of a process of the pool share; see `_simulate`.
-_kept: tuple | None = None
-
-
-def _keep(scene, settings, output_path) -> None:
-    global _kept
-    parent.end_with_parent()
-    _kept = (scene, _packed(scene, settings, output_path), settings, output_path)
-
-
-def _simulate_kept(case) -> dict:
-    return _simulate(_kept, case)
-
-
-def _simulate(shared: tuple, case, on_frame=None) -> dict:
-    """Simulates and writes one run; returns its entry of the manifest.
-
-    Args:
-        shared: scene, packing, settings, folder.
-        case: what to run.
-        on_frame: see `run.run_case`.
-    """
-    scene, packed, settings, output_path = shared
-    return raw_run.write_run(output_path, run.run_case(scene, case, packed, settings, on_frame))
+                note(case, job.simulate(case, lambda frame, bar=bar: bar.update(frame - bar.n)))
+        return new, failures
+    with (
+        workers.start(where, min(num_processes, len(todo))) as crew,
+        tqdm(total=len(todo), desc=scene.name, unit='run', disable=not show_progress) as bar,
+    ):
+        for outcome in crew.run(_simulate, [(job, case) for case in todo]):
+            case = todo[outcome.index]
+            note(case, outcome.error if outcome.error is not None else outcome.value)
+            bar.update()
+    return new, failures

@@ -1,13 +1,23 @@
-"""The rigid bodies: an excavation blade and a rover wheel.
+"""Rigid bodies: blades, buckets and rippers with an outline, wheels with grousers.
 
-Both are one shape to the kernels, a stadium drawn out along z: all points within a radius of a
-line segment. The blade's edges are thus round, with half its thickness as radius (one cell, so
-less than the grid resolves), and the normal of contact turns without a jump. The segment of the
-wheel has no length. A body is described upright in its own frame, whose origin is the reference
-point; where it is and how it leans is its pose (`Drive`). Axes: x is the way of driving (towards
--x), y is up, z lies across.
+A body is drawn in the plane of travel and has a width across it. In the plane it is
+
+- an outline: all points within `radius` of a point, of a segment, or of a solid polygon. A blade is
+  a segment (its edges are round, with half its thickness as radius), a wheel is a point, a bucket
+  is a polygon;
+- and, of a wheel, grousers: equal bars with round ends that stand out of the rim;
+- and, of a bucket, two side plates: a polygon that closes each end over some thickness.
+
+It is described upright in its own frame, whose origin is the reference point (the middle of a
+blade's lower edge, a wheel's axle); where it is and how it leans is its pose: x, y (m), angle (rad,
+counter-clockwise about +z), z (m) of its middle. Axes: x is the way of driving (towards -x), y is
+up, z lies across.
+
+Source of the distance from a polygon: inside or outside by counting crossings of a ray (Haines
+1994, Graphics Gems IV, 24), the distance from its edges.
 """
 
+import json
 import math
 from typing import NamedTuple
 
@@ -23,77 +33,139 @@ POINT_SPACING = 0.1
 WHEEL_WIDTH = 0.125
 WHEEL_RING_POINTS = 8
 WHEEL_FRICTION = 0.5
+MAX_VERTICES = 64  # of an outline; every particle near the tool looks at each edge
+MAX_SIZE = 2.0  # m; more is taken for another unit
 
 
 class Body(NamedTuple):
     """Shape and surface of a rigid body, upright in its own frame; kernels take it as it is.
 
     Attributes:
-        length: of the segment from the reference point upwards, m.
-        radius: m.
+        outline: float64 [M, 2], m: vertices of a polygon, counter-clockwise; two: a segment; one: a
+            point.
+        radius: m, by which the outline is thickened.
         half_width: across, m.
-        z_middle: z of the reference point, m; it never moves.
         friction: Coulomb coefficient between body and soil.
+        grousers: how many stand out of the rim of a wheel.
+        grouser_height, grouser_radius: beyond the rim, and half the thickness, m.
+        plates: float64 [P, 2], m: the polygon of the two side plates; P = 0: there are none.
+        plate_thickness: m, inwards from each end.
         points: float64 [R, 3], sample points relative to the reference point (m).
     """
 
-    length: float
+    outline: np.ndarray
     radius: float
     half_width: float
-    z_middle: float
     friction: float
+    grousers: int
+    grouser_height: float
+    grouser_radius: float
+    plates: np.ndarray
+    plate_thickness: float
     points: np.ndarray
 
     @property
     def reach(self) -> float:
-        """Largest distance of the outline from the reference point across z, m."""
-        return self.length + self.radius
+        """Largest distance of the outline from the reference point in the plane, m."""
+        corners = np.concatenate([self.outline, self.plates])
+        return float(np.hypot(*corners.T).max()) + self.radius + self.grouser_height
+
+    @property
+    def is_wheel(self) -> bool:
+        """Whether its outline is a circle about the reference point."""
+        return len(self.outline) == 1
 
 
-def make_blade(z_middle: float, width: float = BLADE_WIDTH) -> Body:
+def _body(outline, radius, width, friction, points, grousers=(0, 0.0, 0.0), plates=None, thick=0.0):
+    return Body(
+        np.array(outline, dtype=np.float64).reshape(-1, 2),
+        float(radius),
+        float(width) / 2.0,
+        float(friction),
+        int(grousers[0]),
+        float(grousers[1]),
+        float(grousers[2]) / 2.0,
+        np.zeros((0, 2)) if plates is None else np.array(plates, dtype=np.float64),
+        float(thick),
+        np.array(points, dtype=np.float64),
+    )
+
+
+def make_blade(
+    width: float = BLADE_WIDTH, height: float = BLADE_HEIGHT, friction: float = BLADE_FRICTION
+) -> Body:
     """Builds the blade; its lean is part of its pose.
 
     The reference point is the middle of the round lower edge, half a thickness above its
     lowest point. R = 20 points lie in the plane of the front face, 4 rows x 5 columns, in the
     middle of the face: rows 0.1 m apart, columns 0.1 m for the width of 0.457 m and in proportion
-    for another.
+    for another; so are the rows for another height.
 
     Raises:
-        ValueError: if the width is not positive.
+        ValueError: a width that is not positive, a height below twice the thickness.
     """
     if not width > 0.0:
         raise ValueError(f'blade width must be positive, got {width} m')
+    if not height > 2 * BLADE_THICKNESS:
+        raise ValueError(
+            f'blade height must exceed twice the thickness of {BLADE_THICKNESS} m, got {height} m'
+        )
     radius = BLADE_THICKNESS / 2
-    length = BLADE_HEIGHT - BLADE_THICKNESS
+    length = height - BLADE_THICKNESS
     spacing = POINT_SPACING * width / BLADE_WIDTH
+    rows = POINT_SPACING * height / BLADE_HEIGHT
     points = [
-        (-radius, length / 2 + (row - 1.5) * POINT_SPACING, (column - 2) * spacing)
+        (-radius, length / 2 + (row - 1.5) * rows, (column - 2) * spacing)
         for row in range(4)
         for column in range(5)
     ]
-    return Body(length, radius, width / 2, z_middle, BLADE_FRICTION, np.array(points))
+    return _body([(0.0, 0.0), (0.0, length)], radius, width, friction, points)
 
 
-def make_wheel(diameter: float, z_middle: float) -> Body:
-    """Builds the wheel; the reference point is its centre.
+def make_wheel(
+    diameter: float,
+    width: float | None = None,
+    grousers: tuple = (0, 0.0, 0.0),
+    friction: float = WHEEL_FRICTION,
+) -> Body:
+    """Builds a wheel; the reference point is its axle.
 
-    R = 16 points: two rings of 8 at the rim, 45 degrees apart. The two small wheels are 2/3 as
-    wide.
+    R = 16 points: two rings of 8 at the rim, 45 degrees apart.
+
+    Args:
+        diameter: of the rim, m.
+        width: m; None: that of the published wheels, of which the two small ones are 2/3 as wide.
+        grousers: number, height beyond the rim and thickness (m) of the bars.
+        friction: Coulomb coefficient.
 
     Raises:
-        ValueError: if the diameter is not positive.
+        ValueError: if a length is not positive, or the grousers overlap.
     """
     if not diameter > 0.0:
         raise ValueError(f'wheel diameter must be positive, got {diameter} m')
-    width = WHEEL_WIDTH if diameter > 0.2 else WHEEL_WIDTH * 2.0 / 3.0
+    if width is None:
+        width = WHEEL_WIDTH if diameter > 0.2 else WHEEL_WIDTH * 2.0 / 3.0
+    if not width > 0.0:
+        raise ValueError(f'wheel width must be positive, got {width} m')
     radius = diameter / 2.0
+    count, height, thickness = grousers
+    if count:
+        if not (height > thickness / 2.0 > 0.0):
+            raise ValueError(
+                f'grousers of height {height} m and thickness {thickness} m: the height must exceed '
+                'half the thickness, both must be positive'
+            )
+        if count * thickness > math.pi * diameter:
+            raise ValueError(
+                f'{count} grousers {thickness} m thick overlap on a rim of {math.pi * diameter:.4g} m'
+            )
     angles = 2.0 * math.pi * np.arange(WHEEL_RING_POINTS) / WHEEL_RING_POINTS
     points = [
         (radius * math.cos(angle), radius * math.sin(angle), side * width / 2)
         for side in (-1.0, 1.0)
         for angle in angles
     ]
-    return Body(0.0, radius, width / 2, z_middle, WHEEL_FRICTION, np.array(points))
+    return _body([(0.0, 0.0)], radius, width, friction, points, grousers)
 
 
 def wheel_edges() -> tuple:
@@ -109,43 +181,386 @@ def wheel_edges() -> tuple:
     return tuple(edges)
 
 
-def sample_points(body: Body, x: float, y: float, theta: float) -> np.ndarray:
-    """Returns the body's sample points [R, 3] (m) at a pose; theta in rad about +z."""
-    cosine, sine = math.cos(theta), math.sin(theta)
-    px, py = body.points[:, 0], body.points[:, 1]
-    return np.stack(
-        [
-            x + cosine * px - sine * py,
-            y + sine * px + cosine * py,
-            body.z_middle + body.points[:, 2],
-        ],
-        axis=1,
+# Tools from a file
+
+
+def read_tool(path: str) -> dict:
+    """Reads a tool's JSON file and returns its description, complete and checked.
+
+    An outline, lengths in m, the origin is the reference point, driving goes to -x::
+
+        {"name": "bucket", "outline": [[x, y], ...], "edge_radius": 0.004, "width": 0.3,
+         "side_plates": {"thickness": 0.01}, "friction": 0.3}
+
+    two points make a plate of thickness 2 edge_radius, more a solid polygon. `side_plates` may have
+    an "outline" of its own; without one it is the convex hull of the tool's. A wheel::
+
+        {"name": "wheel", "radius": 0.15, "width": 0.12, "friction": 0.5,
+         "grousers": {"count": 12, "height": 0.01, "thickness": 0.004}}
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline that
+            crosses itself; with the file.
+    """
+    with open(path, encoding='utf-8') as file:
+        try:
+            return check_tool(json.load(file))
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f'{path} is not a tool: {error}') from error
+
+
+_OUTLINE = {'name', 'outline', 'edge_radius', 'width', 'friction', 'side_plates'}
+_WHEEL = {'name', 'radius', 'width', 'friction', 'grousers'}
+
+
+def check_tool(tool: dict) -> dict:
+    """Returns a tool's description with its defaults filled in; see `read_tool`.
+
+    Raises:
+        ValueError: as there, without the file.
+    """
+    if not isinstance(tool, dict):
+        raise ValueError('expected a JSON object')
+    known = _WHEEL if 'radius' in tool else _OUTLINE
+    if unknown := sorted(set(tool) - known):
+        raise ValueError(f'unknown entries {unknown}; there are {sorted(known)}')
+    name = tool.get('name', 'tool')
+    if not (isinstance(name, str) and name.replace('-', '').replace('_', '').isalnum()):
+        raise ValueError(f'name must be of letters, digits, - and _, got {name!r}')
+    checked = {'name': name, 'width': _length(tool, 'width')}
+    if 'radius' in tool:
+        checked['radius'] = _length(tool, 'radius')
+        checked['friction'] = _friction(tool, WHEEL_FRICTION)
+        if grousers := tool.get('grousers'):
+            checked['grousers'] = {
+                'count': int(_number(grousers, 'count', 1.0, 360.0)),
+                'height': _length(grousers, 'height'),
+                'thickness': _length(grousers, 'thickness'),
+            }
+    else:
+        checked['edge_radius'] = _length(tool, 'edge_radius')
+        checked['friction'] = _friction(tool, BLADE_FRICTION)
+        checked['outline'] = _polygon(tool.get('outline'), 'outline')
+        if plates := tool.get('side_plates'):
+            outline = plates.get('outline')
+            if outline is None:
+                outline = _hull(checked['outline'])
+            checked['side_plates'] = {
+                'thickness': _length(plates, 'thickness'),
+                'outline': _polygon(outline, 'outline of the side plates', least=3),
+            }
+            if 2 * checked['side_plates']['thickness'] >= checked['width']:
+                raise ValueError('the side plates are thicker than the tool is wide')
+    tool_body(checked)
+    return checked
+
+
+def _number(tool, name, low, high):
+    value = tool.get(name)
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not low <= value <= high:
+        raise ValueError(f'{name} must be a number from {low:g} to {high:g}, got {value!r}')
+    return float(value)
+
+
+def _length(tool, name):
+    return _number(tool, name, 1e-4, MAX_SIZE)
+
+
+def _friction(tool, usual):
+    return _number({'friction': usual} | tool, 'friction', 0.0, 2.0)
+
+
+def _polygon(vertices, what, least=2) -> list:
+    """Checked vertices, counter-clockwise."""
+    try:
+        points = np.array(vertices, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[1:] != (2,) or not np.isfinite(points).all():
+        raise ValueError(f'{what} must be a list of [x, y] in m, got {str(vertices)[:80]}')
+    if not least <= len(points) <= MAX_VERTICES:
+        raise ValueError(f'{what} has {len(points)} points, expected {least} to {MAX_VERTICES}')
+    if np.abs(points).max() > MAX_SIZE:
+        raise ValueError(
+            f'{what} reaches {np.abs(points).max():g} m from the reference point, at most '
+            f'{MAX_SIZE:g}; are these millimetres?'
+        )
+    if np.hypot(*(np.roll(points, -1, axis=0) - points).T).min() < 1e-6:
+        raise ValueError(f'{what} has a point twice in a row')
+    if len(points) > 2:
+        if crossing := _crossing(points):
+            raise ValueError(f'{what} crosses itself: edges {crossing[0]} and {crossing[1]}')
+        x, y = points.T
+        area = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+        if abs(area) < 1e-8:
+            raise ValueError(f'{what} encloses no area')
+        if area < 0.0:
+            points = points[::-1]
+    return points.tolist()
+
+
+def _crossing(points):
+    """The numbers of two edges of a closed polygon that meet where they should not, or None."""
+
+    def side(a, b, c):
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    count = len(points)
+    ends = np.roll(points, -1, axis=0)
+    for i in range(count):
+        for j in range(i + 1, count):
+            if j == i + 1 or (i == 0 and j == count - 1):
+                # Neighbours share a point; they must not run back over each other.
+                here, there = ends[i] - points[i], ends[j] - points[j]
+                cross = here[0] * there[1] - here[1] * there[0]
+                if abs(cross) < 1e-12 and here @ there < 0.0:
+                    return i, j
+                continue
+            a, b, c, d = points[i], ends[i], points[j], ends[j]
+            if side(a, b, c) * side(a, b, d) <= 0.0 and side(c, d, a) * side(c, d, b) <= 0.0:
+                overlap = np.minimum(np.maximum(a, b), np.maximum(c, d)) - np.maximum(
+                    np.minimum(a, b), np.minimum(c, d)
+                )
+                if (overlap >= 0.0).all():
+                    return i, j
+    return None
+
+
+def _hull(points) -> list:
+    """The convex hull of points, counter-clockwise (Andrew 1979's monotone chain)."""
+    ordered = sorted(map(tuple, points))
+
+    def half(points):
+        chain = []
+        for p in points:
+            while len(chain) > 1 and (
+                (chain[-1][0] - chain[-2][0]) * (p[1] - chain[-2][1])
+                <= (chain[-1][1] - chain[-2][1]) * (p[0] - chain[-2][0])
+            ):
+                chain.pop()
+            chain.append(p)
+        return chain
+
+    return [list(p) for p in half(ordered)[:-1] + half(ordered[::-1])[:-1]]
+
+
+def tool_body(tool: dict) -> Body:
+    """Returns the body of a checked description.
+
+    R = 20 sample points of an outline: 4 places along it, from the vertex nearest to the reference
+    point on, 5 columns across; of a wheel as `make_wheel`.
+
+    Raises:
+        ValueError: see `make_wheel`.
+    """
+    if 'radius' in tool:
+        g = tool.get('grousers', {'count': 0, 'height': 0.0, 'thickness': 0.0})
+        bars = (g['count'], g['height'], g['thickness'])
+        return make_wheel(2.0 * tool['radius'], tool['width'], bars, tool['friction'])
+    outline = np.array(tool['outline'])
+    first = int(np.argmin(np.hypot(*outline.T)))
+    chain = np.roll(outline, -first, axis=0)
+    if len(chain) > 2:
+        chain = np.concatenate([chain, chain[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(chain, axis=0).T))])
+    # An open chain is sampled end to end, a closed one has no end.
+    at = np.linspace(0.0, along[-1], 4, endpoint=len(outline) == 2)
+    places = np.stack([np.interp(at, along, chain[:, axis]) for axis in range(2)], axis=1)
+    columns = (np.arange(5) - 2) * POINT_SPACING * tool['width'] / BLADE_WIDTH
+    points = [(x, y, z) for x, y in places for z in columns]
+    plates = tool.get('side_plates')
+    return _body(
+        outline,
+        tool['edge_radius'],
+        tool['width'],
+        tool['friction'],
+        points,
+        plates=None if plates is None else plates['outline'],
+        thick=0.0 if plates is None else plates['thickness'],
     )
 
 
-@numba.njit(inline='always', **JIT)
-def signed_distance(body, sine, cosine, rx, ry, z):
-    """Signed distance (m, negative inside) and outward normal of the nearest face.
+# Where a body is
+
+
+def sample_points(body: Body, pose) -> np.ndarray:
+    """Returns the body's sample points [R, 3] (m) at a pose: x, y (m), theta (rad), z (m)."""
+    x, y, theta, z = pose
+    cosine, sine = math.cos(theta), math.sin(theta)
+    px, py = body.points[:, 0], body.points[:, 1]
+    return np.stack(
+        [x + cosine * px - sine * py, y + sine * px + cosine * py, z + body.points[:, 2]], axis=1
+    )
+
+
+def lowest(body: Body, theta: np.ndarray) -> np.ndarray:
+    """Returns how far the lowest point of a body lies below the reference point [T], m, upwards
+    positive, at angles theta [T] (rad)."""
+    theta = np.asarray(theta, np.float64)
+    corners = np.concatenate([body.outline, body.plates])
+    edges = [body.radius + body.grouser_height] * len(body.outline) + [0.0] * len(body.plates)
+    height = np.sin(theta)[..., None] * corners[:, 0] + np.cos(theta)[..., None] * corners[:, 1]
+    return (height - edges).min(axis=-1)
+
+
+def extent_below(body: Body, poses: np.ndarray, height: float):
+    """Returns the extent of a body below a height, as seen from the side.
+
+    Args:
+        body: `Body`.
+        poses: float64 [T, 4].
+        height: m.
+
+    Returns:
+        Lowest and highest x [T] of what is below `height` (the whole reach of a round end
+        that dips below it; +-inf if nothing does) and the lowest y [T], m.
+    """
+    x, y, theta = np.asarray(poses, np.float64).T[:3]
+    cosine, sine = np.cos(theta), np.sin(theta)
+    low, high = np.full(len(x), np.inf), np.full(len(x), -np.inf)
+    parts = [(body.outline, body.radius + body.grouser_height), (body.plates, 0.0)]
+    for corners, radius in parts:
+        for i in range(len(corners)):
+            ends = [corners[i], corners[(i + 1) % len(corners)]]
+            px, py = ([a * cosine - b * sine for a, b in ends], [a * sine + b * cosine for a, b in ends])
+            px, py = [x + p for p in px], [y + p - radius for p in py]
+            # The share of the edge at which it leaves what is below the height.
+            rise = py[1] - py[0]
+            with np.errstate(divide='ignore', invalid='ignore'):
+                share = np.where(rise != 0.0, (height - py[0]) / rise, 0.0)
+            crossing = px[0] + np.clip(share, 0.0, 1.0) * (px[1] - px[0])
+            crosses = (py[0] < height) != (py[1] < height)
+            for at, is_below in ((px[0], py[0] < height), (px[1], py[1] < height), (crossing, crosses)):
+                reach = radius
+                if len(corners) == 1:  # the chord of the circle at that height
+                    depth = np.clip(height - (py[0] + radius), -radius, radius)
+                    reach = np.where(depth < 0.0, np.sqrt(radius**2 - depth**2), radius)
+                low = np.where(is_below, np.minimum(low, at - reach), low)
+                high = np.where(is_below, np.maximum(high, at + reach), high)
+    return low, high, y + lowest(body, theta)
+
+
+@numba.njit(**JIT)
+def _from_segment(ax, ay, bx, by, px, py):
+    """Way from the nearest point of the segment a b to p, and its square."""
+    ex, ey = bx - ax, by - ay
+    wx, wy = px - ax, py - ay
+    square = ex * ex + ey * ey
+    share = min(max((wx * ex + wy * ey) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    wx, wy = wx - share * ex, wy - share * ey
+    return wx, wy, wx * wx + wy * wy
+
+
+@numba.njit(**JIT)
+def _from_outline(outline, px, py):
+    """Signed distance from a solid polygon (a segment, a point), and the outward normal."""
+    count = len(outline)
+    best, wx, wy, edge = np.inf, 0.0, 0.0, 0
+    is_inside = False
+    for i in range(count if count > 2 else max(count - 1, 1)):
+        k = i + 1 if i + 1 < count else 0
+        ax, ay, bx, by = outline[i, 0], outline[i, 1], outline[k, 0], outline[k, 1]
+        ux, uy, square = _from_segment(ax, ay, bx, by, px, py)
+        if square < best:
+            best, wx, wy, edge = square, ux, uy, i
+        if count > 2 and (ay > py) != (by > py) and px < (bx - ax) * (py - ay) / (by - ay) + ax:
+            is_inside = not is_inside
+    distance = math.sqrt(best)
+    if distance > 0.0:
+        scale = -1.0 / distance if is_inside else 1.0 / distance
+        return (-distance if is_inside else distance), wx * scale, wy * scale
+    # On the line itself: the normal of the edge; of a point, up.
+    k = edge + 1 if edge + 1 < count else 0
+    ex, ey = outline[k, 0] - outline[edge, 0], outline[k, 1] - outline[edge, 1]
+    norm = math.sqrt(ex * ex + ey * ey)
+    if norm == 0.0:
+        return 0.0, 0.0, 1.0
+    return 0.0, ey / norm, -ex / norm
+
+
+@numba.njit(**JIT)
+def _from_bars(body, px, py):
+    """Signed distance from the nearest grouser of a wheel, and the outward normal."""
+    pitch = 2.0 * math.pi / body.grousers
+    angle = math.floor(math.atan2(py, px) / pitch + 0.5) * pitch
+    cosine, sine = math.cos(angle), math.sin(angle)
+    ux, uy = px * cosine + py * sine, py * cosine - px * sine
+    # A bar reaches from the axle to its round end.
+    end = body.radius + body.grouser_height - body.grouser_radius
+    wx, wy, square = _from_segment(0.0, 0.0, end, 0.0, ux, uy)
+    norm = math.sqrt(square)
+    if norm > 0.0:
+        wx, wy = wx / norm, wy / norm
+    else:
+        wy = 1.0
+    return norm - body.grouser_radius, wx * cosine - wy * sine, wx * sine + wy * cosine
+
+
+@numba.njit(**JIT)
+def _across(plane, nx, ny, side, sign):
+    """Signed distance from a prism: `plane` from its outline, `side` beyond its end; its normal."""
+    if plane > 0.0 and side > 0.0:
+        distance = math.sqrt(plane * plane + side * side)
+        return distance, nx * plane / distance, ny * plane / distance, sign * side / distance
+    if side > plane:
+        return side, 0.0, 0.0, sign
+    return plane, nx, ny, 0.0
+
+
+@numba.njit(**JIT)
+def signed_distance(body, sine, cosine, rx, ry, rz):
+    """Signed distance (m, negative inside) from a body's surface, and the outward normal there.
+
+    Exact outside, and inside of one part; where two parts overlap (rim and grouser, shell and side
+    plate) the depth inside is that of the deeper one, a lower bound.
 
     Args:
         body: `Body`.
         sine, cosine: of its angle.
-        rx, ry: position relative to the reference point (m).
-        z: absolute z (m).
+        rx, ry, rz: position relative to the reference point (m), axes of the world.
 
     Returns:
-        (distance, nx, ny, nz). Exact, but for a lower bound outside of the rims between the round
-        surface and the two flat ends.
+        (distance, nx, ny, nz).
     """
-    # In the body's own frame: `along` the segment, `beyond` its ends.
-    along, ahead = ry * cosine - rx * sine, rx * cosine + ry * sine
-    beyond = along - min(max(along, 0.0), body.length)
-    norm = math.sqrt(beyond * beyond + ahead * ahead)
-    distance = norm - body.radius
-    side = abs(z - body.z_middle) - body.half_width
-    if side > distance:
-        return side, 0.0, 0.0, 1.0 if z > body.z_middle else -1.0
-    if norm == 0.0:
-        return distance, -cosine, -sine, 0.0
-    ahead, beyond = ahead / norm, beyond / norm
-    return distance, ahead * cosine - beyond * sine, ahead * sine + beyond * cosine, 0.0
+    px, py = rx * cosine + ry * sine, ry * cosine - rx * sine
+    plane, nx, ny = _from_outline(body.outline, px, py)
+    plane -= body.radius
+    if body.grousers > 0:
+        bar, bx, by = _from_bars(body, px, py)
+        if bar < plane:
+            plane, nx, ny = bar, bx, by
+    sign = 1.0 if rz > 0.0 else -1.0
+    distance, nx, ny, nz = _across(plane, nx, ny, abs(rz) - body.half_width, sign)
+    if len(body.plates) > 0:
+        plane, mx, my = _from_outline(body.plates, px, py)
+        middle = body.half_width - 0.5 * body.plate_thickness
+        outwards = sign if abs(rz) > middle else -sign
+        side = abs(abs(rz) - middle) - 0.5 * body.plate_thickness
+        other, mx, my, mz = _across(plane, mx, my, side, outwards)
+        if other < distance:
+            distance, nx, ny, nz = other, mx, my, mz
+    return distance, nx * cosine - ny * sine, nx * sine + ny * cosine, nz
+
+
+@numba.njit(**JIT)
+def _distances(body, pose, positions):
+    sine, cosine = math.sin(pose[2]), math.cos(pose[2])
+    result = np.empty(len(positions))
+    for n in range(len(positions)):
+        rx, ry = positions[n, 0] - pose[0], positions[n, 1] - pose[1]
+        result[n] = signed_distance(body, sine, cosine, rx, ry, positions[n, 2] - pose[3])[0]
+    return result
+
+
+def signed_distances(body: Body, pose, positions: np.ndarray) -> np.ndarray:
+    """Returns the signed distance [N] (m, negative inside) of points [N, 3] from a body's surface.
+
+    Args:
+        body: the body.
+        pose: x, y (m) of its reference point, its angle (rad), z (m).
+        positions: m.
+    """
+    return _distances(
+        body, np.array(pose, dtype=np.float64), np.ascontiguousarray(positions, np.float64)
+    )

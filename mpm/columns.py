@@ -21,10 +21,10 @@ _cache = os.environ.get('NUMBA_CACHE_DIR') or os.path.join(_FOLDER, '__pycache__
 numba.config.CACHE_DIR = os.path.join(_cache, _digest.hexdigest()[:16])
 
 # Columns of the particle array [N, COLUMNS], float64: position X, velocity V and its gradient C
-# (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, granular
-# fluidity, GRIP: how far the body has dragged its contact with the particle (see `contact`).
+# (row by row), deviatoric stress S (xx, yy, zz, xy, yz, zx), volume over packed volume, GRIP: how
+# far a body has dragged its contact with the particle (see `contact`).
 # Row i is particle i, always. Kernels work on a copy of the rows that are awake.
-X, V, C, S, VOLUME_RATIO, FLUIDITY, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 23, 26
+X, V, C, S, VOLUME_RATIO, GRIP, COLUMNS = 0, 3, 6, 15, 21, 22, 25
 
 # What the steps between two exchanges change of a particle (`solver.Block.elastic`): deviatoric
 # stress and strain of volume, ELASTIC rows of CHUNK particles one after another, chunk by chunk.

@@ -7,10 +7,6 @@ I = gamma_dot d sqrt(rho_s / p) the inertial number. All in SI units.
 Sources:
   mu(I) rheology: Jop, Forterre, Pouliquen (2006), Nature 441, 727.
   closed-form implicit update: Dunatunga, Kamrin (2015), J. Fluid Mech. 779, 483.
-  dilation of sheared soil: Roux, Radjai (1998), Physics of Dry Granular Media, NATO ASI E 350, 229;
-  Pailha, Pouliquen (2009), J. Fluid Mech. 633, 115.
-  nonlocal granular fluidity: Henann, Kamrin (2013), PNAS 110, 6730; explicit form for material
-  points: Haeri, Skonieczny (2022), Comput. Methods Appl. Mech. Eng. 394, 114904.
 """
 
 import math
@@ -19,7 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from mpm.columns import ELASTIC, FLUIDITY, JIT, index, row
+from mpm.columns import ELASTIC, JIT, index, row
 
 
 class Soil(NamedTuple):
@@ -33,22 +29,15 @@ class Soil(NamedTuple):
     mu_s: float  # static friction coefficient tau / p
     mu_2: float  # friction coefficient at a large inertial number
     inertial_number_0: float  # I0 of mu(I)
-    nonlocal_amplitude: float  # A of the granular fluidity
-    nonlocal_time: float  # t0 of the granular fluidity, s
-    dilation: float = 0.0  # K of `dilated`; 0: the volume is what particles state, uncorrected
 
 
 GRAIN_DENSITY = 2583.0
 PACKING_FRACTION = 0.67
+PACKED_DENSITY = GRAIN_DENSITY * PACKING_FRACTION
 GRAIN_DIAMETER = 3.0e-4
 INERTIAL_NUMBER_0 = 0.278
 MU_RANGE = 0.9616 - 0.76  # mu_2 - mu_s
-NONLOCAL_AMPLITUDE = 0.48
-NONLOCAL_TIME = 1.0e-4
-# Fluidity (1/s) from which flow starts: zero would be a fixed point. Creep at it is 1e-4 a second.
-FLUIDITY_SEED = 1.0e-4
 POISSON_RATIO = 0.3
-DILATION = 6.0  # K of the checks of `dilated`; the data of record have none
 # With an array of float32 these keep a kernel in float32; with one of float64 they are exact.
 NONE, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 TINY = 1e-30  # keeps 0 / 0 away, in float32 too
@@ -74,10 +63,12 @@ def friction_coefficient(friction_angle_deg: float) -> float:
 def make_soil(
     youngs_modulus: float,
     mu_s: float,
+    bulk_density: float = PACKED_DENSITY,
     poisson_ratio: float = POISSON_RATIO,
-    dilation: float = 0.0,
 ) -> Soil:
-    """Builds the soil of both scenes from its stiffness (Pa), static friction and dilation K (7).
+    """Builds a soil from its stiffness (Pa), static friction mu_s and packed density (kg/m3).
+
+    Grains are as dense as the packing says: bulk density over the packing fraction 0.67.
 
     Raises:
         ValueError: if a parameter lies outside its physical range.
@@ -91,20 +82,17 @@ def make_soil(
         )
     if not (math.isfinite(mu_s) and mu_s > 0.0):
         raise ValueError(f'static friction mu_s must be positive, got {mu_s}')
-    if not (math.isfinite(dilation) and dilation >= 0.0):
-        raise ValueError(f'dilation must be 0 or positive, got {dilation}')
+    if not (math.isfinite(bulk_density) and bulk_density > 0.0):
+        raise ValueError(f'bulk density must be positive, got {bulk_density} kg/m3')
     return Soil(
-        bulk_density=GRAIN_DENSITY * PACKING_FRACTION,
-        grain_density=GRAIN_DENSITY,
+        bulk_density=bulk_density,
+        grain_density=bulk_density / PACKING_FRACTION,
         grain_diameter=GRAIN_DIAMETER,
         bulk_modulus=youngs_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio)),
         shear_modulus=youngs_modulus / (2.0 * (1.0 + poisson_ratio)),
         mu_s=mu_s,
         mu_2=mu_s + MU_RANGE,
         inertial_number_0=INERTIAL_NUMBER_0,
-        nonlocal_amplitude=NONLOCAL_AMPLITUDE,
-        nonlocal_time=NONLOCAL_TIME,
-        dilation=dilation,
     )
 
 
@@ -125,75 +113,26 @@ def relax_local(tau_trial, p, a, mu_s, mu_2):
 
 
 @numba.njit(inline='always', **JIT)
-def fluidity_source(g, tau, p, soil):
-    """Returns the local part of dg/dt (1/s2) of the granular fluidity g (1/s).
-
-    t0 dg/dt = A2 d2 lap g - (mu_s - mu) g - ((mu_2 - mu_s) / I0) sqrt(rho_s d2 / p) mu g2
-    (Haeri and Skonieczny 2022) without the Laplacian; mu = tau / p of the relaxed stress.
-    """
-    if p <= 0.0:
-        return 0.0
-    mu = tau / p
-    b = (soil.mu_2 - soil.mu_s) / soil.inertial_number_0
-    inertia = soil.grain_diameter * math.sqrt(soil.grain_density / p)
-    return (-(soil.mu_s - mu) * g - b * inertia * mu * g * g) / soil.nonlocal_time
-
-
-@numba.njit(inline='always', **JIT)
-def relax_nonlocal(tau_trial, p, g, dt, soil):
-    """Returns the relaxed tau (Pa) for a granular fluidity `g`: gamma_dot = g tau / p."""
-    return tau_trial * p / max(p + soil.shear_modulus * dt * g, TINY)
-
-
-@numba.njit(inline='always', **JIT)
-def dilated(ratio, rate, counted, interval, soil):
-    """Returns the volume over that of the packing that a particle states after an interval.
-
-    The law knows the volume that particles state, the integral of tr L along their ways. Where soil
-    is sheared and a cell holds few of them, the ways drift from it: particles draw together while
-    they state that nothing has changed. Soil that is denser than its packing dilates as it is
-    sheared, tr D = K gamma_dot (phi / phi_c - 1) (Roux and Radjai 1998; K = 2.5 for glass beads,
-    K3 phi_c of Pailha and Pouliquen 2009); here phi is the density that the grid counts, so what
-    particles have lost they regain while they are sheared, and soil at rest feels nothing of it:
-
-        ratio <- ratio / (1 + K gamma_dot interval e),   e = phi ratio / phi_c - 1, not negative (7)
-
-    which stays positive at any rate. Where the grid counts less than a particle states it does so
-    because it sees past a surface, so that is no loss.
-
-    Args:
-        ratio: V / V0 as stated.
-        rate: gamma_dot, 1/s.
-        counted: phi / phi_c, the density on the grid at the particle over that of the packing.
-        interval: s.
-        soil: `Soil`.
-    """
-    excess = max(counted * ratio - 1.0, 0.0)
-    return ratio / (1.0 + soil.dilation * rate * interval * excess)
-
-
-@numba.njit(inline='always', **JIT)
 def pressure_of(strain, bulk_modulus):
     """Pressure (Pa) at a strain of volume V / V0 - 1: linear in density, none in tension."""
     return max(-bulk_modulus * strain / (ONE + strain), NONE)
 
 
 @numba.njit(**JIT)
-def update_stress(block, start, count, dt, soil, damping_time, fluidity):
+def update_stress(block, start, count, dt, soil, damping_time):
     """Elastic trial stress of particles from their velocity gradients, then relaxation.
 
     Written without branches, in numbers of one type (float32 or float64, that of the arrays), and
     on rows of CHUNK numbers a known way apart, so that particles share a vector register.
 
     Args:
-        block: `solver.Block`; `elastic` (deviator and strain of volume) and the fluidity are
-            updated, `gradient` is read (1/s), `stress` filled with the stress that acts: sigma +
-            damping_time d sigma / dt (Pa; xx yy zz xy yz zx).
+        block: `solver.Block`; `elastic` (deviator and strain of volume) is updated, `gradient` is
+            read (1/s), `stress` filled with the stress that acts: sigma + damping_time d sigma / dt
+            (Pa; xx yy zz xy yz zx).
         start, count: which particles, at most CHUNK, the first of a chunk.
         dt: s.
         soil: `Soil`.
         damping_time: s, see `stability.damping_time`.
-        fluidity: None: local mu(I); anything else: the granular fluidity relaxes the stress.
     """
     e, gradient, stress = block.elastic, block.gradient, block.stress
     real = e.dtype.type
@@ -237,14 +176,7 @@ def update_stress(block, start, count, dt, soil, damping_time, fluidity):
         tzx = szx + wzx * (sxx - szz) - wyz * sxy + wxy * syz + g1 * (lzx + lxz)
         shear = txy * txy + tyz * tyz + tzx * tzx
         tau = math.sqrt((txx * txx + tyy * tyy + tzz * tzz) / TWO + shear)
-        if fluidity is not None:
-            g = max(block.particles[start + c, FLUIDITY], FLUIDITY_SEED)
-            flowing = relax_nonlocal(tau, p, g, dt, soil)
-            g += dt * fluidity_source(g, flowing, p, soil)
-            block.particles[start + c, FLUIDITY] = g if p > NONE else 0.0
-            relaxed = real(flowing)
-        else:
-            relaxed = relax_local(tau, p, rate * math.sqrt(p), mu_s, mu_2)
+        relaxed = relax_local(tau, p, rate * math.sqrt(p), mu_s, mu_2)
         # Soil without pressure carries nothing: p = 0 gives relaxed = 0.
         factor = relaxed / max(tau, tiny)
         txx, tyy, tzz = factor * txx, factor * tyy, factor * tzz

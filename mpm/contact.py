@@ -1,7 +1,7 @@
-"""Contact between soil and body, at the particles.
+"""Contact between soil and bodies, at the particles.
 
-A particle stands for soil up to half a particle spacing h around it, so it touches a body when its
-signed distance d from the surface (`bodies.signed_distance`) falls below a = h / 2:
+A particle stands for soil up to half a spacing h around it in the plane of travel, so it touches a
+body when its signed distance d from the surface (`bodies.signed_distance`) falls below a = h / 2:
 
     normal      N = k (a - d)                        not negative                      (5)
     friction    T = -k g,  |T| <= mu N               g: the grip                       (6)
@@ -9,10 +9,10 @@ signed distance d from the surface (`bodies.signed_distance`) falls below a = h 
 The grip g is the way that the body has dragged the contact along the surface since it closed; what
 exceeds Coulomb's limit slips. Both act on the soil at the particle's place through its weights
 (as a body force does), and on the body at the nearest point of its surface. The stiffness is a
-quarter of the soil's own, k = M h / 4 with the modulus M of the pressure wave: the depth a - d is
-then some tenths of a millimetre, and the step resolves the frequency of a contact,
-sqrt(M / rho) / (2 h). There is no damping: one that acts on the velocity of a step made the draft
-depend on the step by 1 %, and soil dissipates by itself.
+quarter of the soil's own, k = M A / (4 h) with the modulus M of the pressure wave and the area
+A = V / h that a particle covers: the depth a - d is then some tenths of a millimetre, and the step
+resolves the frequency of a contact, sqrt(M / rho) / (2 h). There is no damping: one that acts on
+the velocity of a step made the draft depend on the step by 1 %, and soil dissipates by itself.
 
 Conditions on the nodes inside the body, as most material-point codes have them, move the surface by
 up to a cell as the body crosses the grid (a force that swings by 20 %), and let soil through.
@@ -25,16 +25,15 @@ import math
 from typing import NamedTuple
 
 import numba
-import numpy as np
 
 from mpm import vectors
-from mpm.bodies import Body, signed_distance
+from mpm.bodies import signed_distance
 from mpm.columns import GRIP, JIT, index
 from mpm.constitutive import Soil
 from mpm.transfers import WEIGHTS, interpolate, scatter, strides_of
 
-RADIUS = 0.5  # of the particle spacing
-STIFFNESS = 0.25  # of M h
+RADIUS = 0.5  # of the particle spacing in the plane
+STIFFNESS = 0.25  # of M A / h
 
 
 class ContactLaw(NamedTuple):
@@ -49,23 +48,20 @@ class ContactLaw(NamedTuple):
     stiffness: float
 
 
-def make_contact(soil: Soil, particle_volume: float) -> ContactLaw:
-    """Returns the contact of particles of a packed volume (m3) of a soil."""
-    spacing = particle_volume ** (1.0 / 3.0)
+def make_contact(soil: Soil, particle_volume: float, spacing: float) -> ContactLaw:
+    """Returns the contact of particles of a packed volume (m3), a spacing (m) apart in the plane."""
     modulus = soil.bulk_modulus + 4.0 * soil.shear_modulus / 3.0
-    return ContactLaw(RADIUS * spacing, STIFFNESS * modulus * spacing)
+    return ContactLaw(RADIUS * spacing, STIFFNESS * modulus * particle_volume / spacing**2)
 
 
 @numba.njit(**JIT)
 def list_near(particles, body, pose, reach, near):
     """Lists the particles within `reach` (m) of the body's surface; returns how many there are.
 
-    All others lose their grip.
-
     Args:
         particles: float64 [n, COLUMNS].
         body: `bodies.Body`.
-        pose: x, y (m) of its reference point, and its angle (rad).
+        pose: x, y (m) of its reference point, its angle (rad), z (m).
         reach: m.
         near: int64 [n], filled.
     """
@@ -73,17 +69,14 @@ def list_near(particles, body, pose, reach, near):
     count = 0
     for n in range(len(particles)):
         rx, ry = particles[n, 0] - pose[0], particles[n, 1] - pose[1]
-        if signed_distance(body, sine, cosine, rx, ry, particles[n, 2])[0] < reach:
+        if signed_distance(body, sine, cosine, rx, ry, particles[n, 2] - pose[3])[0] < reach:
             near[count] = n
             count += 1
-        else:
-            for axis in range(3):
-                particles[n, GRIP + axis] = 0.0
     return count
 
 
 @numba.njit(**JIT)
-def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
+def contact(block, nodes, grid, near, body, law, pose, rates, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 
     Args:
@@ -94,8 +87,8 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         near: int64, the particles to look at.
         body: `bodies.Body`.
         law: `ContactLaw`.
-        pose: x, y (m) of the reference point, angle (rad).
-        motion: their rates, m/s and rad/s.
+        pose: x, y (m) of the reference point, angle (rad), z (m).
+        rates: of the pose, m/s and rad/s.
         dt: s, over which contacts have been dragged since the last call.
         load: float64 [6], force (N) and torque (N m, about the reference point) of the soil on the
             body; overwritten.
@@ -108,19 +101,20 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
     for n in near:
         at = index(WEIGHTS * n)
         u = interpolate(nodes.displacement, block.base[n], strides, block.weights, at)
-        rx, ry, z = q[n, 0] + u[0] - pose[0], q[n, 1] + u[1] - pose[1], q[n, 2] + u[2]
-        distance, nx, ny, nz = signed_distance(body, sine, cosine, rx, ry, z)
+        rx, ry = q[n, 0] + u[0] - pose[0], q[n, 1] + u[1] - pose[1]
+        rz = q[n, 2] + u[2] - pose[3]
+        distance, nx, ny, nz = signed_distance(body, sine, cosine, rx, ry, rz)
         depth = law.radius - distance
         if not depth > 0.0:
             for axis in range(3):
                 q[n, GRIP + axis] = 0.0
             continue
         # The point of the surface, about the reference point, and the soil's speed past it.
-        px, py, pz = rx - distance * nx, ry - distance * ny, z - body.z_middle - distance * nz
+        px, py, pz = rx - distance * nx, ry - distance * ny, rz - distance * nz
         v = interpolate(nodes.velocity, block.base[n], strides, block.weights, at)
-        vx = v[0] - motion[0] + motion[2] * py
-        vy = v[1] - motion[1] - motion[2] * px
-        vz = v[2]
+        vx = v[0] - rates[0] + rates[2] * py
+        vy = v[1] - rates[1] - rates[2] * px
+        vz = v[2] - rates[3]
         normal = law.stiffness * depth
         gx, gy, gz = q[n, GRIP] + dt * vx, q[n, GRIP + 1] + dt * vy, q[n, GRIP + 2] + dt * vz
         # Only its part along the surface, which turns with the body.
@@ -143,24 +137,3 @@ def contact(block, nodes, grid, near, body, law, pose, motion, dt, load):
         load[3] -= py * fz - pz * fy
         load[4] -= pz * fx - px * fz
         load[5] -= px * fy - py * fx
-
-
-def signed_distances(body: Body, pose: tuple, positions: np.ndarray) -> np.ndarray:
-    """Returns the signed distance [N] (m, negative inside) of points [N, 3] from a body's surface.
-
-    Args:
-        body: the body.
-        pose: x, y (m) of its reference point and its angle (rad).
-        positions: m.
-    """
-    return _distances(body, np.array(pose, dtype=np.float64), np.ascontiguousarray(positions))
-
-
-@numba.njit(**JIT)
-def _distances(body, pose, positions):
-    sine, cosine = math.sin(pose[2]), math.cos(pose[2])
-    result = np.empty(len(positions))
-    for n in range(len(positions)):
-        rx, ry = positions[n, 0] - pose[0], positions[n, 1] - pose[1]
-        result[n] = signed_distance(body, sine, cosine, rx, ry, positions[n, 2])[0]
-    return result

@@ -9,42 +9,38 @@ import numpy as np
 from mpm import bodies, columns, packing
 from mpm.columns import CHUNK
 from mpm.constitutive import Soil, make_soil, update_stress
-from mpm.grid import Grid, make_grid
-from mpm.grid_update import start_nodes
-from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene
+from mpm.grid import Grid, make_grid, start_nodes
+from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene, sampled
 from mpm.solver import EXCHANGE, Solver, make_block, make_nodes
 from mpm.transfers import keep_elastic, particles_to_grid, return_elastic
 
 
 def coarse(scene: Scene) -> Scene:
-    """Returns the scene on cells twice as long, with as many particles per cell."""
+    """Returns the scene on cubic cells of 4 cm (wheel: 2 cm), with as many particles per cell."""
     box = scene.bin
-    cells = [round(box.size[0] / box.dx) // 2, round(box.size[2] / box.dx) // 2]
-    dx = box.size[0] / cells[0]
-    size = (box.size[0], box.size[1], cells[1] * dx)
-    lattice = tuple(max(2, n // 2) for n in box.lattice)
-    return dataclasses.replace(
-        scene, bin=dataclasses.replace(box, dx=dx, size=size, lattice=lattice)
-    )
+    dx = 0.04 if scene.name == 'excavation' else 0.02
+    size = (box.size[0], box.size[1], math.ceil(box.size[2] / dx) * dx)
+    return dataclasses.replace(scene, bin=sampled(size, dx, dx, 1, box.height, box.bounds))
 
 
-def energy(particles, soil: Soil, volume: float, dx: float, gravity: float) -> float:
+def energy(particles, soil: Soil, volume: float, cell, gravity: float) -> float:
     """Returns kinetic, elastic and potential energy of soil in J, heights from the floor.
 
-    The affine part of a particle's motion carries 1/2 m |C|2 dx2 / 4 (the inertia of quadratic
-    B-splines). The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
+    The affine part of a particle's motion carries 1/2 m C D C^T with the inertia D of quadratic
+    B-splines. The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
 
     Args:
         particles: float64 [N, COLUMNS].
         soil: their soil.
         volume: m3 of packed soil per particle.
-        dx: cell size, m.
+        cell: its sides [3], m.
         gravity: m/s2.
     """
     q = particles
     ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
     motion = (q[:, columns.V : columns.V + 3] ** 2).sum()
-    motion += dx**2 / 4 * (q[:, columns.C : columns.C + 9] ** 2).sum()
+    inertia = np.tile(np.asarray(cell) ** 2 / 4, 3)
+    motion += (inertia * q[:, columns.C : columns.C + 9] ** 2).sum()
     pressed = np.minimum(ratio, 1.0)
     bulk = soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
     shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
@@ -60,6 +56,7 @@ class Experiment:
     Attributes:
         particles: float64 [N, COLUMNS], free of stress and at rest at first.
         solver: `solver.Solver`; its `steps` and `dt` are those of the CFL limit.
+        impulse: float64 [6], given to the body so far: N s, and N m s about its reference point.
     """
 
     def __init__(
@@ -86,6 +83,7 @@ class Experiment:
         self.particles = packing.lattice(block, seed=0)
         self.particles[:, 1] += lift
         self.solver = Solver(grid, soil, packing.particle_volume(block), steps)
+        self.impulse = np.zeros(6)
 
     @property
     def grid(self) -> Grid:
@@ -97,11 +95,6 @@ class Experiment:
         """Mass of one particle, kg."""
         return self.solver.volume * self.solver.soil.bulk_density
 
-    @property
-    def impulse(self) -> np.ndarray:
-        """Impulse given to the body so far [6]: N s, and N m s about its reference point."""
-        return self.solver.impulse
-
     def momentum(self) -> np.ndarray:
         """Returns the momentum [3] of the soil, N s."""
         return self.mass * self.particles[:, columns.V : columns.V + 3].sum(axis=0)
@@ -109,7 +102,7 @@ class Experiment:
     def energy(self, gravity: float = EARTH_GRAVITY) -> float:
         """Returns the `energy` of the soil, J."""
         s = self.solver
-        return energy(self.particles, s.soil, s.volume, s.grid.dx, gravity)
+        return energy(self.particles, s.soil, s.volume, s.grid.cell, gravity)
 
     def keep(self, rows: np.ndarray) -> None:
         """Leaves only the particles of a mask or a list of rows."""
@@ -129,7 +122,7 @@ class Experiment:
             gravity: m/s2.
             body: a body, if there is one.
             pose: function of times [T] (s, from the start of this call) that returns x, y (m) and
-                angle (rad) of its reference point, [T, 3].
+                angle (rad) and z (m) of its reference point, [T, 4].
 
         Raises:
             ValueError: if a particle leaves the grid.
@@ -137,10 +130,12 @@ class Experiment:
         intervals = math.ceil(seconds / EXCHANGE - 1e-9)
         order = packing.cell_order(self.particles, self.grid)
         block = self.solver.block(self.particles[order])
-        path = None
+        moved = ()
         if body is not None:
             path = pose(self.solver.dt * np.arange(intervals * self.solver.steps + 1))
-        self.solver.advance(block, intervals, gravity, 1.0, body, path)
+            moved = ((body, path, None, None),)
+        for loads in self.solver.advance(block, intervals, gravity, bodies=moved):
+            self.impulse += loads.sum(axis=0) * self.solver.dt
         self.particles[order] = block.particles
         return intervals * EXCHANGE
 
@@ -150,12 +145,12 @@ def free_fall(seconds: float = 0.2) -> dict:
 
     The fall is compared with the parabola g t2 / 2, which velocity Verlet takes exactly.
     """
-    room = Bin((0.2, 0.1, 0.2), 0.02, (0, 0, 0), 1, 0.6, ())
-    block = Bin((0.2, 0.1, 0.2), 0.02, (10, 5, 10), 1, 0.6, ())
+    room = Bin((0.2, 0.1, 0.4), 0.02, 0.04, (0, 0, 0), 1, 0.6, ())
+    block = Bin((0.2, 0.1, 0.4), 0.02, 0.04, (10, 5, 20), 1, 0.6, ())
     experiment = Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.4)
     # Away from the sticky walls.
     across = experiment.particles[:, [0, 2]]
-    experiment.keep(np.abs(across - CORNER - 0.1).max(axis=1) < 0.06)
+    experiment.keep((np.abs(across - CORNER - [0.1, 0.2]) < [0.06, 0.12]).all(axis=1))
     start = experiment.particles[:, :3].copy()
     time = experiment.advance(seconds)
     fall = start - experiment.particles[:, :3]
@@ -210,24 +205,27 @@ def settled_soil(box: Bin, particles: np.ndarray, soil: Soil) -> dict:
     }
 
 
-def blade_in_weightless_soil(modulus: float = 1.5e6, steps: int = 0) -> tuple[Experiment, float]:
+def blade_in_weightless_soil(
+    modulus: float = 1.5e6, steps: int = 0, dz: float = 0.04, body: bodies.Body | None = None
+) -> tuple[Experiment, float]:
     """Shoots a blade through soil at 2 m/s; returns what is left of it, and the blade's speed.
 
     It ends before the first grain is a cell and a half from a wall, which would take momentum, too.
     """
-    room = Bin((0.4, 0.1, 0.4), 0.02, (0, 0, 0), 1, 0.5, ())
-    block = Bin((0.4, 0.1, 0.4), 0.02, (30, 8, 30), 1, 0.5, ())
+    room = Bin((0.4, 0.1, 0.8), 0.02, dz, (0, 0, 0), 1, 0.5, ())
+    block = Bin((0.4, 0.1, 0.8), 0.02, dz, (30, 8, 60), 1, 0.5, ())
     experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15, steps=steps)
     across = experiment.particles[:, [0, 2]]
-    experiment.keep(np.abs(across - CORNER - 0.2).max(axis=1) < 0.1)
+    experiment.keep(np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1)
     speed = 2.0
 
     def pose(times):
-        path = np.full((len(times), 3), -math.radians(20.0))
+        path = np.full((len(times), 4), -math.radians(20.0))
         path[:, 0], path[:, 1] = CORNER + 0.35 - speed * times, CORNER + 0.15
+        path[:, 3] = CORNER + 0.4
         return path
 
-    experiment.advance(0.08, 0.0, bodies.make_blade(CORNER + 0.2), pose)
+    experiment.advance(0.08, 0.0, body or bodies.make_blade(), pose)
     return experiment, speed
 
 
@@ -241,32 +239,27 @@ def contact_momentum() -> dict:
 
 
 @numba.njit
-def _shear(block, steps, dt, rate, soil, fluidity):
+def _shear(block, steps, dt, rate, soil):
     keep_elastic(block, 0)
     block.gradient[CHUNK] = rate  # dvx/dy
     for _ in range(steps):
-        update_stress(block, 0, 1, dt, soil, 0.0, fluidity)
+        update_stress(block, 0, 1, dt, soil, 0.0)
     return_elastic(block, 0)
 
 
-def homogeneous_shear(
-    inertial_number: float, pressure: float = 1000.0, is_nonlocal: bool = False
-) -> dict:
-    """Shears one particle at constant volume; returns tau / p and mu(I) of the paper.
-
-    The nonlocal law has no gradient here. Its steady state is mu_s + (mu_2 - mu_s) I / I0.
-    """
+def homogeneous_shear(inertial_number: float, pressure: float = 1000.0) -> dict:
+    """Shears one particle at constant volume; returns tau / p and mu(I) of the paper."""
     soil = make_soil(1.5e6, 0.76)
     rate = inertial_number * math.sqrt(pressure / soil.grain_density) / soil.grain_diameter
     row = np.zeros((1, columns.COLUMNS))
     row[0, columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
     block = make_block(row)
     # Steps of a tenth of a per mille of shear, to a strain of one half.
-    _shear(block, 5000, 1.0e-4 / rate, rate, soil, np.zeros(1) if is_nonlocal else None)
+    _shear(block, 5000, 1.0e-4 / rate, rate, soil)
     s = block.particles[0, columns.S : columns.S + 6]
     tau = math.sqrt(0.5 * (s[:3] ** 2).sum() + (s[3:] ** 2).sum())
     rise = inertial_number / soil.inertial_number_0
-    mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * (rise if is_nonlocal else rise / (1.0 + rise))
+    mu = soil.mu_s + (soil.mu_2 - soil.mu_s) * rise / (1.0 + rise)
     return {'tau_over_p': tau / pressure, 'mu': mu}
 
 
@@ -279,10 +272,10 @@ def column_collapse(aspect: float, length: float = 0.2, seconds: float = 1.5) ->
     """
     dx = length / 15
     reach = length * (1.0 + 2.5 * 1.2 * aspect)
-    room = Bin((dx * math.ceil(reach / dx), 0.0, 4 * dx), dx, (0, 0, 0), 1, length * aspect, ())
+    room = Bin((dx * math.ceil(reach / dx), 0.0, 4 * dx), dx, dx, (0, 0, 0), 1, length * aspect, ())
     count = round(1.5 * 15)
     block = Bin(
-        (length, length * aspect, 4 * dx), dx, (count, round(count * aspect), 6), 1, 0.0, ()
+        (length, length * aspect, 4 * dx), dx, dx, (count, round(count * aspect), 6), 1, 0.0, ()
     )
     experiment = Experiment(room, block, make_soil(1.5e6, 0.5), smooth_sides=True)
     for _ in range(50):

@@ -7,13 +7,22 @@ Examples:
 
     # paths of an operator (kinds take turns), free drives of the wheel; nobody has seen these seeds
     python -m mpm.generate --scene=excavation --operator_seeds=9000-9009 --output_path=/tmp/raw/new
+    python -m mpm.generate --scene=excavation --operator_seeds=9000-9005 --kinds=beside,press \\
+        --output_path=/tmp/raw/machines
     python -m mpm.generate --scene=wheel --operator_seeds=9000-9009 --kinds=stops,reverse \\
         --output_path=/tmp/raw/new_wheel
 
-    # a path of your own: time_s, x_m, y_m, angle_deg (see mpm/motions/recording.py)
+    # a path of your own: time_s, x_m, y_m, angle_deg (see mpm/motions/recording.py); a tool of your
+    # own (see mpm/bodies.py) in a soil of your own
     python -m mpm.generate --scene=excavation --path=mine.csv --output_path=/tmp/raw/mine
+    python -m mpm.generate --scene=excavation --operator_seeds=0-9 --tool=bucket.json \\
+        --friction_angle_deg=33 --output_path=/tmp/raw/bucket
 
-A folder belongs to one scene and one packing. A command that was interrupted goes on where it
+    # on machines of a cluster, by Dask
+    python -m mpm.generate --scene=wheel --cases=full --cluster=slurm:64 --output_path=/shared/raw
+
+A folder belongs to one scene and one packing; kinds that need another bin (beside, tools: twice as
+wide; trench: 2 m long) go into a folder inside, `wide` or `long`. A command that was interrupted goes on where it
 stopped when it is given again. All runs start from the same settled packing, which is made once and
 kept in the folder. All motions are checked against floor, walls and time step before the first run.
 `python -m mpm.record` makes the whole data of record.
@@ -26,10 +35,9 @@ from absl import app, flags, logging
 
 from mpm import bodies, scenes
 from mpm.batch import generate
-from mpm.constitutive import DILATION
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
-from mpm.simulation import RHEOLOGIES, Settings
+from mpm.simulation import Settings
 
 _SCENE = flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
 _CASES = flags.DEFINE_string(
@@ -48,7 +56,7 @@ _KINDS = flags.DEFINE_string(
     None,
     'Kinds of these paths; a seed s has the kind number s modulo their count. There are '
     + '; '.join(f'{name}: {",".join(kinds)}' for name, kinds in catalogue.KINDS.items())
-    + ". Without the flag all but 'halts' take turns.",
+    + '. Without the flag those take turns that drive the usual tool in the usual soil.',
 )
 _PATH = flags.DEFINE_list('path', [], 'CSV files of paths: time_s, x_m, y_m, angle_deg [, load_N].')
 _BLADE_WIDTH = flags.DEFINE_float(
@@ -66,15 +74,15 @@ _NUM_PROCESSES = flags.DEFINE_integer(
 _YOUNGS_MODULUS = flags.DEFINE_float(
     'youngs_modulus', 1.5e6, 'Stiffness of the soil, Pa. The cost grows with its root.'
 )
-_RHEOLOGY = flags.DEFINE_enum(
-    'rheology', 'local', RHEOLOGIES, 'Local mu(I), or nonlocal granular fluidity.'
+_TOOL = flags.DEFINE_string('tool', None, 'JSON file of a tool for all runs (mpm/bodies.py).')
+_FRICTION_ANGLE = flags.DEFINE_float(
+    'friction_angle_deg', None, 'Of the soil, 15 to 50 deg; default: what each run has.'
 )
-_DILATION = flags.DEFINE_float(
-    'dilation',
-    0.0,
-    f'Keeps the volume of sheared soil ({DILATION:g} is what `mpm.verify` takes); 0: it packs more '
-    'closely, as in the data of record.',
-    lower_bound=0.0,
+_BULK_DENSITY = flags.DEFINE_float('bulk_density', None, 'Of the packed soil, kg/m3; likewise.')
+_GRAVITY = flags.DEFINE_float('gravity', None, 'm/s2; likewise.')
+_TOOL_FRICTION = flags.DEFINE_float('tool_friction', None, 'Of soil on the tool; likewise.')
+_CLUSTER = flags.DEFINE_string(
+    'cluster', '', 'Where runs are made: local:4, slurm:64, tcp://host:port; empty: processes here.'
 )
 _SEED = flags.DEFINE_integer('seed', 0, 'Seed of the initial packing.')
 
@@ -104,10 +112,18 @@ def main(argv):
         scene = scenes.scene_named(_SCENE.value)
         runs = chosen_runs(scene)
         settings = Settings(
-            _YOUNGS_MODULUS.value, _RHEOLOGY.value, _SEED.value, dilation=_DILATION.value
+            _YOUNGS_MODULUS.value,
+            _SEED.value,
+            _FRICTION_ANGLE.value,
+            _BULK_DENSITY.value,
+            _GRAVITY.value,
+            _TOOL_FRICTION.value,
         )
-        new = generate(scene, runs, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value)
-    except (ValueError, OSError) as error:
+        tool = None if _TOOL.value is None else bodies.read_tool(_TOOL.value)
+        new = generate(
+            scene, runs, _OUTPUT_PATH.value, settings, _NUM_PROCESSES.value, tool, _CLUSTER.value
+        )
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         logging.error('%s', error)
         sys.exit(1)
     cpu = [entry['parameters']['solver_cpu_s'] for entry in new]

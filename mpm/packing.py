@@ -12,7 +12,7 @@ import os
 import numpy as np
 
 from mpm import columns
-from mpm.constitutive import Soil
+from mpm.constitutive import PACKED_DENSITY, Soil
 from mpm.files import read_arrays, write_arrays
 from mpm.grid import Grid, make_grid
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
@@ -23,15 +23,14 @@ JITTER = 0.1  # of the lattice spacing, half width of the uniform jitter
 STAGGER = 0.8  # of the spacing, by which columns stand higher or lower; no grain above the surface
 INVERSE_GOLDEN = 0.6180339887498949
 INVERSE_PLASTIC = (0.7548776662466927, 0.5698402909980532)  # and its square
-SETTLE_TIME = 0.4  # s
-SETTLE_DAMPING = 20.0  # 1/s
-REST_SPEED = 0.02  # m/s, largest speed of a settled soil; the settling could fall at 3.9
+SETTLE_TIME = 0.05  # s
+SETTLE_DAMPING = 200.0  # 1/s
+REST_SPEED = 0.02  # m/s, largest speed of a settled soil
 
 
 def particle_volume(box: Bin) -> float:
-    """Returns the packed volume of soil per simulated particle, m3."""
-    simulated = range(0, int(np.prod(box.lattice)), box.simulate_every)
-    return float(np.prod(box.size)) / len(simulated)
+    """Returns the packed volume of soil per particle, m3."""
+    return float(np.prod(box.size)) / float(np.prod(box.lattice))
 
 
 def lattice(box: Bin, seed: int) -> np.ndarray:
@@ -58,8 +57,25 @@ def lattice(box: Bin, seed: int) -> np.ndarray:
     return particles
 
 
+def at_rest(particles: np.ndarray, soil: Soil, surface: float, gravity: float) -> np.ndarray:
+    """Returns a copy with the stress of soil at rest under a flat surface (m).
+
+    Elastic soil that cannot give way sideways carries sigma_h = K0 sigma_v with
+    K0 = nu / (1 - nu), and sigma_v = rho g depth.
+    """
+    particles = particles.copy()
+    k, g = soil.bulk_modulus, soil.shear_modulus
+    k0 = (3.0 * k - 2.0 * g) / (3.0 * k + 4.0 * g)
+    vertical = soil.bulk_density * gravity * np.maximum(surface - particles[:, 1], 0.0)
+    pressure = vertical * (1.0 + 2.0 * k0) / 3.0
+    particles[:, columns.S] = particles[:, columns.S + 2] = pressure - k0 * vertical
+    particles[:, columns.S + 1] = pressure - vertical
+    particles[:, columns.VOLUME_RATIO] = 1.0 / (1.0 + pressure / soil.bulk_modulus)
+    return particles
+
+
 def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
-    """Settles the lattice under the gravity of the Earth.
+    """Gives the lattice the stress of soil at rest on the Earth, and lets it settle.
 
     Returns:
         The particle array [N, COLUMNS], at rest, and its statistics.
@@ -68,7 +84,7 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
         ValueError: if the soil does not come to rest, or a step fails (`Solver.advance`).
     """
     grid = make_grid(box)
-    particles = lattice(box, seed)
+    particles = at_rest(lattice(box, seed), soil, box.surface, EARTH_GRAVITY)
     start = particles[:, :3].copy()
     solver = Solver(grid, soil, particle_volume(box))
     order = cell_order(particles, grid)
@@ -87,7 +103,7 @@ def settle(box: Bin, soil: Soil, seed: int) -> tuple[np.ndarray, dict]:
     statistics = {
         'seed': seed,
         'particles': len(particles),
-        'particles_per_cell': grid.dx**3 / particle_volume(box),
+        'particles_per_cell': float(grid.cell.prod()) / particle_volume(box),
         'jitter_of_spacing': JITTER,
         'settle_time_s': SETTLE_TIME,
         'speed_at_end_m_s': speed,
@@ -123,10 +139,13 @@ def settled(box: Bin, soil: Soil, seed: int, folder: str) -> tuple[np.ndarray, d
     return particles, statistics
 
 
-def at_gravity(particles: np.ndarray, gravity: float) -> np.ndarray:
-    """Returns a copy of a settled soil with its stress scaled to another gravity (m/s2)."""
+def for_soil(particles: np.ndarray, soil: Soil, gravity: float) -> np.ndarray:
+    """Returns a copy of a settled soil with its stress as of another density and gravity (m/s2).
+
+    The stress at rest is elastic and in proportion to rho g.
+    """
     particles = particles.copy()
-    scale = gravity / EARTH_GRAVITY
+    scale = gravity / EARTH_GRAVITY * soil.bulk_density / PACKED_DENSITY
     particles[:, columns.S : columns.S + 6] *= scale
     ratio = particles[:, columns.VOLUME_RATIO]
     compressed = ratio < 1.0
@@ -137,5 +156,5 @@ def at_gravity(particles: np.ndarray, gravity: float) -> np.ndarray:
 
 def cell_order(particles: np.ndarray, grid: Grid) -> np.ndarray:
     """Returns the indices that sort particles by cell, which keeps the kernels in the cache."""
-    i, j, k = np.floor((particles[:, :3] - grid.origin) / grid.dx).astype(np.int64).T
+    i, j, k = np.floor((particles[:, :3] - grid.origin) / grid.cell).astype(np.int64).T
     return np.argsort((j * grid.shape[2] + k) * grid.shape[0] + i, kind='stable')

@@ -18,7 +18,7 @@ from mpm.run import RawRun
 MANIFEST = 'manifest.json'
 
 
-# Arrays of a run beside its parameters; the last three may be absent.
+# Arrays of a run beside its parameters, and their dimensions; the last four may be absent.
 _ARRAYS = {
     'positions': 3,
     'rigid_positions': 3,
@@ -26,7 +26,11 @@ _ARRAYS = {
     'torque': 2,
     'pose': 2,
     'step_context': 2,
+    'target': 2,
+    'external': 2,
+    'subframe_force': 3,
 }
+_REQUIRED = ('positions', 'rigid_positions', 'force', 'torque', 'pose')
 _WIDTHS = {'pose': 7, 'step_context': None}
 # What a run cost depends on the machine and is left out of the digest of its content.
 _COSTS = ('solver_cpu_s',)
@@ -82,8 +86,7 @@ def read_run(path: str) -> RawRun:
     try:
         arrays = read_arrays(path)
         run = RawRun(
-            **{name: arrays[name] for name in ('positions', 'rigid_positions', 'force')},
-            **{name: arrays.get(name) for name in ('torque', 'pose', 'step_context')},
+            **{name: arrays[name] if name in _REQUIRED else arrays.get(name) for name in _ARRAYS},
             parameters=json.loads(str(arrays['parameters'])),
         )
         for name, values in arrays_of(run).items():

@@ -3,17 +3,24 @@
     python -m mpm.record --output_path=raw --num_processes=2
     python -m mpm.record --list
     python -m mpm.record --output_path=raw --parts=operator --expect=digests.json
-    python -m mpm.record --output_path=raw --held=datasets/excavation_v2,datasets/wheel_v2
+    python -m mpm.record --output_path=raw --held=datasets/excavation,datasets/wheel
     python -m mpm.record --output_path=raw --splits=valid,test
 
-Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel, part by part in this order, so that
-what teaches most is there first:
+Raw runs go to OUTPUT_PATH/excavation and OUTPUT_PATH/wheel (and folders inside for other bins),
+part by part in this order, so that what teaches most is there first:
 
-    operator          250 paths of the blade (50 of each kind)
-    halts             24 more of them that halt within a frame
-    wheel_free        160 free drives of the wheel (40 of each kind)
-    excavation_grid   the 250 published cases
-    wheel_grid        the 243 published cases
+    operator          204 paths of the blade, six kinds that take turns
+    machine           90: pressed, set down, pulled by actuators
+    beside            60 paths beside an earlier pass
+    soils             60 paths in other soils
+    tools             60 paths with other blades and with buckets
+    trench            20 long cuts
+    excavation_grid   40 of the 250 published cases
+    wheel_free        120 free drives of the wheel, four kinds that take turns
+    wheel_height      60 at a height that is given
+    wheels            40 wheels of other sizes
+    grousers          30 wheels with grousers
+    wheel_grid        40 of the 243 published cases
 
 Any beginning of a part holds kinds and splits in proportion. A command that was interrupted,
 in whatever way, goes on where it stopped when it is given again. `digests.json` in each folder
@@ -36,16 +43,23 @@ from absl import app, flags, logging
 from mpm import raw_run, scenes, splits
 from mpm.batch import generate
 from mpm.files import write_json
-from mpm.motions import catalogue
+from mpm.motions import catalogue, machine_drives, operator_paths, wheel_drives
 from mpm.simulation import Settings
 
-# Part -> (scene, its runs in order).
+# Part -> (scene, kinds that take turns; none: the cases of the grid).
 PARTS = {
-    'operator': (scenes.EXCAVATION, splits.seed_runs),
-    'halts': (scenes.EXCAVATION, splits.halt_runs),
-    'wheel_free': (scenes.WHEEL, splits.seed_runs),
-    'excavation_grid': (scenes.EXCAVATION, splits.grid_runs),
-    'wheel_grid': (scenes.WHEEL, splits.grid_runs),
+    'operator': (scenes.EXCAVATION, (*operator_paths.TURNS, 'halts')),
+    'machine': (scenes.EXCAVATION, machine_drives.KINDS),
+    'beside': (scenes.EXCAVATION, ('beside',)),
+    'soils': (scenes.EXCAVATION, ('soils',)),
+    'tools': (scenes.EXCAVATION, ('tools',)),
+    'trench': (scenes.EXCAVATION, ('trench',)),
+    'excavation_grid': (scenes.EXCAVATION, ()),
+    'wheel_free': (scenes.WHEEL, wheel_drives.TURNS),
+    'wheel_height': (scenes.WHEEL, ('height',)),
+    'wheels': (scenes.WHEEL, ('wheels',)),
+    'grousers': (scenes.WHEEL, ('grousers',)),
+    'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'
 
@@ -56,6 +70,9 @@ _LIMIT = flags.DEFINE_integer(
 )
 _NUM_PROCESSES = flags.DEFINE_integer(
     'num_processes', 1, 'Runs at a time, one core each.', lower_bound=1
+)
+_CLUSTER = flags.DEFINE_string(
+    'cluster', '', 'Where runs are made: local:4, slurm:64, tcp://host:port; empty: processes here.'
 )
 _EXPECT = flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
 _HELD = flags.DEFINE_list('held', [], 'Datasets whose runs are not made again.')
@@ -86,11 +103,12 @@ def runs_of(part: str, selection: Selection = ALL) -> tuple:
         raise ValueError(f'unknown part {part!r}; there are {", ".join(PARTS)}')
     if unknown := set(selection.splits) - set(splits.SPLITS):
         raise ValueError(f'unknown splits {sorted(unknown)}; there are {", ".join(splits.SPLITS)}')
-    scene, order = PARTS[part]
+    scene, kinds = PARTS[part]
+    cases = splits.runs_of_kinds(scene, kinds) if kinds else splits.grid_runs(scene)
     left_out = selection.held.get(scene.name, set())
     chosen = [
         case
-        for case in order(scene)
+        for case in cases
         if str(case) not in left_out and splits.split_of(scene, case) in selection.splits
     ]
     return tuple(chosen[: selection.limit])
@@ -132,19 +150,12 @@ def table(parts, selection: Selection = ALL) -> str:
 
 
 def digests_of(folder: str) -> dict[str, str]:
-    """Returns the id of each run of a folder, in order, and the digest of its content.
-
-    Raises:
-        ValueError: the folder is of a solver that wrote no digests.
-    """
-    manifest = raw_run.read_manifest(folder)
-    runs = manifest['runs'] if manifest else []
-    if without := [run['file'] for run in runs if 'content' not in run]:
-        raise ValueError(
-            f'{folder}: {len(without)} runs ({without[0]} ...) have no digest of their content: of '
-            'an older solver; name another folder'
-        )
-    return dict(sorted((str(run['case']), run['content']) for run in runs))
+    """Returns the id of each run of a folder and of those inside, and the digest of its content."""
+    found = {}
+    for inside in (folder, *(entry.path for entry in os.scandir(folder) if entry.is_dir())):
+        manifest = raw_run.read_manifest(inside)
+        found |= {str(run['case']): run['content'] for run in (manifest or {'runs': []})['runs']}
+    return dict(sorted(found.items()))
 
 
 def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
@@ -153,7 +164,7 @@ def compare(found: dict[str, str], expected: dict[str, str]) -> list[str]:
 
 
 def make(
-    parts, output_path: str, num_processes: int, selection: Selection = ALL
+    parts, output_path: str, num_processes: int, selection: Selection = ALL, where: str = ''
 ) -> dict[str, dict]:
     """Makes the selected runs of the parts that are not there yet; returns scene -> run -> digest.
 
@@ -169,7 +180,7 @@ def make(
         folder = os.path.join(output_path, scene.name)
         started = time.time()
         try:
-            new = generate(scene, cases, folder, Settings(), num_processes)
+            new = generate(scene, cases, folder, Settings(), num_processes, where=where)
         except ValueError as error:
             failures.append(f'{part}: {error}')
             continue
@@ -178,11 +189,7 @@ def make(
     for scene in {PARTS[part][0].name: PARTS[part][0] for part in parts}.values():
         folder = os.path.join(output_path, scene.name)
         if os.path.isdir(folder):
-            try:
-                found[scene.name] = digests_of(folder)
-            except ValueError as error:
-                failures.append(str(error))
-                continue
+            found[scene.name] = digests_of(folder)
             write_json(os.path.join(folder, DIGESTS), {scene.name: found[scene.name]}, indent=0)
     if failures:
         raise ValueError('\n'.join(failures))
@@ -215,8 +222,8 @@ def main(argv):
         if _OUTPUT_PATH.value is None:
             raise ValueError('give --output_path, or --list to see what would be made')
         expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
-        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection)
-    except (ValueError, OSError) as error:
+        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection, _CLUSTER.value)
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         logging.error('%s', error)
         sys.exit(1)
     for name, digests in found.items():

@@ -1,14 +1,15 @@
 """One run: from the settled packing to the arrays of a raw run."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import scenes, splits, stability, versions
-from mpm.constitutive import Soil, make_soil
-from mpm.motions import checks, grid
+from mpm import bodies, scenes, splits, stability, versions
+from mpm.constitutive import Soil, friction_coefficient, make_soil
+from mpm.motions import checks
 from mpm.motions.catalogue import Motion, motion_of
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings, Simulation
@@ -23,66 +24,84 @@ class RawRun:
         rigid_positions: float32 [T, R, 3], m.
         force: float32 [T, 3], N, on the body by the soil, mean over the frame that ends at t.
         parameters: what was run, JSON-compatible.
-        torque: float32 [T, 3], N m, about the body's reference point, as the force; None in runs of
-            before version 2.
+        torque: float32 [T, 3], N m, about the body's reference point, as the force.
         pose: float32 [T, 7], position (m) of the reference point and unit quaternion (w, x, y, z)
-            that turns the upright body; None in runs of before version 2.
+            that turns the upright body.
         step_context: float32 [T, C], values of the scene's `context_names` at each frame (the load
-            may vary); None if it has none, or in runs of before version 2.
+            may vary); None if it has none.
+        target: float32 [T, 3], x, y (m) and angle (rad) that the actuators of a free body pull
+            towards; None where nothing is free.
+        external: float32 [T, 3], force (N, N, N m) on x, y and angle of a free body beside soil and
+            actuators, at the end of the frame; None where nothing is free.
+        subframe_force: float32 [T, 4, 3], N, as the force, of the quarters of the frame, of a free
+            body; None where nothing is free.
     """
 
     positions: np.ndarray
     rigid_positions: np.ndarray
     force: np.ndarray
     parameters: dict
-    torque: np.ndarray | None = None
-    pose: np.ndarray | None = None
+    torque: np.ndarray
+    pose: np.ndarray
     step_context: np.ndarray | None = None
+    target: np.ndarray | None = None
+    external: np.ndarray | None = None
+    subframe_force: np.ndarray | None = None
 
 
-def check_motion(scene: scenes.Scene, motion: Motion, settings: Settings) -> None:
-    """Refuses a motion that the bin or the time step does not allow, before anything is simulated.
+def prepared(
+    scene: scenes.Scene,
+    case: int | str | Recording,
+    settings: Settings,
+    tool: dict | None = None,
+) -> Motion:
+    """Returns the motion of a run with what the settings say of its soil and tool, checked.
 
     Raises:
-        ValueError: see `checks.check_drive`.
+        ValueError: see `catalogue.motion_of` and `checks.check_drive`.
     """
-    _check_drive(
-        scene, motion.drive, motion.frames, soil_of(scene, motion.parameters, settings), settings
+    motion = motion_of(scene, case, tool)
+    own = {
+        'friction_angle_deg': settings.friction_angle_deg,
+        'bulk_density': settings.bulk_density,
+        'gravity': settings.gravity,
+    }
+    ground = motion.ground._replace(**{k: v for k, v in own.items() if v is not None})
+    drive = motion.drive
+    if settings.tool_friction is not None:
+        body = drive.body._replace(friction=settings.tool_friction)
+        drive = dataclasses.replace(drive, body=body)
+    motion = dataclasses.replace(motion, ground=ground, drive=drive)
+    steps = settings.steps or stability.steps_in(
+        settings.exchange, soil_of(motion, settings), min(scene.bin.dx, scene.bin.dz)
     )
+    per_frame = steps * round(1.0 / (scenes.FRAME_RATE * settings.exchange))
+    checks.check_drive(drive, scene.bin, motion.frames, per_frame)
+    return motion
 
 
-def _check_drive(scene, drive, frames, soil, settings) -> None:
-    steps = settings.steps_per_frame or stability.steps_per_frame(
-        1 / scenes.FRAME_RATE, soil, scene.bin.dx, settings.rheology == 'nonlocal'
-    )
-    checks.check_drive(drive, scene.bin, frames, steps)
-
-
-def soil_of(scene: scenes.Scene, parameters: dict, settings: Settings) -> Soil:
+def soil_of(motion: Motion, settings: Settings) -> Soil:
     """Returns the soil of a run."""
-    friction = scenes.static_friction(scene, parameters)
-    return make_soil(settings.youngs_modulus, friction, dilation=settings.dilation)
+    friction = friction_coefficient(motion.ground.friction_angle_deg)
+    return make_soil(settings.youngs_modulus, friction, motion.ground.bulk_density)
 
 
 def make_simulation(
-    scene: scenes.Scene, parameters: dict, soil: Soil, particles: np.ndarray, settings: Settings
+    scene: scenes.Scene, motion: Motion, particles: np.ndarray, settings: Settings
 ) -> Simulation:
-    """Returns the simulation of a case of the grid, ready for its first frame.
+    """Returns the simulation of a motion (`prepared`), ready for its first frame.
 
     Args:
         scene: the scene.
-        parameters: of the case, by name (`Scene.parameters`).
-        soil: of the bin.
+        motion: how the tool moves.
         particles: float64 [N, COLUMNS], the settled packing.
-        settings: stiffness, law, steps.
+        settings: stiffness, steps.
 
     Raises:
-        ValueError: see `checks.check_drive` and `Simulation`.
+        ValueError: see `Simulation`.
     """
-    drive = grid.make_drive(scene, parameters)
-    _check_drive(scene, drive, scenes.FRAMES - 1, soil, settings)
-    gravity = scenes.gravity_of(scene, parameters)
-    return Simulation(scene.bin, drive, soil, particles, settings, gravity)
+    soil = soil_of(motion, settings)
+    return Simulation(scene.bin, motion.drive, soil, particles, settings, motion.ground.gravity)
 
 
 def run_case(
@@ -91,6 +110,7 @@ def run_case(
     packed: tuple[np.ndarray, dict],
     settings: Settings,
     on_frame: Callable[[int], None] | None = None,
+    tool: dict | None = None,
 ) -> RawRun:
     """Simulates one run.
 
@@ -98,93 +118,112 @@ def run_case(
         scene: the scene.
         case: what to run, see `catalogue.motion_of`.
         packed: the settled particles and their statistics (`packing.settle`).
-        settings: stiffness, law, seed.
+        settings: stiffness, seed, soil.
         on_frame: called with the number of simulated frames, those of a lead-in included.
+        tool: see `catalogue.motion_of`.
 
     Returns:
-        The run: T = 321 frames at 60 Hz (more for a longer recording), the first before driving.
+        The run: T = 321 frames at 60 Hz (more for a longer motion), the first before driving.
 
     Raises:
-        ValueError: a wheel that sinks to the floor; see also `catalogue.motion_of`,
-            `checks.check_drive` and `Simulation`.
+        ValueError: a body that sinks to the floor; see also `prepared` and `Simulation`.
     """
     started = time.process_time()
-    motion = motion_of(scene, case)
-    check_motion(scene, motion, settings)
-    parameters, drive = motion.parameters, motion.drive
-    context = scenes.context_of(scene, parameters)
-    soil = soil_of(scene, parameters, settings)
-    gravity = scenes.gravity_of(scene, parameters)
-    simulation = Simulation(scene.bin, drive, soil, packed[0], settings, gravity)
+    motion = prepared(scene, case, settings, tool)
+    drive, machine = motion.drive, motion.drive.machine
+    simulation = make_simulation(scene, motion, packed[0], settings)
     kept = slice(None, None, scene.bin.keep_every)
-    frames: dict[str, list] = {
-        'positions': [],
-        'rigid_positions': [],
-        'pose': [],
-        'step_context': [],
-    }
-    force, torque = [], []
+    names = ['positions', 'rigid_positions', 'force', 'torque', 'pose']
+    names += ['step_context'] * bool(scene.context_names)
+    names += ['target', 'external', 'subframe_force'] * (machine is not None)
+    frames: dict[str, list] = {name: [] for name in names}
     deepest: dict[str, float] = {}
 
-    def note() -> None:
-        frames['positions'].append(simulation.positions()[kept].astype(np.float32))
-        frames['rigid_positions'].append(simulation.rigid_points())
-        frames['pose'].append(quaternion_pose(*simulation.pose, drive.body.z_middle))
-        if context:
-            load = float(drive.load(np.array([simulation.time]))[0])
-            frames['step_context'].append(list((context | {'load': load}).values()))
+    def note(force, torque) -> None:
+        held = {
+            'positions': simulation.positions()[kept].astype(np.float32),
+            'rigid_positions': simulation.rigid_points(),
+            'force': force,
+            'torque': torque,
+            'pose': quaternion_pose(simulation.pose),
+        }
+        now = np.array([simulation.time])
+        if scene.context_names:
+            load = force[1] if machine is None else -machine.force(now)[0, 1]
+            held['step_context'] = [motion.ground.gravity, motion.ground.friction_angle_deg, load]
+        if machine is not None:
+            held['target'] = simulation.target[:3]
+            held['external'] = machine.force(now)[0]
+            held['subframe_force'] = simulation.loads[:, :3]
+        for name in names:
+            frames[name].append(held[name])
         for name, value in simulation.penetration().items():
             deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
-        note()
+        note(np.zeros(3), np.zeros(3))
     for frame in range(1 - drive.lead_in, motion.frames + 1):
         result = simulation.frame()
-        _refuse_sunk(simulation, scene.bin)
+        _refuse_sunk(simulation)
         if frame >= 0:
-            force.append(result[0])
-            torque.append(result[1])
-            note()
+            note(*result)
         if on_frame is not None:
             on_frame(frame + drive.lead_in)
-    # Without a lead-in nothing is known of the frame that ends at time 0; the first is repeated.
-    first = slice(0, 0 if drive.lead_in else 1)
-    arrays = frames | {'force': force[first] + force, 'torque': torque[first] + torque}
+    if not drive.lead_in:
+        # Nothing is known of the frame that ends at time 0; the first is repeated.
+        for name in ('force', 'torque', 'subframe_force', 'step_context'):
+            if name in frames:
+                frames[name][0] = frames[name][1]
+    ground = motion.ground
+    first = dict(zip(scene.context_names, frames.get('step_context', [()])[0]))
     record = {
         'case': motion.case,
         'split': splits.split_of(scene, motion.case),
         'solver_version': versions.SOLVER_VERSION,
         'data_version': versions.DATA_VERSION,
-        'context': context,
-        **parameters,
+        'context': {name: float(value) for name, value in first.items()},
+        **motion.parameters,
+        'friction_angle_deg': ground.friction_angle_deg,
+        'bulk_density_kg_m3': ground.bulk_density,
+        'gravity_m_s2': ground.gravity,
         **{name: value for name, value in settings.recorded().items() if value is not None},
+        'bin_m': list(scene.bin.size),
+        'cell_m': [float(side) for side in simulation.grid.cell],
         'time_step_s': simulation.dt,
-        'cell_size_m': simulation.grid.dx,
-        'soil': {n: v for n, v in soil._asdict().items() if n != 'dilation' or v},
+        'exchange_s': settings.exchange,
+        'soil': simulation.soil._asdict(),
         'body_friction': drive.body.friction,
+        'body_width_m': 2.0 * drive.body.half_width,
         # The worst frame of the run.
         **{f'penetration_{name}': value for name, value in deepest.items()},
         'packing': packed[1],
         'solver_cpu_s': round(time.process_time() - started, 2),
     }
-    return RawRun(
-        parameters=record,
-        **{name: np.asarray(a, dtype=np.float32) for name, a in arrays.items() if len(a)},
-    )
+    arrays = {name: np.asarray(values, dtype=np.float32) for name, values in frames.items()}
+    return RawRun(parameters=record, **arrays)
 
 
-def _refuse_sunk(simulation: Simulation, box: scenes.Bin) -> None:
-    """Raises if a body that rides freely has sunk to the floor of the bin."""
-    drive = simulation.drive
-    lowest = simulation.pose[1] - drive.body.radius
-    if drive.load is not None and not lowest > scenes.CORNER:
+def _refuse_sunk(simulation: Simulation) -> None:
+    """Raises if a free body has sunk to the floor of the bin, or has left it."""
+    if not simulation.free.mass.any():
+        return
+    body, (x, y, theta, _) = simulation.drive.body, simulation.pose
+    box = simulation.box
+    lowest = y + float(bodies.lowest(body, np.array(theta)))
+    if not lowest > scenes.CORNER:
         raise ValueError(
-            f'the wheel sank to the floor at {simulation.time:.3f} s (lowest point at y = '
+            f'the body sank to the floor at {simulation.time:.3f} s (lowest point at y = '
             f'{lowest:.4f} m, the floor at {scenes.CORNER} m): {box.size[1]:.4g} m of soil do '
             'not carry it'
         )
+    if not scenes.CORNER < x < scenes.CORNER + box.size[0] or lowest > box.surface + box.height:
+        raise ValueError(
+            f'the body left the bin at {simulation.time:.3f} s (x = {x:.4f} m, lowest point at y = '
+            f'{lowest:.4f} m): its load throws it out'
+        )
 
 
-def quaternion_pose(x: float, y: float, theta: float, z: float) -> np.ndarray:
-    """Returns a pose in the plane as float64 [7]: x, y, z (m), quaternion w, x, y, z."""
+def quaternion_pose(pose) -> np.ndarray:
+    """Returns a pose x, y, angle, z as float64 [7]: x, y, z (m), quaternion w, x, y, z."""
+    x, y, theta, z = pose
     return np.array([x, y, z, np.cos(theta / 2), 0.0, 0.0, np.sin(theta / 2)])

@@ -10,11 +10,12 @@ Sources: Usmani (2023), thesis, section 2.3; Haeri and Skonieczny (2021), Subspa
 import itertools
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from mpm import bodies
-from mpm.constitutive import friction_coefficient
+from mpm.constitutive import PACKED_DENSITY
 
 FRAME_RATE = 60.0
 FRAMES = 321  # the state before driving, then 320 driven frames
@@ -28,23 +29,21 @@ class Bin:
 
     Attributes:
         size: length, depth of soil, width in m.
-        dx: cell size of the grid, m. Length and width are whole numbers of cells.
+        dx: length of a cell in the plane of travel, m; the length is a whole number of them.
+        dz: length of a cell across, m; the width is a whole number of them.
         lattice: soil particles per axis of the initial packing.
         keep_every: every how many particles are written.
         height: height of the grid above the floor, m.
         bounds: [low, high] per axis in m; everything stays inside.
-        wall_gap: how far each wall across stands outside the soil, m; see `coarse`.
-        simulate_every: every how many particles of the lattice are simulated; see `coarse`.
     """
 
     size: tuple
     dx: float
+    dz: float
     lattice: tuple
     keep_every: int
     height: float
     bounds: tuple
-    wall_gap: float = 0.0
-    simulate_every: int = 1
 
     @property
     def surface(self) -> float:
@@ -69,6 +68,7 @@ class Scene:
         published: cases whose records were published.
         demo_case: reserved for the demonstration; never in the mini set.
         bin: the soil.
+        other_bins: name -> bin of kinds of runs that do not fit into that one.
     """
 
     name: str
@@ -78,6 +78,7 @@ class Scene:
     published: tuple
     demo_case: int
     bin: Bin = field(repr=False, default=None)
+    other_bins: dict = field(repr=False, default_factory=dict)
 
     @property
     def case_count(self) -> int:
@@ -103,6 +104,29 @@ class Scene:
         return case + 1
 
 
+WHEEL_BIN_WIDTH = 23 * 0.4 / 48  # m; the published 0.19 in whole cells of version 1
+PER_CELL = 2.0  # particles; fewer integrate the stress too coarsely and pack moved soil
+
+
+def sampled(
+    size: tuple, dx: float, dz: float, keep_every: int, height: float, bounds: tuple,
+    per_cell: float = PER_CELL,
+) -> Bin:  # fmt: skip
+    """Returns a bin whose cells hold `per_cell` particles each; for the others see `Bin`.
+
+    Their spacing along an axis is in proportion to the cell's side.
+    """
+    share = per_cell ** (-1.0 / 3.0)
+    lattice = tuple(round(side / (share * cell)) for side, cell in zip(size, (dx, dx, dz)))
+    return Bin(size, dx, dz, lattice, keep_every, height, bounds)
+
+
+def _blade_bin(length: float, width: float) -> Bin:
+    # 31 has no factor in common with the sides of the lattices: what is written lies in all planes.
+    high = ((0.0, length + 0.4), (0.0, 0.8), (0.0, width + 0.2))
+    return sampled((length, 0.15, width), 0.8 / 120, 0.02, 31, 0.5, high)
+
+
 EXCAVATION = Scene(
     name='excavation',
     rigid_motion='prescribed',
@@ -115,14 +139,9 @@ EXCAVATION = Scene(
     context_names=(),
     published=(186, 146, 123, 213, 22, 99, 78, 118, 216, 231, 188),
     demo_case=125,
-    bin=Bin(
-        size=(0.8, 0.15, 0.6),
-        dx=0.8 / 60,
-        lattice=(56, 11, 42),
-        keep_every=5,
-        height=0.5,
-        bounds=((0.0, 1.2), (0.0, 0.8), (0.0, 0.8)),
-    ),
+    bin=_blade_bin(0.8, 0.6),
+    # Neighbouring cuts and wide tools; a long cut.
+    other_bins={'wide': _blade_bin(0.8, 1.2), 'long': _blade_bin(2.0, 0.6)},
 )
 
 WHEEL = Scene(
@@ -138,20 +157,19 @@ WHEEL = Scene(
     context_names=('gravity', 'friction_angle_deg', 'load'),
     published=(44, 154, 137, 103, 23, 112, 58, 56, 134, 9, 107, 203),
     demo_case=122,
-    bin=Bin(
-        # 23 cells wide: the walls lie on nodes.
-        size=(0.4, 0.058, 23 * 0.4 / 48),
-        dx=0.4 / 48,
-        lattice=(64, 9, 30),
-        keep_every=3,
-        height=0.2,
-        bounds=((0.0, 0.7), (0.0, 0.6), (0.0, 0.4)),
+    bin=sampled(
+        (0.4, 0.058, WHEEL_BIN_WIDTH),
+        0.4 / 96,
+        WHEEL_BIN_WIDTH / 15,
+        7,
+        0.2,
+        ((0.0, 0.7), (0.0, 0.6), (0.0, 0.4)),
     ),
 )
 
 SCENES = {scene.name: scene for scene in (EXCAVATION, WHEEL)}
 
-EXCAVATION_MU_S = 0.76
+EXCAVATION_FRICTION_DEG = math.degrees(math.atan(0.76))  # the published mu_s
 PACKING_MU_S = 0.76  # one packing for all friction angles
 SMALL_WHEEL_LOAD_DIVISOR = 9.0
 
@@ -174,27 +192,25 @@ def wheel_load(parameters: dict) -> float:
     return parameters['load_N']
 
 
-def gravity_of(scene: Scene, parameters: dict) -> float:
-    """Returns the gravity of a case in m/s2."""
-    return parameters['gravity_m_s2'] if scene.name == 'wheel' else EARTH_GRAVITY
+class Ground(NamedTuple):
+    """What may differ between the beds of runs.
+
+    Attributes:
+        friction_angle_deg: phi; mu_s is tan(phi) (`constitutive.friction_coefficient`).
+        bulk_density: kg/m3, as packed.
+        gravity: m/s2.
+    """
+
+    friction_angle_deg: float = EXCAVATION_FRICTION_DEG
+    bulk_density: float = PACKED_DENSITY
+    gravity: float = EARTH_GRAVITY
 
 
-def static_friction(scene: Scene, parameters: dict) -> float:
-    """Returns mu_s of a case: tan(phi) for the wheel, the published constant for the blade."""
+def ground_of(scene: Scene, parameters: dict) -> Ground:
+    """Returns the ground of a case of the grid."""
     if scene.name == 'wheel':
-        return friction_coefficient(parameters['friction_angle_deg'])
-    return EXCAVATION_MU_S
-
-
-def context_of(scene: Scene, parameters: dict) -> dict:
-    """Returns the values of `scene.context_names` for a case."""
-    if not scene.context_names:
-        return {}
-    return {
-        'gravity': parameters['gravity_m_s2'],
-        'friction_angle_deg': parameters['friction_angle_deg'],
-        'load': wheel_load(parameters),
-    }
+        return Ground(parameters['friction_angle_deg'], gravity=parameters['gravity_m_s2'])
+    return Ground()
 
 
 def describe(scene: Scene) -> dict:

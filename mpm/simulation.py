@@ -4,18 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm import bodies, columns, packing, stability
+from mpm import bodies, columns, packing, solver, stability
 from mpm.constitutive import Soil
-from mpm.contact import signed_distances
 from mpm.grid import make_grid
 from mpm.motions.drive import Drive
-from mpm.scenes import EARTH_GRAVITY, FRAME_RATE, Bin
+from mpm.scenes import FRAME_RATE, Bin
 from mpm.sleeping import PERIOD, Sleep
 from mpm.solver import EXCHANGE, Solver
 
-INTERVALS = round(1.0 / (FRAME_RATE * EXCHANGE))  # exchanges per frame
-REST_FRAMES = 48  # the wheel rests before it drives; the load grows over the first half
-RHEOLOGIES = ('local', 'nonlocal')
+SUBFRAMES = 4  # parts of a frame whose mean loads are recorded of a free body
+SPRAY = 1e-3  # share of the stepped particles that may fly faster than flowing soil may
+STIFFEST = 0.3  # of an actuator: time step times its frequency, and times its rate of damping
 
 
 @dataclass(frozen=True)
@@ -24,43 +23,47 @@ class Settings:
 
     Attributes:
         youngs_modulus: Pa.
-        rheology: 'local' mu(I), or 'nonlocal' granular fluidity.
         seed: of the packing's jitter.
-        steps_per_frame: a multiple of 18 (`solver.EXCHANGE`); 0: from the CFL limit.
+        friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what a
+            run would have; None: that.
+        tool_friction: Coulomb coefficient between tool and soil, likewise.
+        exchange: s, between two exchanges of particles and grid.
+        steps: per exchange; 0: from the CFL limit.
         sleep: whether soil that rests is left out (`sleeping`).
         single: whether the steps between exchanges are taken in float32; particles are float64.
-        dilation: K of `constitutive.dilated`, which keeps the volume of soil that is sheared; 0:
-            nothing does, as in the data of record.
     """
 
     youngs_modulus: float = 1.5e6
-    rheology: str = 'local'
     seed: int = 0
-    steps_per_frame: int = 0
+    friction_angle_deg: float | None = None
+    bulk_density: float | None = None
+    gravity: float | None = None
+    tool_friction: float | None = None
+    exchange: float = EXCHANGE
+    steps: int = 0
     sleep: bool = True
     single: bool = True
-    dilation: float = 0.0
 
     def __post_init__(self):
-        if self.rheology not in RHEOLOGIES:
-            raise ValueError(f'rheology must be one of {RHEOLOGIES}, got {self.rheology!r}')
-        if self.steps_per_frame % INTERVALS:
-            raise ValueError(
-                f'steps_per_frame is {self.steps_per_frame}, must be a multiple of {INTERVALS}: '
-                f'particles and grid exchange every {EXCHANGE:.3g} s'
-            )
+        for name, low, high in (
+            ('friction_angle_deg', 15.0, 50.0),
+            ('bulk_density', 500.0, 4000.0),
+            ('gravity', 0.5, 100.0),
+            ('tool_friction', 0.0, 2.0),
+        ):
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ValueError(f'{name} is {value}, must lie in [{low:g}, {high:g}]')
 
     def recorded(self) -> dict:
-        """Returns what the record of a run says of them, which all runs of a folder share.
-
-        `dilation` is None without one, and then no record names it: these are the runs of before.
-        """
+        """Returns what all runs of a folder share; what is None is named nowhere."""
         return {
             'youngs_modulus_Pa': self.youngs_modulus,
-            'rheology': self.rheology,
-            'sleep': self.sleep,
             'seed': self.seed,
-            'dilation': self.dilation or None,
+            'set_friction_angle_deg': self.friction_angle_deg,
+            'set_bulk_density_kg_m3': self.bulk_density,
+            'set_gravity_m_s2': self.gravity,
+            'set_tool_friction': self.tool_friction,
         }
 
 
@@ -68,13 +71,16 @@ class Simulation:
     """Soil and body of one run, advanced frame by frame.
 
     Attributes:
-        heave: float64 [3], see `solver.Motion`: the free body's height, speed and mass.
+        box: the bin.
         grid: `grid.Grid`.
         soil: of the bin.
         drive: the body and its motion.
         gravity: m/s2.
+        free: `solver.Free` of the body: its free coordinates, their rates, what drives them.
         dt: time step, s; `steps` of them make a frame.
         time: s since driving began (negative at rest).
+        loads: float64 [SUBFRAMES, 6], mean force (N) and torque (N m, about the reference point) of
+            the soil on the body in the parts of the last frame.
     """
 
     def __init__(
@@ -86,53 +92,67 @@ class Simulation:
         settings: Settings,
         gravity: float,
     ):
-        """Puts the body in its first pose; one that rides freely sinks in until it rests.
+        """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
         Args:
             box: the bin.
             drive: the body and its motion.
             soil: of the bin.
             particles: float64 [N, COLUMNS], the settled packing.
-            settings: stiffness, law, steps.
+            settings: stiffness, steps.
             gravity: m/s2.
 
         Raises:
             ValueError: a step that is not stable, or what `frame` raises.
         """
-        is_nonlocal = settings.rheology == 'nonlocal'
-        if is_nonlocal:
-            stability.check_friction(soil)
-        self.soil, self.drive, self.gravity = soil, drive, gravity
+        self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
         self.grid = make_grid(box)
-        volume = packing.particle_volume(box)
         self._solver = Solver(
             self.grid,
             soil,
-            volume,
-            settings.steps_per_frame // INTERVALS,
-            is_nonlocal,
+            packing.particle_volume(box),
+            settings.steps,
             np.float32 if settings.single else np.float64,
+            settings.exchange,
         )
-        self.dt, self.steps = self._solver.dt, self._solver.steps * INTERVALS
-        stability.check_time_step(self.dt, soil, self.grid.dx, is_nonlocal)
-        self._particles = packing.at_gravity(particles, gravity)
+        self._intervals = round(1.0 / (FRAME_RATE * settings.exchange))
+        if abs(self._intervals * settings.exchange * FRAME_RATE - 1.0) > 1e-9:
+            raise ValueError(f'a frame is no whole number of exchanges of {settings.exchange:.4g} s')
+        self.dt, self.steps = self._solver.dt, self._solver.steps * self._intervals
+        stability.check_time_step(self.dt, soil, min(self.grid.dx, self.grid.dz))
+        self._particles = packing.for_soil(particles, soil, gravity)
         self._sleep = Sleep(self.grid, settings.sleep)
         self._block, self._awake, self._age = None, None, 0
-        self.heave = np.zeros(3)
+        self.free = solver.prescribed()
+        self.time, self._frame = 0.0, 0
+        self.loads = np.zeros((SUBFRAMES, 6))
+        if drive.machine is not None:
+            self._let_go()
+        for frame in range(drive.rest):
+            self.time = (frame - drive.rest) / FRAME_RATE
+            self._advance(min(1.0, (frame + 1) / (drive.rest // 2)))
         self.time = 0.0
-        self._frame = 0
-        if drive.load is not None:
-            # Just above the grains; its mass is that which weighs the first load on the Earth.
-            self.heave[0] = box.surface + drive.body.radius + self._solver.law.radius
-            self.heave[2] = float(drive.load(np.zeros(1))[0]) / EARTH_GRAVITY
-            self._rest()
 
-    def _rest(self) -> None:
-        """Lets the free body sink into the soil before it drives."""
-        for frame in range(REST_FRAMES):
-            self.time = (frame - REST_FRAMES) / FRAME_RATE
-            self._advance(min(1.0, (frame + 1) / (REST_FRAMES // 2)))
-        self.time = 0.0
+    def _let_go(self) -> None:
+        machine, body = self.drive.machine, self.drive.body
+        mass = machine.masses()
+        stiffness, damping = np.array(machine.stiffness), np.array(machine.damping)
+        is_free = mass > 0.0
+        rate = np.zeros(3)
+        rate[is_free] = np.maximum(
+            np.sqrt(stiffness[is_free] / mass[is_free]), damping[is_free] / mass[is_free]
+        )
+        if not (rate * self.dt <= STIFFEST).all():
+            raise stability.UnstableTimeStepError(
+                f'an actuator of {stiffness} N/m and {damping} N s/m on {mass} kg answers at '
+                f'{rate.max():.4g} 1/s; at most {STIFFEST / self.dt:.4g} is stable with steps of '
+                f'{self.dt:.4g} s'
+            )
+        self.free = solver.Free(np.zeros((2, 3)), mass, stiffness * is_free, damping * is_free)
+        self.free.state[0] = self.drive.pose(np.zeros(1))[0, :3]
+        if self.drive.rest:
+            # Just above the grains.
+            self.free.state[0, 1] = self.box.surface + body.reach + self._solver.law.radius
 
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Advances by one frame.
@@ -145,50 +165,56 @@ class Simulation:
             ValueError: if a particle leaves the grid or moves too fast for the step; if the body
                 does (`stability.UnstableTimeStepError`).
         """
-        impulse = self._advance(1.0)
+        mean = self._advance(1.0)
         self._frame += 1
         self.time = self._frame / FRAME_RATE
-        return impulse[:3] * FRAME_RATE, impulse[3:] * FRAME_RATE
+        return mean[:3], mean[3:]
 
     def _advance(self, share_of_load: float) -> np.ndarray:
-        """Advances the steps of a frame from `time`; returns the impulse [6] on the body."""
+        """Advances the steps of a frame from `time`; returns the mean load [6] on the body."""
         times = self.time + np.arange(self.steps + 1) * self.dt
         body, path = self.drive.body, self.drive.pose(times)
-        if self.heave[2] > 0.0:
-            path = path * [1.0, 0.0, 1.0]  # the height of a free body is not prescribed
-        stability.check_body_motion(path, body.reach, self.dt, self.grid.dx, self.time)
+        is_free = self.free.mass > 0.0
+        fixed = path.copy()
+        fixed[:, :3][:, is_free] = 0.0
+        stability.check_body_motion(fixed, body.reach, self.dt, self.grid.dx, self.time)
         if self._awake is None or self._age >= PERIOD:
             self._wake()
         elif self._block is None:
             self._block = self._solver.block(self._particles[self._awake])
         self._age += 1
-        weight = None
-        if self.drive.load is not None:
-            weight = share_of_load * self.drive.load(times)
-        self._solver.impulse[:] = 0.0
+        external = None
+        if self.drive.machine is not None:
+            external = share_of_load * self.drive.machine.force(times)
         try:
-            self._solver.advance(
-                self._block, INTERVALS, self.gravity, 1.0, body, path, weight, self.heave
+            (loads,) = self._solver.advance(
+                self._block,
+                self._intervals,
+                self.gravity,
+                bodies=((body, path, external, self.free),),
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
+        self.loads = _means(loads, SUBFRAMES)
         v = self._block.particles[:, columns.V : columns.V + 3]
-        speed = np.sqrt((v * v).sum(axis=1).max(initial=0.0))
-        if not speed * EXCHANGE <= stability.VELOCITY_CFL * self.grid.dx:
+        cells = np.sqrt((v * v).sum(axis=1)) * (self._solver.exchange / self.grid.dx)
+        many = np.count_nonzero(cells > stability.VELOCITY_CFL) > SPRAY * len(cells)
+        if many or not cells.max(initial=0.0) <= stability.SPRAY_CFL:
             raise ValueError(
-                f'soil at {speed:.3g} m/s crosses {speed * EXCHANGE / self.grid.dx:.3g} cells '
-                f'between two exchanges at {self.time:.3f} s; at most {stability.VELOCITY_CFL} is '
-                'resolved'
+                f'soil at {cells.max() * self.grid.dx / self._solver.exchange:.3g} m/s crosses '
+                f'{cells.max():.3g} cells between two exchanges at {self.time:.3f} s; at most '
+                f'{stability.VELOCITY_CFL} is resolved ({stability.SPRAY_CFL} of single grains)'
             )
-        return self._solver.impulse.copy()
+        return loads.mean(axis=0)
 
     def _wake(self) -> None:
         """Chooses the particles that the next frames step."""
         self._put_back()
         times = self.time + np.arange(PERIOD + 1) / FRAME_RATE
         path = self.drive.pose(times)
-        if self.heave[2] > 0.0:
-            path[:, 1] = self.heave[0]
+        is_free = self.free.mass > 0.0
+        coming = self.free.state[0] + (times - self.time)[:, None] * self.free.state[1]
+        path[:, :3] = np.where(is_free, coming, path[:, :3])
         q = self._particles
         awake = self._sleep.awake(q[:, :3], self.drive.body, path, PERIOD / FRAME_RATE)
         q[~awake, columns.V : columns.S] = 0.0
@@ -222,10 +248,17 @@ class Simulation:
         return len(self._awake) / len(self._particles)
 
     @property
-    def pose(self) -> tuple[float, float, float]:
-        """x and y (m) of the body's reference point and its angle theta (rad), now."""
-        x, y, theta = self.drive.pose(np.array([self.time]))[0]
-        return float(x), float(self.heave[0] if self.heave[2] > 0.0 else y), float(theta)
+    def target(self) -> np.ndarray:
+        """What the drive asks for now: x, y (m), angle (rad), z (m), float64 [4]."""
+        return self.drive.pose(np.array([self.time]))[0]
+
+    @property
+    def pose(self) -> np.ndarray:
+        """x and y (m) of the body's reference point, its angle (rad) and z (m) now, float64 [4]."""
+        pose = self.target.copy()
+        is_free = self.free.mass > 0.0
+        pose[:3][is_free] = self.free.state[0][is_free]
+        return pose
 
     def positions(self) -> np.ndarray:
         """Returns the positions [N, 3] of all particles, m."""
@@ -240,10 +273,22 @@ class Simulation:
             `deepest_cells`: of any particle below the surface, in cells (0: none is inside);
             `inside`: number of particles deeper than a quarter of a cell.
         """
-        depth = -signed_distances(self.drive.body, self.pose, self.positions())
-        deepest = max(0.0, float(depth.max()) / self.grid.dx)
+        if self._block is None:
+            positions = self._particles[:, :3]
+        else:  # what sleeps does not move, and is far from the body
+            positions = self._block.particles[:, :3]
+        depth = -bodies.signed_distances(self.drive.body, self.pose, positions)
+        deepest = max(0.0, float(depth.max(initial=0.0)) / self.grid.dx)
         return {'deepest_cells': deepest, 'inside': int((depth > 0.25 * self.grid.dx).sum())}
 
     def rigid_points(self) -> np.ndarray:
         """Returns the body's sample points [R, 3], m."""
-        return bodies.sample_points(self.drive.body, *self.pose)
+        return bodies.sample_points(self.drive.body, self.pose)
+
+
+def _means(loads: np.ndarray, parts: int) -> np.ndarray:
+    """Means [parts, 6] over equal parts of loads [steps, 6] that are constant within a step."""
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(loads, axis=0)])
+    ends = np.linspace(0.0, len(loads), parts + 1)
+    at = np.stack([np.interp(ends, np.arange(len(total)), c) for c in total.T], axis=1)
+    return np.diff(at, axis=0) * (parts / len(loads))

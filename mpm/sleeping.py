@@ -1,24 +1,23 @@
 """Soil that rests is not stepped.
 
 A particle sleeps where nothing has moved for a while: it is neither near the body nor near soil
-that went faster than a thousandth of the body's speed lately. Nodes that sleeping soil touches do
+that went faster than three thousandths of the body's speed lately. Nodes that sleeping soil touches do
 not move, so it is a rigid bed, with its stress kept, to the soil that is awake.
 """
 
-import math
-
 import numpy as np
 
-from mpm.bodies import Body
+from mpm.bodies import Body, signed_distances
 from mpm.grid import Grid
 
 # Soil moves if its mean speed over a period exceeds this share of the body's, and at least SLOWEST.
-SHARE = 0.001
+SHARE = 0.003
 SLOWEST = 2e-5  # m/s
 PERIOD = 4  # frames between two looks
 MEMORY = 2  # periods that soil stays awake after it moved
-SOIL_REACH = 3  # cells around moving soil that are awake
-BODY_REACH = 6  # cells around the body
+# In metres: what a tool moves does not shrink with the cells.
+SOIL_REACH = 0.04  # around moving soil that is awake
+BODY_REACH = 0.08  # around the body
 
 
 class Sleep:
@@ -42,7 +41,7 @@ class Sleep:
         Args:
             positions: float64 [N, 3], m.
             body: the rigid body.
-            path: float64 [T, 3], its poses in the coming period.
+            path: float64 [T, 4], its poses in the coming period.
             period: s, between two calls.
         """
         if not self.is_on:
@@ -54,45 +53,46 @@ class Sleep:
             self._moved[tuple(cells[way > self._limit * period].T)] = self._period
         self._before = positions.copy()
         # The body's speed in the coming period, at whose end it is compared with the soil's.
-        step = np.abs(np.diff(path, axis=0)) * [1.0, 1.0, body.length + body.radius]
+        step = np.abs(np.diff(path, axis=0)) * [1.0, 1.0, body.reach, 1.0]
         speed = np.linalg.norm(step, axis=1).max() * (len(path) - 1) / period
         self._limit = max(SLOWEST, SHARE * speed)
-        recent = _dilated(self._moved >= self._period - MEMORY, -SOIL_REACH, SOIL_REACH)
-        return recent[tuple(cells.T)] | self._near(positions, body, path)
+        recent = self._moved >= self._period - MEMORY
+        for axis, cells_off in enumerate(np.ceil(SOIL_REACH / self._grid.cell - 1e-9).astype(int)):
+            recent = _spread(recent, axis, -cells_off, cells_off)
+        return recent[tuple(cells.T)] | _near(positions, body, path)
 
     def nodes_asleep(self, positions: np.ndarray) -> np.ndarray:
         """Returns bool [nodes], in the kernels' order: those that sleeping particles touch."""
         base = np.zeros(self._grid.shape, dtype=bool)
-        base[tuple((self._cells(positions - 0.5 * self._grid.dx)).T)] = True
+        base[tuple((self._cells(positions - 0.5 * self._grid.cell)).T)] = True
+        for axis in range(3):
+            base = _spread(base, axis, 0, 2)
         # From (x, y, z) to the kernels' (y, x, z).
-        return _dilated(base, 0, 2).transpose(1, 0, 2).ravel()
+        return base.transpose(1, 0, 2).ravel()
 
     def _cells(self, positions):
-        return np.floor((positions - self._grid.origin) / self._grid.dx).astype(np.int64)
-
-    def _near(self, positions, body, path):
-        reach = BODY_REACH * self._grid.dx
-        near = np.zeros(len(positions), dtype=bool)
-        across = np.abs(positions[:, 2] - body.z_middle) < body.half_width + reach
-        for x, y, angle in path:
-            rx, ry = positions[:, 0] - x, positions[:, 1] - y
-            along = ry * math.cos(angle) - rx * math.sin(angle)
-            ahead = rx * math.cos(angle) + ry * math.sin(angle)
-            beyond = along - np.clip(along, 0.0, body.length)
-            near |= across & (np.hypot(beyond, ahead) < body.radius + reach)
-        return near
+        return np.floor((positions - self._grid.origin) / self._grid.cell).astype(np.int64)
 
 
-def _dilated(mask, first, last):
-    """The mask, spread over `first` to `last` cells along each axis (Chebyshev distance)."""
-    for axis in range(mask.ndim):
-        spread = np.zeros_like(mask)
-        size = mask.shape[axis]
-        for shift in range(first, last + 1):
-            to = [slice(None)] * mask.ndim
-            of = [slice(None)] * mask.ndim
-            to[axis] = slice(max(shift, 0), size + min(shift, 0))
-            of[axis] = slice(max(-shift, 0), size + min(-shift, 0))
-            spread[tuple(to)] |= mask[tuple(of)]
-        mask = spread
-    return mask
+def _near(positions, body, path):
+    """Which particles are within BODY_REACH of the body somewhere on its path."""
+    half = 0.5 * np.abs(path - path[0]).max(axis=0)
+    # Seen from both ends of the path: nothing is farther from both than half the way.
+    reach = BODY_REACH + np.linalg.norm(half[[0, 1, 3]]) + half[2] * body.reach
+    near = signed_distances(body, path[0], positions) < reach
+    if (path[-1] != path[0]).any():
+        near |= signed_distances(body, path[-1], positions) < reach
+    return near
+
+
+def _spread(mask, axis, first, last):
+    """The mask, spread over `first` to `last` cells along an axis."""
+    spread = np.zeros_like(mask)
+    size = mask.shape[axis]
+    for shift in range(first, last + 1):
+        to = [slice(None)] * mask.ndim
+        of = [slice(None)] * mask.ndim
+        to[axis] = slice(max(shift, 0), size + min(shift, 0))
+        of[axis] = slice(max(-shift, 0), size + min(-shift, 0))
+        spread[tuple(to)] |= mask[tuple(of)]
+    return spread

@@ -15,6 +15,12 @@ One interval, velocity Verlet on nodes that move as the material does:
 The half kicks at both ends matter: with whole ones (leapfrog) the periodic smoothing resonates with
 elastic waves of the grid and soil at rest gains energy. Equation numbers: `transfers`, `contact`.
 
+A body follows its path, or some of its coordinates q (x, y, angle) are free and obey
+
+    M q'' = soil + external + k (target - q) + c (target' - q')                            (7)
+
+with the same kicks and drifts as the nodes.
+
 Quadratic B-splines, serial: a run takes one core, runs go side by side. Particles are float64; what
 nodes carry, and stress and strain between exchanges, is float32 or float64 (`Solver`).
 """
@@ -25,28 +31,17 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from mpm.bodies import Body
-from mpm.columns import (
-    CHUNK,
-    ELASTIC,
-    GRIP,
-    JIT,
-    LEFT_GRID,
-    OK,
-    TURNED_INSIDE_OUT,
-    X,
-)
+from mpm.bodies import Body, make_wheel
+from mpm.columns import CHUNK, ELASTIC, GRIP, JIT, LEFT_GRID, OK, TURNED_INSIDE_OUT, X
 from mpm.constitutive import Soil
 from mpm.contact import ContactLaw, contact, list_near, make_contact
-from mpm.fluidity import diffuse_fluidity
-from mpm.grid import Grid
-from mpm.grid_update import clear, kick, start_nodes
-from mpm.stability import damping_time, max_time_step
+from mpm.grid import Grid, clear, kick, start_nodes
+from mpm.stability import damping_time, steps_in
 from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_and_force
 
-EXCHANGE = 1.0 / 1080.0  # s; 18 intervals are a frame
-NO_BODY = Body(0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((0, 3)))
+EXCHANGE = 1.0 / 540.0  # s; 9 intervals are a frame
 NEAR = 2.0  # cells from the body's surface within which contact is looked for, at the least
+FREE_PUSH = 50.0  # m/s2, by which a free body may be pushed during a call of `Solver.advance`
 
 
 class Block(NamedTuple):
@@ -75,9 +70,9 @@ class Nodes(NamedTuple):
     """What nodes carry: four numbers each, three components and one more.
 
     Attributes:
-        velocity: float64 [4 nodes]: m/s and 1 / mass (1/kg); momentum and mass while scattering.
-        force: float64 [4 nodes], N.
-        displacement: float64 [4 nodes], m since the last exchange.
+        velocity: [4 nodes]: m/s and 1 / mass (1/kg); momentum and mass while scattering.
+        force: [4 nodes], N.
+        displacement: [4 nodes], m since the last exchange.
         asleep: bool [nodes], touched by soil that is not stepped: they do not move.
         free, touched: uint64 [nodes], lists of indices into the arrays above.
     """
@@ -88,6 +83,60 @@ class Nodes(NamedTuple):
     asleep: np.ndarray
     free: np.ndarray
     touched: np.ndarray
+
+
+class Free(NamedTuple):
+    """The coordinates x, y and angle of a body that are free, and what drives them: eq. (7).
+
+    Attributes:
+        state: float64 [2, 3], coordinates (m, m, rad) and their rates; `advance` works in place.
+        mass: float64 [3]: mass (kg) for x and y, moment of inertia about the reference point
+            (kg m2) for the angle; 0: the coordinate follows the path.
+        stiffness, damping: float64 [3], k (N/m, N m/rad) and c (N s/m, N m s/rad) of the actuator
+            that pulls towards the path.
+    """
+
+    state: np.ndarray
+    mass: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+
+
+class Motion(NamedTuple):
+    """A body and how it moves during a call of `advance`.
+
+    Attributes:
+        body: `bodies.Body`.
+        law: `contact.ContactLaw`.
+        path: float64 [steps + 1, 4]: x, y (m) of the reference point, the angle (rad) and z (m) at
+            the ends of all steps; of free coordinates the actuator's target.
+        external: float64 [steps + 1, 3]: force (N, N, N m) on free coordinates, at the same times.
+        free: `Free`.
+        near: int64, rows of the block among which contact is looked for.
+        loads: float64 [steps, 6], filled: mean force (N) of the soil on the body in each step, and
+            torque (N m) about its reference point.
+    """
+
+    body: Body
+    law: ContactLaw
+    path: np.ndarray
+    external: np.ndarray
+    free: Free
+    near: np.ndarray
+    loads: np.ndarray
+
+
+def no_body(steps: int) -> Motion:
+    """Returns the motion of a body that touches nothing, where `advance` has no other."""
+    body = make_wheel(1e-3)
+    none, still = np.zeros(0, dtype=np.int64), np.zeros((steps + 1, 4))
+    law = ContactLaw(0.0, 0.0)
+    return Motion(body, law, still, still[:, :3].copy(), prescribed(), none, np.zeros((steps, 6)))
+
+
+def prescribed() -> Free:
+    """Returns the `Free` of a body of which nothing is free."""
+    return Free(np.zeros((2, 3)), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
 def make_block(particles: np.ndarray, dtype: type = np.float64) -> Block:
@@ -113,29 +162,51 @@ def make_nodes(grid: Grid, dtype: type = np.float64) -> Nodes:
 
 
 @numba.njit(**JIT)
+def _act(block, nodes, grid, motion, step, last, dt, share, drift, load):
+    """Contact of a body at the beginning of a step, and the kick and drift (7) of what is free."""
+    path, free = motion.path, motion.free
+    # Rates of the step that comes; at the end of an interval, of the one that was.
+    a = min(step, last)
+    pose = np.empty(4)
+    rates = np.empty(4)
+    for axis in range(4):
+        pose[axis] = path[step, axis]
+        rates[axis] = (path[a + 1, axis] - path[a, axis]) / dt
+    for axis in range(3):
+        if free.mass[axis] > 0.0:
+            pose[axis], rates[axis] = free.state[0, axis], free.state[1, axis]
+    since = dt if share == dt or drift == 0.0 else 0.0
+    contact(block, nodes, grid, motion.near, motion.body, motion.law, pose, rates, since, load)
+    # A step's load is the mean of those at its two ends.
+    if drift > 0.0:
+        for axis in range(6):
+            motion.loads[step, axis] += 0.5 * load[axis]
+    if since > 0.0:
+        for axis in range(6):
+            motion.loads[step - 1, axis] += 0.5 * load[axis]
+    for axis in range(3):
+        if free.mass[axis] > 0.0:
+            target = (path[a + 1, axis] - path[a, axis]) / dt
+            force = load[axis] if axis < 2 else load[5]
+            force += motion.external[step, axis]
+            force += free.stiffness[axis] * (path[step, axis] - free.state[0, axis])
+            force += free.damping[axis] * (target - free.state[1, axis])
+            free.state[1, axis] += share * force / free.mass[axis]
+            free.state[0, axis] += drift * free.state[1, axis]
+
+
+@numba.njit(**JIT)
 def advance(
-    block,
-    nodes,
-    grid,
-    steps,
-    dt,
-    soil,
-    volume,
-    damping_time,
-    gravity,
-    settling,
-    motion,
-    fluidity,
-    impulse,
-    status,
-    second=None,
-):
-    """Advances the soil (and the body's height) by whole exchange intervals. Works in place.
+    block, nodes, grid, intervals, steps, dt, soil, volume, damping_time, gravity, settling,
+    motions, status
+):  # fmt: skip
+    """Advances the soil (and what is free of the bodies) by exchange intervals. Works in place.
 
     Args:
         block: `Block`, of the nodes' type.
         nodes: `Nodes`, all zero but for `asleep`; zero again afterwards.
         grid: `grid.Grid`.
+        intervals: how many.
         steps: per interval.
         dt: time step, s. The caller has checked it (`stability`).
         soil: `Soil`.
@@ -144,18 +215,13 @@ def advance(
         gravity: m/s2, along -y.
         settling: factor on grid velocities at each kick (`steps` + 1 an interval): 1, or less to
             settle a packing.
-        motion: `Motion`.
-        fluidity: float64 [nodes, 3], work space of the nonlocal law; None: local mu(I).
-        impulse: float64 [6], impulse (N s) and angular impulse (N m s, about the reference point)
-            of the soil on the body (added to).
+        motions: tuple of `Motion`, one for each body, at least one (`no_body`); no particle is near
+            two of them.
         status: int64 [2]: error code, row of the block.
-        second: None, or `Motion` of a second body on its path and its float64 [6] impulse; no
-            particle is near both.
     """
     mass = volume * soil.bulk_density
-    heave, path = motion.heave, motion.path
     load = np.zeros(6)
-    for interval in range((len(path) - 1) // steps):
+    for interval in range(intervals):
         box = particles_to_grid(
             block, nodes.velocity, grid, 0.5 * dt, mass, volume, soil.bulk_modulus, status
         )
@@ -163,82 +229,20 @@ def advance(
         if status[0] != OK:
             clear(nodes, touched)
             return
-        if fluidity is not None:
-            diffuse_fluidity(block, fluidity, grid, box, steps * dt, soil)
         for k in range(steps + 1):
             step = interval * steps + k
             share = dt if 0 < k < steps else 0.5 * dt
+            drift = dt if k < steps else 0.0
             if k > 0:
-                strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidity)
-            is_free = heave[2] > 0.0
-            # Rates of the step that comes; at the end of an interval, of the one that was.
-            a = step if k < steps else step - 1
-            vx, vy = (path[a + 1, 0] - path[a, 0]) / dt, (path[a + 1, 1] - path[a, 1]) / dt
-            spin, y = (path[a + 1, 2] - path[a, 2]) / dt, path[step, 1]
-            if is_free:
-                y, vy = heave[0], heave[1]
-            contact(
-                block,
-                nodes,
-                grid,
-                motion.near,
-                motion.body,
-                motion.law,
-                (path[step, 0], y, path[step, 2]),
-                (vx, vy, spin),
-                dt if k > 0 else 0.0,
-                load,
-            )
-            for axis in range(6):
-                impulse[axis] += share * load[axis]
-            if is_free:
-                heave[1] += share * (load[1] - motion.weight[step]) / heave[2]
-                if k < steps:
-                    heave[0] += dt * heave[1]
-            if second is not None:  # decided when compiled
-                other, other_impulse = second
-                at, way = other.path[step], (other.path[a + 1] - other.path[a]) / dt
-                contact(
-                    block,
-                    nodes,
-                    grid,
-                    other.near,
-                    other.body,
-                    other.law,
-                    (at[0], at[1], at[2]),
-                    (way[0], way[1], way[2]),
-                    dt if k > 0 else 0.0,
-                    load,
-                )
-                for axis in range(6):
-                    other_impulse[axis] += share * load[axis]
+                strain_and_force(block, nodes, grid, dt, volume, soil, damping_time)
+            for m in range(len(motions)):
+                last = interval * steps + steps - 1
+                _act(block, nodes, grid, motions[m], step, last, dt, share, drift, load)
             # The first half kick of gravity and of the soil's own forces is in the velocity.
             fall = gravity if k > 0 else 0.0
-            kick(nodes, grid, free, share, fall, settling, dt if k < steps else 0.0)
-        grid_to_particles(block, nodes.velocity, nodes.displacement, grid, steps * dt, soil)
+            kick(nodes, grid, free, share, fall, settling, drift)
+        grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
         clear(nodes, touched)
-
-
-class Motion(NamedTuple):
-    """A body and how it moves during a call of `advance`.
-
-    Attributes:
-        body: `bodies.Body`.
-        law: `contact.ContactLaw`.
-        path: float64 [steps + 1, 3]: x, y (m) of the reference point and the angle (rad) at the
-            ends of all steps; its y is not used if the height is free.
-        weight: float64 [steps + 1], N on the free height at the same times.
-        heave: float64 [3]: height y (m), vertical speed (m/s), mass (kg). A positive mass makes
-            the vertical motion free under `weight`.
-        near: int64, rows of the block among which contact is looked for; none without a body.
-    """
-
-    body: Body
-    law: ContactLaw
-    path: np.ndarray
-    weight: np.ndarray
-    heave: np.ndarray
-    near: np.ndarray
 
 
 class Solver:
@@ -248,11 +252,10 @@ class Solver:
         grid: `grid.Grid`.
         soil: `Soil`.
         volume: m3 of packed soil per particle.
+        exchange: s, between two exchanges.
         steps: per exchange interval.
         dt: time step, s.
         law: `contact.ContactLaw`.
-        impulse: float64 [6], given to the body so far (N s; N m s about its reference point).
-        second_impulse: likewise, to a second body.
     """
 
     def __init__(
@@ -261,8 +264,8 @@ class Solver:
         soil: Soil,
         volume: float,
         steps: int = 0,
-        is_nonlocal: bool = False,
         dtype: type = np.float64,
+        exchange: float = EXCHANGE,
     ):
         """Prepares the work space.
 
@@ -271,17 +274,16 @@ class Solver:
             soil: of all particles.
             volume: m3 of packed soil per particle.
             steps: per exchange interval; 0: as few as are stable.
-            is_nonlocal: whether the granular fluidity diffuses.
             dtype: of what nodes carry and of stresses between exchanges, float32 or float64.
+            exchange: s, between two exchanges.
         """
-        self.grid, self.soil, self.volume = grid, soil, volume
-        limit = max_time_step(soil, grid.dx, is_nonlocal)
-        self.steps = steps or max(1, math.ceil(EXCHANGE / limit - 1e-9))
-        self.dt = EXCHANGE / self.steps
+        self.grid, self.soil, self.volume, self.exchange = grid, soil, volume, exchange
+        self.steps = steps or steps_in(exchange, soil, min(grid.dx, grid.dz))
+        self.dt = exchange / self.steps
         self.nodes = make_nodes(grid, dtype)
-        self.impulse, self.second_impulse = np.zeros(6), np.zeros(6)
-        self.law = make_contact(soil, volume)
-        self._fluidity = np.zeros((grid.nodes, 3)) if is_nonlocal else None
+        # Particles of a cell dz / dx times as long across are as much farther apart there.
+        spacing = (volume * grid.dx / grid.dz) ** (1.0 / 3.0)
+        self.law = make_contact(soil, volume, spacing)
 
     def block(self, particles: np.ndarray) -> Block:
         """Returns the block of particles [n, COLUMNS] for `advance`, a copy."""
@@ -293,50 +295,45 @@ class Solver:
         intervals: int,
         gravity: float,
         settling: float = 1.0,
-        body: Body | None = None,
-        path: np.ndarray | None = None,
-        weight: np.ndarray | None = None,
-        heave: np.ndarray | None = None,
-        second: tuple[Body, np.ndarray] | None = None,
-    ) -> None:
-        """Advances a block by some exchange intervals, in place; see `advance` and `Motion`.
+        bodies: tuple = (),
+    ) -> list[np.ndarray]:
+        """Advances a block by some exchange intervals, in place.
 
         Args:
             block: `Block`.
             intervals: how many.
             gravity, settling: of `advance`.
-            body, path, weight, heave: of `Motion`.
-            second: a second body and its path.
+            bodies: tuples (`Body`, path, external, `Free`) of `Motion`, the last two may be None.
+
+        Returns:
+            For each body float64 [steps, 6]: force (N) of the soil on it in each step and torque
+            (N m) about its reference point; an impulse is their sum times `dt`.
 
         Raises:
-            ValueError: if a particle leaves the grid or is turned inside out; bodies so close that
-                both may touch one particle.
+            ValueError: if a particle leaves the grid or is turned inside out; if a free body is
+                thrown; bodies so close that both may touch one particle.
         """
         count = intervals * self.steps
-        if body is None:
-            body, path = NO_BODY, np.zeros((count + 1, 3))
-            near = np.zeros(0, dtype=np.int64)
-        else:
-            grip = None if second is None else block.particles[:, GRIP : GRIP + 3].copy()
-            near = self._near(block, body, path, heave)
-        motion = Motion(
-            body,
-            self.law,
-            path,
-            np.zeros(count + 1) if weight is None else weight,
-            np.zeros(3) if heave is None else heave,
-            near,
-        )
-        beside = None
-        if second is not None:
-            if body is NO_BODY:
-                raise ValueError('a second body needs a first one')
-            beside = self._beside(block, near, grip, *second), self.second_impulse
+        motions, reaches = [], []
+        taken = np.zeros(len(block.particles), dtype=bool)
+        for body, path, external, free in bodies:
+            free = prescribed() if free is None else free
+            external = np.zeros((count + 1, 3)) if external is None else external
+            near, reach = self._near(block, body, path, free)
+            if shared := np.count_nonzero(taken[near]):
+                raise ValueError(f'two bodies are so close that both may touch {shared} particles')
+            taken[near] = True
+            reaches.append((free.state[0].copy(), reach))
+            loads = np.zeros((count, 6))
+            motions.append(Motion(body, self.law, path, external, free, near, loads))
+        # What no body can touch has lost its grip.
+        block.particles[~taken, GRIP : GRIP + 3] = 0.0
         status = np.zeros(2, dtype=np.int64)
         advance(
             block,
             self.nodes,
             self.grid,
+            intervals,
             self.steps,
             self.dt,
             self.soil,
@@ -344,37 +341,38 @@ class Solver:
             damping_time(self.soil, self.grid.dx),
             gravity,
             settling,
-            motion,
-            self._fluidity,
-            self.impulse,
+            tuple(motions) or (no_body(count),),
             status,
-            beside,
         )
         if status[0] != OK:
             place = block.particles[status[1], X : X + 3]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}
             raise ValueError(f'a particle {what[int(status[0])]} at {place} m')
+        for motion, (before, reach) in zip(motions, reaches):
+            way = np.abs(motion.free.state[0] - before) * (motion.free.mass > 0.0)
+            way = np.hypot(way[0], way[1]) + way[2] * motion.body.reach
+            if not way <= reach:
+                raise ValueError(
+                    f'a free body moved by {way:.3g} m where {reach:.3g} m were expected at its '
+                    'speed: its load throws it'
+                )
+        return [motion.loads for motion in motions]
 
-    def _beside(self, block, near, grip, body, path):
-        """`Motion` of a second body; `near` the first one, particles keep the `grip` they had."""
-        mine = self._near(block, body, path, None)
-        if shared := np.intersect1d(near, mine).size:
-            raise ValueError(f'two bodies are so close that both may touch {shared} particles')
-        # Looking for those near one body took the grip of those near the other.
-        block.particles[near, GRIP : GRIP + 3] = grip[near]
-        block.particles[mine, GRIP : GRIP + 3] = grip[mine]
-        still = np.zeros(len(path))
-        return Motion(body, self.law, path, still, np.zeros(3), mine)
-
-    def _near(self, block, body, path, heave):
-        """Rows of the particles that the body can touch during the path."""
-        start = path[0].copy()
-        if heave is not None and heave[2] > 0.0:
-            start[1] = heave[0]
+    def _near(self, block, body, path, free):
+        """Rows of the particles that a body can touch during its path, and the way it may go."""
+        start, is_free = path[0].copy(), free.mass > 0.0
+        start[:3][is_free] = free.state[0][is_free]
         # How far body and soil can come closer: the body's way, and the fastest particle's.
-        turn = np.abs(path[:, 2] - path[0, 2]).max() * (body.length + body.radius)
-        way = np.linalg.norm(path[:, :2] - path[0, :2], axis=1).max() + turn
+        fixed = np.abs(path - path[0])
+        fixed[:, :3][:, is_free] = 0.0
+        way = np.linalg.norm(fixed[:, [0, 1, 3]], axis=1).max() + fixed[:, 2].max() * body.reach
+        seconds = (len(path) - 1) * self.dt
+        pushed = np.where(is_free, np.abs(free.state[1]) * seconds, 0.0)
+        pushed = np.hypot(pushed[0], pushed[1]) + pushed[2] * body.reach
+        if is_free.any():
+            pushed += 0.5 * FREE_PUSH * seconds**2
         speed = np.abs(block.particles[:, 3:6]).max(initial=0.0)
-        reach = self.law.radius + way + max(NEAR * self.grid.dx, 2 * speed * len(path) * self.dt)
+        reach = self.law.radius + way + pushed
+        reach += max(NEAR * self.grid.dx, 2 * speed * seconds)
         near = np.zeros(len(block.particles), dtype=np.int64)
-        return near[: list_near(block.particles, body, start, reach, near)]
+        return near[: list_near(block.particles, body, start, reach, near)], float(pushed)

@@ -4,95 +4,118 @@ The split of a run is a function of its id alone. Seeds that the data of record 
 belong to none: nothing has been trained or chosen on them.
 """
 
+import functools
+import itertools
+
 import numpy as np
 
 from mpm import scenes
 from mpm.motions import catalogue
 
 SPLITS = ('train', 'valid', 'test')
-# Runs of each kind of free motion; seeds count through the kinds.
-RUNS_PER_KIND = {'excavation': 50, 'wheel': 40}  # of the kinds that take turns
-HALTS = 24  # runs of the blade that halts within a frame
-# Of the n-th run of a kind: (divisor, remainder) that put it into test and into valid.
-_TEST, _VALID = {'excavation': (5, 1), 'wheel': (6, 1)}, {'excavation': (12, 3), 'wheel': (8, 4)}
+# Runs of each kind, numbered from seed 0 on: 10 of them are test, 5 valid.
+RUNS = {
+    'excavation': {
+        **dict.fromkeys(('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts'), 34),
+        **dict.fromkeys(('press', 'free', 'actuated'), 30),
+        **dict.fromkeys(('beside', 'soils', 'tools'), 60),
+        'trench': 20,
+    },
+    'wheel': {
+        **dict.fromkeys(('slip', 'stops', 'reverse', 'load'), 30),
+        'height': 60,
+        'wheels': 40,
+        'grousers': 30,
+    },
+}
+TEST, VALID = 10, 5  # runs of each kind
 
 
 def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     """Returns 'train', 'valid' or 'test'; None for what the data of record does not hold.
 
+    Seeds: of the n runs of a kind every (n // 10)th is test, every (n // 5)th valid, until there
+    are 10 and 5 of them. Grids: see `grid_runs`.
+
     Args:
         scene: the scene.
         case: the number of a case of the grid, or the id of a seed, or any other id.
-
-    Seeds: of 50 blade paths of a kind 10 are test and 4 valid, of the 24 that halt 8 and 4, of 40
-    wheel drives 7 and 5.
-    Grids: a linear code over the levels, so that each level of each parameter is met equally often
-    in test and in valid: excavation 25 and 25 of 250 (each pair of depth and speed once), wheel 27
-    and 27 of 243. The demo cases are test cases.
     """
     if isinstance(case, int):
-        return _excavation_split(case) if scene.name == 'excavation' else _wheel_split(case)
+        return _grid_splits(scene).get(case)
     try:
         kind, seed = catalogue.parse(scene, case)
     except ValueError:
         return None
-    kinds = catalogue.TURNS[scene.name]
-    if kind not in kinds:
-        return _split_of_halt(seed) if seed < HALTS else None
-    number = seed // len(kinds)
-    # The record holds each seed with one kind.
-    if number >= RUNS_PER_KIND[scene.name] or kinds[seed % len(kinds)] != kind:
+    count = RUNS[scene.name].get(kind, 0)
+    if seed >= count:
         return None
-    for split, rule in (('test', _TEST), ('valid', _VALID)):
-        divisor, remainder = rule[scene.name]
-        if number % divisor == remainder:
-            return split
+    every = count // TEST
+    if seed % every == 1 and seed // every < TEST:
+        return 'test'
+    # Beside those of test: 3 of every 2 n, or 2 of every 4 where every second run is test.
+    if seed % (2 * every) == (2 if every == 2 else 3) and seed // (2 * every) < VALID:
+        return 'valid'
     return 'train'
 
 
-def _split_of_halt(seed: int) -> str:
-    if seed % 3 == 1:
-        return 'test'
-    return 'valid' if seed % 6 == 3 else 'train'
+def _grid_splits(scene: scenes.Scene) -> dict[int, str]:
+    return _splits_of_grid(scene.name)
 
 
-def _excavation_split(case: int) -> str:
-    depth, speed, angle, motion = np.unravel_index(case - 1, (5, 5, 5, 2))
-    code = (depth + 2 * speed + 4 * angle) % 5
-    if motion != (depth + speed) % 2 or code not in (4, 1):
-        return 'train'
-    return 'test' if code == 4 else 'valid'
+@functools.cache
+def _splits_of_grid(name: str) -> dict[int, str]:
+    """Case -> split of the cases of the grid that the record holds.
 
-
-def _wheel_split(case: int) -> str:
-    gravity, slip, load, diameter, friction = np.unravel_index(case - 1, (3,) * 5)
-    code = (gravity + slip + load) % 3, (gravity + diameter + friction) % 3
-    return {(0, 0): 'test', (1, 2): 'valid'}.get(code, 'train')
-
-
-def seed_runs(scene: scenes.Scene) -> tuple:
-    """Returns the ids of the record's runs with free motions, in the order of their seeds.
-
-    Kinds take turns and splits are spread: any beginning of the list is a set in proportion.
+    A path of the tool in time is in one split alone. The blade's is given by depth, speed and
+    motion, the angle aside: 40 of these 50 paths, each with one angle (that of a published case
+    where there is one). The wheel's is given by slip and diameter: a Latin square has three of
+    these nine pairs for test, one for valid.
     """
-    count = RUNS_PER_KIND[scene.name] * len(catalogue.TURNS[scene.name])
-    return catalogue.select_seeds(scene, f'0-{count - 1}')
+    scene, found = scenes.SCENES[name], {}
+    if name == 'excavation':
+        cases = [*scene.published, scene.demo_case]
+        for number, (depth, speed, motion) in enumerate(itertools.product(range(5), range(5), range(2))):
+            angle = (depth + 2 * speed + 3 * motion) % 5
+            case = 1 + ((depth * 5 + speed) * 5 + angle) * 2 + motion
+            if number % 5 != 4:
+                cases.append(case)
+        paths = {}
+        for case in cases:
+            depth, speed, _, motion = np.unravel_index(case - 1, (5, 5, 5, 2))
+            paths.setdefault((int(depth), int(speed), int(motion)), case)
+        for number, case in enumerate(sorted(paths.values())[:GRID_RUNS[scene.name]]):
+            found[case] = 'test' if number % 4 == 1 else 'valid' if number % 8 == 3 else 'train'
+        return found
+    chosen = [*scene.published, scene.demo_case]
+    chosen += [case for case in scenes.mini_cases(scene, 60) if case not in chosen]
+    for case in chosen[: GRID_RUNS[scene.name]]:
+        _, slip, _, diameter, _ = np.unravel_index(case - 1, (3,) * 5)
+        code = (slip + diameter) % 3
+        found[case] = 'test' if code == 0 else 'valid' if (slip, diameter) == (0, 1) else 'train'
+    return found
 
 
-def halt_runs(scene: scenes.Scene) -> tuple:
-    """Returns the ids of the record's runs of the kind `halts`, in the order of their seeds."""
-    return catalogue.select_seeds(scene, f'0-{HALTS - 1}', 'halts')
+GRID_RUNS = {'excavation': 40, 'wheel': 40}
+
+
+def runs_of_kinds(scene: scenes.Scene, kinds: tuple) -> tuple:
+    """Returns the ids of the record's runs of some kinds, which take turns."""
+    counts = RUNS[scene.name]
+    return tuple(
+        catalogue.seed_case(kind, seed)
+        for seed in range(max(counts[kind] for kind in kinds))
+        for kind in kinds
+        if seed < counts[kind]
+    )
 
 
 def grid_runs(scene: scenes.Scene) -> tuple:
-    """Returns all cases of the grid, in an order of which any beginning is a set in proportion.
-
-    Each split is shuffled (seed 0); the splits are then merged in proportion to their size.
-    """
+    """Returns the cases of the grid that the record holds, test and valid spread among them."""
     rng = np.random.default_rng(0)
     placed = []
     for split in SPLITS:
-        cases = [c for c in range(1, scene.case_count + 1) if split_of(scene, c) == split]
+        cases = [case for case, other in _grid_splits(scene).items() if other == split]
         rng.shuffle(cases)
         placed += [((n + 0.5) / len(cases), case) for n, case in enumerate(cases)]
     return tuple(case for _, case in sorted(placed))

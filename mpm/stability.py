@@ -12,6 +12,7 @@ from mpm.constitutive import Soil
 CFL = 0.8  # of the elastic wave; divergence was measured at 1.14 to 1.34
 DAMPING = 0.06  # of the time in which the wave crosses a cell
 VELOCITY_CFL = 0.5  # cells that soil may cross between exchanges, and a body in a step
+SPRAY_CFL = 2.0  # cells that a single grain may fly between exchanges
 
 
 class UnstableTimeStepError(ValueError):
@@ -35,55 +36,26 @@ def damping_time(soil: Soil, dx: float) -> float:
     return DAMPING * dx / wave_speed(soil)
 
 
-def max_time_step(soil: Soil, dx: float, is_nonlocal: bool = False, cfl: float = CFL) -> float:
+def max_time_step(soil: Soil, dx: float, cfl: float = CFL) -> float:
     """Returns the largest stable time step in s on a grid of cell size `dx` (m).
 
-    The elastic wave crosses at most `cfl` cells; with the nonlocal law also
-    dt < dx2 t0 / (2 A2 d2), the limit of an explicit diffusion of the fluidity.
+    The elastic wave crosses at most `cfl` cells; dx is the shortest side of a cell.
 
     Raises:
-        ValueError: if dx is not positive, or the friction is too low for the elastic law.
+        ValueError: if dx is not positive.
     """
     if not dx > 0.0:
         raise ValueError(f'cell size must be positive, got {dx} m')
-    step = cfl * dx / wave_speed(soil)
-    if is_nonlocal:
-        check_friction(soil)
-        length = soil.nonlocal_amplitude * soil.grain_diameter
-        if length > 0.0:
-            # A third of the one-dimensional limit: the stencil has three axes.
-            step = min(step, dx**2 * soil.nonlocal_time / (2.0 * length**2) / 3.0)
-    return step
+    return cfl * dx / wave_speed(soil)
 
 
-def check_friction(soil: Soil) -> None:
-    """Checks mu_s > sqrt(3) (1 - 2 nu) / (1 + nu), the nonlocal law's third condition.
-
-    Below it uniaxial elastic compression, as in soil at rest, already yields (Haeri and
-    Skonieczny 2022).
-
-    Raises:
-        ValueError: with the value and its limit.
-    """
-    k, g = soil.bulk_modulus, soil.shear_modulus
-    nu = (3.0 * k - 2.0 * g) / (2.0 * (3.0 * k + g))
-    limit = math.sqrt(3.0) * (1.0 - 2.0 * nu) / (1.0 + nu)
-    if soil.mu_s <= limit:
-        raise ValueError(
-            f'mu_s = {soil.mu_s:.4g} must exceed sqrt(3) (1 - 2 nu) / (1 + nu) = {limit:.4g} '
-            f"(Poisson's ratio {nu:.3g}) with the nonlocal law"
-        )
-
-
-def check_time_step(
-    dt: float, soil: Soil, dx: float, is_nonlocal: bool = False, cfl: float = CFL
-) -> None:
+def check_time_step(dt: float, soil: Soil, dx: float, cfl: float = CFL) -> None:
     """Refuses a step that the explicit scheme cannot take.
 
     Raises:
         UnstableTimeStepError: a ValueError that names the step, the limit and the CFL number.
     """
-    limit = max_time_step(soil, dx, is_nonlocal, cfl)
+    limit = max_time_step(soil, dx, cfl)
     if not 0.0 < dt <= limit * (1.0 + 1e-12):
         raise UnstableTimeStepError(
             f'time step {dt:.4g} s is not in (0, {limit:.4g}] s: CFL number '
@@ -117,8 +89,6 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
         )
 
 
-def steps_per_frame(
-    frame_time: float, soil: Soil, dx: float, is_nonlocal: bool = False, cfl: float = CFL
-) -> int:
-    """Returns the smallest number of equal steps in `frame_time` (s) that are stable."""
-    return max(1, math.ceil(frame_time / max_time_step(soil, dx, is_nonlocal, cfl) - 1e-9))
+def steps_in(seconds: float, soil: Soil, dx: float, cfl: float = CFL) -> int:
+    """Returns the smallest number of equal steps in `seconds` that are stable."""
+    return max(1, math.ceil(seconds / max_time_step(soil, dx, cfl) - 1e-9))

@@ -1,11 +1,11 @@
 """Transfers between particles and grid: quadratic B-splines, MLS stress, APIC at the exchange.
 
 Within an exchange interval (`solver`) the weights w_ip are frozen. With x_i - x_p the way from
-particle to node and D = dx2 / 4 the inertia of a quadratic B-spline:
+particle to node and D = diag(dx2, dx2, dz2) / 4 the inertia of a quadratic B-spline:
 
     momentum    (m v)_i = sum_p w_ip m_p (v_p + C_p (x_i - x_p))                       (1)
-    gradient    L_p     = sum_i w_ip v_i (x_i - x_p)^T / D                             (2)
-    force       f_i     = -sum_p w_ip V_p sigma_p (x_i - x_p) / D                      (3)
+    gradient    L_p     = sum_i w_ip v_i (x_i - x_p)^T D^-1                            (2)
+    force       f_i     = -sum_p w_ip V_p sigma_p D^-1 (x_i - x_p)                     (3)
     back        v_p = sum_i w_ip v_i,  C_p = L_p,  x_p += sum_i w_ip u_i               (4)
 
 u_i is the way that node i has gone since the last exchange. A node is four numbers and the nodes
@@ -15,8 +15,6 @@ Sources:
   APIC: Jiang, Schroeder, Selle, Teran, Stomakhin (2015), ACM Trans. Graph. 34, 51.
   MLS-MPM: Hu et al. (2018), ACM Trans. Graph. 37, 150.
 """
-
-import math
 
 import numba
 
@@ -35,7 +33,7 @@ from mpm.columns import (
     index,
     row,
 )
-from mpm.constitutive import dilated, pressure_of, update_stress
+from mpm.constitutive import pressure_of, update_stress
 
 
 @numba.njit(inline='always', **JIT)
@@ -100,8 +98,8 @@ def scatter(grid, base, strides, kept, at, affine):
 
 @numba.njit(inline='always', **JIT)
 def gather(grid, base, strides, kept, at):
-    """Returns three sums over the 27 nodes, w g (x_i - x_p) / dx along x, y and z, and sum w g; see
-    `scatter`. All are registers of four; the three times 4 / dx are the columns of L_p, eq. (2).
+    """Returns three sums over the 27 nodes, w g (x_i - x_p) in cells along x, y and z, and sum w g; see
+    `scatter`. All are registers of four; the three times 4 / dx (4 / dz) are the columns of L_p, eq. (2).
     """
     nothing = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     total, total_i, total_j = nothing, nothing, nothing
@@ -175,14 +173,17 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
     """
     q = block.particles
     nx, ny, nz = grid.shape
-    inverse = 1.0 / grid.dx
+    inverse, inverse_z = 1.0 / grid.dx, 1.0 / grid.dz
     strides = strides_of(grid.shape)
-    stress_scale = -half_step * volume * 4.0 * inverse * inverse
+    dx, dz = grid.dx, grid.dz
+    # -dt/2 V / D per cell, and the columns of C per cell: what a node one cell on gets more.
+    plane, across = -half_step * volume * 4.0 * inverse, -half_step * volume * 4.0 * inverse_z
+    mass_x, mass_z = mass * dx, mass * dz
     i0, i1, j0, j1, k0, k1 = nx, 0, ny, 0, nz, 0
     for n in range(len(q)):
         gx = (q[n, 0] - grid.origin[0]) * inverse - 0.5
         gy = (q[n, 1] - grid.origin[1]) * inverse - 0.5
-        gz = (q[n, 2] - grid.origin[2]) * inverse - 0.5
+        gz = (q[n, 2] - grid.origin[2]) * inverse_z - 0.5
         # Comparisons that are false for NaN too, before anything becomes an index.
         is_inside = gx >= 0.0 and gx < nx - 2 and gy >= 0.0 and gy < ny - 2
         if not (is_inside and gz >= 0.0 and gz < nz - 3):
@@ -201,33 +202,32 @@ def particles_to_grid(block, velocity, grid, half_step, mass, volume, bulk_modul
         block.base[n] = base
         keep_weights(block.weights, n, place)
         keep_elastic(block, n)
-        # The columns of m C - dt/2 V sigma / D, per cell.
+        # The columns of m C - dt/2 V sigma D^-1, per cell.
         p = pressure_of(ratio - 1.0, bulk_modulus)
-        s = stress_scale * ratio
-        dx = grid.dx
-        xx, yy, zz = s * (q[n, S] - p), s * (q[n, S + 1] - p), s * (q[n, S + 2] - p)
-        xy, yz, zx = s * q[n, S + 3], s * q[n, S + 4], s * q[n, S + 5]
+        sp, sz = plane * ratio, across * ratio
+        xx, yy, zz = q[n, S] - p, q[n, S + 1] - p, q[n, S + 2] - p
+        xy, yz, zx = q[n, S + 3], q[n, S + 4], q[n, S + 5]
         affine = (
             vectors.make(velocity, mass * q[n, V], mass * q[n, V + 1], mass * q[n, V + 2], mass),
             vectors.make(
                 velocity,
-                (xx + mass * q[n, C]) * dx,
-                (xy + mass * q[n, C + 3]) * dx,
-                (zx + mass * q[n, C + 6]) * dx,
+                sp * xx + mass_x * q[n, C],
+                sp * xy + mass_x * q[n, C + 3],
+                sp * zx + mass_x * q[n, C + 6],
                 0.0,
             ),
             vectors.make(
                 velocity,
-                (xy + mass * q[n, C + 1]) * dx,
-                (yy + mass * q[n, C + 4]) * dx,
-                (yz + mass * q[n, C + 7]) * dx,
+                sp * xy + mass_x * q[n, C + 1],
+                sp * yy + mass_x * q[n, C + 4],
+                sp * yz + mass_x * q[n, C + 7],
                 0.0,
             ),
             vectors.make(
                 velocity,
-                (zx + mass * q[n, C + 2]) * dx,
-                (yz + mass * q[n, C + 5]) * dx,
-                (zz + mass * q[n, C + 8]) * dx,
+                sz * zx + mass_z * q[n, C + 2],
+                sz * yz + mass_z * q[n, C + 5],
+                sz * zz + mass_z * q[n, C + 8],
                 0.0,
             ),
         )
@@ -260,69 +260,57 @@ def return_elastic(block, n):
 
 
 @numba.njit(**JIT)
-def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time, fluidity):
+def strain_and_force(block, nodes, grid, dt, volume, soil, damping_time):
     """Eq. (2), the stress update over `dt` (s), and eq. (3) added to the nodes' forces.
 
-    `damping_time` (s) and `fluidity` (None with the local law): see `constitutive.update_stress`.
+    `damping_time` (s): see `constitutive.update_stress`.
     """
     gradient, stress, kept = block.gradient, block.stress, block.weights
     velocity, force = nodes.velocity, nodes.force
     strides = strides_of(grid.shape)
-    per_cell = 4.0 / grid.dx
+    per_cell, per_cell_z = 4.0 / grid.dx, 4.0 / grid.dz
     for start in range(0, len(block.particles), CHUNK):
         count = index(min(len(block.particles) - start, CHUNK))
         for c in range(count):
             n = index(start) + c
             at = index(WEIGHTS) * n
             columns, _ = gather(velocity, block.base[n], strides, kept, at)
-            _put_gradient(gradient, c, index(CHUNK), columns, per_cell)
-        update_stress(block, start, count, dt, soil, damping_time, fluidity)
+            _put_gradient(gradient, c, index(CHUNK), columns, per_cell, per_cell_z)
+        update_stress(block, start, count, dt, soil, damping_time)
         strain = row(index(ELASTIC * start), 6)
         for c in range(count):
             n = index(start) + c
-            factor = -volume * per_cell * (1.0 + block.elastic[strain + c])
+            ratio = -volume * (1.0 + block.elastic[strain + c])
+            plane, across = ratio * per_cell, ratio * per_cell_z
             xx, yy, zz = stress[c], stress[row(c, 1)], stress[row(c, 2)]
             xy, yz, zx = stress[row(c, 3)], stress[row(c, 4)], stress[row(c, 5)]
             affine = (
                 vectors.make(force, 0.0, 0.0, 0.0, 0.0),
-                vectors.scale(factor, vectors.make(force, xx, xy, zx, 0.0)),
-                vectors.scale(factor, vectors.make(force, xy, yy, yz, 0.0)),
-                vectors.scale(factor, vectors.make(force, zx, yz, zz, 0.0)),
+                vectors.scale(plane, vectors.make(force, xx, xy, zx, 0.0)),
+                vectors.scale(plane, vectors.make(force, xy, yy, yz, 0.0)),
+                vectors.scale(across, vectors.make(force, zx, yz, zz, 0.0)),
             )
             scatter(force, block.base[n], strides, kept, index(WEIGHTS) * n, affine)
 
 
 @numba.njit(inline='always', **JIT)
-def _put_gradient(out, first, step, columns, per_cell):
+def _put_gradient(out, first, step, columns, per_cell, per_cell_z):
     """Writes the nine entries of L_p, row by row, `step` apart in the vector `out`."""
     x = vectors.parts(vectors.scale(per_cell, columns[0]))
     y = vectors.parts(vectors.scale(per_cell, columns[1]))
-    z = vectors.parts(vectors.scale(per_cell, columns[2]))
+    z = vectors.parts(vectors.scale(per_cell_z, columns[2]))
     for axis in range(3):
         at = first + index(3 * axis) * step
         out[at], out[at + step], out[at + index(2) * step] = x[axis], y[axis], z[axis]
 
 
-@numba.njit(inline='always', **JIT)
-def shear_rate(gradient, at):
-    """Returns gamma_dot = sqrt(2) |dev D| (1/s) of the nine entries of L from `at` on."""
-    xx, yy, zz = gradient[at], gradient[at + index(4)], gradient[at + index(8)]
-    xy = gradient[at + index(1)] + gradient[at + index(3)]
-    yz = gradient[at + index(5)] + gradient[at + index(7)]
-    zx = gradient[at + index(2)] + gradient[at + index(6)]
-    third = (xx + yy + zz) / 3.0
-    normal = (xx - third) ** 2 + (yy - third) ** 2 + (zz - third) ** 2
-    return math.sqrt(2.0 * normal + xy * xy + yz * yz + zx * zx)
-
-
 @numba.njit(**JIT)
-def grid_to_particles(block, velocity, displacement, grid, interval, soil):
-    """Eq. (4), and (7) if the soil dilates: what particles take back after `interval` seconds."""
+def grid_to_particles(block, velocity, displacement, grid):
+    """Eq. (4): what particles take back at the end of an interval."""
     q, kept = block.particles, block.weights
     flat = q.ravel()
     strides = strides_of(grid.shape)
-    per_cell = 4.0 / grid.dx
-    packed = 1.0 / (grid.dx**3 * soil.bulk_density)
+    per_cell, per_cell_z = 4.0 / grid.dx, 4.0 / grid.dz
     for n in range(len(q)):
         base, at = block.base[n], index(WEIGHTS * n)
         u = interpolate(displacement, base, strides, kept, at)
@@ -331,11 +319,5 @@ def grid_to_particles(block, velocity, displacement, grid, interval, soil):
         for axis in range(3):
             q[n, axis] += u[axis]
             q[n, V + axis] = v[axis]
-        _put_gradient(flat, index(COLUMNS * n + C), index(1), columns, per_cell)
+        _put_gradient(flat, index(COLUMNS * n + C), index(1), columns, per_cell, per_cell_z)
         return_elastic(block, n)
-        if soil.dilation > 0.0:
-            # The harmonic mean of the nodes' masses comes with the velocity for nothing; near a
-            # surface light nodes rule it, so it does not take the soil for denser than it is.
-            rate = shear_rate(flat, index(COLUMNS * n + C))
-            ratio = q[n, VOLUME_RATIO]
-            q[n, VOLUME_RATIO] = dilated(ratio, rate, packed / v[3], interval, soil)

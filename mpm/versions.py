@@ -4,5 +4,5 @@ SOLVER: with every change of a kernel, a default or a body that changes results.
 DATA: with every change of the list of runs, their splits, or what is drawn for a seed.
 """
 
-SOLVER_VERSION = '4'
-DATA_VERSION = '2'
+SOLVER_VERSION = '5'
+DATA_VERSION = '5'

@@ -1,26 +1,26 @@
-"""Simulates one run per scene that no model has seen, and compares the shipped models with it.
+"""Compares the shipped models with one run of the solver per scene that no model has seen.
 
-The solver makes the ground truth of both runs side by side: a blade that cuts, lifts and cuts
-again, and a wheel under a load that changes. The models predict them from the motion of the tool;
-the table holds their errors and run times next to the trivial predictors.
+The runs are of the test split of the data of record: a blade that cuts, lifts and cuts again, and a
+wheel under a load that changes. The models predict them from the motion of the tool; the table
+holds their errors and run times next to the trivial predictors and to the solver's CPU time.
 
 Examples:
     python -m run_scripts.demo --output_path=demo_output
 
-    # other runs: a kind and a seed, or a case of the grid; the solver's of before where it is there
-    python -m run_scripts.demo --scenes=excavation --cases=reverse_9002 --output_path=demo_output
+    # another test run: a kind and a seed, or a case of the grid
+    python -m run_scripts.demo --scenes=excavation --cases=reverse_0007 --output_path=demo_output
 """
 
 import json
 import os
-import subprocess
+import shutil
 import sys
 import time
 
 import tqdm
 from absl import app, flags
 
-from mpm import raw_run, scenes
+from mpm import scenes
 from mpm.motions import catalogue
 from reports import markdown
 from storage import messages
@@ -33,39 +33,45 @@ CASES = {'excavation': 'lift_0158', 'wheel': 'load_0007'}
 COLUMNS = 'method', 'soil mm', 'force rel. L2', 's per simulated s', 'times faster'
 
 
-def simulate(name: str, case: int | str, folder: str, position: int) -> subprocess.Popen:
-    """Starts the solver on one case; its progress bar takes line `position` of the terminal."""
-    which = [f'--cases={case}']
-    if isinstance(case, str):
-        kind, seed = catalogue.parse(scenes.scene_named(name), case)
-        which = [f'--operator_seeds={seed}', f'--kinds={kind}']
-    command = [
-        sys.executable, '-m', 'mpm.generate', f'--scene={name}', *which, f'--output_path={folder}',
-    ]  # fmt: skip
-    environment = os.environ | {'TQDM_POSITION': str(position)}
-    return subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
+def single_run(name: str, case: int | str, folder: str) -> dict:
+    """Writes a dataset whose only test run is one of the data of record.
+
+    Returns:
+        The run's parameters.
+
+    Raises:
+        ValueError: it is no test run of the data of record.
+    """
+    from pca_tools import dataset, subset
+
+    data = os.path.join(ROOT, 'datasets', DATA[name])
+    cases = dataset.read_metadata(data)['cases']
+    found = [run['case'] for run in cases['test']]
+    if case not in found:
+        raise ValueError(f'{name} has no test run {case!r}; there are {", ".join(map(str, found))}')
+    first = sum(len(cases[split]) for split in ('train', 'valid'))
+    shutil.rmtree(folder, ignore_errors=True)
+    places = {'train': [0], 'valid': [len(cases['train'])], 'test': [first + found.index(case)]}
+    subset.deal(data, folder, places)
+    return cases['test'][found.index(case)]
 
 
-def evaluate(name: str, raw: str, out: str) -> list[dict]:
+def evaluate(name: str, run: dict, data: str, out: str) -> list[dict]:
     """Rolls out the shipped models on a run of the solver.
 
     Args:
         name: scene.
-        raw: folder with the raw run.
-        out: folder for the dataset of the run, rollouts and pictures.
+        run: its parameters.
+        data: dataset with the run.
+        out: folder for rollouts and pictures.
 
     Returns:
         One dict per row of the table.
     """
     from learning_to_simulate import evaluation
     from learning_to_simulate.methods import registry
-    from pca_tools import convert
 
-    data = os.path.join(out, 'dataset')
-    like = os.path.join(ROOT, 'datasets', DATA[name])
-    convert.convert(raw, data, like=like, overwrite=os.path.isdir(data))
-    (run,) = raw_run.read_manifest(raw)['runs']
-    solver = run['parameters']['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
+    solver = run['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
     for preset in MODELS[name]:
         path = os.path.join(ROOT, 'models', DATA[name], preset)
@@ -128,7 +134,7 @@ def draw(name: str, out: str) -> list[str]:
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('output_path', 'demo_output', 'Folder for everything that is written.')
-    flags.DEFINE_list('scenes', sorted(scenes.SCENES), 'Scenes to simulate.')
+    flags.DEFINE_list('scenes', sorted(scenes.SCENES), 'Which scenes.')
     flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')
 
 
@@ -145,20 +151,16 @@ def main(_) -> None:
         cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
     except ValueError as error:
         sys.exit(f'error: {messages.printable(error)}')
-    raw = [os.path.join(out, s.name, f'raw_{case}') for s, case in zip(chosen, cases)]
-    print('solver: ' + ', '.join(f'{s.name} {c}' for s, c in zip(chosen, cases)))
-    running = [
-        simulate(scene.name, case, folder, line)
-        for line, (scene, case, folder) in enumerate(zip(chosen, cases, raw))
-    ]
-    if any([process.wait() for process in running]):
-        sys.exit('error: the solver failed, see above')
-    print('\n' * len(running) + 'learned simulators: rolling out')
+    print('learned simulators: rolling out', flush=True)
     results, pictures = {}, []
-    for scene, case, folder in zip(chosen, cases, raw):
+    for scene, case in zip(chosen, cases):
         target = os.path.join(out, scene.name)
-        rows = evaluate(scene.name, folder, target)
-        results[scene.name] = {'case': case, 'rows': rows}
+        data = os.path.join(target, 'dataset')
+        try:
+            run = single_run(scene.name, case, data)
+        except ValueError as error:
+            sys.exit(f'error: {messages.printable(error)}')
+        results[scene.name] = {'case': case, 'rows': evaluate(scene.name, run, data, target)}
         pictures += draw(scene.name, target)
     text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
     with open(os.path.join(out, 'table.txt'), 'w', encoding='utf-8') as file:

@@ -22,14 +22,14 @@ PACKAGES = (
     'storage',
     'cluster',
 )
-MAX_LINES = 400
+MAX_LINES = 800
 UNPICKLERS = ('legacy_pickles.py',)  # the restricted reader of the authors' arrays
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
     'storage': (),
     'cluster': ('storage',),
-    'mpm': ('storage',),
+    'mpm': ('cluster', 'storage'),
     'pca_tools': ('storage', 'cluster'),
     'learning_to_simulate': ('pca_tools', 'storage.markdown'),
     'nri': (
@@ -112,7 +112,7 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/test_left_out.py', 'learning_to_simulate/test_numerics.py',
     'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
-    'reports/edges/test_nri_scripts.py',
+    'reports/edges/test_nri_scripts.py', 'reports/stability/test_report.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip

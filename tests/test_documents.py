@@ -13,18 +13,11 @@ from pca_tools import files
 from reports import documents
 from reports.edges import edge_ablation_report
 from reports.stability import cases
-from reports.work_precision import tables
-from reports.work_precision.points import read_document
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 NAMES = documents.names()
 # Written whole by a report: how, again, from the record beside them.
 WHOLE = {
-    f'docs/error_vs_runtime/{scene}/table.md': (
-        lambda path: tables.table(read_document(str(path.with_name('points.json'))))
-    )
-    for scene in ('excavation', 'wheel')
-} | {
     f'docs/edges/{name}.md': (
         lambda path: edge_ablation_report.table(files.read_json(str(path.with_suffix('.json'))))
     )
@@ -78,7 +71,7 @@ def test_the_guard_sees_what_it_guards():
     text = '<!-- table: reports.markdown:table a -->\n| a |\n|---|\n'
     with pytest.raises(ValueError, match=r'<!-- table: reports.markdown:table a -->'):
         documents.render(text)
-    text = '<!-- table: reports.results_table:per_run models/wheel/pcg -->\n| wrong |\n\nafter\n'
+    text = '<!-- table: reports.edges.nri_proof:table docs/nri_springs5.json -->\n| wrong |\n\nafter\n'
     made = documents.render(text)
     assert 'wrong' not in made and made.endswith(' |\n\nafter\n')
     assert documents.render(made) == made

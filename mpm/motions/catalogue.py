@@ -4,34 +4,40 @@ A number is a case of the scene's grid; `lift_0012` is the path of kind `lift` a
 `Recording` is the path of a file.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
-from mpm import scenes
-from mpm.motions import grid, operator_paths, wheel_drives
+from mpm import bodies, scenes
+from mpm.motions import grid, machine_drives, operator_paths, wheel_drives
 from mpm.motions.drive import Drive
 from mpm.motions.recording import Recording, recorded_drive
 
-KINDS = {'excavation': operator_paths.KINDS, 'wheel': wheel_drives.KINDS}
+KINDS = {
+    'excavation': operator_paths.KINDS + machine_drives.KINDS,
+    'wheel': wheel_drives.KINDS,
+}
 # The kinds that take turns among seeds, where none is named.
-TURNS = {'excavation': operator_paths.TURNS, 'wheel': wheel_drives.KINDS}
+TURNS = {'excavation': operator_paths.TURNS, 'wheel': wheel_drives.TURNS}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How the tool moves in one run.
+    """How the tool moves in one run, and in what soil.
 
     Attributes:
         case: the run's id.
         drive: the body and its motion.
         parameters: what was drawn or chosen, JSON-compatible; `kind` is among them.
         frames: driven frames that are recorded.
+        ground: friction, density, gravity.
     """
 
     case: int | str
     drive: Drive
     parameters: dict
     frames: int
+    ground: scenes.Ground
 
     @property
     def simulated_frames(self) -> int:
@@ -39,27 +45,63 @@ class Motion:
         return self.drive.lead_in + self.frames
 
 
-def motion_of(scene: scenes.Scene, case: int | str | Recording) -> Motion:
-    """Returns the motion of a run.
+def bin_name(scene: scenes.Scene, case: int | str | Recording) -> str | None:
+    """Returns which of the scene's `other_bins` a run needs; None: its own bin."""
+    if not isinstance(case, str) or scene.name != 'excavation':
+        return None
+    return operator_paths.BINS.get(parse(scene, case)[0])
+
+
+def in_bin(scene: scenes.Scene, name: str | None) -> scenes.Scene:
+    """Returns the scene with another of its bins."""
+    if name is None:
+        return scene
+    return dataclasses.replace(scene, bin=scene.other_bins[name], other_bins={})
+
+
+def motion_of(
+    scene: scenes.Scene, case: int | str | Recording, tool: dict | None = None
+) -> Motion:
+    """Returns the motion of a run in the bin of the scene (see `in_bin`).
+
+    Args:
+        scene: the scene.
+        case: what to run.
+        tool: `bodies.check_tool`, in place of what the run would have; None: that.
 
     Raises:
-        ValueError: there is no such case, kind or seed, or the file is not a path.
+        ValueError: there is no such case, kind or seed, or the file is not a path; a wheel where a
+            blade is expected, or the other way round.
         FileNotFoundError: there is no such file.
     """
+    if tool is not None and ('radius' in tool) != (scene.name == 'wheel'):
+        raise ValueError(f'the tool {tool["name"]!r} does not belong into the scene {scene.name!r}')
+    usual = scenes.FRAMES - 1
     if isinstance(case, Recording):
+        case = dataclasses.replace(case, tool=tool or case.tool)
         drive, parameters, seconds = recorded_drive(scene, case)
         frames = math.ceil(seconds * scenes.FRAME_RATE - 1e-6)
-        return Motion(case.case, drive, parameters, max(frames, scenes.FRAMES - 1))
+        ground = scenes.ground_of(scene, parameters)
+        return Motion(case.case, drive, parameters, max(frames, usual), ground)
     if isinstance(case, int):
         parameters = scene.parameters(case)
         drive = grid.make_drive(scene, parameters)
-        return Motion(case, drive, {'kind': 'grid', **parameters}, scenes.FRAMES - 1)
+        ground = scenes.ground_of(scene, parameters)
+        kept = {'kind': 'grid', **parameters}
+        if tool is not None:
+            drive = dataclasses.replace(drive, body=bodies.tool_body(tool))
+            kept['tool'] = tool
+        return Motion(case, drive, kept, usual, ground)
     kind, seed = parse(scene, case)
+    make = wheel_drives.free_drive
     if scene.name == 'excavation':
-        drive, parameters = operator_paths.operator_drive(scene, kind, seed)
-    else:
-        drive, parameters = wheel_drives.free_drive(scene, kind, seed)
-    return Motion(seed_case(kind, seed), drive, parameters, scenes.FRAMES - 1)
+        make = operator_paths.operator_drive
+        if kind in machine_drives.KINDS:
+            make = machine_drives.machine_drive
+    drive, parameters = make(scene, kind, seed, tool)
+    ground = scenes.ground_of(scene, parameters)._replace(**parameters.pop('ground', {}))
+    frames = parameters.pop('frames', usual)
+    return Motion(seed_case(kind, seed), drive, parameters, frames, ground)
 
 
 def seed_case(kind: str, seed: int) -> str:

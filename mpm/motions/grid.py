@@ -8,13 +8,14 @@ import math
 import numpy as np
 
 from mpm import bodies
-from mpm.motions.drive import Drive
-from mpm.scenes import CORNER, Scene, wheel_load
+from mpm.motions.drive import Drive, Machine
+from mpm.scenes import CORNER, EARTH_GRAVITY, Scene, wheel_load
 
 RAMP_SPEED = 0.025  # m/s down, and as much forward: 45 degrees
 CUT_LENGTH = 0.4
 TIP_START = 0.9  # of the bin's length
 TIP_CLEARANCE = 0.5 / 75  # m above the surface
+REST_FRAMES = 48  # the wheel rests before it drives; the load grows over the first half
 WHEEL_START_X = CORNER + 0.28
 WHEEL_SPIN = {0.05: 0.78, 0.15: 0.26, 0.30: 0.13}  # rad/s
 WHEEL_TRAVEL = {20: 0.0156, 40: 0.0120, 70: 0.00585}  # m/s; "40" is a slip of 38.5 %
@@ -63,9 +64,10 @@ def make_drive(scene: Scene, parameters: dict) -> Drive:
 
     def pose(times):
         place = start + blade_displacement(motion, depth, speed, times)
-        return np.column_stack([place, np.full(len(place), -math.radians(lean_deg))])
+        rest = [-math.radians(lean_deg), scene.bin.z_middle]
+        return np.column_stack([place, np.tile(rest, (len(place), 1))])
 
-    return Drive(bodies.make_blade(scene.bin.z_middle), pose)
+    return Drive(bodies.make_blade(), pose)
 
 
 def _wheel_drive(scene: Scene, parameters: dict) -> Drive:
@@ -80,12 +82,24 @@ def _wheel_drive(scene: Scene, parameters: dict) -> Drive:
                 WHEEL_START_X - travel * driven,
                 np.zeros_like(driven),
                 WHEEL_SPIN[diameter] * driven,
+                np.full_like(driven, scene.bin.z_middle),
             ],
             axis=1,
         )
 
-    return Drive(
-        bodies.make_wheel(diameter, scene.bin.z_middle),
-        pose,
-        lambda times: np.full(len(times), load),
-    )
+    machine = under_load(load, lambda times: np.full(len(times), load))
+    return Drive(bodies.make_wheel(diameter), pose, machine, rest=REST_FRAMES)
+
+
+def under_load(first: float, load) -> Machine:
+    """Returns what carries a wheel whose height is free under a load.
+
+    Args:
+        first: the first load, N; the wheel's mass is that which weighs it on the Earth.
+        load: times [T] (s) -> N.
+    """
+
+    def force(times):
+        return load(times)[:, None] * [0.0, -1.0, 0.0]
+
+    return Machine((False, True, False), first / EARTH_GRAVITY, force)

@@ -11,7 +11,13 @@ disturbed: any of the above on a bed that an earlier pass has cut. That pass is 
     first recorded frame (`Drive.lead_in`), so the record begins on a bed that is not flat, as live
     use does; the blade rests above the soil at its frame 0.
 halts: a smooth path that halts two to four times within one frame and goes on within one, as a
-    lever that is let go or a mouse does it. This kind has no turn among the seeds of the others.
+    lever that is let go or a mouse does it.
+beside: in a bin twice as wide, a path at a lateral offset of 0 to 1.5 widths from an earlier pass of
+    another depth, or between two of them.
+soils: any of the first five, in soil of another friction angle, and in some of another density or
+    under another gravity.
+tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
+trench: one cut of 1.2 to 1.5 m, in a bin of 2 m.
 """
 
 import math
@@ -19,12 +25,13 @@ import math
 import numpy as np
 
 from mpm import bodies, scenes
-from mpm.motions import checks, grid
+from mpm.motions import checks, drawn_tools, grid
 from mpm.motions.drive import Drive
 from mpm.motions.levels import Levels
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
-KINDS = (*TURNS, 'halts')
+KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench')
+BINS = {'beside': 'wide', 'tools': 'wide', 'trench': 'long'}  # the others: the scene's own
 MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
@@ -39,6 +46,10 @@ BACK_DEPTH, BACK_SPEED = 0.02, 0.02  # m, m/s: less is no push
 SECOND_CUT_FRAMES = 45
 LEAST_REVERSE = 0.02  # m
 LONGEST_HALT = 0.8  # s
+FARTHEST = 1.5  # widths, between neighbouring cuts
+FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
+GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
+TRENCH = (1.2, 1.5)  # m
 STEPS_CHECKED = 8  # a frame, of a path that has just been drawn
 TRIES = 200
 
@@ -86,16 +97,20 @@ class _Story:
         self.go(seconds, 0.0)
 
 
-def operator_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
+def operator_drive(
+    scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
+) -> tuple[Drive, dict]:
     """Draws a path.
 
     Args:
         scene: an excavation; its bin limits where the blade may go.
         kind: one of `KINDS`.
         seed: not negative.
+        tool: `bodies.check_tool`; None: the blade, 0.457 or 0.30 m wide, or what the kind draws.
 
     Returns:
-        The drive and its parameters, JSON-compatible.
+        The drive and its parameters, JSON-compatible; among them the `ground` where it is not the
+        usual one, the `frames` where they are more than usual.
 
     Raises:
         ValueError: an unknown kind, a negative seed, or a bin in which none of `TRIES` fits.
@@ -105,66 +120,128 @@ def operator_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, di
     if seed < 0:
         raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
+    parameters = {'kind': kind, 'path_seed': seed}
+    if kind == 'soils':
+        parameters['ground'] = _draw_ground(rng)
+    if kind == 'tools' and tool is None:
+        tool = drawn_tools.draw(rng)
     for _ in range(TRIES):
-        drive, parameters = _draw(rng, scene, kind)
-        if _fits(drive, scene.bin, parameters['plot']):
-            return drive, {'kind': kind, 'path_seed': seed, **parameters}
+        drive, drawn = _draw(rng, scene, kind, tool)
+        if _fits(drive, scene.bin, drawn):
+            return drive, parameters | drawn
     raise ValueError(f'none of {TRIES} paths of the kind {kind!r}, seed {seed} fits into the bin')
 
 
-def _draw(rng, scene, kind) -> tuple[Drive, dict]:
+def _draw_ground(rng) -> dict:
+    ground = {'friction_angle_deg': round(rng.uniform(*FRICTION_DEG), 2)}
+    other = rng.random()
+    if other < 0.25:
+        ground['bulk_density'] = round(rng.uniform(*DENSITY), 1)
+    elif other < 0.5:
+        ground['gravity'] = float(rng.choice(GRAVITIES))
+    return ground
+
+
+def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     """One path that keeps all limits but perhaps not the room of the bin."""
-    width = NARROW_WIDTH if rng.random() < _NARROW_SHARE else bodies.BLADE_WIDTH
+    box = scene.bin
+    if tool is None:
+        width = NARROW_WIDTH if rng.random() < _NARROW_SHARE else bodies.BLADE_WIDTH
+        if kind == 'beside':
+            width = NARROW_WIDTH if rng.random() < 0.7 else float(rng.choice([0.2, 0.457]))
+        body, kept = bodies.make_blade(width), {'blade_width_m': width}
+    else:
+        width, body, kept = tool['width'], bodies.tool_body(tool), {'tool': tool}
     is_bucket = rng.random() < _BUCKET_SHARE
     leans = (25.0, BUCKET_LEAN) if is_bucket else (0.0, MAX_LEAN)
+    if tool is not None and len(tool['outline']) > 2:
+        leans = (-5.0, 25.0)  # a bucket has its own angle of attack
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
-    if rng.random() < _ELSEWHERE_SHARE:
+    if kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
         start_x = rng.uniform(0.55, start_x + 0.02)
     else:
         clearance = grid.TIP_CLEARANCE
     story = _Story(rng, -clearance, rng.uniform(*leans), leans)
-    lead_in, plot = 0, kind
-    if kind == 'disturbed':
-        lead_in, start_x = _earlier_pass(rng, story, start_x)
+    plot = kind
+    if kind in ('soils', 'tools'):
+        plot = rng.choice(TURNS)
+    offsets, lead_in = [0.0], 0  # across, of each pass, the recorded one last
+    if kind == 'beside':
+        offsets = _offsets(rng, width)
+        kept['offsets_m'] = [round(offset - offsets[-1], 4) for offset in offsets[:-1]]
+        plot = 'smooth' if rng.random() < 0.7 else rng.choice(TURNS[:-1])
+    elif plot == 'disturbed':
+        offsets = [0.0, 0.0]
         plot = rng.choice(TURNS[:-1])
-    begin = story.time
-    tell = {'smooth': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift}
-    tell.get(plot, _smooth)(rng, story, begin + _DURATION)
-    clock = _halting_clock(rng) if kind == 'halts' else np.asarray
+    moves = []
+    for _ in offsets[1:]:
+        lead_in, start_x, aside = _earlier_pass(rng, story, start_x)
+        moves.append(aside)
+    begin, seconds = story.time, _DURATION
+    if kind == 'trench':
+        seconds = _trench(rng, story)
+    else:
+        {
+            'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift
+        }[plot](rng, story, begin + _DURATION)  # fmt: skip
     speed, depth, lean = (
         Levels(np.array(story.times), np.array(values))
         for values in (story.speeds, story.depths, story.lean)
     )
-    blade = bodies.make_blade(scene.bin.z_middle, width)
-    surface = scene.bin.surface + blade.radius
+    clock = _halting_clock(rng) if kind == 'halts' else np.asarray
+    middle = box.z_middle - 0.5 * (min(offsets) + max(offsets))
+    across = _aside(moves, [middle + offset for offset in offsets])
 
     def pose(times):
         times = clock(times)
         x = start_x - speed.integral(times)
-        return np.stack([x, surface - depth(times), np.radians(-lean(times))], axis=1)
+        angle = np.radians(-lean(times))
+        y = box.surface - bodies.lowest(body, angle) - depth(times)
+        return np.stack([x, y, angle, across(times)], axis=1)
 
-    shown = clock(begin + np.linspace(0.0, _DURATION, _FRAMES))
-    parameters = {
+    frames = math.ceil(seconds * scenes.FRAME_RATE - 1e-6)
+    shown = clock(begin + np.linspace(0.0, seconds, frames + 1))
+    parameters = kept | {
         'plot': str(plot),
-        'blade_width_m': width,
         'lead_in_frames': lead_in,
+        'frames': frames,
         'depth_max_m': round(float(depth(shown).max()), 6),
         'speed_max_m_s': round(float(np.abs(speed(shown)).max()), 6),
         'lean_min_deg': round(float(lean(shown).min()), 4),
         'lean_max_deg': round(float(lean(shown).max()), 4),
     }
-    return Drive(blade, pose, lead_in=lead_in), parameters
+    return Drive(body, pose, lead_in=lead_in), parameters
 
 
-def _fits(drive, box, plot) -> bool:
+def _offsets(rng, width) -> list:
+    """Places across (m) of one or two earlier passes and of the recorded one."""
+    aside = rng.uniform(0.0, FARTHEST) * width * rng.choice([-1.0, 1.0])
+    if rng.random() < 0.75:
+        return [0.0, float(aside)]
+    other = -math.copysign(rng.uniform(0.3, FARTHEST) * width, aside)
+    return [0.0, float(aside + other), float(aside)]
+
+
+def _aside(moves, places):
+    """Place across at a time: from one to the next during the moves (begin and end, s)."""
+    if not moves:
+        return lambda times: np.full(len(np.asarray(times)), places[0])
+    times = [t for move in moves for t in move]
+    values = [places[0]] + [p for place in places[1:-1] for p in (place, place)] + [places[-1]]
+    return Levels(np.array(times), np.array(values))
+
+
+def _fits(drive, box, parameters) -> bool:
     """Whether the bin has room for the path and its heap, and the path shows what it is for."""
+    frames, plot = parameters['frames'], parameters['plot']
     try:
-        checks.check_drive(drive, box, _FRAMES - 1, STEPS_CHECKED)
+        checks.check_drive(drive, box, frames, STEPS_CHECKED)
     except ValueError:
         return False
-    x, y, angle = drive.pose(np.arange(_FRAMES + drive.lead_in) / scenes.FRAME_RATE).T
-    depth = box.surface + drive.body.radius - y
+    times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
+    x, y, angle, _ = drive.pose(times).T
+    depth = box.surface - y - bodies.lowest(drive.body, angle)
     if x.min() < scenes.CORNER + FRONT_ROOM or _is_squeezing(x, y, angle, depth, box):
         return False
     x, is_below = x[drive.lead_in :], depth[drive.lead_in :] > 0.0
@@ -240,6 +317,20 @@ def _lift(rng, story, end) -> None:
     story.go(max(end - story.time, 0.3), _cut_speed(rng))
 
 
+def _trench(rng, story) -> float:
+    """One long cut of changing speed and depth; returns its seconds."""
+    story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(0.02, 0.06))
+    length = rng.uniform(*TRENCH)
+
+    def way():
+        return float(Levels(np.array(story.times), np.array(story.speeds)).integral([story.time])[0])
+
+    while way() < length - 0.1:
+        story.go(rng.uniform(0.8, 1.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.07))
+    story.go(0.6, 0.03, -0.01)
+    return story.time
+
+
 def _halting_clock(rng):
     """Draws a clock that stands for a while now and then: times [T] (s) of a run to its path's."""
     frame = 1.0 / scenes.FRAME_RATE
@@ -252,11 +343,12 @@ def _halting_clock(rng):
     return Levels(np.array(times), np.array(rates)).integral
 
 
-def _earlier_pass(rng, story, start_x) -> tuple[int, float]:
+def _earlier_pass(rng, story, start_x) -> tuple[int, float, tuple]:
     """Tells a quick first pass, the way back through the air, and a pause above the soil.
 
     Returns:
-        The frames it takes and where it starts; the recorded path starts within 12 cm of that.
+        The frames until it is over and where it starts, and when the blade is on its way in the air
+        (s); the next path starts within 12 cm of that place.
     """
     clearance = -story.depths[0]
     speed = rng.uniform(0.10, MAX_SPEED)
@@ -265,10 +357,14 @@ def _earlier_pass(rng, story, start_x) -> tuple[int, float]:
     story.go(rng.uniform(0.4, 0.6), 0.05, -clearance - 0.02)
     story.go(0.3, 0.0)
     way = Levels(np.array(story.times), np.array(story.speeds)).integral(np.array([story.time]))
+    leaves = story.time
     story.travel_in_air(-float(way[0]) + rng.uniform(-0.02, 0.12), 0.5)
+    # A way across may be longer than that along.
+    story.wait(0.3)
+    moves = leaves, story.time
     story.go(0.3, 0.0, -clearance)
     story.wait(0.25)
     # The pause ends on a frame.
     frames = math.ceil(story.time * scenes.FRAME_RATE - 1e-9)
     story.times[-1] = frames / scenes.FRAME_RATE
-    return frames, start_x
+    return frames, start_x, moves

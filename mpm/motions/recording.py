@@ -2,13 +2,14 @@
 
 The file has a header line and the columns, in any order,
 
-    time_s, x_m, y_m, angle_deg [, load_N]
+    time_s, x_m, y_m, angle_deg [, z_m] [, load_N]
 
 x and y of the body's reference point (the middle of the blade's round lower edge, the wheel's
 axle) in the frame of the scene, whose flat surface lies at y = 0.25 m (excavation) or 0.158 m
 (wheel); the angle is counter-clockwise seen with x to the right and y up, so a blade that leans
 its top back by 20 degrees has -20. y is not used where the height is free; only there is `load_N`
-read (without it the load of the case whose context is used). The first row is the run's time 0;
+read (without it the load of the case whose context is used). z is the place across of the middle of
+the tool; without it the tool is in the middle of the bin. The first row is the run's time 0;
 before it and after the last row the tool rests. A run has 320 frames (5.33 s), more if the file
 lasts longer.
 
@@ -30,9 +31,10 @@ from scipy.interpolate import PchipInterpolator
 
 from mpm import bodies, scenes
 from mpm.motions.drive import Drive
+from mpm.motions.grid import REST_FRAMES, under_load
 
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
-LOAD = 'load_N'
+LOAD, ACROSS = 'load_N', 'z_m'
 MAX_ROWS = 1_000_000
 # A row that comes so many usual intervals after the one before it: some are missing.
 GAP = 10.0
@@ -49,11 +51,13 @@ class Recording:
         path: of the CSV file.
         like_case: case of the grid whose soil, gravity, wheel and load are used (wheel).
         blade_width: m (excavation).
+        tool: `bodies.check_tool`; None: the blade of that width, the wheel of that case.
     """
 
     path: str
     like_case: int
     blade_width: float = bodies.BLADE_WIDTH
+    tool: dict | None = None
 
     @property
     def case(self) -> str:
@@ -81,11 +85,11 @@ def read_rows(path: str) -> dict[str, np.ndarray]:
             if lacking:
                 raise ValueError(
                     f'{path}, line 1: lacks the columns {lacking}; found {header}, expected '
-                    f'{",".join(COLUMNS)} and perhaps {LOAD}'
+                    f'{",".join(COLUMNS)} and perhaps {ACROSS}, {LOAD}'
                 )
             if len(set(header)) < len(header):
                 raise ValueError(f'{path}, line 1: a column stands there twice: {header}')
-            names = [name for name in header if name in (*COLUMNS, LOAD)]
+            names = [name for name in header if name in (*COLUMNS, ACROSS, LOAD)]
             rows, numbers = [], []
             for cells in lines:
                 if not any(cell.strip() for cell in cells):
@@ -118,7 +122,7 @@ def _row(cells, header, names, where) -> list[float]:
             raise ValueError(f'{where}: {name} {what}') from None
         if not math.isfinite(value):
             raise ValueError(f'{where}: {name} is {text}')
-        if name in ('x_m', 'y_m') and abs(value) > MAX_PLACE:
+        if name in ('x_m', 'y_m', ACROSS) and abs(value) > MAX_PLACE:
             raise ValueError(
                 f'{where}: {name} is {text}, farther than {MAX_PLACE} m from the origin; are these '
                 'millimetres?'
@@ -159,23 +163,32 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
     """
     rows = read_rows(recording.path)
     times = rows['time_s']
-    curves = [PchipInterpolator(times, rows[name]) for name in COLUMNS[1:]]
+    rows.setdefault(ACROSS, np.full(len(times), scene.bin.z_middle))
+    curves = [PchipInterpolator(times, rows[name]) for name in (*COLUMNS[1:], ACROSS)]
 
     def pose(at):
         at = np.clip(np.asarray(at, np.float64), 0.0, times[-1])
-        x, y, angle_deg = (curve(at) for curve in curves)
-        return np.stack([x, y, np.radians(angle_deg)], axis=1)
+        x, y, angle_deg, z = (curve(at) for curve in curves)
+        return np.stack([x, y, np.radians(angle_deg), z], axis=1)
 
     with open(recording.path, 'rb') as file:
         digest = hashlib.file_digest(file, 'sha256').hexdigest()
     parameters = {'kind': 'path', 'path_sha256': digest}
     if scene.rigid_motion == 'prescribed':
-        blade = bodies.make_blade(scene.bin.z_middle, recording.blade_width)
-        parameters['blade_width_m'] = recording.blade_width
+        if recording.tool is None:
+            blade = bodies.make_blade(recording.blade_width)
+            parameters['blade_width_m'] = recording.blade_width
+        else:
+            blade, parameters['tool'] = bodies.tool_body(recording.tool), recording.tool
         return Drive(blade, pose), parameters, float(times[-1])
     context = scene.parameters(recording.like_case)
     context.pop('slip_percent')
-    wheel = bodies.make_wheel(context['diameter_m'], scene.bin.z_middle)
+    if recording.tool is None:
+        wheel = bodies.make_wheel(context['diameter_m'])
+    else:
+        wheel, parameters['tool'] = bodies.tool_body(recording.tool), recording.tool
+        context['diameter_m'] = 2.0 * recording.tool['radius']
     load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
-    drive = Drive(wheel, pose, lambda at: load(np.clip(at, 0.0, times[-1])))
+    machine = under_load(float(load(0.0)), lambda at: load(np.clip(at, 0.0, times[-1])))
+    drive = Drive(wheel, pose, machine, rest=REST_FRAMES)
     return drive, parameters | context, float(times[-1])

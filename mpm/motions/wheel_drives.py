@@ -10,6 +10,10 @@ stops: one to two halts; at some of them the wheel goes on turning on the spot.
 reverse: forward, back, and forward again.
 load: as slip, and the load changes between 0.5 and 1.5 times that of the grid (the small wheel's to
     1.0 times below the gravity of the Earth).
+height: as slip or reverse, and the height is the vehicle's: it sinks, bobs and climbs its own rut.
+wheels: any of the first four, with a wheel of another radius and width, in soil of another friction
+    angle; the load is in proportion to the wheel's size.
+grousers: as slip, with a wheel that has grousers.
 """
 
 import numpy as np
@@ -20,10 +24,16 @@ from mpm.motions.drive import Drive
 from mpm.motions.levels import Levels
 from mpm.motions.operator_paths import STEPS_CHECKED, TRIES
 
-KINDS = ('slip', 'stops', 'reverse', 'load')
+TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
+KINDS = (*TURNS, 'height', 'wheels', 'grousers')
 MAX_RIM_SPEED = 0.04  # m/s; the grid of cases has 0.0195
 SLIPS = (-0.1, 0.9)
 LOAD_FACTORS = (0.5, 1.5)
+RADII, WIDTHS, FRICTION_DEG = (0.03, 0.15), (0.05, 0.125), (28.0, 43.0)  # m, m, deg
+GROUSERS = {'count': (8, 25), 'height': (0.005, 0.015), 'thickness': (0.005, 0.009)}
+PRESSURE = (3.0e3, 12.0e3)  # Pa, load over diameter and width, of drawn wheels on the Earth
+SINKAGE = (-0.1, 0.22)  # of the radius, of a wheel at a given height
+DEEPEST = 0.022  # m
 _SMALL = 0.1  # m, diameter
 _MOON = 2.0  # m/s2
 
@@ -54,13 +64,16 @@ class _Story:
         self.go(seconds, rim, self._rng.uniform(*SLIPS))
 
 
-def free_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
+def free_drive(
+    scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
+) -> tuple[Drive, dict]:
     """Draws a drive.
 
     Args:
         scene: of the wheel; its grid gives the contexts, its bin limits the travel.
         kind: one of `KINDS`.
         seed: not negative.
+        tool: a wheel, `bodies.check_tool`; None: one of the grid, or what the kind draws.
 
     Returns:
         The drive and its parameters, JSON-compatible, those of a case of the grid among them.
@@ -76,8 +89,19 @@ def free_drive(scene: scenes.Scene, kind: str, seed: int) -> tuple[Drive, dict]:
     context = _draw_context(rng, scene)
     while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
         context = _draw_context(rng, scene)
+    load = scenes.wheel_load(context)
+    if kind in ('wheels', 'grousers') or tool is not None:
+        tool = tool or _draw_wheel(rng, kind == 'grousers')
+        context['diameter_m'] = round(2.0 * tool['radius'], 6)
+        context['friction_angle_deg'] = round(rng.uniform(*FRICTION_DEG), 2)
+        pressure = rng.uniform(*PRESSURE) * context['gravity_m_s2'] / scenes.EARTH_GRAVITY
+        load = round(pressure * 2.0 * tool['radius'] * tool['width'], 3)
+        context |= {'load_N': load, 'tool': tool}
+        wheel = bodies.tool_body(tool)
+    else:
+        wheel = bodies.make_wheel(context['diameter_m'])
     for _ in range(TRIES):
-        drive, parameters = _draw(rng, scene, kind, context)
+        drive, parameters = _draw(rng, scene, kind, wheel, load, context)
         try:
             checks.check_drive(drive, scene.bin, _FRAMES - 1, STEPS_CHECKED)
         except ValueError:
@@ -94,38 +118,85 @@ def _draw_context(rng, scene) -> dict:
     }
 
 
-def _draw(rng, scene, kind, context) -> tuple[Drive, dict]:
+def _draw_wheel(rng, has_grousers) -> dict:
+    radius = rng.uniform(0.07 if has_grousers else RADII[0], RADII[1])
+    tool = {
+        'name': 'wheel',
+        'radius': round(radius, 4),
+        'width': round(rng.uniform(*WIDTHS), 4),
+    }
+    if has_grousers:
+        height = min(rng.uniform(*GROUSERS['height']), 0.15 * radius)
+        tool['grousers'] = {
+            'count': int(rng.integers(*GROUSERS['count'])),
+            'height': round(height, 4),
+            'thickness': round(rng.uniform(*GROUSERS['thickness']), 4),
+        }
+    return bodies.check_tool(tool)
+
+
+def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     """One drive, which may leave the bin."""
-    story = _Story(rng)
+    box, story = scene.bin, _Story(rng)
     start_x = grid.WHEEL_START_X - rng.choice([0.0, rng.uniform(0.0, 0.06)])
-    {'slip': _slip, 'stops': _stops, 'reverse': _reverse, 'load': _slip}[kind](rng, story)
+    plot = kind
+    if kind == 'wheels':
+        plot = str(rng.choice(TURNS))
+    elif kind == 'height':
+        plot = 'reverse' if rng.random() < 0.4 else 'slip'
+    {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
     rim, travel = (
         Levels(np.array(story.times), np.array(values)) for values in (story.rims, story.travels)
     )
-    mean_load = scenes.wheel_load(context)
-    factors = np.ones(2)
-    times = np.array([0.0, _DURATION])
-    if kind == 'load':
-        inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
-        times = _DURATION * np.concatenate([[0.0], inner, [1.0]])
-        times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
-        low, high = LOAD_FACTORS
-        if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
-            high = 1.0
-        factors = np.concatenate([[1.0], rng.uniform(low, high, len(times) - 1)])
-    load = Levels(times, mean_load * factors)
-    wheel = bodies.make_wheel(context['diameter_m'], scene.bin.z_middle)
+    shown = np.linspace(0.0, _DURATION, _FRAMES)
+    parameters = {
+        'plot': plot,
+        'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6),
+    }
+    machine, height = None, None
+    if kind == 'height':
+        height = _bobbing(rng, box, wheel)
+    else:
+        factors, times = np.ones(2), np.array([0.0, _DURATION])
+        if plot == 'load':
+            inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
+            times = _DURATION * np.concatenate([[0.0], inner, [1.0]])
+            times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
+            low, high = LOAD_FACTORS
+            if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
+                high = 1.0
+            factors = np.concatenate([[1.0], rng.uniform(low, high, len(times) - 1)])
+        load = Levels(times, mean_load * factors)
+        machine = grid.under_load(mean_load, load)
+        parameters['load_min_N'] = round(float(load(shown).min()), 4)
+        parameters['load_max_N'] = round(float(load(shown).max()), 4)
 
     def pose(times):
         x = start_x - travel.integral(times)
-        return np.stack([x, np.zeros_like(x), rim.integral(times) / wheel.radius], axis=1)
+        y = np.zeros_like(x) if height is None else height(times)
+        turn = rim.integral(times) / wheel.radius
+        return np.stack([x, y, turn, np.full_like(x, box.z_middle)], axis=1)
 
-    shown = np.linspace(0.0, _DURATION, _FRAMES)
-    return Drive(wheel, pose, load), {
-        'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6),
-        'load_min_N': round(float(load(shown).min()), 4),
-        'load_max_N': round(float(load(shown).max()), 4),
-    }
+    rest = 0 if machine is None else grid.REST_FRAMES
+    return Drive(wheel, pose, machine, rest=rest), parameters
+
+
+def _bobbing(rng, box, wheel) -> Levels:
+    """Height of the axle over time, from above the soil down and up and down again."""
+    base = box.surface + wheel.reach
+
+    def sinkage():
+        return min(rng.uniform(*SINKAGE) * wheel.radius, DEEPEST)
+
+    times, heights = [0.0, 0.1], [base + 0.004] * 2
+    times.append(rng.uniform(0.5, 1.2))
+    heights.append(base - abs(sinkage()))
+    while times[-1] < _DURATION:
+        times.append(times[-1] + rng.uniform(0.15, 1.2))
+        step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
+        height = heights[-1] + step if step is not None else base - sinkage()
+        heights.append(float(np.clip(height, base - DEEPEST, base + 0.01)))
+    return Levels(np.array(times), np.array(heights))
 
 
 def _slip(rng, story) -> None:

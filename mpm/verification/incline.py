@@ -27,9 +27,8 @@ from tqdm import tqdm
 
 from mpm import columns, packing, scenes
 from mpm.constitutive import Soil, make_soil
-from mpm.grid import PAD, Grid, make_grid
-from mpm.grid_update import clear, kick, start_nodes
-from mpm.scenes import CORNER, EARTH_GRAVITY, EXCAVATION, Bin
+from mpm.grid import PAD, Grid, clear, kick, make_grid, start_nodes
+from mpm.scenes import CORNER, EARTH_GRAVITY, EXCAVATION, Bin, sampled
 from mpm.solver import EXCHANGE, make_block, make_nodes
 from mpm.stability import VELOCITY_CFL, damping_time, max_time_step
 from mpm.transfers import grid_to_particles, particles_to_grid, strain_and_force
@@ -40,22 +39,23 @@ NO_WALL = 10**6  # index of a node that no grid has
 # Grains so large that the layers flow at the speed of a tool: with the 0.3 mm of the scenes the one
 # of beads would run at 60 m/s.
 GRAIN_DIAMETER = 0.02  # m
+CELL = 0.8 / 60  # m; flow that is even along the incline needs no finer ones
 FLOWING_DEG = 26.0  # of the beads, which rest up to 20.9
 SETTLE_S, SETTLE_DAMPING = 0.3, 20.0  # s; 1/s
 LAYERS = 10  # of the profile
 HALTING_SPEED = 0.2  # m/s
 
 
-def beads(dilation: float = 0.0) -> Soil:
+def beads() -> Soil:
     """The glass beads of Jop et al. (2006), as stiff and dense as the soil of the scenes."""
-    soil = make_soil(1.5e6, math.tan(math.radians(20.9)), dilation=dilation)
+    soil = make_soil(1.5e6, math.tan(math.radians(20.9)))
     mu_2 = math.tan(math.radians(32.76))
     return soil._replace(mu_2=mu_2, inertial_number_0=0.279, grain_diameter=GRAIN_DIAMETER)
 
 
 def soil_of_blade() -> Soil:
     """The soil of the excavation, of larger grains."""
-    soil = make_soil(1.5e6, scenes.EXCAVATION_MU_S)
+    soil = make_soil(1.5e6, math.tan(math.radians(scenes.EXCAVATION_FRICTION_DEG)))
     return soil._replace(grain_diameter=GRAIN_DIAMETER)
 
 
@@ -76,25 +76,15 @@ def posedness(soil: Soil, number: float) -> float:
     return 4.0 * (n * n - n) + mu * mu * (1.0 - n / 2.0) ** 2
 
 
-def layer_bin(cells: int, denser: int = 1) -> Bin:
-    """Returns a layer as deep as the soil of the excavation, of its cells and packing.
+def layer_bin(cells: int, per_cell: float = 2.0) -> Bin:
+    """Returns a layer as deep as the soil of the excavation, of cubic cells of 1/75 m.
 
     Args:
         cells: that the period is long, along and across.
-        denser: how many times smaller the spacing of the particles is.
+        per_cell: particles in each.
     """
-    box = EXCAVATION.bin
-    size = (cells * box.dx, box.size[1], cells * box.dx)
-    lattice = tuple(
-        round(denser * n * side / whole) for n, side, whole in zip(box.lattice, size, box.size)
-    )
-    return Bin(size, box.dx, lattice, 1, 0.2, ())
-
-
-def particles_per_cell(denser: int, cells: int) -> float:
-    """Returns how many particles a cell of a `layer_bin` holds."""
-    box = layer_bin(cells, denser)
-    return box.dx**3 / packing.particle_volume(box)
+    depth = EXCAVATION.bin.size[1]
+    return sampled((cells * CELL, depth, cells * CELL), CELL, CELL, 1, 0.2, (), per_cell)
 
 
 def closed_form(height, depth: float, angle_deg: float, soil: Soil):
@@ -170,16 +160,14 @@ class Incline:
             if k > 0:
                 strain_and_force(
                     block, nodes, grid, dt, self._volume, self.soil,
-                    damping_time(self.soil, grid.dx), None,
+                    damping_time(self.soil, grid.dx),
                 )  # fmt: skip
                 self._fold(nodes.force)
             force[moving, 0] += along / velocity[moving, 3]  # m g; a node keeps 1 / m
             share = dt if 0 < k < self._steps else 0.5 * dt
             drift = dt if k < self._steps else 0.0
             kick(nodes, grid, free, share, down if k > 0 else 0.0, settling, drift)
-        grid_to_particles(
-            block, nodes.velocity, nodes.displacement, grid, self._exchange, self.soil
-        )
+        grid_to_particles(block, nodes.velocity, nodes.displacement, grid)
         clear(nodes, touched)
         self.particles = block.particles
         self.wrap()
@@ -273,7 +261,7 @@ def flow(layer: Incline, angle_deg: float, ends: tuple[float, ...]) -> list[dict
 
 
 def bagnold(
-    denser: int,
+    per_cell: float,
     ends: tuple[float, ...],
     share: float = 1.0,
     exchange: float = EXCHANGE,
@@ -283,24 +271,26 @@ def bagnold(
     """Lets beads flow that begin at a `share` of the closed form's speed; see `flow`.
 
     Args:
-        denser: see `layer_bin`.
+        per_cell: see `layer_bin`.
         ends: s, see `flow`.
         share: of the speed.
         exchange: interval of the exchange between particles and grid, s.
         cells: that the period is long.
         soil: None: `beads()`.
     """
-    layer = Incline(layer_bin(cells, denser), beads() if soil is None else soil, exchange)
+    layer = Incline(layer_bin(cells, per_cell), beads() if soil is None else soil, exchange)
     layer.start(lambda y: share * closed_form(y, layer.depth, FLOWING_DEG, layer.soil))
     return flow(layer, FLOWING_DEG, ends)
 
 
-def halt(soil: Soil, angle_deg: float, denser: int, cells: int = 4, seconds: float = 3.0) -> float:
+def halt(
+    soil: Soil, angle_deg: float, per_cell: float, cells: int = 4, seconds: float = 3.0
+) -> float:
     """Returns the mean speed (m/s) that is left of a layer after some seconds.
 
     It begins with a speed that grows linearly to `HALTING_SPEED` at the surface.
     """
-    layer = Incline(layer_bin(cells, denser), soil)
+    layer = Incline(layer_bin(cells, per_cell), soil)
     layer.start(lambda y: HALTING_SPEED * y / layer.depth)
     layer.advance(seconds, angle_deg)
     return float(layer.particles[:, columns.V].mean())

@@ -8,7 +8,6 @@ import numpy as np
 from mpm import bodies, earthmoving, experiments, packing, raw_run, scenes
 from mpm.batch import generate
 from mpm.constitutive import make_soil
-from mpm.contact import make_contact
 from mpm.motions import grid
 from mpm.simulation import Settings
 from mpm.verification.rows import Check
@@ -121,8 +120,8 @@ def depth_exponent(raw_path: str) -> list[Check]:
         edge = path[chosen, 1] - bodies.BLADE_THICKNESS / 2
         depths.append(scene.bin.surface - edge.mean())
         drafts.append(run.force[chosen, 0].mean())
-    soil = make_soil(Settings().youngs_modulus, scenes.EXCAVATION_MU_S)
-    radius = make_contact(soil, packing.particle_volume(scene.bin)).radius
+    # Contact begins half a spacing of particles below the edge.
+    radius = 0.5 * scene.bin.size[1] / scene.bin.lattice[1]
     nominal, exponent = (
         float(np.polyfit(np.log(np.array(depths) + extra), np.log(drafts), 1)[0])
         for extra in (0.0, radius)
@@ -178,7 +177,7 @@ def cutting_force(run: raw_run.RawRun) -> np.ndarray:
 def saw_tooth_case(case: int, raw_path: str) -> list[Check]:
     """The force's saw-tooth at the cell-crossing rate."""
     run = run_of(scenes.EXCAVATION, case, raw_path)
-    speed, dx = run.parameters['speed_m_s'], run.parameters['cell_size_m']
+    speed, dx = run.parameters['speed_m_s'], run.parameters['cell_m'][0]
     share = saw_tooth(cutting_force(run), speed, dx)
     name = f'excavation {case}: saw-tooth over the mean force'
     return [Check(name, share, 0.0, 0.05, f'at {speed / dx:.1f} Hz')]

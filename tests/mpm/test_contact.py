@@ -7,22 +7,24 @@ import pytest
 
 from mpm import bodies, columns, experiments
 from mpm.constitutive import make_soil
-from mpm.contact import ContactLaw, contact, list_near, make_contact, signed_distances
+from mpm.bodies import signed_distances
+from mpm.contact import ContactLaw, contact, list_near, make_contact
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin
 from mpm.solver import EXCHANGE, make_block, make_nodes
 from mpm.transfers import particles_to_grid
 
-ROOM = Bin((0.12, 0.1, 0.12), 0.01, (0, 0, 0), 1, 0.12, ())
+ROOM = Bin((0.12, 0.1, 0.12), 0.01, 0.02, (0, 0, 0), 1, 0.12, ())
 GRID = make_grid(ROOM)
 MIDDLE = np.full(3, CORNER + 0.06)
 LAW = ContactLaw(radius=0.002, stiffness=1e4)
 MASS, DT = 1e-3, 1e-4
-WHEEL = bodies.make_wheel(0.1, MIDDLE[2])
+WHEEL = bodies.make_wheel(0.1)
 STILL = (0.0, 0.0, 0.0)
+NO_RATES = (0.0, 0.0, 0.0, 0.0)
 
 
-def touch(position, velocity, body, pose, motion=STILL, grip=STILL, dt=DT, moved=STILL):
+def touch(position, velocity, body, pose, motion=NO_RATES, grip=STILL, dt=DT, moved=STILL):
     """Contact of one particle; returns its grip, the force on the soil, the load on the body.
 
     Args:
@@ -45,7 +47,7 @@ def touch(position, velocity, body, pose, motion=STILL, grip=STILL, dt=DT, moved
 
 def below(depth):
     """Pose of the wheel's axle, straight above the middle particle, which touches by `depth`."""
-    return (MIDDLE[0], MIDDLE[1] + WHEEL.radius + LAW.radius - depth, 0.0)
+    return (MIDDLE[0], MIDDLE[1] + WHEEL.radius + LAW.radius - depth, 0.0, MIDDLE[2])
 
 
 def test_particle_outside_its_radius_is_free_and_lets_go():
@@ -96,16 +98,16 @@ def test_grip_turns_with_the_surface():
 
 def test_spin_drags_soil_along_the_rim():
     # A positive spin moves the lowest point towards +x; the wheel is pushed to -x.
-    grip, force, load = touch(MIDDLE, STILL, WHEEL, below(1e-3), (0.0, 0.0, 10.0), dt=1e-5)
+    grip, force, load = touch(MIDDLE, STILL, WHEEL, below(1e-3), (0.0, 0.0, 10.0, 0.0), dt=1e-5)
     np.testing.assert_allclose(grip, [-10.0 * 0.05 * 1e-5, 0.0, 0.0], rtol=1e-9, atol=1e-15)
     assert force[0] > 0.0 and load[0] < 0.0 and load[5] < 0.0
 
 
 def test_body_that_moves_with_the_soil_drags_nothing():
-    motion = (-0.3, 0.2, 1.5)
+    motion = (-0.3, 0.2, 1.5, 0.4)
     pose = below(1e-3)
     arm = MIDDLE[:2] + [0.0, LAW.radius - 1e-3] - pose[:2]
-    velocity = [motion[0] - motion[2] * arm[1], motion[1] + motion[2] * arm[0], 0.0]
+    velocity = [motion[0] - motion[2] * arm[1], motion[1] + motion[2] * arm[0], 0.4]
     grip, _, _ = touch(MIDDLE, velocity, WHEEL, pose, motion)
     np.testing.assert_allclose(grip, 0.0, atol=1e-18)
 
@@ -115,9 +117,9 @@ def test_body_that_moves_with_the_soil_drags_nothing():
 def test_force_lies_in_the_cone_and_its_moment_balances(seed, friction):
     """On a leaning blade, anywhere near its surface, against sums over what the soil gets."""
     rng = np.random.default_rng(seed)
-    blade = bodies.make_blade(MIDDLE[2], 0.06)._replace(friction=friction)
+    blade = bodies.make_blade(0.06)._replace(friction=friction)
     lean = rng.uniform(-0.5, 0.5)
-    pose = (MIDDLE[0], MIDDLE[1] - 0.02, lean)
+    pose = (MIDDLE[0], MIDDLE[1] - 0.02, lean, MIDDLE[2])
     # A point of the front face, then as deep or as far as contact is.
     along, gap = rng.uniform(0.0, 0.05), rng.uniform(-0.004, 0.0019)
     ahead = -(blade.radius + gap)
@@ -127,7 +129,7 @@ def test_force_lies_in_the_cone_and_its_moment_balances(seed, friction):
         MIDDLE[2] + rng.uniform(-0.02, 0.02),
     ]
     grip, force, load = touch(
-        position, rng.normal(size=3), blade, pose, tuple(rng.normal(size=3)), rng.normal(size=3)
+        position, rng.normal(size=3), blade, pose, tuple(rng.normal(size=4)), rng.normal(size=3)
     )
     outward = np.array([-math.cos(lean), -math.sin(lean), 0.0])
     normal = force @ outward
@@ -137,7 +139,7 @@ def test_force_lies_in_the_cone_and_its_moment_balances(seed, friction):
     np.testing.assert_allclose(sliding, -LAW.stiffness * grip, atol=1e-9)
     np.testing.assert_allclose(load[:3], -force, atol=1e-9)
     # The soil gets the force at the particle, the body at the foot of the perpendicular.
-    arm = np.array(position) - [*pose[:2], blade.z_middle]
+    arm = np.array(position) - [*pose[:2], pose[3]]
     unbalanced = load[3:] + np.cross(arm, force)
     expected = np.cross(gap * outward, force)
     np.testing.assert_allclose(unbalanced, expected, atol=1e-12 * LAW.stiffness)
@@ -238,7 +240,7 @@ def test_no_soil_gets_into_the_body():
     """A blade at 2 m/s, twenty times faster than any of the scenes."""
     experiment, speed = experiments.blade_in_weightless_soil()
     seconds = math.ceil(0.08 / EXCHANGE) * EXCHANGE
-    pose = (CORNER + 0.35 - speed * seconds, CORNER + 0.15, -math.radians(20.0))
-    blade = bodies.make_blade(CORNER + 0.2)
+    pose = (CORNER + 0.35 - speed * seconds, CORNER + 0.15, -math.radians(20.0), CORNER + 0.4)
+    blade = bodies.make_blade()
     distance = signed_distances(blade, pose, experiment.particles[:, :3])
     assert 0.0 < distance.min() < experiment.solver.volume ** (1 / 3)

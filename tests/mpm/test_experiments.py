@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from mpm import columns, earthmoving, experiments, packing, run, scenes
-from mpm.motions import catalogue
 from mpm.motions.grid import WHEEL_START_X
 from mpm.scenes import Bin
-from mpm.simulation import RHEOLOGIES, Settings, Simulation
+from mpm.simulation import Settings
 
 
 def test_free_fall_is_exact():
@@ -17,7 +16,7 @@ def test_free_fall_is_exact():
 
 
 def test_block_without_gravity_stays_at_rest(soil):
-    box = Bin((0.2, 0.1, 0.2), 0.02, (10, 6, 10), 1, 0.3, ())
+    box = Bin((0.2, 0.1, 0.2), 0.02, 0.02, (10, 6, 10), 1, 0.3, ())
     experiment = experiments.Experiment(box, box, soil)
     start = experiment.particles[:, :3].copy()
     experiment.advance(0.2, gravity=0.0)
@@ -56,7 +55,7 @@ def test_column_collapse_runs_out_as_published():
 
 def test_settled_soil_rests_at_another_gravity(coarse_wheel, wheel_packing, soil):
     """The stress scales with gravity, so that one packing serves all of them."""
-    particles = packing.at_gravity(wheel_packing[0], 1.62)
+    particles = packing.for_soil(wheel_packing[0], soil, 1.62)
     scaled = experiments.settled_soil(coarse_wheel.bin, particles, soil)
     unscaled = experiments.settled_soil(coarse_wheel.bin, wheel_packing[0], soil)
     assert scaled['stress_over_rho_g_h'] / unscaled['stress_over_rho_g_h'] == pytest.approx(
@@ -90,31 +89,32 @@ def test_heap_and_depth_raise_the_draft():
         earthmoving.draft_force(0.1, 0.457, 3.0, 0.7, 0.3, 17000.0)
 
 
+def simulate(scene, case, packed, **settings):
+    chosen = Settings(**settings)
+    return run.make_simulation(scene, run.prepared(scene, case, chosen), packed[0], chosen)
+
+
 def frames(simulation, count):
     return np.array([simulation.frame()[0] for _ in range(count)])
 
 
 def test_wheel_is_carried_by_the_soil(coarse_wheel, wheel_packing, soil):
     """Mean vertical force = load, the wheel near rest in the soil, pulled forward."""
-    parameters = scenes.WHEEL.parameters(203)
-    simulation = run.make_simulation(coarse_wheel, parameters, soil, wheel_packing[0], Settings())
+    simulation = simulate(coarse_wheel, 203, wheel_packing)
     force = frames(simulation, 60)
     # Measured 1.2 % on cells of 17 mm.
     assert force[:, 1].mean() == pytest.approx(164.0, rel=0.03)
-    assert abs(simulation.heave[1]) < 0.02
-    depth = coarse_wheel.bin.surface - (simulation.heave[0] - 0.075)
+    assert abs(simulation.free.state[1, 1]) < 0.02
+    depth = coarse_wheel.bin.surface - (simulation.free.state[0, 1] - 0.075)
     assert 0.0 < depth < coarse_wheel.bin.size[1]
     points = simulation.rigid_points()
     assert points.mean(axis=0) == pytest.approx(
-        [WHEEL_START_X - 0.012, simulation.heave[0], coarse_wheel.bin.z_middle], abs=1e-9
+        [WHEEL_START_X - 0.012, simulation.free.state[0, 1], coarse_wheel.bin.z_middle], abs=1e-9
     )
 
 
 def test_blade_pushes_soil_and_is_resisted(coarse_excavation, excavation_packing, soil):
-    parameters = scenes.EXCAVATION.parameters(186)
-    simulation = run.make_simulation(
-        coarse_excavation, parameters, soil, excavation_packing[0], Settings()
-    )
+    simulation = simulate(coarse_excavation, 186, excavation_packing)
     before = simulation.positions().copy()
     force = frames(simulation, 60)
     moved = simulation.positions() - before
@@ -128,35 +128,12 @@ def test_blade_pushes_soil_and_is_resisted(coarse_excavation, excavation_packing
     assert np.abs(moved[far]).max() < 2e-3
 
 
-def test_nonlocal_law_runs_and_is_another_law(coarse_excavation, excavation_packing, soil):
-    parameters = scenes.EXCAVATION.parameters(186)
-    force = {}
-    for law in RHEOLOGIES:
-        simulation = run.make_simulation(
-            coarse_excavation, parameters, soil, excavation_packing[0], Settings(rheology=law)
-        )
-        force[law] = frames(simulation, 30)[10:, 0].mean()
-    assert force['nonlocal'] != force['local']
-    # The two differ in what happens within a grain or two; measured ratio 1.03.
-    assert force['nonlocal'] == pytest.approx(force['local'], rel=0.3)
-
-
-def test_unknown_rheology_is_refused():
-    with pytest.raises(ValueError, match='elastic'):
-        Settings(rheology='elastic')
-
-
 def test_smaller_steps_give_the_same_force(coarse_excavation, excavation_packing, soil):
     """The smoothing belongs to the interval of exchange, not to the step."""
-    parameters = scenes.EXCAVATION.parameters(186)
     draft = []
     for factor in (1, 2):
-        simulation = run.make_simulation(
-            coarse_excavation,
-            parameters,
-            soil,
-            excavation_packing[0],
-            Settings(steps_per_frame=36 * factor),
+        simulation = simulate(
+            coarse_excavation, 186, excavation_packing, steps=2 * factor
         )
         draft.append(frames(simulation, 40)[10:, 0].mean())
     # Measured 0.1 %; APIC in every step: 10 %.
@@ -178,14 +155,8 @@ def test_no_soil_lies_in_the_blade(coarse_excavation, excavation_packing, soil, 
 
 def test_penetration_is_that_of_the_deepest_particle(coarse_excavation, excavation_packing, soil):
     """A particle put in the middle of the blade."""
-    simulation = run.make_simulation(
-        coarse_excavation,
-        scenes.EXCAVATION.parameters(186),
-        soil,
-        excavation_packing[0],
-        Settings(),
-    )
-    x, y, _ = simulation.pose
+    simulation = simulate(coarse_excavation, 186, excavation_packing)
+    x, y, _, _ = simulation.pose
     simulation.particles[5, :3] = [x, y + 0.1, coarse_excavation.bin.z_middle]
     lean = np.radians(10.0)
     depth = 0.014 - 0.1 * np.sin(lean)  # the blade leans away from the vertical through its edge

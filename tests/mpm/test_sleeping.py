@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mpm import bodies, run, scenes, sleeping
+from mpm import bodies, run, sleeping
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin
 from mpm.simulation import Settings
 
-GRID = make_grid(Bin((0.4, 0.2, 0.4), 0.02, (0, 0, 0), 1, 0.4, ()))
-BLADE = bodies.make_blade(CORNER + 0.2, 0.2)
+GRID = make_grid(Bin((0.4, 0.2, 0.4), 0.02, 0.04, (0, 0, 0), 1, 0.4, ()))
+BLADE = bodies.make_blade(0.2)
+MIDDLE = CORNER + 0.2
 
 
 @pytest.mark.parametrize(('first', 'last'), [(-3, 3), (0, 2)])
@@ -24,7 +25,9 @@ def test_dilation_is_that_of_scipy(first, last):
         expected = np.zeros_like(mask)
         for i, j, k in np.argwhere(mask):
             expected[i : i + 3, j : j + 3, k : k + 3] = True
-    np.testing.assert_array_equal(sleeping._dilated(mask, first, last), expected)
+    for axis in range(3):
+        mask = sleeping._spread(mask, axis, first, last)
+    np.testing.assert_array_equal(mask, expected)
 
 
 def test_nodes_asleep_are_those_with_a_weight():
@@ -32,10 +35,10 @@ def test_nodes_asleep_are_those_with_a_weight():
     positions = CORNER + np.random.default_rng(1).uniform(0.0, 0.4, (60, 3))
     asleep = sleeping.Sleep(GRID, True).nodes_asleep(positions)
     nx, ny, nz = GRID.shape
-    axes = [GRID.origin[a] + np.arange(GRID.shape[a]) * GRID.dx for a in range(3)]
+    axes = [GRID.origin[a] + np.arange(GRID.shape[a]) * GRID.cell[a] for a in range(3)]
     expected = np.zeros((ny, nx, nz), dtype=bool)
     for x in positions:
-        near = [np.abs(axis - value) < 1.5 * GRID.dx for axis, value in zip(axes, x)]
+        near = [np.abs(axis - v) < 1.5 * side for axis, v, side in zip(axes, x, GRID.cell)]
         expected |= near[1][:, None, None] & near[0][None, :, None] & near[2][None, None, :]
     np.testing.assert_array_equal(asleep.reshape(ny, nx, nz), expected)
 
@@ -45,7 +48,8 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
     positions = CORNER + rng.uniform(0.0, 0.38, (4000, 3)) * [1.0, 0.4, 1.0]
     sleep, period = sleeping.Sleep(GRID, True), 0.1
     # A blade at 0.1 m/s in the far corner, upright and above the soil.
-    path = np.array([[CORNER + 0.39, CORNER + 0.15, 0.0]]) - [[0.01], [0.0]] * np.array([1.0, 0, 0])
+    path = np.array([[CORNER + 0.39, CORNER + 0.15, 0.0, MIDDLE]])
+    path = path - [[0.01], [0.0]] * np.array([1.0, 0, 0, 0])
     for _ in range(sleeping.MEMORY):
         assert sleep.awake(positions, BLADE, path, period).all()  # all of it at first
     before = sleep.awake(positions, BLADE, path, period)
@@ -53,22 +57,22 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
     distance = np.array(
         [
             min(
-                bodies.signed_distance(BLADE, 0.0, 1.0, *(x - [*pose[:2], 0.0]))[0] for pose in path
+                bodies.signed_distance(BLADE, 0.0, 1.0, *(x - [*pose[:2], MIDDLE]))[0] for pose in path
             )
             for x in positions
         ]
     )
-    reach = sleeping.BODY_REACH * GRID.dx
+    reach = sleeping.BODY_REACH
     assert before[distance < reach - 1e-9].all() and not before[distance > 1.5 * reach].any()
-    # One grain moves faster than a thousandth of the blade's 0.1 m/s, another one slower.
+    # One grain moves faster than a three thousandths of the blade's 0.1 m/s, another one slower.
     far = np.flatnonzero(distance > 2.0 * reach)
     fast, slow = far[np.argmin(positions[far, 2])], far[np.argmax(positions[far, 2])]
-    positions[fast, 1] += 1.1e-4 * period
-    positions[slow, 1] += 0.9e-4 * period
+    positions[fast, 1] += 3.3e-4 * period
+    positions[slow, 1] += 2.7e-4 * period
     for _ in range(sleeping.MEMORY + 1):
         awake = sleep.awake(positions, BLADE, path, period)
-        cell = np.floor((positions - GRID.origin) / GRID.dx)
-        around = np.abs(cell - cell[fast]).max(axis=1) <= sleeping.SOIL_REACH
+        cell = np.floor((positions - GRID.origin) / GRID.cell)
+        around = (np.abs(cell - cell[fast]) * GRID.cell <= sleeping.SOIL_REACH + 1e-9).all(axis=1)
         np.testing.assert_array_equal(awake, before | around)
         assert awake[fast] and not awake[slow]
     np.testing.assert_array_equal(sleep.awake(positions, BLADE, path, period), before)
@@ -79,15 +83,11 @@ def frames(simulation, count):
 
 
 @pytest.fixture
-def made(coarse_excavation, excavation_packing, soil):
+def made(coarse_excavation, excavation_packing):
     def make(**settings):
-        return run.make_simulation(
-            coarse_excavation,
-            scenes.EXCAVATION.parameters(186),
-            soil,
-            excavation_packing[0],
-            Settings(**settings),
-        )
+        chosen = Settings(**settings)
+        motion = run.prepared(coarse_excavation, 186, chosen)
+        return run.make_simulation(coarse_excavation, motion, excavation_packing[0], chosen)
 
     return make
 
@@ -100,10 +100,7 @@ def test_soil_that_never_sleeps_gives_the_bits_of_soil_that_may_not(made, monkey
     np.testing.assert_array_equal(off.positions(), on.positions())
 
 
-def test_sleeping_changes_little(made, monkeypatch):
-    # The coarse cells are twice as long.
-    monkeypatch.setattr(sleeping, 'BODY_REACH', 3)
-    monkeypatch.setattr(sleeping, 'SOIL_REACH', 2)
+def test_sleeping_changes_little(made):
     off, on = made(sleep=False), made(sleep=True)
     force, expected = frames(on, 40), frames(off, 40)
     assert on.share_awake < 0.9

@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from mpm import scenes, splits
@@ -10,67 +11,46 @@ from mpm.motions import catalogue
 SCENES = pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=lambda scene: scene.name)
 
 
-def counts(scene, cases):
-    return Counter(splits.split_of(scene, case) for case in cases)
+@SCENES
+def test_each_kind_has_ten_runs_to_test_and_five_to_choose(scene):
+    for kind, count in splits.RUNS[scene.name].items():
+        runs = splits.runs_of_kinds(scene, (kind,))
+        found = Counter(splits.split_of(scene, case) for case in runs)
+        assert len(runs) == count and found['test'] == 10 and found['valid'] == 5, kind
+        assert splits.split_of(scene, catalogue.seed_case(kind, count)) is None
+    assert set(splits.RUNS[scene.name]) == set(catalogue.KINDS[scene.name])
 
 
 @SCENES
-def test_grid_is_whole_and_evenly_split(scene):
+def test_grid_is_split_by_the_path_in_time(scene):
+    """No test run moves its tool as a training run does; the demo's and published cases are in."""
     cases = splits.grid_runs(scene)
-    assert sorted(cases) == list(range(1, scene.case_count + 1))
-    for split in ('test', 'valid'):
-        part = [c for c in cases if splits.split_of(scene, c) == split]
-        assert len(part) >= (25 if split == 'test' else 20)
-        for name, values in scene.levels.items():
-            used = Counter(scene.parameters(c)[name] for c in part)
-            assert max(used[v] for v in values) - min(used[v] for v in values) <= 1, name
-    assert splits.split_of(scene, scene.demo_case) == 'test'
-
-
-def test_excavation_test_cases_meet_each_depth_with_each_speed():
-    scene = scenes.EXCAVATION
-    for split in ('test', 'valid'):
-        part = [c for c in splits.grid_runs(scene) if splits.split_of(scene, c) == split]
-        pairs = {tuple(list(scene.parameters(c).values())[:2]) for c in part}
-        assert len(pairs) == len(part) == 25
-
-
-def test_seeds_hold_what_is_asked():
-    runs = splits.seed_runs(scenes.EXCAVATION)
-    by_kind = Counter(catalogue.parse(scenes.EXCAVATION, c)[0] for c in runs)
-    assert len(runs) >= 200 and min(by_kind[k] for k in ('lift', 'reverse', 'disturbed')) >= 50
-    for kind in catalogue.TURNS['excavation']:
-        found = counts(scenes.EXCAVATION, [c for c in runs if c.startswith(kind)])
-        assert found['test'] == 10 and found['valid'] == 4
-    halts = splits.halt_runs(scenes.EXCAVATION)
-    assert counts(scenes.EXCAVATION, halts) == {'train': 12, 'valid': 4, 'test': 8}
-    assert splits.split_of(scenes.EXCAVATION, 'halts_0024') is None
-    runs = splits.seed_runs(scenes.WHEEL)
-    found = counts(scenes.WHEEL, runs)
-    assert len(runs) >= 120 and found['test'] >= 25 and found['valid'] >= 20
+    assert len(cases) == len(set(cases)) == splits.GRID_RUNS[scene.name]
+    found = Counter(splits.split_of(scene, case) for case in cases)
+    assert found['test'] >= 10 and found['valid'] >= 5
+    times = np.arange(scenes.FRAMES) / scenes.FRAME_RATE
+    paths: dict[bytes, set] = {}
+    for case in cases:
+        pose = catalogue.motion_of(scene, case).drive.pose(times)
+        # The lean of the blade is no part of its timing; the wheel's turn is.
+        moved = pose[:, :2] if scene.name == 'excavation' else pose[:, [0, 2]]
+        key = np.round(moved - moved[0], 9).tobytes()
+        paths.setdefault(key, set()).add(splits.split_of(scene, case))
+    assert all(len(of_path) == 1 for of_path in paths.values())
 
 
 @SCENES
-@pytest.mark.parametrize('order', [splits.seed_runs, splits.grid_runs])
-@pytest.mark.parametrize('length', [40, 80, 150])
-def test_any_beginning_is_in_proportion(scene, order, length):
-    runs = order(scene)
-    whole, part = counts(scene, runs), counts(scene, runs[:length])
-    for split in splits.SPLITS:
-        assert part[split] == pytest.approx(whole[split] * length / len(runs), abs=4.5), split
-    if order is splits.seed_runs:
-        kinds = Counter(catalogue.parse(scene, case)[0] for case in runs[:length])
-        assert max(kinds.values()) - min(kinds.values()) <= 1
+def test_kinds_take_turns(scene):
+    kinds = catalogue.TURNS[scene.name]
+    runs = splits.runs_of_kinds(scene, kinds)
+    first = [catalogue.parse(scene, case)[0] for case in runs[: len(kinds)]]
+    assert first == list(kinds)
 
 
 @SCENES
 def test_what_the_record_does_not_hold_has_no_split(scene):
-    runs = splits.seed_runs(scene)
-    last = catalogue.parse(scene, runs[-1])[1]
-    new = catalogue.select_seeds(scene, f'{last + 1}-{last + 20},9000-9009')
-    assert counts(scene, new) == {None: 30}
-    # The seed is known, but with another kind.
-    kinds = catalogue.TURNS[scene.name]
-    assert splits.split_of(scene, f'{kinds[0]}_0000') is not None
-    assert splits.split_of(scene, f'{kinds[1]}_0000') is None
+    assert splits.split_of(scene, f'{catalogue.TURNS[scene.name][0]}_9000') is None
     assert splits.split_of(scene, 'path_mine') is None
+    held = set(splits.grid_runs(scene))
+    other = next(case for case in range(1, scene.case_count + 1) if case not in held)
+    assert splits.split_of(scene, other) is None

@@ -1,0 +1,183 @@
+"""A blade that a machine carries, drawn from a seed: pressed, set down, or pulled by actuators.
+
+press: pushed straight down at changing speeds, held, unloaded by a little or lifted out, and pushed
+    down again, deeper or beside; on a path.
+free: 5 to 200 kg are set down on the soil (their weight grows over 0.4 s), settle, and are dragged;
+    the height is free, in some runs the way along or the lean as well, held by springs.
+actuated: x and y are free and pulled along the path of an operator by springs with dampers (1e4 to
+    2e5 N/m, 10 to 100 kg); where the soil is too strong, the blade lags behind or stalls.
+"""
+
+import math
+
+import numpy as np
+
+from mpm import bodies, scenes
+from mpm.motions import checks, grid, operator_paths
+from mpm.motions.drive import Drive, Machine
+from mpm.motions.levels import Levels
+
+KINDS = ('press', 'free', 'actuated')
+MASSES = (5.0, 200.0)  # kg, set down
+ACTUATED_MASSES = (10.0, 100.0)  # kg
+STIFFNESS = (1.0e4, 2.0e5)  # N/m
+PRESS_SPEEDS = (0.005, 0.16)  # m/s
+PRESS_DEPTH = 0.06  # m
+GROWTH = 0.4  # s, in which a weight grows
+
+_DURATION = (scenes.FRAMES - 1) / scenes.FRAME_RATE
+
+
+def machine_drive(
+    scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
+) -> tuple[Drive, dict]:
+    """Draws a drive.
+
+    Args:
+        scene: an excavation.
+        kind: one of `KINDS`.
+        seed: not negative.
+        tool: `bodies.check_tool`; None: the blade.
+
+    Returns:
+        The drive and its parameters, JSON-compatible; `machine` among them where something is free.
+
+    Raises:
+        ValueError: an unknown kind, a negative seed, or a bin in which no path fits.
+    """
+    if kind not in KINDS:
+        raise ValueError(f'unknown kind {kind!r} of a machine; there are {KINDS}')
+    if seed < 0:
+        raise ValueError(f'seed must not be negative, got {seed}')
+    rng = np.random.default_rng([seed, KINDS.index(kind), 3])
+    parameters = {'kind': kind, 'path_seed': seed}
+    if kind == 'actuated':
+        return _actuated(rng, scene, seed, tool, parameters)
+    if tool is None:
+        width = operator_paths.NARROW_WIDTH if rng.random() < 0.3 else bodies.BLADE_WIDTH
+        body, kept = bodies.make_blade(width), {'blade_width_m': width}
+    else:
+        body, kept = bodies.tool_body(tool), {'tool': tool}
+    for _ in range(operator_paths.TRIES):
+        drive, drawn = (_press if kind == 'press' else _set_down)(rng, scene.bin, body)
+        try:
+            checks.check_drive(drive, scene.bin, scenes.FRAMES - 1, operator_paths.STEPS_CHECKED)
+        except ValueError:
+            continue
+        return drive, parameters | kept | drawn
+    raise ValueError(f'no path of the kind {kind!r}, seed {seed} fits into the bin')
+
+
+def _press(rng, box, body):
+    lean = float(rng.choice([0.0, rng.uniform(0.0, 45.0)]))
+    x = rng.uniform(0.45, 0.72)
+    times, depths, xs = [0.0], [-grid.TIP_CLEARANCE], [x]
+    speeds = []
+
+    def go(seconds, depth, place=None):
+        times.append(times[-1] + seconds)
+        depths.append(depth)
+        xs.append(xs[-1] if place is None else place)
+
+    go(0.1, depths[0])
+    while times[-1] < _DURATION:
+        start = max(depths[-1], 0.0)
+        depth = rng.uniform(min(start + 0.005, PRESS_DEPTH), PRESS_DEPTH + 0.01)
+        speed = math.exp(rng.uniform(*np.log(PRESS_SPEEDS)))
+        speeds.append(round(speed, 4))
+        # The mean speed of a quintic piece is 1 / PEAK of its largest.
+        go(max(abs(depth - depths[-1]) / speed, 0.05), depth)
+        go(rng.uniform(0.2, 1.0), depth)
+        way = rng.random()
+        if way < 0.5:  # unloaded, and loaded again
+            go(rng.uniform(0.1, 0.3), depth - rng.uniform(0.0005, 0.004))
+            go(rng.uniform(0.1, 0.4), depths[-1])
+        elif way < 0.75:  # out, and down beside
+            go(rng.uniform(0.4, 0.8), -0.01)
+            go(0.4, -0.01, float(np.clip(xs[-1] + rng.uniform(-0.06, 0.06), 0.42, 0.74)))
+    down, along = Levels(np.array(times), np.array(depths)), Levels(np.array(times), np.array(xs))
+    theta = -math.radians(lean)
+    base = box.surface - float(bodies.lowest(body, np.array(theta)))
+
+    def pose(t):
+        still = np.ones(len(np.asarray(t)))
+        return np.stack([along(t), base - down(t), theta * still, box.z_middle * still], axis=1)
+
+    return Drive(body, pose), {'lean_deg': lean, 'press_speeds_m_s': speeds}
+
+
+def _set_down(rng, box, body):
+    lean = float(rng.choice([0.0, rng.uniform(0.0, 45.0)]))
+    mass = math.exp(rng.uniform(*np.log(MASSES)))
+    theta = -math.radians(lean)
+    base = box.surface - float(bodies.lowest(body, np.array(theta)))
+    x = rng.uniform(0.6, 0.78)
+    settles = rng.uniform(1.2, 2.5)
+    speed = rng.uniform(0.03, 0.12) if rng.random() < 0.8 else 0.0
+    halts = rng.uniform(settles + 1.0, _DURATION)
+    travel = Levels(
+        np.array([0.0, settles, settles + 0.4, halts, halts + 0.4]),
+        np.array([0.0, 0.0, speed, speed, 0.0]),
+    )
+    grows = Levels(np.array([0.05, 0.05 + GROWTH]), np.array([0.0, 1.0]))
+    # A load on top, that changes once.
+    changed = rng.uniform(0.4, 1.8) if rng.random() < 0.5 else 1.0
+    when = rng.uniform(0.5, _DURATION - 0.5)
+    factor = Levels(np.array([when, when + 0.2]), np.array([1.0, changed]))
+    is_free = [False, True, False]
+    stiffness, damping = np.zeros(3), np.zeros(3)
+    inertia = mass * 0.15**2
+    if rng.random() < 0.3:
+        is_free[0] = True
+        stiffness[0] = math.exp(rng.uniform(*np.log(STIFFNESS)))
+        damping[0] = 2.0 * math.sqrt(stiffness[0] * mass)
+    if rng.random() < 0.2:
+        is_free[2] = True
+        stiffness[2] = math.exp(rng.uniform(math.log(500.0), math.log(5000.0)))
+        damping[2] = 2.0 * math.sqrt(stiffness[2] * inertia)
+
+    def force(t):
+        weight = -mass * scenes.EARTH_GRAVITY * grows(t) * factor(t)
+        return np.stack([np.zeros_like(weight), weight, np.zeros_like(weight)], axis=1)
+
+    def pose(t):
+        still = np.ones(len(np.asarray(t)))
+        return np.stack(
+            [x - travel.integral(t), (base + 0.002) * still, theta * still, box.z_middle * still],
+            axis=1,
+        )
+
+    machine = Machine(tuple(is_free), mass, force, inertia, tuple(stiffness), tuple(damping))
+    return Drive(body, pose, machine), {
+        'lean_deg': lean,
+        'drag_speed_m_s': round(speed, 4),
+        'load_factor': round(changed, 4),
+        'machine': described(machine),
+    }
+
+
+def _actuated(rng, scene, seed, tool, parameters):
+    path_kind = str(rng.choice(['smooth', 'stops', 'reverse', 'lift']))
+    # A path of its own: seeds of operators are below a million.
+    drive, drawn = operator_paths.operator_drive(scene, path_kind, seed + 1_000_000, tool)
+    mass = math.exp(rng.uniform(*np.log(ACTUATED_MASSES)))
+    stiffness = np.exp(rng.uniform(*np.log(STIFFNESS), size=2))
+    damping = rng.uniform(0.5, 1.2) * 2.0 * np.sqrt(stiffness * mass)
+
+    def force(times):
+        return np.zeros((len(times), 3))
+
+    machine = Machine((True, True, False), mass, force, 0.0, (*stiffness, 0.0), (*damping, 0.0))
+    carried = Drive(drive.body, drive.pose, machine, drive.lead_in)
+    return carried, drawn | parameters | {'plot': path_kind, 'machine': described(machine)}
+
+
+def described(machine: Machine) -> dict:
+    """Returns what a record says of a machine, JSON-compatible."""
+    return {
+        'is_free': list(machine.is_free),
+        'mass_kg': round(machine.mass, 6),
+        'inertia_kg_m2': round(machine.inertia, 6),
+        'stiffness': [round(float(k), 4) for k in machine.stiffness],
+        'damping': [round(float(c), 4) for c in machine.damping],
+    }
