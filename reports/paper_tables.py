@@ -190,8 +190,8 @@ def _note():
         'as the presets say, on the CPU; rows that name their steps are of longer trainings. "Our '
         'records" are runs of version 1, the grid of record those of versions 3 and 4. Soil errors '
         'of ours are within the subspace; for the published ones the space is not stated. Beside '
-        'them the predictors that know nothing; the force of persistence is the last given one, that of constant velocity '
-        'the mean force of the training runs.'
+        'them the predictors that know nothing; the force of persistence is the last given '
+        'one, that of constant velocity the mean force of the training runs.'
     )
 
 

@@ -1,4 +1,4 @@
-"""Models of driven tools beyond what they were shown: longer, stopped, in the air, faster, deeper."""
+"""Driven tools beyond what models were shown: longer, stopped, in the air, faster, deeper."""
 
 import os
 
