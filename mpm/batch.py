@@ -62,7 +62,7 @@ def generate(
         os.makedirs(folder, exist_ok=True)
         with one_writer(folder):
             remove_temporary(folder)
-            job = _Job(scene.name, name, settings, tool, folder)
+            job = _Job(catalogue.in_bin(scene, name), settings, tool, folder)
             made, failed = _generate(job, some, num_processes, where, show_progress)
         new += made
         failures += failed
@@ -82,14 +82,9 @@ class _Job:
         settings, tool, folder: of `generate`.
     """
 
-    def __init__(self, scene_name, bin_name, settings, tool, folder):
-        self._names = scene_name, bin_name
+    def __init__(self, scene, settings, tool, folder):
+        self.scene = scene
         self.settings, self.tool, self.folder = settings, tool, folder
-
-    @property
-    def scene(self) -> scenes.Scene:
-        scene, name = self._names
-        return catalogue.in_bin(scenes.scene_named(scene), name)
 
     def shared(self) -> dict:
         """Returns the parameters that all runs of the folder share."""

@@ -110,7 +110,7 @@ TESTS_OF_NO_ONE_MODULE = {
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/test_changing_context.py', 'learning_to_simulate/test_several_bodies.py',
     'learning_to_simulate/test_left_out.py', 'learning_to_simulate/test_numerics.py',
-    'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py',
+    'learning_to_simulate/export_c/test_ros2_node.py', 'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
     'reports/edges/test_nri_scripts.py', 'reports/stability/test_report.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',

@@ -128,6 +128,8 @@ def operator_drive(
     for _ in range(TRIES):
         drive, drawn = _draw(rng, scene, kind, tool)
         if _fits(drive, scene.bin, drawn):
+            if kind != 'trench':  # as long as any run
+                del drawn['frames']
             return drive, parameters | drawn
     raise ValueError(f'none of {TRIES} paths of the kind {kind!r}, seed {seed} fits into the bin')
 

@@ -1,110 +1,219 @@
-"""Shapes against clouds of points on their surface."""
+"""Shapes against clouds of points on their surface, and what a tool's file may hold."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from mpm import bodies
+from mpm.motions import drawn_tools
+
+BUCKET = bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))
+LUGS = bodies.make_wheel(0.2, 0.1, (8, 0.02, 0.01))
+BODIES = {
+    'blade': bodies.make_blade(0.3),
+    'wheel': bodies.make_wheel(0.15),
+    'lugs': LUGS,
+    'bucket': BUCKET,
+    'open bucket': bodies.tool_body(drawn_tools.bucket(0.1, 0.3, False)),
+}
+STEP = 1.5e-3  # m, between points of a cloud
 
 
-def distance_to(body, x, y, z, angle=0.0):
-    """Distance and normal of a point, given relative to the reference point."""
+def is_in_polygon(points, corners):
+    """By the winding angle, which the kernel does not use."""
+    a = corners[None] - points[:, None]
+    b = np.roll(a, -1, axis=1)
+    turn = np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(axis=-1))
+    return np.abs(turn.sum(axis=1)) > math.pi
+
+
+def from_line(points, a, b):
+    share = np.clip(((points - a) @ (b - a)) / max((b - a) @ (b - a), 1e-30), 0.0, 1.0)
+    return np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
+
+
+def is_in_plane(points, corners, radius):
+    """Whether points [M, 2] lie within a radius of an outline."""
+    ends = np.roll(corners, -1, axis=0)
+    near = np.min([from_line(points, a, b) for a, b in zip(corners, ends)], axis=0) <= radius
+    return near | (is_in_polygon(points, corners) if len(corners) > 2 else False)
+
+
+def is_inside(body, p):
+    """Whether points [M, 3] lie in a body, part by part."""
+    plane, across = p[:, :2], np.abs(p[:, 2])
+    inside = is_in_plane(plane, body.outline, body.radius) & (across <= body.half_width)
+    for bar in range(body.grousers):
+        angle = 2 * math.pi * bar / body.grousers
+        end = (body.radius + body.grouser_height - body.grouser_radius) * np.array(
+            [math.cos(angle), math.sin(angle)]
+        )
+        is_bar = from_line(plane, np.zeros(2), end) <= body.grouser_radius
+        inside |= is_bar & (across <= body.half_width)
+    if len(body.plates):
+        plate = is_in_plane(plane, body.plates, 0.0)
+        between = (across <= body.half_width) & (across >= body.half_width - body.plate_thickness)
+        inside |= plate & between
+    return inside
+
+
+def signed(body, points, angle=0.0):
     sine, cosine = math.sin(angle), math.cos(angle)
-    return bodies.signed_distance(body, sine, cosine, x, y, z + body.z_middle)
+    return np.array([bodies.signed_distance(body, sine, cosine, *point) for point in points])
 
 
-def cross_section(body, count=4000):
-    """Points on the outline of the upright stadium, by geometry alone: sides and half circles."""
-    axis, across = np.array([0.0, 1.0]), np.array([-1.0, 0.0])
-    along = np.linspace(0.0, body.length, count)[:, None] * axis
-    turn = np.linspace(0.0, math.pi, count)[:, None]
-    cap = body.radius * (np.cos(turn) * across - np.sin(turn) * axis)
-    top = body.length * axis + body.radius * (np.cos(turn) * across + np.sin(turn) * axis)
-    return np.concatenate([along + body.radius * across, along - body.radius * across, cap, top])
-
-
-@pytest.mark.parametrize('body', [bodies.make_blade(0.4), bodies.make_wheel(0.15, 0.4)])
-def test_distance_and_normal_against_a_cloud(body):
-    outline = cross_section(body)
-    wide = body._replace(half_width=10.0)  # so wide that no flank is near
+@pytest.mark.parametrize('name', BODIES)
+def test_sign_is_that_of_the_shape(name):
+    body = BODIES[name]
     rng = np.random.default_rng(0)
-    for x, y in rng.uniform(-0.2, 0.35, (200, 2)):
-        distance, nx, ny, nz = distance_to(wide, x, y, 0.0)
-        gap = np.linalg.norm(outline - [x, y], axis=1).min()
-        # The cloud's points lie 0.1 mm apart.
-        assert abs(distance) == pytest.approx(gap, abs=1e-4)
-        assert math.hypot(nx, ny, nz) == pytest.approx(1.0)
-        if distance > 1e-3:
-            # Outside, stepping against the normal comes nearer.
-            nearer = distance_to(wide, x - 1e-4 * nx, y - 1e-4 * ny, 0.0)[0]
-            assert nearer < distance
+    points = rng.uniform(-1.0, 1.0, (3000, 3)) * [0.45, 0.45, body.half_width + 0.05]
+    found = signed(body, points)[:, 0]
+    clear = np.abs(found) > 1e-9
+    np.testing.assert_array_equal((found < 0.0)[clear], is_inside(body, points)[clear])
+    assert 0.002 < (found < 0.0).mean() < 0.9
 
 
-def test_inside_is_negative_and_the_flanks_count():
-    wheel = bodies.make_wheel(0.3, 0.2)
-    half = wheel.half_width
-    assert distance_to(wheel, 0.0, 0.0, 0.0)[0] == pytest.approx(-half)
-    distance, nx, ny, nz = distance_to(wheel, 0.0, 0.0, half + 0.01)
-    assert (distance, nx, ny, nz) == (pytest.approx(0.01), 0.0, 0.0, 1.0)
-    distance, _, _, nz = distance_to(wheel, 0.0, 0.0, -half + 0.001)
-    assert distance == pytest.approx(-0.001) and nz == -1.0
+@pytest.mark.parametrize('name', BODIES)
+def test_distance_outside_is_the_nearest_point_of_the_shape(name):
+    """Against a dense cloud of points inside: exact to the spacing of the cloud."""
+    body = BODIES[name]
+    reach = body.reach + STEP
+    rng = np.random.default_rng(1)
+    axis = np.arange(-reach, reach, 2 * STEP)
+    high = np.arange(-body.half_width, body.half_width + 1e-9, 2 * body.half_width / 40)
+    grid = np.stack(np.meshgrid(axis, axis, high, indexing='ij'), axis=-1).reshape(-1, 3)
+    tree = cKDTree(grid[is_inside(body, grid)])
+    points = rng.uniform(-1.0, 1.0, (400, 3)) * [reach + 0.05, reach + 0.05, body.half_width + 0.05]
+    found = signed(body, points)
+    outside = found[:, 0] > 0.01
+    gap = tree.query(points[outside])[0]
+    side = 2 * body.half_width / 40
+    assert np.abs(found[outside, 0] - gap).max() < math.hypot(2 * STEP * 1.5, side)
+    assert (gap > found[outside, 0] - 1e-9).all()  # no point of the shape is nearer
 
 
-@pytest.mark.parametrize(('width', 'spacing'), [(0.457, 0.1), (0.30, 0.1 * 0.30 / 0.457)])
-def test_blade_is_as_high_and_as_thick_as_published(width, spacing):
-    blade = bodies.make_blade(0.4, width)
-    outline = cross_section(blade)
-    assert np.ptp(outline[:, 1]) == pytest.approx(0.305, abs=1e-6)
-    assert np.ptp(outline[:, 0]) == pytest.approx(0.028, abs=1e-6)
-    assert outline[:, 1].min() == pytest.approx(-0.014, abs=1e-6)
-    assert blade.half_width == width / 2
-    assert blade.reach == pytest.approx(np.linalg.norm(outline, axis=1).max(), abs=1e-6)
-    # 4 x 5 points on the front face, symmetric about the middle and on the blade.
-    assert blade.points.shape == (20, 3)
-    for point in blade.points:
-        # The lowest row stands beside the round edge.
-        assert abs(distance_to(blade, *point)[0]) < 0.007
-    assert (blade.points[:, 0] == -0.014).all() and np.abs(blade.points[:, 2]).max() < width / 2
-    assert blade.points[:, 2].sum() == pytest.approx(0.0, abs=1e-12)
+@pytest.mark.parametrize('name', BODIES)
+def test_normal_is_the_gradient(name):
+    body = BODIES[name]
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) * [0.3, 0.3, body.half_width + 0.04]
+    found = signed(body, points)
+    step = 1e-6
+    slope = np.stack(
+        [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
+    ) / step
+    smooth = np.abs(np.linalg.norm(slope, axis=1) - 1.0) < 1e-3  # not where two parts meet
+    assert smooth.mean() > 0.95
+    np.testing.assert_allclose(slope[smooth], found[smooth, 1:], atol=2e-3)
+
+
+def test_leaning_body_is_the_upright_one_turned():
+    angle = 0.7
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1.0]])
+    points = np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3))
+    upright, turned = signed(BUCKET, points), signed(BUCKET, points @ turn, angle)
+    np.testing.assert_allclose(turned[:, 0], upright[:, 0], atol=1e-12)
+    np.testing.assert_allclose(turned[:, 1:], upright[:, 1:] @ turn, atol=1e-9)
+
+
+@pytest.mark.parametrize('name', BODIES)
+def test_lowest_point_and_extent_are_those_of_the_cloud(name):
+    body = BODIES[name]
+    axis = np.arange(-body.reach, body.reach, 1e-3)
+    grid = np.stack(np.meshgrid(axis, axis, [0.0, body.half_width]), axis=-1).reshape(-1, 3)
+    cloud = grid[is_inside(body, grid)][:, :2]
+    for angle in (0.0, -0.6, 0.3):
+        turned = cloud @ np.array(
+            [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
+        )
+        low = bodies.lowest(body, np.array([angle]))[0]
+        # A wheel with grousers is taken for a circle about their ends.
+        slack = 2e-3 + (0.01 if body.grousers else 0.0)
+        assert turned[:, 1].min() == pytest.approx(low, abs=slack)
+        height = low + 0.05
+        x_low, x_high, y_low = bodies.extent_below(body, np.array([[0, 0, angle, 0.0]]), height)
+        below = turned[turned[:, 1] < height, 0]
+        assert x_low[0] < below.min() + 1.5e-3 and x_high[0] > below.max() - 1.5e-3
+        assert y_low[0] == low
+
+
+def test_blade_is_as_high_and_as_thick_as_published():
+    blade = bodies.make_blade()
+    assert bodies.lowest(blade, np.zeros(1))[0] == -0.014
+    assert blade.outline[1, 1] + 2 * blade.radius == pytest.approx(0.305)
+    assert blade.points.shape == (20, 3) and (blade.points[:, 0] == -0.014).all()
     rows = blade.points.reshape(4, 5, 3)
     np.testing.assert_allclose(np.diff(rows, axis=0)[..., 1], 0.1)
-    np.testing.assert_allclose(np.diff(rows, axis=1)[..., 2], spacing)
+    np.testing.assert_allclose(np.diff(rows, axis=1)[..., 2], 0.1)
 
 
 @pytest.mark.parametrize(('diameter', 'width'), [(0.05, 0.125 * 2 / 3), (0.3, 0.125)])
 def test_wheel_points_and_edges(diameter, width):
-    wheel = bodies.make_wheel(diameter, 0.2)
+    wheel = bodies.make_wheel(diameter)
     points, edges = wheel.points, bodies.wheel_edges()
     np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), diameter / 2)
     assert np.ptp(points[:, 2]) == pytest.approx(width)
     assert len(set(edges)) == 32
     for sender, receiver in edges:
         assert (receiver, sender) in edges
-        # Neighbours on one ring, 45 degrees apart.
         chord = np.linalg.norm(points[sender] - points[receiver])
         assert chord == pytest.approx(diameter * math.sin(math.pi / 8))
 
 
 def test_sample_points_turn_with_the_body():
-    wheel = bodies.make_wheel(0.3, 0.2)
-    turned = bodies.sample_points(wheel, 1.0, 2.0, math.pi / 2)
+    wheel = bodies.make_wheel(0.3)
+    turned = bodies.sample_points(wheel, (1.0, 2.0, math.pi / 2, 0.2))
     # A positive angle takes +x to +y.
     np.testing.assert_allclose(turned[0], [1.0, 2.15, 0.2 + wheel.points[0, 2]], atol=1e-12)
 
 
 def test_bad_bodies_are_refused():
     with pytest.raises(ValueError, match='width'):
-        bodies.make_blade(0.4, 0.0)
+        bodies.make_blade(0.0)
     with pytest.raises(ValueError, match='diameter'):
-        bodies.make_wheel(0.0, 0.4)
+        bodies.make_wheel(0.0)
+    with pytest.raises(ValueError, match='overlap'):
+        bodies.make_wheel(0.1, 0.1, (60, 0.02, 0.01))
 
 
-def test_leaning_body_is_the_upright_one_turned():
-    blade, angle = bodies.make_blade(0.4), 0.7
-    cosine, sine = math.cos(angle), math.sin(angle)
-    for x, y, z in np.random.default_rng(1).uniform(-0.3, 0.3, (50, 3)):
-        distance, nx, ny, nz = distance_to(blade, x, y, z)
-        turned = distance_to(blade, cosine * x - sine * y, sine * x + cosine * y, z, angle)
-        expected = (distance, cosine * nx - sine * ny, sine * nx + cosine * ny, nz)
-        np.testing.assert_allclose(turned, expected, atol=1e-12)
+PLATE = {'name': 'plate', 'outline': [[0, 0], [0, 0.2]], 'edge_radius': 0.01, 'width': 0.3}
+SQUARE = [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]
+
+
+def test_a_tool_is_read_from_its_file(tmp_path):
+    path = tmp_path / 'plate.json'
+    path.write_text(json.dumps(PLATE))
+    body = bodies.tool_body(bodies.read_tool(str(path)))
+    points = np.random.default_rng(3).uniform(-0.3, 0.3, (50, 3))
+    same = bodies.make_blade(0.3, 0.22)._replace(radius=0.01, outline=body.outline)
+    np.testing.assert_array_equal(signed(body, points), signed(same, points))
+    clockwise = bodies.check_tool(PLATE | {'outline': SQUARE[::-1]})
+    there = signed(bodies.tool_body(clockwise), points)
+    here = signed(bodies.tool_body(bodies.check_tool(PLATE | {'outline': SQUARE})), points)
+    np.testing.assert_allclose(there[:, 0], here[:, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, 'crosses itself: edges'),
+        ({'outline': [[0, 0], [0.1, 0], [0.2, 0]]}, 'crosses itself|encloses no area'),
+        ({'outline': [[0, 0], [0, 200]]}, 'millimetres'),
+        ({'outline': [[0, 0], [0, 0]]}, 'twice in a row'),
+        ({'outline': [[0, 0], [0, float('nan')]]}, r'list of \[x, y\]'),
+        ({'outline': 'blade'}, r'list of \[x, y\]'),
+        ({'width': -1}, 'width must be a number'),
+        ({'colour': 'red'}, r"unknown entries \['colour'\]"),
+        ({'outline': SQUARE, 'side_plates': {'thickness': 0.2}}, 'thicker than the tool is wide'),
+        ({'friction': 9}, 'friction must be'),
+    ],
+)
+def test_a_wrong_tool_is_refused_with_its_file(tmp_path, change, words):
+    path = tmp_path / 'tool.json'
+    path.write_text(json.dumps(PLATE | change))
+    with pytest.raises(ValueError, match=f'tool.json is not a tool: .*({words})'):
+        bodies.read_tool(str(path))

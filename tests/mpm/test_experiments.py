@@ -142,10 +142,7 @@ def test_smaller_steps_give_the_same_force(coarse_excavation, excavation_packing
 
 @pytest.mark.parametrize('case', [186, 'lift_0003'])
 def test_no_soil_lies_in_the_blade(coarse_excavation, excavation_packing, soil, case):
-    motion = catalogue.motion_of(coarse_excavation, case)
-    simulation = Simulation(
-        coarse_excavation.bin, motion.drive, soil, excavation_packing[0], Settings(), 9.81
-    )
+    simulation = simulate(coarse_excavation, case, excavation_packing)
     for _ in range(60):
         simulation.frame()
         found = simulation.penetration()

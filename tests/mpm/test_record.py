@@ -17,8 +17,11 @@ ROOT = Path(__file__).resolve().parents[2]
 def small(monkeypatch):
     """Coarse, short runs in place of the record's own."""
     monkeypatch.setattr(scenes, 'FRAMES', 4)
-    monkeypatch.setattr('mpm.simulation.REST_FRAMES', 2)
-    parts = {part: (coarse(scene), order) for part, (scene, order) in record.PARTS.items()}
+    monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 2)
+    monkeypatch.setattr('mpm.motions.wheel_drives.grid.REST_FRAMES', 2)
+    parts = {part: (coarse(scene), kinds) for part, (scene, kinds) in record.PARTS.items()}
+    monkeypatch.setitem(scenes.SCENES, 'excavation', coarse(scenes.EXCAVATION))
+    monkeypatch.setitem(scenes.SCENES, 'wheel', coarse(scenes.WHEEL))
     monkeypatch.setattr(record, 'PARTS', parts)
 
 
@@ -30,9 +33,9 @@ def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, mo
     found = make(tmp_path)
     assert capsys.readouterr().out.count('2 new runs') == 3
     assert set(found) == {'excavation', 'wheel'}
-    assert set(found['wheel']) == {'slip_0000', 'stops_0001'}
+    assert set(found['wheel']) == {'slip_0000', 'stops_0000'}
     grid = [str(case) for case in record.runs_of('excavation_grid', record.Selection(2))]
-    assert set(found['excavation']) == {'smooth_0000', 'stops_0001', *grid}
+    assert set(found['excavation']) == {'smooth_0000', 'stops_0000', *grid}
     kept = json.loads((tmp_path / 'wheel' / record.DIGESTS).read_text())
     assert kept == {'wheel': found['wheel']}
     assert make(tmp_path) == found and capsys.readouterr().out.count('0 new runs') == 3
@@ -57,20 +60,6 @@ def test_part_that_fails_does_not_stop_the_next(tmp_path, small, monkeypatch):
     assert len(record.digests_of(str(tmp_path / 'excavation'))) == 1
 
 
-def test_folder_of_an_older_solver_is_named(tmp_path, small):
-    make(tmp_path, ['wheel_free'], 1)
-    path = tmp_path / 'wheel' / 'manifest.json'
-    manifest = json.loads(path.read_text())
-    for entry in manifest['runs']:
-        del entry['content']
-        entry['parameters']['solver_version'] = '0'
-    path.write_text(json.dumps(manifest))
-    with pytest.raises(
-        ValueError, match="(?s)wheel_free: .*made with solver_version = '0'.*digest"
-    ):
-        make(tmp_path, ['wheel_free'], 1)
-
-
 def test_other_content_is_found():
     expected = {'lift_0003': 'aa', '7': 'bb', '8': 'cc'}
     assert record.compare({'lift_0003': 'aa', '7': 'xx', '9': 'dd'}, expected) == ['7']
@@ -78,7 +67,7 @@ def test_other_content_is_found():
 
 def test_splits_share_the_runs_of_a_part():
     parts = [record.runs_of('operator', record.Selection(splits=[s])) for s in splits.SPLITS]
-    assert [len(part) for part in parts] == [180, 20, 50]
+    assert [len(part) for part in parts] == [114, 30, 60]
     assert set().union(*parts) == set(record.runs_of('operator'))
     assert {splits.split_of(scenes.EXCAVATION, case) for case in parts[2]} == {'test'}
     first = record.Selection(limit=3, splits=['test'])
@@ -95,15 +84,15 @@ def test_command_lists_what_it_would_make():
     done = command('--list')
     assert done.returncode == 0, done.stderr
     rows = [line.split() for line in done.stdout.splitlines()]
-    assert ['operator', 'lift', '50', '36', '4', '10'] in rows
-    assert ['wheel_grid', 'grid', '243', '189', '27', '27'] in rows
+    assert ['operator', 'lift', '34', '19', '5', '10'] in rows
+    assert ['wheel_grid', 'grid', '40', '19', '5', '16'] in rows
 
 
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
         ([], 'give --output_path, or --list'),
-        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, halts, wheel_free"),
+        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, machine, beside"),
         (['--splits=exam', '--list'], "unknown splits ['exam']; there are train, valid, test"),
         (['--expect=nothing.json', '--output_path=x'], "No such file or directory: 'nothing.json'"),
     ],
@@ -121,17 +110,17 @@ def dataset(path, content):
 
 def test_what_datasets_hold_is_left_out(tmp_path):
     first, second, *_ = record.runs_of('operator')
-    blade = {'train': [{'case': 8}], 'test': [{'case': first}]}
+    blade = {'train': [{'case': 22}], 'test': [{'case': first}]}
     blade = json.dumps({'scene': {'name': 'excavation'}, 'cases': blade})
     wheel = '{"scene": {"name": "wheel"}, "cases": {"valid": [{"case": 5}]}}'
     held = record.held_by([dataset(tmp_path / 'a', blade), dataset(tmp_path / 'b', wheel)])
-    assert held == {'excavation': {'8', first}, 'wheel': {'5'}}
+    assert held == {'excavation': {'22', first}, 'wheel': {'5'}}
     missing = record.Selection(held=held)
     # The limit counts what is missing.
     assert record.runs_of('operator', missing._replace(limit=1)) == (second,)
     whole = set(record.runs_of('excavation_grid'))
-    assert whole - set(record.runs_of('excavation_grid', missing)) == {8}
-    assert 8 in record.runs_of('wheel_grid', missing)
+    assert whole - set(record.runs_of('excavation_grid', missing)) == {22}
+    assert 9 in record.runs_of('wheel_grid', missing)
     all_runs, missing = (
         sum(int(line.split()[2]) for line in record.table(['operator'], runs).splitlines()[1:])
         for runs in (record.Selection(), missing)

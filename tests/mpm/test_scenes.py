@@ -35,9 +35,10 @@ def test_published_wheel_contexts():
     """Contexts of published records, as they stand in their files."""
     expected = {44: (1.62, 37.0, 164.0), 154: (3.72, 30.0, 25.0), 203: (9.81, 37.0, 164.0)}
     for case, values in expected.items():
-        context = scenes.context_of(scenes.WHEEL, scenes.WHEEL.parameters(case))
-        assert tuple(context.values()) == pytest.approx(values)
-        assert tuple(context) == scenes.WHEEL.context_names
+        parameters = scenes.WHEEL.parameters(case)
+        ground = scenes.ground_of(scenes.WHEEL, parameters)
+        found = ground.gravity, ground.friction_angle_deg, scenes.wheel_load(parameters)
+        assert found == pytest.approx(values)
 
 
 @pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mpm import columns, experiments, packing, run, scenes, stability
+from mpm import columns, experiments, packing, run, stability
 from mpm import solver as solver_module
 from mpm.constitutive import make_soil
 from mpm.simulation import Settings
@@ -34,42 +34,21 @@ def test_too_long_a_step_is_refused_with_its_numbers(soil):
 
 
 def test_a_run_refuses_a_given_step_above_the_limit(coarse_excavation, excavation_packing, soil):
-    settings = Settings(steps_per_frame=18)
+    settings = Settings(steps=1)
     with pytest.raises(stability.UnstableTimeStepError, match='CFL'):
         run.make_simulation(
             coarse_excavation,
-            scenes.EXCAVATION.parameters(1),
-            soil,
+            run.prepared(coarse_excavation, 1, Settings()),
             excavation_packing[0],
             settings,
         )
 
 
 def test_frame_is_divided_into_the_fewest_stable_steps(soil):
-    steps = stability.steps_per_frame(1 / 60, soil, 0.01)
+    steps = stability.steps_in(1 / 60, soil, 0.01)
     stability.check_time_step(1 / 60 / steps, soil, 0.01)
     with pytest.raises(stability.UnstableTimeStepError):
         stability.check_time_step(1 / 60 / (steps - 1), soil, 0.01)
-
-
-def test_nonlocal_limits(soil):
-    fine = 1e-5
-    wave = stability.max_time_step(soil, fine)
-    diffusion = stability.max_time_step(soil, fine, is_nonlocal=True)
-    assert diffusion < wave
-    # dx2 t0 / (2 A2 d2) is the one-dimensional limit.
-    assert diffusion <= fine**2 * 1e-4 / (2 * 0.48**2 * 3e-4**2)
-    # At the cells of the scenes the elastic wave is what limits.
-    assert stability.max_time_step(soil, 0.0133, is_nonlocal=True) == pytest.approx(
-        stability.max_time_step(soil, 0.0133)
-    )
-
-
-def test_nonlocal_friction_condition():
-    limit = math.sqrt(3) * (1 - 2 * 0.3) / (1 + 0.3)
-    stability.check_friction(make_soil(1.5e6, 1.01 * limit))
-    with pytest.raises(ValueError, match='nonlocal'):
-        stability.check_friction(make_soil(1.5e6, 0.99 * limit))
 
 
 def test_bad_cell_size_is_refused(soil):
@@ -110,10 +89,8 @@ def test_soil_diverges_above_the_limit(coarse_excavation, excavation_packing, so
 
 
 def test_soil_too_fast_for_the_step_is_an_error(coarse_excavation, excavation_packing, soil):
-    parameters = scenes.EXCAVATION.parameters(1)
-    simulation = run.make_simulation(
-        coarse_excavation, parameters, soil, excavation_packing[0], Settings()
-    )
+    motion = run.prepared(coarse_excavation, 1, Settings())
+    simulation = run.make_simulation(coarse_excavation, motion, excavation_packing[0], Settings())
     # A grain far from the blade and the walls flies up.
     middle = np.array([0.4, coarse_excavation.bin.surface, coarse_excavation.bin.z_middle])
     grain = np.argmin(np.linalg.norm(simulation.particles[:, :3] - middle, axis=1))
