@@ -9,7 +9,7 @@ from learning_to_simulate.export_c.c_soil import CSoil
 
 
 class CStep:
-    """The same frames as `compiled_step.CompiledStep`, to round-off, without TensorFlow.
+    """The same frames as `tf_step.TfStep`, to round-off, without TensorFlow.
 
     Args:
       model: `checkpoints.Model`; its weights are taken as they are now.
@@ -69,10 +69,10 @@ class CStep:
 
 
 def best_step(model, n_rigid: int):
-    """A `CStep` where the model and the machine have one, else a `CompiledStep`."""
+    """A `CStep` where the model and the machine have one, else a `TfStep`."""
     try:
         return CStep(model, n_rigid)
     except (ValueError, c_library.NoCompiler):
-        from learning_to_simulate.compiled.compiled_step import CompiledStep
+        from learning_to_simulate.live.tf_step import TfStep
 
-        return CompiledStep(model, n_rigid)
+        return TfStep(model, n_rigid)

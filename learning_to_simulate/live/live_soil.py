@@ -119,7 +119,7 @@ class LiveSoil:
       starts: of the model folder.
       subspace: of the model folder, or None.
       outside: of `Stepper`.
-      back_end: makes the back end of a `Stepper` of (model, R); default: `CompiledStep`.
+      back_end: makes the back end of a `Stepper` of (model, R); default: `TfStep`.
     """
 
     def __init__(self, model, starts: Starts, subspace, outside: str = FLAG, back_end=None):

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from learning_to_simulate import loads, reading_utils
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.evaluation import total_force
 from learning_to_simulate.live import poses
@@ -16,7 +15,7 @@ from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.live_soil import Beginning
 from learning_to_simulate.live.soil import Soil
 from learning_to_simulate.reading_utils import RunGroup
-from learning_to_simulate.rollout import rollout_inputs
+from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
 from pca_tools import dataset, files
@@ -175,7 +174,7 @@ class PathRoller:
         self._scene = model.simulator.scene
         # Reading weights anew in every call, a function serves all lengths and batches.
         self._functions = functools.cache(
-            lambda n_rigid: rollout_function(model.simulator, model.layout(n_rigid))
+            lambda n_rigid: RolloutFunction(model.simulator, model.layout(n_rigid))
         )
 
     def beginning(self, path, velocity=None, case=None, context=None):

@@ -2,7 +2,7 @@
 
 `Stepper` takes the body as particles; `live.LiveSoil`, which `lts.load(...).stepper()` makes, takes
 poses and starts by itself. What computes a frame is a back end with the four methods of
-`CompiledStep`.
+`TfStep`.
 
 Example:
     stepper = Stepper.load('models/excavation/pcg', 'datasets/excavation', n_rigid=10)
@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import checkpoints, loads
-from learning_to_simulate.compiled.compiled_step import CompiledStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.live.soil import Soil
+from learning_to_simulate.live.tf_step import TfStep
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
@@ -108,7 +108,7 @@ class Stepper:
         in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
       force_limit: N, the largest force of the training runs, or None; a force above twice of it
         has left the bounds.
-      back_end: computes the frames; default: a `CompiledStep`.
+      back_end: computes the frames; default: a `TfStep`.
 
     Raises:
       ValueError: a subspace of another number of modes or particles than the model's, or a body
@@ -139,7 +139,7 @@ class Stepper:
             else Soil(model.fitting_subspace(subspace), self._scene.up_axis)
         )
         self.judge = FrameJudge(n_rigid, simulator.statistics, self._scene, force_limit)
-        self._back_end = back_end or CompiledStep(model, n_rigid, rigid_correction)
+        self._back_end = back_end or TfStep(model, n_rigid, rigid_correction)
         self._lock = threading.Lock()
         self._pose: np.ndarray | None = None
         self._last: Frame | None = None

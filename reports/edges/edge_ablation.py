@@ -204,9 +204,8 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
     Returns:
       variant -> dict of `ms_min`, `ms_median`, `ms_p95`, `ms_p99`, `ms_worst` and `edges`.
     """
-    from learning_to_simulate.compiled.folded_step import rollout_function
     from learning_to_simulate.methods import subspace_method
-    from learning_to_simulate.rollout import rollout_inputs
+    from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 
     metadata = dataset.read_metadata(data_path)
     groups, runs = (
@@ -222,7 +221,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
         if mask is not None:
             model.fix_mode_edges(np.array(mask, bool))
         layout = model.layout(one.n_rigid)
-        function = rollout_function(model.simulator, layout)
+        function = RolloutFunction(model.simulator, layout)
         inputs = rollout_inputs(one, layout, model.simulator.scene)
         jobs[name] = timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
         edges[name] = layout.n_edge

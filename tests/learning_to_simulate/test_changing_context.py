@@ -8,8 +8,6 @@ import tensorflow as tf
 
 import learning_to_simulate as lts
 from learning_to_simulate import rollout, rollout_status
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.export_c import c_library, c_stepper
 from learning_to_simulate.live import stepping
 from learning_to_simulate.reading_utils import contexts_by_frame
@@ -33,13 +31,13 @@ def made(tmp_path_factory):
     return model, group
 
 
-def _rolled(model, group, make_step=PlainStep, n_frame=8):
+def _rolled(model, group, n_frame=8):
     """Positions [S, n_frame, V, D]. Eagerly, to save the compilation."""
     layout = model.layout(group.n_rigid)
     state, known, context, _ = rollout.rollout_inputs(group, layout, model.simulator.scene)
     known = known.at(slice(n_frame))
     context = context if context.ndim == 2 else context[:n_frame]
-    function = rollout.RolloutFunction(model.simulator, layout, make_step=make_step)
+    function = rollout.RolloutFunction(model.simulator, layout)
     tf.config.run_functions_eagerly(True)
     try:
         offsets, _ = function(state, known, context, n_frame)
@@ -91,19 +89,15 @@ def test_single_step_is_that_of_the_numpy_twin(made):
     np.testing.assert_allclose(got, expected, atol=TOLERANCE)
 
 
-def test_rollouts_plain_and_folded_are_the_single_steps(made):
-    """All runs as a batch; in the folded form the context enters what is computed ahead."""
+def test_rollouts_are_the_single_steps(made):
+    """All runs as a batch."""
     model, group = made
     expected = _by_steps(model, group, 1, 8)
-    for make_step in (PlainStep, FoldedStep):
-        got = _rolled(model, group, make_step)
-        np.testing.assert_allclose(got[1], expected, atol=TOLERANCE)
+    np.testing.assert_allclose(_rolled(model, group)[1], expected, atol=TOLERANCE)
     frozen = dataclasses.replace(group, context=group.context[:, 0])
     assert np.abs(_rolled(model, frozen)[1] - expected).max() > 100 * TOLERANCE
     repeated = dataclasses.replace(group, context=0 * group.context + group.context[:, :1])
-    for make_step in (PlainStep, FoldedStep):
-        one, other = (_rolled(model, g, make_step) for g in (frozen, repeated))
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(_rolled(model, frozen), _rolled(model, repeated))
 
 
 def test_training_takes_it_of_the_frame_that_is_predicted(made):

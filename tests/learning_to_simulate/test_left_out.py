@@ -14,8 +14,6 @@ from learning_to_simulate import (
     reading_utils,
     rollout,
 )
-from learning_to_simulate.compiled import folded_step
-from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.live import stepping
 from learning_to_simulate.methods import registry
@@ -171,12 +169,6 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
     assert seen == {5, 11, layout.n_edge}  # None of the body's edges, those of one row, and all.
 
 
-def test_a_graph_that_follows_the_tool_is_stepped_and_rolled_out_in_its_plain_form(tmp_path):
-    model, (group, *_), _ = models.make(tmp_path, overrides={'surface_height': 0.3})
-    layout = model.layout(group.n_rigid)
-    function = folded_step.rollout_function(model.simulator, layout)
-    assert type(function) is rollout.RolloutFunction
-    with pytest.raises(ValueError, match='edges last'):
-        FoldedSimulator(model.simulator, layout)
+def test_a_tool_depth_needs_a_graph():
     with pytest.raises(ValueError, match='surface_height'):
         presets.make_config('mlp', surface_height=0.3)

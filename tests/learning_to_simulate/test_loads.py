@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import api, checkpoints, evaluation, loads, presets, reading_utils
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
 from learning_to_simulate.export_c import exporting as c_exporting
 from learning_to_simulate.live import path_rollout, stepping
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.methods import registry
-from learning_to_simulate.rollout import roll_out
+from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from pca_tools import dataset, files
 from reports.protocol import rollouts
@@ -91,7 +90,7 @@ def test_with_the_same_weights_the_torque_changes_nothing_else(tmp_path, preset,
         mine.assign(theirs[..., : mine.shape[-1]])
     assert widened == 2  # w and b
     one = group.select(0)
-    a, b = (roll_out(rollout_function(m.simulator, m.layout(4)), one) for m in (wide, narrow))
+    a, b = (roll_out(RolloutFunction(m.simulator, m.layout(4)), one) for m in (wide, narrow))
     scale = np.ptp(b.position)
     np.testing.assert_allclose(a.position, b.position, atol=1e-6 * scale)
     np.testing.assert_allclose(a.force, b.force, atol=1e-5 * np.abs(b.force).max())
@@ -129,7 +128,7 @@ def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
 def test_live_steps_paths_and_batches_hand_out_the_same_torque(trained, rolled):
     opened, results, _ = rolled
     _, group, rollout = results[0]
-    function = rollout_function(opened.model.simulator, opened.model.layout(group.n_rigid))
+    function = RolloutFunction(opened.model.simulator, opened.model.layout(group.n_rigid))
     batch = roll_out(function, opened.groups[0])
     close = {'rtol': 1e-3, 'atol': 1e-3 * np.abs(rollout.torque).max()}
     np.testing.assert_allclose(batch.torque[0], rollout.torque[0], **close)
@@ -170,7 +169,7 @@ def test_a_model_without_it_says_none(tmp_path):
     stepper = stepping.Stepper(model, group.n_rigid)
     stepper.reset(group.position[0, :H])
     assert stepper.step(group.position[0, H, : group.n_rigid]).torque is None
-    rollout = roll_out(rollout_function(model.simulator, model.layout(4)), group.select(0))
+    rollout = roll_out(RolloutFunction(model.simulator, model.layout(4)), group.select(0))
     assert rollout.torque is None
     summary = evaluation.summarise([(0, group.select(0), rollout)], model, {}, 'train')
     assert not any('torque' in key for key in summary['mean']['model'])
@@ -202,7 +201,7 @@ def test_folders_of_before_load_and_train_on(tmp_path):
 
     def rollout():
         model = checkpoints.load_model(path)
-        return roll_out(rollout_function(model.simulator, model.layout(group.n_rigid)), group)
+        return roll_out(RolloutFunction(model.simulator, model.layout(group.n_rigid)), group)
 
     before, name = rollout(), os.path.join(path, checkpoints.CONFIG_FILE)
     values = files.read_json(name)

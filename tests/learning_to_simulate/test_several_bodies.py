@@ -8,8 +8,6 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import evaluation, model_config, reading_utils, rollout
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.export_c import model_data
 from learning_to_simulate.learned_simulator import Layout
 from learning_to_simulate.live import stepping
@@ -100,25 +98,6 @@ def test_a_step_is_that_of_the_numpy_twin(tmp_path, preset):
     assert force.shape == (1, 6)
     size = np.abs(expected_force).max()
     np.testing.assert_allclose(force[0], expected_force, atol=1e-4 * size)
-
-
-def test_folded_rollouts_are_the_plain_ones(made):
-    model, group = made
-    state, known, _, _ = rollout.rollout_inputs(group, model.layout(7), model.simulator.scene)
-    known = known.at(slice(8))
-    tf.config.run_functions_eagerly(True)
-    try:
-        (offsets, forces), (folded, folded_forces) = (
-            rollout.RolloutFunction(model.simulator, model.layout(7), make_step=make_step)(
-                state, known, None, 8
-            )
-            for make_step in (PlainStep, FoldedStep)
-        )
-    finally:
-        tf.config.run_functions_eagerly(False)
-    np.testing.assert_allclose(folded, offsets, atol=1e-5)
-    assert forces.shape == (8, 4, 6)
-    np.testing.assert_allclose(folded_forces, forces, atol=1e-4 * np.abs(forces).max())
 
 
 def test_training_windows_hold_the_force_on_each(made):

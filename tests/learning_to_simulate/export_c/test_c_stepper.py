@@ -320,4 +320,4 @@ def test_the_stepper_gives_the_same_frames_by_either_back_end(tmp_path, case):
         np.testing.assert_allclose(mine.force, theirs.force, rtol=5e-3, atol=5e-2)
     assert type(c_step.best_step(model, n)) is c_step.CStep
     other = models.make(tmp_path / 'other', preset='mixer_se', overrides={'mode_edges': 0})[0]
-    assert type(c_step.best_step(other, n)).__name__ == 'CompiledStep'
+    assert type(c_step.best_step(other, n)).__name__ == 'TfStep'

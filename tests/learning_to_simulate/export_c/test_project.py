@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.compiled.compiled_step import CompiledStep
+from learning_to_simulate.live.tf_step import TfStep
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export_c import (
     benchmark,
@@ -247,7 +247,7 @@ def test_a_library_that_cannot_be_loaded_leaves_the_steps_to_tensorflow(
     with pytest.raises(c_library.NoCompiler, match='cannot be loaded'):
         c_library.load()
     model, (group,), _ = models.make(tmp_path / 'data')
-    assert isinstance(c_step.best_step(model, group.n_rigid), CompiledStep)
+    assert isinstance(c_step.best_step(model, group.n_rigid), TfStep)
     # A home that several kinds of machines share has a library for each.
     monkeypatch.setattr(c_library.platform, 'machine', lambda: 'another')
     with pytest.raises(c_library.NoCompiler):

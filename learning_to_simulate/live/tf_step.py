@@ -1,6 +1,5 @@
-"""`CompiledStep`: frames of a model by TensorFlow, the back end of a `stepping.Stepper`."""
+"""`TfStep`: frames of a model in a subspace by TensorFlow, one by one."""
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -8,20 +7,19 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.body_height import without_height
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.learned_simulator import SimulatorState
 from learning_to_simulate.methods import path_memory
 from learning_to_simulate.rigid_body import Correction, KnownMotion
+from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
 
 
-class CompiledStep:
-    """Frames by TensorFlow, compiled: the back end of a `Stepper`.
+class TfStep:
+    """Frames by TensorFlow, compiled once.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `checkpoints.Model`; its variables are read anew in every frame.
       n_rigid: R, rigid particles that are nodes.
       rigid_correction: whether a predicted body is kept rigid.
     """
@@ -112,16 +110,7 @@ class CompiledStep:
         self._memory = self._coming
 
     def _compute(self, state, known, context, shape):
-        if self._simulator.config.has_lasting_graph:
-            make = functools.partial(FoldedStep, ahead=False, frozen=True)
-        else:
-            make = PlainStep
-        step = make(self._simulator, self._layout, self._correct, shape=shape)
-        one = None
-        if known is not None:
-            path = None if known.path is None else known.path[None]
-            one = KnownMotion(known.offset[None], known.velocity[None], path, known.start)
-        frames = step.ahead(state, one, context, 1)
-        carry, written = step.advance(step.begin(state), frames(0))
-        load = written[-1] if self._scene.has_force else None
-        return step.state_after(state, known, carry), load
+        correction = None
+        if self._correct:
+            correction = Correction(None, self._layout.origin[: self._layout.n_rigid], shape)
+        return corrected_step(self._simulator, self._layout, state, known, context, correction)
