@@ -42,11 +42,10 @@ def export(
       ValueError: a scene that the format cannot hold, a model that does not fit the data, an
         absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
     """
-    from learning_to_simulate import checkpoints
+    from learning_to_simulate import checkpoints, registry
     from learning_to_simulate.export import export_formats
     from learning_to_simulate.export.field_networks import FieldNetworks
     from learning_to_simulate.export.step_functions import StepFunctions
-    from learning_to_simulate.methods import registry
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')

@@ -6,15 +6,12 @@ import time
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads, rigid_body
+from learning_to_simulate import loads, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.learned_simulator import (
-    SimulatorState,
-    initial_state,
-)
-from learning_to_simulate.methods import registry
-from learning_to_simulate.rigid_body import KnownMotion, known_motion
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import rigid_body
+from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
+from learning_to_simulate.subspace.rigid_body import KnownMotion, known_motion
 from pca_tools import subspace
 
 # Largest difference of one step to the source model, as a share of the largest motion or force of

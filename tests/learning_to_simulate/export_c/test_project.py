@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.live.tf_step import TfStep
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export_c import (
     benchmark,
@@ -28,6 +27,7 @@ from learning_to_simulate.export_c import (
     starts,
 )
 from learning_to_simulate.export_c.c_soil import CSoil
+from learning_to_simulate.live.tf_step import TfStep
 from tests.learning_to_simulate import models
 
 pytestmark = pytest.mark.skipif(
