@@ -1,4 +1,6 @@
-"""What lies in a model folder beside the weights, so that the model runs without its dataset.
+"""Where a run may begin: the starts of a model folder, and what a user says of a start.
+
+Beside the weights lie, so that the model runs without its dataset:
 
   start.npz      the body's particles in its own frame, which of them are nodes, and beds at rest
   subspace.npz   a copy of the dataset's
@@ -11,10 +13,12 @@ import dataclasses
 import json
 import os
 import shutil
+from typing import Any
 
 import numpy as np
 
 from learning_to_simulate import checkpoints, reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from pca_tools import dataset, files, rigid_fit
 from pca_tools.metadata import SPLITS
@@ -94,12 +98,12 @@ def collect(data_path: str, nodes: dict) -> Starts:
                 case = _parameters(cases[record]) if record < len(cases) else {}
                 pose = stated[record]
                 _add(found, case, group, run, None if pose is None else pose[0].astype(float))
-    cases, bodies, kept, poses, modes, contexts = zip(*found)
+    cases, bodies, kept, first, modes, contexts = zip(*found)
     return Starts(
         cases,
         bodies,
         kept,
-        np.stack(poses),
+        np.stack(first),
         np.stack(modes),
         None if contexts[0] is None else np.stack(contexts),
         force_limit,
@@ -189,9 +193,8 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     stored = checkpoints.read_config(model_path).get('files')
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(
-            f'{model_path}: holds no {START_FILE}, the model was trained before models carried '
-            f'their start; add it: lts add-start '
-            f'--model_path={model_path} --data_path=<its dataset>'
+            f'{model_path}: holds no {START_FILE}, it was trained before models carried their '
+            f'start; train it again'
         )
     for name in (START_FILE, SUBSPACE_FILE):
         path = os.path.join(model_path, name)
@@ -230,3 +233,128 @@ def _parse(path):
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f'{path}: is not the start of a model ({error})') from error
     return starts
+
+
+class Start:
+    """Checked input of a start: a bed, a body, its first pose and velocity, the context.
+
+    Args:
+      scene: of the model.
+      starts: of the model folder.
+      n_modes: r.
+
+    Attributes:
+      index: which of the starts was chosen.
+      body, kept: particles of the body in its own frame, and which are nodes.
+      pose: float64 [7].
+      velocity: float64 [6], m/s and rad/s.
+      context: float64 [C] or None.
+    """
+
+    def __init__(self, scene, starts: Starts, n_modes: int):
+        self._scene, self._starts, self._n_modes = scene, starts, n_modes
+        self.index: int | None = None
+
+    def choose(self, pose=None, velocity=None, case=None, context=None) -> 'Start':
+        """Takes what a user gives, and the rest from the start of a case; returns itself.
+
+        Raises:
+          ValueError: no such case, not a pose, a velocity or a context.
+        """
+        starts, names = self._starts, self._scene.context_names
+        contexts: Any = starts.context  # there is one for every start, or the scene names none
+        index = starts.index(case)
+        if context is not None:
+            context = self.read_context(context)
+            if case is None:  # the bed of the most similar case
+                spread = contexts.std(axis=0)
+                far = (contexts - context) / np.where(spread > 0, spread, 1.0)
+                index = int((far**2).sum(axis=1).argmin())
+        elif names:
+            context = contexts[index]
+        reader = self._reader(index)
+        pose = starts.pose[index] if pose is None else reader.read(pose)
+        velocity = reader.read_velocity(velocity)
+        self.index, self.pose, self.velocity, self.context = index, pose, velocity, context
+        self.body, self.kept = starts.body[index], starts.kept[index]
+        return self
+
+    def _reader(self, index):
+        up = self._scene.up_axis
+        across = 2 if up != 2 else 1
+        return poses.PoseReader(up, self._starts.pose[index, across])
+
+    def read(self, pose) -> np.ndarray:
+        """float64 [7] of a pose of the path; raises as `poses.PoseReader.read`."""
+        return self._reader(self.index or 0).read(pose)
+
+    def read_context(self, context) -> np.ndarray:
+        """float64 [C] of a context [C] or {name: value}.
+
+        Raises:
+          ValueError: a scene without one, other names, not numbers.
+        """
+        names = self._scene.context_names
+        if not names:
+            raise ValueError(f'the scene {self._scene.name} takes no context')
+        if isinstance(context, dict):
+            if set(context) != set(names):
+                raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
+            context = [context[name] for name in names]
+        return poses.numbers('context', context, (len(names),))
+
+    def nodes(self, pose) -> np.ndarray:
+        """float64 [R, 3], m, of the body's nodes at a pose."""
+        return poses.placed(self.body[self.kept], pose)
+
+    def past(self) -> np.ndarray:
+        """float64 [H, 7]: the poses of a body on its way at constant velocity, newest last."""
+        seconds = self._scene.dt * np.arange(H - 1, -1, -1)
+        return np.stack([poses.moved_back(self.pose, self.velocity, t) for t in seconds])
+
+    def history(self) -> np.ndarray:
+        """float64 [H, V, 3], m: the bed at rest, the body on its way."""
+        modes = self._starts.modes[self.index][: self._n_modes]
+        return np.stack([np.concatenate([self.nodes(pose), modes]) for pose in self.past()])
+
+
+class RecordedStart:
+    """A start from recorded frames, whose body is told by its particles and not by a pose.
+
+    Args:
+      scene: of the model.
+      n_rigid: R.
+      history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
+      context: [C], where the scene has one.
+
+    Raises:
+      ValueError: wrong shape or kind of values, or values that are not finite in float32.
+    """
+
+    index, velocity = None, None
+
+    def __init__(self, scene, n_rigid: int, history, context=None):
+        self._scene, self._n = scene, n_rigid
+        shape = (H, n_rigid + scene.n_modes, None)
+        self._history = poses.numbers('history', history, shape)
+        self._history.setflags(write=False)
+        names = scene.context_names
+        if (context is None) == bool(names):
+            raise ValueError(f'the scene takes context {list(names)}, got {context}')
+        self.context = None if context is None else self.read_context(context)
+        self.kept = np.arange(n_rigid)
+        self.pose = None
+
+    read_context = Start.read_context
+
+    def read(self, body) -> np.ndarray:
+        """float64 [R, D] of the particles of a body."""
+        return poses.numbers('rigid_pose', body, (self._n, self._history.shape[2]))
+
+    def nodes(self, body) -> np.ndarray:
+        """The particles themselves."""
+        return body
+
+    def history(self) -> np.ndarray:
+        """float64 [H, V, D], m, as given."""
+        return self._history
