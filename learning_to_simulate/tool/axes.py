@@ -111,6 +111,18 @@ class Axes:
         lean = np.arctan2(-self.sign * tilt, (w * w + u * u) - (a * a + c * c))
         return np.concatenate([self.plane(pose), lean[..., None]], axis=-1)
 
+    def sideways(self, pose) -> np.ndarray:
+        """Yaw and roll [..., 2] (rad, in (-pi, pi]) of poses [..., 7]: where their rotation R takes
+        the axis across, e: atan2((R e)_along, (R e)_across) and its rise above the level. Both are
+        0 of a tool that leans or rolls in the plane of travel."""
+        pose = np.asarray(pose, np.float64)
+        w, a, u, c = (pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across))
+        turn = self.sign * self._turn  # +1 where axis, up, across are right-handed
+        along, rise = 2 * (a * c + turn * w * u), 2 * (u * c - turn * w * a)
+        across = w * w + c * c - a * a - u * u
+        yaw = np.arctan2(self.sign * along, across)
+        return np.stack([yaw, np.arctan2(rise, np.hypot(along, across))], axis=-1)
+
     def velocities(self, velocity) -> np.ndarray:
         """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's
         linear and angular ones [..., 6]."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate.tool.swept import Bed, SweptGrid
 from pca_tools import subspace
 
 
@@ -84,6 +85,29 @@ def height_of_dataset(folder: str, metadata: dict, axes: Axes) -> float | None:
     return flat_surface(points, axes, *spacings(points, metadata))
 
 
+class Ground(NamedTuple):
+    """The bed that a tool begins on: all that an episode starts from.
+
+    Attributes:
+      points: float64 [N, 3], world, m.
+      places: float64 [N, 3] the same as u, height, distance from the middle plane.
+      origin: float64 [3] u of the tool's first place, level of the bed, 0; m.
+      size: float64 [S] of the tool, see `tool`.
+      bed: `swept.Bed` of one tool.
+    """
+
+    points: np.ndarray
+    places: np.ndarray
+    origin: np.ndarray
+    size: np.ndarray
+    bed: Bed
+
+    @property
+    def local(self) -> np.ndarray:
+        """float32 [N, 3]: `places` from the origin, as the networks take them."""
+        return (self.places - self.origin).astype(np.float32)
+
+
 @dataclasses.dataclass(frozen=True)
 class BedReader:
     """Beds from particles.
@@ -96,13 +120,13 @@ class BedReader:
     """
 
     axes: Axes
-    grid: object
+    grid: SweptGrid
     kept_spacing: float
     spacing: float
 
-    def read(self, points, u: float, width: float) -> tuple[np.ndarray, float, float]:
-        """Surface [n], level and end (m; see `swept.Bed`) of particles [N, 3] for a tool of a width
-        at u. The level is the median surface within the bed.
+    def ground(self, points, u: float, size, width: float) -> Ground:
+        """The `Ground` of particles [N, 3] (m, world) for a tool of a size [S] and width (m) that
+        begins at u (m). The level is the median surface within the bed.
 
         Raises:
           ValueError: no particle lies where the tool passes.
@@ -114,7 +138,14 @@ class BedReader:
         along = self.axes.plane(points)[:, 0]
         there = (places >= along.min()) & (places <= along.max())
         level = float(np.median(surface[there] if there.any() else surface))
-        return surface, level, float(along.max() + self.spacing / 2)
+        end = float(along.max() + self.spacing / 2)
+        return Ground(
+            points,
+            self.axes.points(points),
+            np.array([u, level, 0.0]),
+            np.asarray(size),
+            Bed(surface[None], np.array([level]), np.array([end])),
+        )
 
 
 class HeightMap(NamedTuple):

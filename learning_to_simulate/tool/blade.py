@@ -273,6 +273,14 @@ class Blade(Tool):
         state = advance(grid, state, pose, dt)
         return state, np.asarray(pose, np.float64), frame(grid, bed, size[:, 0], state)
 
+    def touches(self, grid, frames):
+        """See `Tool`: where (13) is above 0."""
+        tip, height, area = (frames.scalars[:, SCALARS.index(n)] for n in ('tip', 'height', 'area'))
+        places = tip[:, None] + np.array(CONTACT_AROUND)
+        surface = swept.channels_at(grid, frames.bins[..., SURFACE, None], places).max(axis=(1, 2))
+        heap = HEAP_HEIGHT * np.sqrt(np.maximum(area, 0.0))
+        return height - self.radius - surface < heap + CONTACT_ABOVE
+
     def targets(self, episode):
         """See `Tool`."""
         return episode.load

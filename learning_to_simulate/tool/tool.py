@@ -97,6 +97,10 @@ class Tool(abc.ABC):
         return np.stack([p for p, _ in rows]), stacked
 
     @abc.abstractmethod
+    def touches(self, grid, frames: Frame) -> np.ndarray:
+        """bool [T]: whether the tool may feel soil in frames of [T, ...]."""
+
+    @abc.abstractmethod
     def targets(self, episode) -> np.ndarray:
         """float32 [T, O'] that the load's network learns: force, torque, and what else there is."""
 

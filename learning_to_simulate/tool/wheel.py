@@ -437,6 +437,10 @@ class Wheel(Tool):
             found.append(with_rut(grid, bed, k, rut))
         return pose, Frame(*map(np.stack, zip(*found, strict=True)))
 
+    def touches(self, grid, frames):
+        """See `Tool`: a driven wheel always does."""
+        return np.ones(len(frames.scalars), bool)
+
     def targets(self, episode):
         """See `Tool`: the last one is the change of the height, m."""
         height = episode.pose[:, HEIGHT]

@@ -15,9 +15,12 @@ import dataclasses
 
 import numpy as np
 
+from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import open_loop, swept_features, tool_motion
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.tool import swept
+from learning_to_simulate.tool.axes import blade_pose
+from learning_to_simulate.tool.blade import EDGE_RADIUS
 
 # Failure planes that are compared, rad.
 _BETA = np.radians(np.linspace(5.0, 60.0, 111))
@@ -59,8 +62,8 @@ class BladeGeometry:
     """
 
     along: float = 0.0115
-    behind: float = 0.014
-    radius: float = 0.014
+    behind: float = EDGE_RADIUS
+    radius: float = EDGE_RADIUS
     points_width: float = 0.4
     width: float = 0.457
     height: float = 0.305
@@ -183,7 +186,7 @@ class EarthmovingForce:
 
     Args:
       scene: what exists; the body's motion must be prescribed.
-      frame: the way of travel.
+      axes: of the scene.
       surface: height of the flat bed, m.
       blade: geometry.
       gravity: m/s2.
@@ -194,30 +197,30 @@ class EarthmovingForce:
       ValueError: a body of another motion.
     """
 
-    def __init__(self, scene, frame, surface, blade=BladeGeometry(), gravity=9.81, gains=None):  # noqa: B008
+    def __init__(self, scene, axes, surface, blade=BladeGeometry(), gravity=9.81, gains=None):  # noqa: B008
         if scene.rigid_motion != RigidMotion.PRESCRIBED:
             raise ValueError(
                 f'the equation of earthmoving is for a blade on a given path, not for a body that '
                 f'is {scene.rigid_motion}'
             )
-        self.scene, self.frame, self.surface = scene, frame, float(surface)
+        self.scene, self.axes, self.surface = scene, axes, float(surface)
         self.blade, self.gravity = blade, gravity
         self.gains = np.ones((2, 2)) if gains is None else np.asarray(gains, np.float64)
 
     def parameters_to_json(self) -> dict:
-        """All but scene and frame, for `from_json`."""
+        """All but scene and axes, for `from_json`."""
         blade = dataclasses.asdict(self.blade)
         values = {'surface': self.surface, 'gravity': self.gravity, 'blade': blade}
         return values | {'gains': self.gains.tolist()}
 
     @classmethod
-    def from_json(cls, values: dict, scene, frame) -> 'EarthmovingForce':
+    def from_json(cls, values: dict, scene, axes) -> 'EarthmovingForce':
         """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
         gains = np.array(values['gains'], np.float64)
         if gains.shape != (2, 2) or not np.isfinite(gains).all():
             raise ValueError(f'gains are {values["gains"]!r}')
         blade = BladeGeometry(**values['blade'])
-        return cls(scene, frame, float(values['surface']), blade, float(values['gravity']), gains)
+        return cls(scene, axes, float(values['surface']), blade, float(values['gravity']), gains)
 
     def fitted(self, groups, cases) -> 'EarthmovingForce':
         """The same with the gains that fit the runs of the groups best, least squares with every
@@ -238,39 +241,38 @@ class EarthmovingForce:
             axis=1,
         )
         return EarthmovingForce(
-            self.scene, self.frame, self.surface, self.blade, self.gravity, gains
+            self.scene, self.axes, self.surface, self.blade, self.gravity, gains
         )
 
     def _in_plane(self, force):
         """Backward and upward parts [..., 2] of forces [..., D]."""
         return np.stack(
-            [-self.frame.sign * force[..., self.frame.axis], force[..., self.frame.up]], axis=-1
+            [-self.axes.sign * force[..., self.axes.axis], force[..., self.axes.up]], axis=-1
         )
 
     def parts(self, group, cases) -> np.ndarray:
         """[S, T, 2 (wedge, heap), 2 (backward, up)] of the force, N, before the gains."""
         body = group.position[:, :, : group.n_rigid]
-        row, lean = tool_motion.blade_pose(body, self.frame)
+        row, lean = blade_pose(body, self.axes)
         edge = self.blade.edge(row, lean)
-        across = ({0, 1, 2} - {self.frame.axis, self.frame.up}).pop()
-        widths = np.ptp(body[:, 0, :, across], axis=1) * self.blade.width / self.blade.points_width
+        widths = self.axes.width(body[:, 0]) * self.blade.width / self.blade.points_width
         travel = edge[..., 0] - edge[:, :1, 0]
-        grid = swept_features.SweptGrid(
+        grid = swept.SweptGrid(
             radius=self.blade.radius,
             behind=float(-travel.min()) + 0.1,
             ahead=float(travel.max()) + 0.1,
         )
-        state = swept_features.start(grid, edge[:, 0], self.surface)
+        state = swept.start(grid, edge[:, 0], self.surface)
         depth, heap = np.zeros(edge.shape[:2]), np.zeros(edge.shape[:2])
         forward = np.zeros(edge.shape[:2], bool)
         for t in range(1, edge.shape[1]):
-            state = swept_features.advance(grid, state, edge[:, t], self.scene.dt)
+            state = swept.advance(grid, state, edge[:, t], self.scene.dt)
             ahead = state.tip + self.blade.radius + grid.spacing
             # What lies ahead may have been cut before; the blade itself has not been there.
-            depth[:, t] = swept_features.profile_at(grid, state, ahead) - (
+            depth[:, t] = swept.profile_at(grid, state, ahead) - (
                 edge[:, t, 1] - self.blade.radius
             )
-            heap[:, t] = swept_features.swept_area(grid, state)
+            heap[:, t] = swept.swept_area(grid, state)
             step = edge[:, t, 0] - edge[:, t - 1, 0]
             # A blade at rest stays pressed on as it was; one that backs off loses the soil.
             forward[:, t] = np.where(step == 0, forward[:, t - 1], step > 0)
@@ -296,7 +298,7 @@ class EarthmovingForce:
         """
         plane = (self.parts(group, cases)[:, H:] * self.gains).sum(axis=2)
         force = np.zeros((*plane.shape[:2], group.position.shape[-1]))
-        force[..., self.frame.axis] = -self.frame.sign * plane[..., 0]
-        force[..., self.frame.up] = plane[..., 1]
+        force[..., self.axes.axis] = -self.axes.sign * plane[..., 0]
+        force[..., self.axes.up] = plane[..., 1]
         position = open_loop.held_position(group, self.scene)
         return open_loop.Prediction(position, force, frozenset({open_loop.FORCE}))

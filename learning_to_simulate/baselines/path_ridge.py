@@ -8,17 +8,27 @@ the start and not the soil, so it serves bounded episodes from a known bed only.
 Each output has its own width of the kernel, ridge and inputs. The valid runs choose them; or, where
 a dataset has a dozen runs, each run of train and valid as judge of what the others give; the mean
 of the best few is then less a matter of luck than the best.
+
+What a regression sees are functions of the known motion up to a frame. `path`: pose, velocity,
+deepest and foremost point so far, swept area (a blade), or travel, turn, slip, their rates,
+logarithms of the context and the size (a wheel). `swept` adds the profile of the deepest cut, from
+where the tool began; `bed` adds where on the bed that was and the profile at places that are the
+same in all runs, as the particles of the modes are (a blade; a wheel's height is not known, so nor
+is its rut).
 """
 
+import dataclasses
 import itertools
 import json
 
 import numpy as np
 
+from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import open_loop, path_inputs
-from learning_to_simulate.methods.kernel_ridge import Regression, errors_left_out
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.tool import swept
+from learning_to_simulate.tool.axes import Axes, blade_pose, hidden_height, wheel_pose
+from learning_to_simulate.tool.blade import EDGE_RADIUS
 from pca_tools import files
 
 FILE_NAME = 'path_ridge.npz'
@@ -29,6 +39,326 @@ ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 _CHOOSING_SAMPLES = 800
 # The force itself as a target, beside its change since the last given frame.
 _FREE_FORCE = 'free force'
+SETS = ('path', 'swept', 'bed')
+PROFILE_BINS = 15
+
+
+@dataclasses.dataclass(frozen=True)
+class PathInputs:
+    """Reads the inputs of a scene's runs.
+
+    Attributes:
+      scene: what exists.
+      axes: of the training runs.
+      surface: height of the resting bed, m.
+      reach: [2] smallest and largest travel of the training runs from their start, m; the profile
+        of `swept` is spread over it.
+      places: [2] smallest and largest place along the way of the training runs, m; of `bed`.
+      grid: bins of the swept profile.
+    """
+
+    scene: Scene
+    axes: Axes
+    surface: float
+    reach: tuple[float, float]
+    places: tuple[float, float]
+    grid: swept.SweptGrid
+
+    @classmethod
+    def of(cls, groups, scene: Scene, surface=None) -> 'PathInputs':
+        """The reader for training groups; see `PathRidge.fit`."""
+        bodies = [g.position[:, :, : g.n_rigid] for g in groups]
+        axes = Axes.of_bodies(bodies, scene.up_axis)
+        u = [axes.plane(b).mean(axis=2)[..., 0] for b in bodies]
+        travel = np.concatenate([(x - x[:, :1]).reshape(-1) for x in u])
+        if surface is None:
+            surface = float(np.mean([b[:, 0, :, scene.up_axis].min() for b in bodies]))
+        span = max(float(np.ptp(travel)), 10 * EDGE_RADIUS)
+        # Runs to come may go farther than those of training did, by half of their span.
+        grid = swept.SweptGrid(
+            radius=EDGE_RADIUS,
+            behind=float(-travel.min()) + span / 2 + 0.2,
+            ahead=float(travel.max()) + span / 2 + 0.2,
+        )
+        reach = (float(travel.min()), float(travel.max()))
+        places = (min(float(x.min()) for x in u), max(float(x.max()) for x in u))
+        return cls(scene, axes, float(surface), reach, places, grid)
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """Names of the sets of inputs that the scene has."""
+        return SETS if self.scene.rigid_motion == RigidMotion.PRESCRIBED else SETS[:1]
+
+    def read(self, group, name: str) -> np.ndarray:
+        """Inputs [S, T, I] of the runs of a group.
+
+        Raises:
+          ValueError: a path that leaves the bins.
+        """
+        body = group.position[:, :, : group.n_rigid]
+        if self.scene.rigid_motion == RigidMotion.PRESCRIBED:
+            parts = self._blade(body, name)
+        else:
+            hidden = hidden_height(body, self.scene, H)
+            parts = [self._wheel(hidden)]
+        if group.context is not None:
+            by_frame = group.context if group.context.ndim == 3 else group.context[:, None]
+            shape = (*body.shape[:2], by_frame.shape[-1])
+            parts.append(np.broadcast_to(_context(by_frame), shape))
+        return np.concatenate(parts, axis=-1)
+
+    def _blade(self, body, name):
+        tip, lean = blade_pose(body, self.axes)
+        dt, n_frame = self.scene.dt, body.shape[1]
+        state = swept.start(self.grid, tip[:, 0], self.surface)
+        begun = tip[:, :1, 0]
+        if name == 'bed':
+            places = np.broadcast_to(
+                np.linspace(*self.places, PROFILE_BINS), (len(tip), PROFILE_BINS)
+            )
+        else:
+            places = begun + np.linspace(*self.reach, PROFILE_BINS)
+        path, profile = [], []
+        lowest = tip[:, 0, 1]
+        for t in range(n_frame):
+            if t:
+                state = swept.advance(self.grid, state, tip[:, t], dt)
+            lowest = np.minimum(lowest, tip[:, t, 1])
+            path.append(
+                [
+                    tip[:, t, 0] - tip[:, 0, 0],
+                    tip[:, t, 1] - self.surface,
+                    lean[:, t],
+                    lowest - self.surface,
+                    state.foremost - tip[:, t, 0],
+                    swept.swept_area(self.grid, state),
+                    *state.velocity.T,
+                    np.hypot(*state.velocity.T),
+                ]
+            )
+            cut = swept.profile_at(self.grid, state, places) - self.surface
+            profile.append(cut)
+        parts = [np.moveaxis(np.array(path), 2, 0)]
+        if name != 'path':
+            parts.append(np.stack(profile, axis=1))
+        if name == 'bed':
+            parts.append(np.broadcast_to(begun[:, None], (len(tip), n_frame, 1)))
+        return parts
+
+    def _wheel(self, body):
+        centre, turned, radius, width = wheel_pose(body, self.axes)
+        dt = self.scene.dt
+        travel = centre[..., 0] - centre[:, :1, 0]
+        rolled = radius[:, None] * turned
+        speed, spin = (np.diff(x, axis=1, prepend=x[:, :1]) / dt for x in (travel, rolled))
+        slid = np.cumsum(np.abs(spin - speed), axis=1) * dt
+        rows = [travel, rolled, rolled - travel, np.maximum.accumulate(travel, axis=1), slid]
+        rows += [speed, spin]
+        start = np.broadcast_to(centre[:, H - 1, 1] - self.surface, (1, len(body)))
+        size = np.stack([np.log(radius), np.log(width), (start[0] - radius)], axis=1)
+        return np.concatenate(
+            [np.stack(rows, axis=-1), np.repeat(size[:, None], body.shape[1], axis=1)], axis=-1
+        )
+
+    def to_json(self) -> dict:
+        """Values of `from_json`."""
+        return {
+            'frame': dataclasses.asdict(self.axes),
+            'surface': self.surface,
+            'reach': list(self.reach),
+            'places': list(self.places),
+            'grid': dataclasses.asdict(self.grid),
+        }
+
+    @classmethod
+    def from_json(cls, values: dict, scene: Scene) -> 'PathInputs':
+        """Rebuilds the reader; raises KeyError, TypeError or ValueError on foreign values."""
+        return cls(
+            scene,
+            Axes(**values['frame']),
+            float(values['surface']),
+            tuple(map(float, values['reach'])),
+            tuple(map(float, values['places'])),
+            swept.SweptGrid(**values['grid']),
+        )
+
+
+def _context(context):
+    """Context [..., C], as logarithms where it is positive: loads and gravities span decades."""
+    positive = context > 0
+    return np.where(positive, np.log(np.where(positive, context, 1.0)), context)
+
+
+@dataclasses.dataclass(frozen=True)
+class Regression:
+    """One fitted kernel ridge: `y(x) = offset + sum_i dual_i k(x', x'_i)`.
+
+    Attributes:
+      inputs: which inputs it sees, a name of `SETS`.
+      gamma: width of the kernel on scaled inputs, 1 / (2 length²).
+      alpha: ridge.
+      shift, scale: [I], x' = (x - shift) / scale.
+      samples: [n, I] scaled inputs of training.
+      dual: [n, O].
+      offset: [O], the mean of training; None where the output is the change since the last given
+        frame.
+      kernel: a name of `KERNELS`.
+    """
+
+    inputs: str
+    gamma: float
+    alpha: float
+    shift: np.ndarray
+    scale: np.ndarray
+    samples: np.ndarray
+    dual: np.ndarray
+    offset: np.ndarray | None = None
+    kernel: str = 'gaussian'
+
+    @classmethod
+    def fit(
+        cls, inputs: str, x, y, gamma: float, alphas, kernel: str = 'gaussian'
+    ) -> list['Regression']:
+        """Fits outputs y [n, O] to inputs x [n, I], once with each ridge and all with one kernel.
+
+        `gamma` is per number of inputs.
+        """
+        from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
+
+        shift, scale = _scaling(x)
+        parts = (shift, scale, (x - shift) / scale)
+        gamma = gamma / x.shape[1]
+        gram = gram_matrix(parts[2], parts[2], gamma, kernel)
+        return [
+            cls(inputs, gamma, alpha, *parts,
+                np.asarray(KernelRidge(alpha=alpha, kernel='precomputed').fit(gram, y).dual_coef_),
+                kernel=kernel)
+            for alpha in alphas
+        ]  # fmt: skip
+
+    def columns(self, which: slice, offset) -> 'Regression':
+        """The regression of some of the outputs; they share all but the dual coefficients."""
+        return dataclasses.replace(
+            self, dual=np.ascontiguousarray(self.dual[:, which]), offset=offset
+        )
+
+    def predict(self, x) -> np.ndarray:
+        """Outputs [S, T - H, O] of frames H .. T - 1 from inputs [S, T, I] of all frames."""
+        return self.since_start(self(x[:, H - 1 :]))
+
+    def since_start(self, values) -> np.ndarray:
+        """Outputs [S, T - H, O] from what is regressed for frames H - 1 .. T - 1.
+
+        Changes since the last given frame begin there: what is regressed for it is taken off.
+        """
+        return values[:, 1:] - values[:, :1] if self.offset is None else values[:, 1:] + self.offset
+
+    def gram(self, x) -> np.ndarray:
+        """[..., n] of inputs [..., I] and the samples."""
+        flat = ((x - self.shift) / self.scale).reshape(-1, x.shape[-1])
+        found = gram_matrix(flat, self.samples, self.gamma, self.kernel)
+        return found.reshape(*x.shape[:-1], -1)
+
+    def __call__(self, x) -> np.ndarray:
+        """Outputs [..., O] at inputs [..., I]."""
+        return self.gram(x) @ self.dual
+
+    def check(self) -> None:
+        """Refuses arrays that do not fit each other.
+
+        Raises:
+          ValueError: they do not.
+        """
+        n, inputs = self.samples.shape
+        if (
+            self.shift.shape != (inputs,)
+            or self.scale.shape != (inputs,)
+            or self.dual.ndim != 2
+            or len(self.dual) != n
+            or (self.offset is not None and self.offset.shape != self.dual.shape[1:])
+            or not all(
+                np.isfinite(v).all() for v in (self.shift, self.scale, self.samples, self.dual)
+            )
+            or not (self.scale > 0).all()
+            or self.kernel not in KERNELS
+        ):
+            raise ValueError('arrays do not fit each other')
+
+
+def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -> list[np.ndarray]:
+    """What the samples of each run are off when the others alone are fitted, for each ridge.
+
+    With G = (K + alpha I)^-1 and c = G y, a fit without the samples g is off by G_gg^-1 c_g on
+    them (Rasmussen & Williams 2006, 5.12, has it for one sample), so that one eigendecomposition
+    serves all runs and ridges.
+
+    Args:
+      x: [n, I] inputs, scaled here as `Regression.fit` does.
+      y: [n, O] outputs.
+      run: int [n], the run of each sample.
+      gamma: width per number of inputs.
+      alphas: ridges.
+      kernel: a name of `KERNELS`.
+
+    Returns:
+      of each ridge [n, O].
+    """
+    shift, scale = _scaling(x)
+    scaled = (x - shift) / scale
+    values, vectors = np.linalg.eigh(gram_matrix(scaled, scaled, gamma / x.shape[1], kernel))
+    along = vectors.T @ y
+    found = []
+    for alpha in alphas:
+        inverse = 1.0 / (np.maximum(values, 0.0) + alpha)
+        dual = vectors @ (inverse[:, None] * along)
+        errors = np.empty_like(y)
+        for g in np.unique(run):
+            own = run == g
+            block = (vectors[own] * inverse) @ vectors[own].T
+            errors[own] = np.linalg.solve(block, dual[own])
+        found.append(errors)
+    return found
+
+
+def _scaling(x):
+    """Shift and scale [I] of inputs; what does not vary is not blown up."""
+    shift, scale = x.mean(axis=0), x.std(axis=0)
+    return shift, np.where(scale > 1e-9 * np.maximum(np.abs(shift), 1.0), scale, 1.0)
+
+
+def gram_matrix(a, b, gamma: float, kernel: str) -> np.ndarray:
+    """k(a_i, b_j) [n_a, n_b] of scaled inputs [n, I]; in place, since these are large."""
+    square = a @ b.T
+    square *= -2.0
+    square += (a**2).sum(axis=1)[:, None]
+    square += (b**2).sum(axis=1)
+    np.maximum(square, 0.0, out=square)
+    return KERNELS[kernel](square, gamma)
+
+
+def _gaussian(square, gamma):
+    square *= -gamma
+    return np.exp(square, out=square)
+
+
+def _matern(square, gamma):
+    """Matérn's with smoothness 3/2 (Rasmussen & Williams 2006, 4.17)."""
+    square *= 6.0 * gamma
+    r = np.sqrt(square, out=square)
+    return (1.0 + r) * np.exp(-r)
+
+
+def _exponential(square, gamma):
+    """Matérn's with smoothness 1/2."""
+    square *= 2.0 * gamma
+    r = np.sqrt(square, out=square)
+    r *= -1.0
+    return np.exp(r, out=r)
+
+
+# Name -> function of squared distances, which it may overwrite, and gamma; all of one length. The
+# rougher, the sooner a regression goes back to the mean away from its samples.
+KERNELS = {'gaussian': _gaussian, 'matern': _matern, 'exponential': _exponential}
 
 
 class PathRidge:
@@ -36,7 +366,7 @@ class PathRidge:
 
     Args:
       scene: what exists.
-      reader: `path_inputs.PathInputs` of the scene.
+      reader: `PathInputs` of the scene.
       regressions: output ('soil', 'force', 'height') -> list of `Regression`, whose mean it is.
       choices: what was tried, for the record.
     """
@@ -85,7 +415,7 @@ class PathRidge:
         if not train or not valid:
             raise ValueError('path_ridge needs train runs to fit and valid runs to choose by')
         groups = [*train, *valid] if leave_one_out else train
-        reader = path_inputs.PathInputs.of(groups, scene, surface)
+        reader = PathInputs.of(groups, scene, surface)
         samples = _Samples(groups, scene, reader, max_samples)
         grid = progress(list(itertools.product(kernels, reader.sets, gammas)))
         if leave_one_out:
@@ -172,7 +502,7 @@ class PathRidge:
                 if not each:
                     raise ValueError(f'no regression of {name}')
                 regressions[name] = [_loaded(v, arrays, prefix) for prefix, v in each.items()]
-            reader = path_inputs.PathInputs.from_json(about['reader'], scene)
+            reader = PathInputs.from_json(about['reader'], scene)
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise ValueError(f'{path}: is not a path_ridge model ({error!r})') from error
         return cls(scene, reader, regressions, about['choices'])
@@ -215,7 +545,7 @@ class _Samples:
     Args:
       groups: lists of `RunGroup`.
       scene: of the dataset.
-      reader: `path_inputs.PathInputs` of the scene.
+      reader: `PathInputs` of the scene.
       max_samples: n is not more than it by much.
 
     Attributes:

@@ -9,9 +9,11 @@ import tqdm
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field import fitting, model_files
-from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
 from learning_to_simulate.registry import OpenedModel
+from learning_to_simulate.swept_field import field as field_lib
+from learning_to_simulate.swept_field import training
+from learning_to_simulate.swept_field.episodes import EpisodeReader
+from learning_to_simulate.swept_field.evaluation import FieldEvaluator, model_of
 from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock, particles, splits
 
@@ -36,7 +38,7 @@ def train(data_path, model_path, config, options) -> dict:
     with folder_lock.locked(model_path, options.take_over_lock):
         if not model_folder.holds_model(model_path, parts, own):
             valid = _valid_runs(data_path, metadata)
-            field, facts = fitting.fit(config, data_path, metadata)
+            field, facts = training.fit(config, data_path, metadata)
             if valid:
                 evaluator = _evaluator(field, data_path, metadata, 'valid', facts['force_mean'])
                 _, summary = evaluator.run(valid, 'valid', _bar)
@@ -51,7 +53,7 @@ def train(data_path, model_path, config, options) -> dict:
             runs = [cases[i].get('case') for i in chosen]
             written = resting_start.write(model_path, data_path, {})
             data |= {'force_mean': facts['force_mean'], 'runs': runs}
-            model_files.save(model_path, field, data, written)
+            field_lib.save(model_path, field, data, written)
     summary = {}
     if os.path.exists(metrics := os.path.join(model_path, METRICS)):
         summary = files.read_json(metrics)
@@ -77,7 +79,7 @@ def _bar(runs):
 
 
 def _evaluator(field, data_path, metadata, split, force_mean):
-    reader = fitting.reader_of(field, data_path, metadata)
+    reader = EpisodeReader(data_path, metadata, field.beds, field.tool)
     return FieldEvaluator(field, reader, metadata, split, force_mean)
 
 
@@ -85,9 +87,9 @@ def load(model_path: str):
     """A trained field, as `evaluation.model_of` wraps it; `field` is the `SweptField`.
 
     Raises:
-      FileNotFoundError, ValueError: see `model_files.load`.
+      FileNotFoundError, ValueError: see `field_lib.load`.
     """
-    field = model_files.load(model_path)
+    field = field_lib.load(model_path)
     mean = checkpoints.read_config(model_path)['data'].get('force_mean', [0.0, 0.0, 0.0])
     return model_of(field, mean)
 

@@ -4,7 +4,7 @@ import dataclasses
 
 from learning_to_simulate.config import Settings, number
 
-# `kernel_ridge.KERNELS` holds what they name.
+# `path_ridge.KERNELS` holds what they name.
 RIDGE_KERNELS = ('gaussian', 'matern', 'exponential')
 
 
@@ -18,7 +18,7 @@ class OpenLoopConfig(Settings):
       max_samples: frames of training that a kernel ridge is fitted to, spread over all runs.
       leave_one_out: whether a kernel ridge is fitted to train and valid together and chosen by each
         of their runs, judging what the others give: for data of a dozen runs.
-      ridge_kernels: of a kernel ridge, names of `kernel_ridge.KERNELS` with commas between.
+      ridge_kernels: of a kernel ridge, names of `path_ridge.KERNELS` with commas between.
       best_choices: how many of the best choices with each of these kernels are averaged.
       fitted: whether the formula's parameters are fitted to the training runs; else they are the
         soil's own.
@@ -33,7 +33,7 @@ class OpenLoopConfig(Settings):
     fitted: bool = False
 
     def rules(self):
-        """Raises where a kernel is none of `kernel_ridge.KERNELS`, or named twice."""
+        """Raises where a kernel is none of `path_ridge.KERNELS`, or named twice."""
         names = self.ridge_kernels.split(',')
         if not set(names) <= set(RIDGE_KERNELS) or len(set(names)) < len(names):
             raise ValueError(

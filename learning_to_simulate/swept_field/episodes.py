@@ -8,11 +8,9 @@ import dataclasses
 
 import numpy as np
 
-from learning_to_simulate.methods import resting_bed
-from learning_to_simulate.methods.swept_field.axes import Axes
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
-from learning_to_simulate.methods.swept_field.tools import Tool
-from learning_to_simulate.methods.tool_motion import TravelFrame
+from learning_to_simulate.tool.bed import BedReader, Ground
+from learning_to_simulate.tool.swept import Bed, Frame
+from learning_to_simulate.tool.tool import Tool
 from pca_tools import dataset, particles
 from pca_tools.splits import spread_over
 from pca_tools.subspace import Subspace
@@ -25,11 +23,10 @@ class Episode:
     Attributes:
       record: of the run.
       start: first frame.
-      pose: float64 [T, K] and size: float64 [S] of the tool, see `tools`.
-      surface: float64 [n] of the bed at the grid's offsets from the first place, m.
-      level, end: see `tool_path.Bed`.
+      pose: float64 [T, K] of the tool, see `tool.tool`.
+      path: float64 [T, 7], the same poses in the world.
+      ground: what it begins on, of the P particles.
       frames: int [F], numbers of the frames with particles, from the start.
-      rest: float64 [P, 3] u, height, distance from the middle plane in the first frame, m.
       moved: float32 [F, P, 3] displacement since, along, up, across, m.
       load: float32 [T, 3], see `Axes.loads`.
     """
@@ -37,78 +34,16 @@ class Episode:
     record: int
     start: int
     pose: np.ndarray
-    size: np.ndarray
-    surface: np.ndarray
-    level: float
-    end: float
+    path: np.ndarray
+    ground: Ground
     frames: np.ndarray
-    rest: np.ndarray
     moved: np.ndarray
     load: np.ndarray
 
     @property
-    def bed(self) -> Bed:
-        """The bed of one tool."""
-        return Bed(self.surface[None], np.array([self.level]), np.array([self.end]))
-
-    @property
-    def local_rest(self) -> np.ndarray:
-        """float32 [P, 3]: `rest` from the tool's first place and the level."""
-        return (self.rest - [self.pose[0, 0], self.level, 0.0]).astype(np.float32)
-
-
-class BedReader:
-    """Beds from particles.
-
-    Args:
-      axes: of the scene.
-      grid: bins along the way.
-      kept_spacing: between given particles, m.
-      spacing: between those of the solver, m.
-    """
-
-    def __init__(self, axes: Axes, grid, kept_spacing: float, spacing: float):
-        self.axes, self.grid = axes, grid
-        self.kept_spacing, self.spacing = kept_spacing, spacing
-
-    def read(self, points, u: float, width: float) -> tuple[np.ndarray, float, float]:
-        """Surface [n], level and end (m) of particles [N, 3] for a tool at u.
-
-        Raises:
-          ValueError: no particle lies where the blade passes.
-        """
-        surface = resting_bed.surface_profile(
-            points,
-            u + self.grid.offsets,
-            self.axes.frame,
-            self.kept_spacing,
-            self.spacing,
-            half_width=width / 2,
-        )
-        along = self.axes.frame.plane(points)[:, 0]
-        there = (u + self.grid.offsets >= along.min()) & (u + self.grid.offsets <= along.max())
-        level = float(np.median(surface[there] if there.any() else surface))
-        return surface, level, float(along.max() + self.spacing / 2)
-
-
-def find_axes(runs, up: int) -> Axes:
-    """The axes of runs: where most of their tools drive, and the middle of those.
-
-    Raises:
-      ValueError: a run without the pose of its body.
-    """
-    frames = []
-    for i, run in enumerate(runs):
-        if run.rigid_pose is None or not run.n_rigid:
-            raise ValueError(
-                f'record {i} holds no pose of a rigid body, from which a swept field learns; '
-                f'convert runs that have one'
-            )
-        frames.append(TravelFrame.of(run.rigid_pose[None, :, None, :3].astype(np.float64), up))
-    frame = max(frames, key=frames.count)
-    across = 3 - frame.axis - up
-    middle = float(np.mean([run.rigid_pose[:, across].mean() for run in runs]))
-    return Axes(frame.axis, frame.sign, frame.up, middle)
+    def size(self) -> np.ndarray:
+        """[S] of the tool."""
+        return self.ground.size
 
 
 class EpisodeReader:
@@ -130,10 +65,6 @@ class EpisodeReader:
         self._names = metadata.get('scene', {}).get('context_names', ())
         self.subspace = Subspace.load(f'{folder}/subspace.npz')
 
-    def _case(self, split, record):
-        cases = self._metadata.get('cases', {}).get(split, [])
-        return cases[record] if record < len(cases) else {}
-
     def points(self, run, frame: int) -> np.ndarray:
         """float64 [N, 3], m: all particles of a frame, from its modes."""
         return self.subspace.decode(run.position[frame : frame + 1, run.n_rigid :])[0].astype(float)
@@ -151,43 +82,45 @@ class EpisodeReader:
           limit: only of so many runs, spread over the split; 0: of all.
         """
         sample = self.sample(split)
+        cases = self._metadata.get('cases', {}).get(split, [])
         found = []
         runs = dataset.read_split(self._folder, split)
         for record in spread_over(len(runs), limit):
             run = runs[record]
-            positions = sample[record]
+            case = cases[record] if record < len(cases) else {}
             starts = [0]
             if start_every:
                 # Further starts fall on frames with particles, elsewhere in every run.
                 stride = sample.frame_stride
                 first = stride * (1 + (record * 7919) % (start_every // stride))
                 starts += list(range(first, run.n_frames - start_every // 2, start_every))
+            positions = sample[record]
             for begin in starts:
-                found.append(self._episode(split, record, run, sample, positions, begin))
+                found.append(
+                    self._episode(record, run, case, sample.frame_stride, positions, begin)
+                )
         return found
 
-    def _episode(self, split, record, run, sample, positions, begin):
-        axes, stride = self._beds.axes, sample.frame_stride
+    def _episode(self, record, run, case, stride, positions, begin):
+        axes, tool = self._beds.axes, self._tool
         context = None
         if run.step_context is not None:
             context = dict(zip(self._names, run.step_context[begin:].astype(np.float64).T))
-        pose = self._tool.poses(axes, run.rigid_pose[begin:], context)
+        pose = tool.poses(axes, run.rigid_pose[begin:], context)
         first = None if context is None else {k: v[0] for k, v in context.items()}
-        body = run.position[0, : run.n_rigid]
-        size = self._tool.size(axes, self._case(split, record), body, first)
-        width = self._tool.width_of(size)
-        surface, level, end = self._beds.read(self.points(run, begin), pose[0, 0], width)
-        places = axes.points(positions[begin // stride :])
+        size = tool.size(axes, case, run.position[0, : run.n_rigid], first)
+        ground = self._beds.ground(
+            self.points(run, begin), pose[0, 0], size, tool.width_of(size)
+        )
+        sampled = positions[begin // stride :]
+        places = axes.points(sampled)
         return Episode(
             record=record,
             start=begin,
             pose=pose,
-            size=size,
-            surface=surface,
-            level=level,
-            end=end,
+            path=run.rigid_pose[begin:].astype(np.float64),
+            ground=ground._replace(points=sampled[0], places=places[0]),
             frames=stride * np.arange(len(places)),
-            rest=places[0],
             moved=(places - places[0]).astype(np.float32),
             load=axes.loads(
                 run.force[begin:], None if run.torque is None else run.torque[begin:]
@@ -204,7 +137,7 @@ def frames_of(episodes, tool: Tool, grid, dt: float) -> list[Frame]:
         by_length.setdefault(len(episode.pose), []).append(i)
     for members in by_length.values():
         chosen = [episodes[i] for i in members]
-        bed = Bed(*map(np.stack, zip(*((e.surface, e.level, e.end) for e in chosen))))
+        bed = Bed(*map(np.concatenate, zip(*(e.ground.bed for e in chosen))))
         pose = np.stack([e.pose for e in chosen], axis=1)
         _, frames = tool.frames(grid, bed, np.stack([e.size for e in chosen]), pose, dt)
         for k, i in enumerate(members):

@@ -8,8 +8,8 @@ import numpy as np
 
 from learning_to_simulate import evaluation
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods.swept_field import quality, soil_physics
-from learning_to_simulate.methods.swept_field.tool_path import Frame
+from learning_to_simulate.swept_field import calibration
+from learning_to_simulate.swept_field.field import Swept
 
 
 class FieldRollout(NamedTuple):
@@ -21,6 +21,7 @@ class FieldRollout(NamedTuple):
       arrays: name -> what else its file holds: predicted_particles [F, P, 3], particle_frames [F],
         particle_indices [P], predicted_torques [T - H, 3].
       facts: physics and quality of the run, see `FieldEvaluator.facts`.
+      swept: `Swept` of each of the T frames.
     """
 
     position: np.ndarray
@@ -29,6 +30,7 @@ class FieldRollout(NamedTuple):
     seconds: float
     arrays: dict[str, Any]
     facts: dict[str, Any]
+    swept: list
 
 
 class FieldEvaluator:
@@ -57,45 +59,38 @@ class FieldEvaluator:
             self._episodes = {e.record: e for e in self.reader.read(self._split)}
         return self._episodes[record]
 
-    def bed(self, group, frame: int = 0) -> np.ndarray:
-        """float64 [N, 3], m, of a frame of a one-run group, from its modes."""
-        modes = group.position[0, frame : frame + 1, group.n_rigid :]
-        return self.reader.subspace.decode(modes)[0].astype(float)
-
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""
-        field, axes = self._field, self._field.axes
+        field, axes, tool = self._field, self._field.axes, self._field.tool
         record = int(group.record[0])
         episode = self.episode(record)
-        pose, frames = field.frames(episode.bed, episode.size, episode.pose, field.scene.dt)
+        modes = group.position[0, :1, group.n_rigid :]
+        bed = self.reader.subspace.decode(modes)[0].astype(float)
+        ground = episode.ground._replace(points=bed, places=axes.points(bed))
+        pose, frames = field.frames(ground, episode.pose, field.scene.dt)
         sampled, n_rigid = episode.frames, group.n_rigid
-        space = self.reader.subspace
-        bed = self.bed(group)
-        origin = np.array([episode.pose[0, 0], episode.level, 0.0])
-        rest = np.concatenate([axes.points(bed) - origin, episode.local_rest])
-        chosen = Frame(frames.bins[sampled], frames.scalars[sampled])
+        rest = np.concatenate([ground.places, episode.ground.places]) - ground.origin
         clock = time.perf_counter()
-        members = field.displacement(chosen, rest)
-        moved = members.mean(axis=0).astype(np.float64)
+        members = field.displacement(frames.at(sampled), rest)
         soil_seconds = time.perf_counter() - clock
         loads = field.loads(frames)
         seconds = time.perf_counter() - clock - soil_seconds
         # Soil is computed in the frames that the truth has; a rollout of all would cost the more.
-        seconds += soil_seconds * len(frames.scalars) / len(sampled)
-        points = rest + origin + moved
+        seconds += soil_seconds * len(pose) / len(sampled)
+        points = rest + ground.origin + members.mean(axis=0).astype(np.float64)
         deepest = 0.0
         for i, frame in enumerate(sampled):
-            depth, way = field.tool.inside(points[i], pose[frame], episode.size)
+            depth, way = tool.inside(points[i], pose[frame], ground.size)
             deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
         n_bed = len(bed)
-        world = axes.world(points[:, n_bed:] - episode.rest)
+        world = axes.world(points[:, n_bed:] - episode.ground.places)
         sample = self.reader.sample(self._split)
         position = group.position[:, H:].copy()
-        if field.tool.predicts_height:
+        if tool.predicts_height:
             change = (pose - episode.pose)[H:, 1]
             position[0, :, :n_rigid, axes.up] += change[:, None]
-        soil = space.encode(bed + axes.world(points[:, :n_bed] - axes.points(bed)))
-        at = np.arange(len(frames.scalars))
+        soil = self.reader.subspace.encode(bed + axes.world(points[:, :n_bed] - ground.places))
+        at = np.arange(len(pose))
         # Modes of the frames between: on the straight line.
         flat = soil.reshape(len(sampled), -1)
         modes = np.stack([np.interp(at, sampled, column) for column in flat.T], axis=-1)
@@ -103,7 +98,9 @@ class FieldEvaluator:
         force, torque = axes.world_loads(loads.mean(axis=0)[H:, :3])
         late = sampled >= H
         finite = bool(np.isfinite(points).all() and np.isfinite(loads).all())
-        judgement = quality.judge(frames.scalars, field.ranges, 0, finite, field.tool.scalars)
+        judgement = field.limits.judge(
+            field.judged(episode.path, frames, field.scene.dt), 0, finite
+        )
         particles = sample[record][:1] + world
         return FieldRollout(
             position,
@@ -119,6 +116,7 @@ class FieldEvaluator:
             self.facts(
                 episode, pose, frames, members[:, :, n_bed:], points[:, n_bed:], loads, deepest
             ),
+            [Swept(frames.at(slice(t, t + 1)), pose[t], ground) for t in range(len(pose))],
         )
 
     def facts(self, episode, pose, frames, members, points, loads, deepest) -> dict:
@@ -135,26 +133,24 @@ class FieldEvaluator:
 
         Returns:
           soil_mm, still_mm, force_l2; penetration_mm before the push-out and in the truth;
-          heap_litre, true_heap_litre at the end; those of the tool, see `tools.Tool.facts`; errors
-          and bounds of frames for `reliability`.
+          heap_litre, true_heap_litre at the end: of the soil over the untouched surface; those of
+          the tool, see `Tool.facts`; errors and bounds of frames for `reliability`.
         """
-        field, late = self._field, episode.frames >= H
-        truth = episode.rest + episode.moved
+        field, late, ground = self._field, episode.frames >= H, episode.ground
+        truth = ground.places + episode.moved
         error = points - truth
         load_error = loads.mean(axis=0)[:, :2] - episode.load[:, :2]
         frame_mm = 1e3 * np.sqrt((error**2).mean(axis=(1, 2)))
         true_depth = max(
-            float(field.tool.inside(p, episode.pose[f], episode.size)[0].max())
+            float(field.tool.inside(p, episode.pose[f], ground.size)[0].max())
             for p, f in zip(truth, episode.frames, strict=True)
         )
-        volume = field.kept_spacing**3 * len(field.rest) / len(episode.rest)
-        places = episode.pose[0, 0] + field.grid.offsets
+        volume = field.kept_spacing**3 * len(field.rest) / len(ground.places)
+        places, surface = ground.origin[0] + field.grid.offsets, ground.bed.surface[0]
         heaps = [
-            1e3 * soil_physics.heap_volume(
-                p, np.interp(p[:, 0], places, episode.surface), volume
-            )
+            1e3 * float(volume * np.count_nonzero(p[:, 1] > np.interp(p[:, 0], places, surface)))
             for p in (points[-1], truth[-1])
-        ]  # fmt: skip
+        ]
         return {
             'record': episode.record,
             'soil_mm': float(np.sqrt((frame_mm[late] ** 2).mean())),
@@ -177,11 +173,11 @@ class FieldEvaluator:
             **field.tool.facts(episode, pose, frames, loads.mean(axis=0)),
             'frames': {
                 'soil_error': frame_mm[late].tolist(),
-                'soil_spread': (1e3 * quality.spread(members))[late].tolist(),
-                'soil_size': (1e3 * quality.size(members))[late].tolist(),
+                'soil_spread': (1e3 * calibration.spread(members))[late].tolist(),
+                'soil_size': (1e3 * calibration.size(members))[late].tolist(),
                 'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).tolist(),
-                'force_spread': quality.spread(loads[..., :2])[H:].tolist(),
-                'force_size': quality.size(loads[..., :2])[H:].tolist(),
+                'force_spread': calibration.spread(loads[..., :2])[H:].tolist(),
+                'force_size': calibration.size(loads[..., :2])[H:].tolist(),
             },
         }  # fmt: skip
 
@@ -193,7 +189,7 @@ class FieldEvaluator:
             results, model_of(self._field, self._mean), self._metadata, split
         )
         facts = [dict(rollout.facts) for _, _, rollout in results]
-        for kind in quality.FLOORS:
+        for kind in calibration.FLOORS:
             runs = [
                 [np.array(f['frames'][f'{kind}_{part}']) for part in ('error', 'spread', 'size')]
                 for f in facts
@@ -201,8 +197,8 @@ class FieldEvaluator:
             weights = self._field.calibration.get(kind)
             summary.setdefault('reliability', {})[kind] = {
                 'weights': weights,
-                'weights_of_this_split': quality.calibrate(runs, kind),
-                'groups': [] if weights is None else quality.reliability(runs, weights),
+                'weights_of_this_split': calibration.calibrate(runs, kind),
+                'groups': [] if weights is None else calibration.reliability(runs, weights),
             }
         for fact in facts:
             del fact['frames']

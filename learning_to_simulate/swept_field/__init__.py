@@ -13,14 +13,12 @@ from the swept volume alone is an old idea of earthmoving simulators (e.g. Holz 
 VRIPHYS).
 
 The tool is a blade whose motion is given, or a driven wheel, whose height is predicted from what
-it has driven.
+it has driven; what differs between the two is in `learning_to_simulate.tool`.
 
-tools: what differs between the two, one class each; the rest of the package asks for neither.
-tool_path, wheel_path: the state of a path so far, numpy, frame by frame.
-inputs, wheel_inputs: what both networks see of it and what they answer, TensorFlow.
-network: both networks, all seeds at once.
+network: both networks, their inputs from the tool's tables, all seeds at once.
 episodes, training: from a dataset to weights.
-field: the trained model; live: one frame a call.
-soil_physics: penetration, push-out, volumes.
-evaluation, method: rollouts and model folders, as the registry wants them.
+field: the trained model, its soil and its folder.
+live: one frame a call, and whole paths.
+calibration: limits of training and bounds of the error.
+evaluation, method, settings: rollouts and model folders, as the registry wants them.
 """

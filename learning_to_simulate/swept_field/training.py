@@ -1,14 +1,26 @@
 """Training of both networks: particles drawn from frames of episodes, and all frames for the force.
 
 Every draw is a function of (seed, step). Runs count alike in the loss, whether much or little soil
-moves in them, so that each is learned to about the same share of its motion.
+moves in them, so that each is learned to about the same share of its motion: with the error e of a
+particle's displacement in frame t of run r, its weight 1 / max(rms motion of r, LEAST_MOTION), and
+1 / (n p) for the probability p with which it was drawn of n,
+
+  loss = mean over frames and drawn particles of w_r |e / D|^2 / (n p), summed over members.      (1)
 """
 
 import numpy as np
 import tensorflow as tf
 import tqdm
 
-from learning_to_simulate.methods.swept_field.inputs import FORCE
+from learning_to_simulate import reading_utils
+from learning_to_simulate.swept_field import episodes as episodes_lib
+from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.network import stacked
+from learning_to_simulate.tool import bed, for_scene
+from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate.tool.blade import FORCE
+from pca_tools import dataset
+from pca_tools.subspace import Subspace
 
 # A run that moves less than this (root mean square) weighs no more than one that does, m.
 LEAST_MOTION = 0.003
@@ -31,12 +43,11 @@ class TrainingData:
 
     def __init__(self, episodes, frames, field):
         model, tool = field.network, field.tool
-        chosen = [e.frames for e in episodes]
-        self.bins = np.concatenate([f.bins[c] for f, c in zip(frames, chosen, strict=True)])
-        self.scalars = np.concatenate([f.scalars[c] for f, c in zip(frames, chosen, strict=True)])
+        sampled = [f.at(e.frames) for f, e in zip(frames, episodes, strict=True)]
+        self.bins, self.scalars = stacked(sampled)
         self.moved = np.concatenate([e.moved for e in episodes])
-        self.episode = np.repeat(np.arange(len(episodes)), [len(c) for c in chosen])
-        self.rest = np.stack([e.local_rest for e in episodes])
+        self.episode = np.repeat(np.arange(len(episodes)), [len(e.frames) for e in episodes])
+        self.rest = np.stack([e.ground.local for e in episodes])
         motion = np.array([np.sqrt((e.moved**2).mean()) for e in episodes])
         weight = 1.0 / np.maximum(motion, LEAST_MOTION)
         self.weight = (weight / weight.mean()).astype(np.float32)
@@ -50,13 +61,83 @@ class TrainingData:
         weight = np.stack([tool.target_weights(e) for e in episodes])
         of_frame = np.repeat(weight, [len(e.load) for e in episodes], axis=0)
         # Inputs of the loads are few enough to be computed once; frames in the air teach nothing.
-        share = np.concatenate([model.load_share(*f).numpy() for f in frames])
+        share = np.concatenate([model.inputs.load_share(*f).numpy() for f in frames])
         there = share[:, 0] > 0
         self.load_share = share[there]
         self.load_seen = np.concatenate([model.inputs.force(*f).numpy() for f in frames])[there]
         self.load = np.concatenate([tool.targets(e) for e in episodes])[there]
         of_frame /= FORCE**2 * of_frame[:, 0].mean()
         self.load_weight = of_frame.astype(np.float32)[there]
+
+
+def make_field(config, data_path: str, metadata: dict) -> SweptField:
+    """A field with fresh weights for a dataset.
+
+    Raises:
+      FileNotFoundError: no runs, subspace or particle sample.
+      ValueError: see `tool.for_scene`.
+    """
+    groups = reading_utils.read_groups(data_path, 'train', metadata)
+    scene = reading_utils.read_scene(data_path, metadata, groups, None)
+    scene.check_one_body('the method swept_field')
+    tool = for_scene(scene)
+    axes = Axes.of_runs(dataset.read_split(data_path, 'train'), scene.up_axis)
+    rest = Subspace.load(f'{data_path}/subspace.npz').initial
+    return SweptField(
+        config, scene, axes, GRIDS[tool.name], tool, rest, *bed.spacings(rest, metadata)
+    )
+
+
+def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
+    """Trains a field on the train runs of a dataset.
+
+    Returns:
+      the field with the ranges of its training, and facts of the training: episodes, runs, losses,
+      and those of `left_out`.
+
+    Raises:
+      see `make_field` and `Trainer.run`.
+    """
+    tf.keras.utils.set_random_seed(config.seed)
+    field = make_field(config, data_path, metadata)
+    reader = episodes_lib.EpisodeReader(data_path, metadata, field.beds, field.tool)
+    episodes = reader.read('train', config.start_every, config.train_runs)
+    frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
+    facts = Trainer(field.network, config, TrainingData(episodes, frames, field)).run()
+    every = stacked(frames)
+    field.ranges = {
+        name: [float(every.scalars[:, i].min()), float(every.scalars[:, i].max())]
+        for i, name in enumerate(field.tool.scalars)
+    }
+    facts |= {
+        'episodes': len(episodes),
+        'runs': len({e.record for e in episodes}),
+        'force_mean': field.axes.world_loads(
+            np.concatenate([e.load for e in episodes if not e.start]).mean(axis=0)
+        )[0].tolist(),
+        **left_out(field, episodes, frames),
+    }
+    return field, facts
+
+
+def left_out(field, episodes, frames) -> dict[str, float]:
+    """What the field leaves out of episodes, since it says that it cannot have moved.
+
+    Returns:
+      `left_out_share` of all particles in all frames, `left_out_rms_mm`, their displacement in
+      truth, and `left_out_motion`, their share of all squared displacements.
+    """
+    count, number, square, whole = 0, 0, 0.0, 0.0
+    for episode, frame in zip(episodes, frames, strict=True):
+        rests = ~field.may_move(frame.at(episode.frames), episode.ground.local)
+        size = (episode.moved.astype(np.float64) ** 2).sum(axis=-1)
+        count, number = count + int(rests.sum()), number + rests.size
+        square, whole = square + float(size[rests].sum()), whole + float(size.sum())
+    return {
+        'left_out_share': count / number,
+        'left_out_rms_mm': 1e3 * float(np.sqrt(square / max(3 * count, 1))),
+        'left_out_motion': square / max(whole, 1e-30),
+    }
 
 
 class Trainer:

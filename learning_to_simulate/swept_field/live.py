@@ -1,31 +1,85 @@
-"""`LiveField`: a swept field that follows a tool pose by pose, at a cost that does not grow.
+"""`LiveField`: a swept field that follows a tool pose by pose, and `FieldRoller`: whole paths.
 
-    live = lts.load('excavation/swept_field').stepper()
+    live = lts.load('excavation_v2/swept_field').stepper()
     live.start(pose)                      # on the flat bed; or start(pose, bed=...)
     frame = live.step(next_pose)          # force and torque; no particle is computed
     points = frame.particles()            # only where they are asked for
 
 As `live.LiveSoil`, with two differences: a step may last any time, since nothing is integrated, and
-`state` can be kept and put back.
+`state` can be kept and put back. Of a whole path no frame waits for another: all loads come from one
+call.
 """
 
+import dataclasses
 import threading
 from typing import NamedTuple
 
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live import poses
+from learning_to_simulate.live import poses, resting_start
 from learning_to_simulate.live.frame_judge import worse
 from learning_to_simulate.live.live_soil import Beginning
+from learning_to_simulate.live.path_rollout import SoilRollout, of_recorded_run, velocity_between
 from learning_to_simulate.live.stepping import FLAG, HOLD, RAISE, Frame, Held
-from learning_to_simulate.methods.swept_field import beds, quality
-from learning_to_simulate.methods.swept_field.field_soil import FieldSoil, Ground, Swept
-from learning_to_simulate.methods.swept_field.tool_path import Bed
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.swept_field import calibration
+from learning_to_simulate.swept_field.field import FieldSoil, Swept, SweptFrames
+from learning_to_simulate.tool.bed import Ground
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
+
+
+def stepper(path: str, model, outside: str = FLAG) -> 'LiveField':
+    """A `LiveField` of a model folder and the model that was loaded from it.
+
+    Raises:
+      FileNotFoundError, ValueError: as `resting_start.read`.
+    """
+    return LiveField(model.field, *resting_start.read(path), outside=outside)
+
+
+def roller(path: str, model) -> 'FieldRoller':
+    """A `FieldRoller` of a model folder; arguments as of `stepper`."""
+    return FieldRoller(model.field, *resting_start.read(path))
+
+
+def begin(field, starts, subspace, chosen, is_given, bed=None, blade_width=None, contexts=None):
+    """What a tool of a start begins with: the one place where an episode of a user begins.
+
+    Args:
+      field: `SweptField`.
+      starts, subspace: of the model folder.
+      chosen: `Beginning`.
+      is_given: whether a case was asked for, whose bed it then is; so is that of a driven wheel,
+        which has sunk in.
+      bed, blade_width: see `LiveField.start`.
+      contexts: [T, C] of the frames, or None.
+
+    Returns:
+      `Ground`, and the velocity that `Tool.begin` takes.
+
+    Raises:
+      ValueError: a context, a width or a bed that cannot be.
+    """
+    tool, case = field.tool, starts.cases[chosen.index]
+    context = None
+    if chosen.context is not None:
+        contexts = chosen.context[None] if contexts is None else contexts
+        field.check_contexts(contexts)
+        context = field.context(contexts[0])
+    if blade_width is None:
+        size = tool.size(field.axes, case, chosen.nodes(chosen.pose), context)
+    elif 0 < float(blade_width) < np.inf:
+        size = field.blade.size(field.axes, {'blade_width_m': blade_width})
+    else:
+        raise ValueError(f'blade_width is {blade_width}, must be positive')
+    if bed is None and subspace is not None and (is_given or tool.predicts_height):
+        modes = starts.modes[chosen.index][: subspace.n_modes]
+        bed = subspace.decode(modes).astype(np.float64)
+    (u,) = field.axes.plane(chosen.pose[None])[:, 0]
+    return field.ground(u, size, bed), tool.velocity(field.axes, chosen.velocity, size)
 
 
 class LiveState(NamedTuple):
@@ -33,15 +87,14 @@ class LiveState(NamedTuple):
 
     Attributes:
       beginning: the body, and which start it began from.
-      bed, ground: what it began on, as its path and as its soil need it.
-      tool: state of one tool, see `tools.Tool.begin`.
+      ground: what it began on.
+      tool: state of one tool, see `Tool.begin`.
       frame: the newest.
       count: frames since the start.
       context: float64 [C] in that frame, or None.
     """
 
     beginning: Beginning
-    bed: Bed
     ground: Ground
     tool: tuple
     frame: Frame
@@ -133,40 +186,22 @@ class LiveField:
         field = self._field
         chosen = Beginning(field.scene, self._starts, field.scene.n_modes)
         chosen.choose(pose, velocity, case, context)
-        if chosen.context is not None:
-            field.check_contexts(chosen.context[None])
-        context = field.context(chosen.context)
-        size = self._size(chosen, context, blade_width)
-        plane = field.tool.poses(field.axes, chosen.pose[None], _in_time(context))[0]
-        ground, swept_bed = beds.ground(
-            field, plane, size, bed,
-            # A driven wheel has sunk in where a recorded one begins.
-            (self._space, self._starts.modes[chosen.index])
-            if case is not None or field.tool.predicts_height
-            else None,
-        )  # fmt: skip
-        speed = field.tool.velocity(field.axes, chosen.velocity, size)
-        tool, frame = field.tool.begin(field.grid, swept_bed, size[None], plane[None], speed[None])
-        judgement = self._judge(frame, H - 1)
+        ground, speed = begin(
+            field, self._starts, self._space, chosen, case is not None, bed, blade_width
+        )
+        named = _in_time(field.context(chosen.context))
+        plane = field.tool.poses(field.axes, chosen.pose[None], named)
+        tool, frame = field.tool.begin(
+            field.grid, ground.bed, ground.size[None], plane, speed[None]
+        )
+        values = field.judged(chosen.pose[None], frame, field.scene.dt)
+        judgement = field.limits.judge(values, H - 1)
         first = self._frame(
-            Swept(frame, plane, ground), chosen, chosen.pose, np.zeros(3), None, judgement,
+            Swept(frame, plane[0], ground), chosen, chosen.pose, np.zeros(3), None, judgement,
             judgement,
         )  # fmt: skip
-        self._state = _frozen(LiveState(chosen, swept_bed, ground, tool, first, 0, chosen.context))
+        self._state = _frozen(LiveState(chosen, ground, tool, first, 0, chosen.context))
         return judgement
-
-    def _size(self, chosen, context, blade_width):
-        """[S] of the tool of a start, of the width that is asked for."""
-        field, case = self._field, self._starts.cases[chosen.index]
-        if blade_width is None:
-            return field.tool.size(field.axes, case, chosen.nodes(chosen.pose), context)
-        if not 0 < float(blade_width) < np.inf:
-            raise ValueError(f'blade_width is {blade_width}, must be positive')
-        return field.blade.size(field.axes, {'blade_width_m': blade_width})
-
-    def _judge(self, frame, number, finite=True):
-        field = self._field
-        return quality.judge(frame.scalars, field.ranges, number, finite, field.tool.scalars)
 
     def step(self, pose, context=None, dt: float | None = None) -> Frame:
         """Moves the tool in a straight line to its next pose.
@@ -192,23 +227,24 @@ class LiveField:
 
     def _step(self, pose, context, dt):
         before, field = self.state, self._field
+        ground, was = before.ground, before.frame
         dt = field.scene.dt if dt is None else float(dt)
         context = before.context if context is None else self._changed(context, before)
         pose = before.beginning.read(pose)
-        size = before.ground.size
-        last = before.frame.modes.pose
-        plane = field.tool.poses(field.axes, pose[None], _in_time(field.context(context)), last)[0]
+        named = _in_time(field.context(context))
+        plane = field.tool.poses(field.axes, pose[None], named, was.modes.pose)[0]
         self._refuse_bad(plane, before, dt)
         tool, (plane,), frame = field.tool.step(
-            field.grid, before.bed, size[None], before.tool, plane[None], dt,
+            field.grid, ground.bed, ground.size[None], before.tool, plane[None], dt,
             lambda known: field.heights(known, self._members),
         )  # fmt: skip
         if field.tool.predicts_height:
             self._refuse_floor(plane, before)
             pose[field.axes.up] = plane[1]
         loads = field.loads(frame, self._members)
+        values = field.judged(pose[None], frame, dt, was.pose)
         finite = bool(np.isfinite(loads).all())
-        judgement = self._judge(frame, H + before.count, finite)
+        judgement = field.limits.judge(values, H + before.count, finite)
         if judgement.status != RolloutStatus.OK and self._outside != FLAG:
             if self._outside == RAISE:
                 raise ValueError(
@@ -221,8 +257,8 @@ class LiveField:
             return held
         bound = None
         if (weights := field.calibration.get('force')) is not None:
-            spread, size = (f(loads[..., :2])[0] for f in (quality.spread, quality.size))
-            bound = float(quality.bound(spread, size, weights))
+            spread, size = (f(loads[..., :2])[0] for f in (calibration.spread, calibration.size))
+            bound = float(calibration.bound(spread, size, weights))
         result = self._frame(
             Swept(frame, plane, before.ground), before.beginning, pose,
             loads.mean(axis=0)[0, :3].astype(np.float64), bound,
@@ -306,3 +342,89 @@ def _frozen(values):
         for value in values:
             _frozen(value)
     return values
+
+
+class FieldRoller:
+    """Rolls out paths.
+
+    Args:
+      field: `SweptField`.
+      starts, subspace: of the model folder.
+    """
+
+    def __init__(self, field, starts, subspace=None):
+        self._field, self._starts, self._space = field, starts, subspace
+        self._soil = FieldSoil(field, subspace)
+
+    def beginning(self, path, velocity=None, case=None, context=None):
+        """The start of a path, its poses, whether it begins on the bed of a case, and its context
+        [T, C] or None; as `live.path_rollout.PathRoller.beginning`. Raises for contexts as
+        `SweptField.check_contexts`."""
+        values = poses.numbers('path', path, (None, 7), (None, 3))
+        if len(values) < 2:
+            raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
+        scene, contexts = self._field.scene, None
+        if np.ndim(context) == 2 and scene.context_names:
+            shape = (len(values), len(scene.context_names))
+            contexts = poses.numbers('context', context, shape)
+            context = contexts[0]
+        chosen = Beginning(scene, self._starts, scene.n_modes)
+        chosen.choose(case=case, context=context)
+        values = np.stack([chosen.read(pose) for pose in values])
+        if velocity is None:
+            velocity = velocity_between(values[0], values[1], scene.dt)
+        chosen.choose(values[0], velocity, case, context)
+        if contexts is None and chosen.context is not None:
+            contexts = np.repeat(chosen.context[None], len(values), axis=0)
+        if contexts is not None:
+            self._field.check_contexts(contexts)
+        return chosen, values, case is not None, contexts
+
+    def roll_out(self, begun) -> list[SoilRollout]:
+        """Rolls out paths of `beginning`.
+
+        Raises:
+          ValueError: a path that leaves the bins.
+        """
+        return [self._rolled(*one) for one in begun]
+
+    def recorded(self, evaluator, group, name: str) -> SoilRollout:
+        """The rollout of a recorded run, with its truth.
+
+        Args:
+          evaluator: `FieldEvaluator` of its split.
+          group: one-run `RunGroup`.
+          name: for files and titles.
+        """
+        rollout = evaluator.roll_out(group)
+        found = of_recorded_run(group, rollout, self._field.scene, self._soil, name)
+        return dataclasses.replace(found, modes=SweptFrames(rollout.swept[H:], self._soil))
+
+    def _rolled(self, chosen, path, is_given, contexts) -> SoilRollout:
+        field = self._field
+        ground, speed = begin(
+            field, self._starts, self._space, chosen, is_given, contexts=contexts
+        )
+        plane = field.tool.poses(field.axes, path, field.context(contexts))
+        plane, frames = field.frames(ground, plane, field.scene.dt, speed)
+        path = path.copy()
+        path[:, field.axes.up] = plane[:, 1]
+        loads = field.loads(frames).mean(axis=0)
+        force, torque = field.axes.world_loads(loads[:, :3])
+        values, finite = field.judged(path, frames, field.scene.dt), np.isfinite(loads).all(axis=1)
+        swept = [
+            Swept(frames.at(slice(t, t + 1)), plane[t], ground) for t in range(1, len(plane))
+        ]
+        body = np.stack([poses.placed(chosen.body, p) for p in [*chosen.past(), *path[1:]]])
+        return SoilRollout(
+            history=chosen.history(),
+            modes=SweptFrames(swept, self._soil),
+            force=force[1:].astype(np.float32),
+            rigid_nodes=body[H:, chosen.kept],
+            judgement=field.limits.judge(values, H - 1, finite.all()),
+            frame_status=tuple(field.limits.statuses(values, finite)[1:]),
+            body=body,
+            scene=field.scene,
+            soil=self._soil,
+            torque=torque[1:].astype(np.float32),
+        )

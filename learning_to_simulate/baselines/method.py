@@ -23,15 +23,16 @@ from learning_to_simulate import (
     registry,
     rollout_status,
 )
+from learning_to_simulate.baselines import open_loop, path_ridge
+from learning_to_simulate.baselines.earthmoving import EarthmovingForce, soil_parameters
+from learning_to_simulate.baselines.settings import OpenLoopConfig
+from learning_to_simulate.baselines.wheel_terramechanics import WheelTerramechanics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import open_loop, path_ridge, resting_bed
-from learning_to_simulate.methods.earthmoving import EarthmovingForce, soil_parameters
-from learning_to_simulate.methods.open_loop_settings import OpenLoopConfig
-from learning_to_simulate.methods.tool_motion import TravelFrame
-from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanics
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
+from learning_to_simulate.tool import bed
+from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock
 
@@ -114,8 +115,8 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
     bodies = train_groups[0].position[:, :, : train_groups[0].n_rigid]
     if not bodies.shape[2]:
         raise ValueError(f'{config.model} needs a rigid body; {data_path} has none')
-    frame = TravelFrame.of(bodies, scene.up_axis)
-    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    axes = Axes.of_bodies([bodies], scene.up_axis)
+    surface = bed.height_of_dataset(data_path, metadata, axes)
     if config.model == 'path_ridge':
 
         def progress(choices):
@@ -137,9 +138,9 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
                 f'{data_path}: has no subspace.npz, so the height of the bed is not known, which '
                 f'earthmoving needs'
             )
-        method = EarthmovingForce(scene, frame, surface)
+        method = EarthmovingForce(scene, axes, surface)
     else:
-        method = WheelTerramechanics(scene, frame)
+        method = WheelTerramechanics(scene, axes)
     return method.fitted(train_groups, cases) if config.fitted else method
 
 
@@ -184,7 +185,7 @@ def _save(path, config, scene, method, groups, metadata, data):
     if isinstance(method, path_ridge.PathRidge):
         method.save(os.path.join(path, path_ridge.FILE_NAME))
     else:
-        formula = {'frame': dataclasses.asdict(method.frame), **method.parameters_to_json()}
+        formula = {'frame': dataclasses.asdict(method.axes), **method.parameters_to_json()}
     files.write_json(
         os.path.join(path, checkpoints.CONFIG_FILE),
         {
@@ -215,8 +216,8 @@ def load(model_path: str) -> OpenLoopModel:
             method = path_ridge.PathRidge.load(path)
         else:
             values = dict(stored['formula'])
-            frame = TravelFrame(**values.pop('frame'))
-            method = _FORMULAS[config.model].from_json(values, scene, frame)
+            axes = Axes(**values.pop('frame'))
+            method = _FORMULAS[config.model].from_json(values, scene, axes)
     except FileNotFoundError:
         raise
     except model_config.WRONG_FIELD as error:
@@ -259,8 +260,3 @@ def _one_step_errors(evaluator, groups):
             square = (rollout.force[:, :1] - group.force[:, first]) ** 2
             rows[-1]['one_step_force_mse'] = square.mean(axis=(1, 2))
     return {key: float(np.concatenate([row[key] for row in rows]).mean()) for key in rows[0]}
-
-
-def _refuse_raw_path(raw_path):
-    if raw_path:
-        raise ValueError('--raw_path is for --model=full_space only; other models take records')
