@@ -6,8 +6,8 @@
     points = frame.particles()            # only where they are asked for
 
 As `live.LiveSoil`, with two differences: a step may last any time, since nothing is integrated, and
-`state` can be kept and put back. Of a whole path no frame waits for another: all loads come from one
-call.
+`state` can be kept and put back. Frames of a whole path do not wait for each other: all loads come
+from one call.
 """
 
 import dataclasses

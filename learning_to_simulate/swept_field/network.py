@@ -3,10 +3,10 @@
 With x the inputs of a particle (the table of the tool, `tool.inputs` (1)), g its gate and q the
 share of contact (`tool.blade` (12), (13)), the outputs y of a network with silu layers give
 
-  displacement   D g (y_0, y_1, y_2 clip(z / ACROSS, -1, 1)), D = `tool.displacement`             (1)
-  of a blade     (FORCE, FORCE, TORQUE) (y_0, y_1, y_2) exp(clip(y_3)) q w / WIDTH              (2)
+  displacement   D g (y_0, y_1, y_2 clip(z / ACROSS, -1, 1)), D = `tool.displacement`          (1)
+  of a blade     (FORCE, FORCE, TORQUE) (y_0, y_1, y_2) exp(clip(y_3)) q w / WIDTH           (2)
   of a wheel     (W y_0, W (1 + VERTICAL y_1), W R y_2) and the change of its height
-                 m (max(z_0, 0) + LEAST_SUNK) y_3, with W its mean load in the frame            (3)
+                 m (max(z_0, 0) + LEAST_SUNK) y_3, with W its mean load in the frame         (3)
 
 Motion across is odd in the distance z from the middle plane, of which the inputs see the size only:
 the field is symmetric about the plane.

@@ -5,7 +5,7 @@ moves in them, so that each is learned to about the same share of its motion: wi
 particle's displacement in frame t of run r, its weight 1 / max(rms motion of r, LEAST_MOTION), and
 1 / (n p) for the probability p with which it was drawn of n,
 
-  loss = mean over frames and drawn particles of w_r |e / D|^2 / (n p), summed over members.      (1)
+  loss = mean over frames and drawn particles of w_r |e / D|^2 / (n p), summed over members     (1)
 """
 
 import numpy as np

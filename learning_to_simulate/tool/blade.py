@@ -16,7 +16,7 @@ C being the cone (7) of `swept`. A particle may move by a share of what its netw
 
 and the force is 0 in the air: it is multiplied by the share of contact,
 
-  contact        q = clip((h + CONTACT_ABOVE - clearance) / CONTACT_RAMP), h = HEAP_HEIGHT sqrt A (13)
+  contact        q = clip((HEAP_HEIGHT sqrt(A) + CONTACT_ABOVE - clearance) / CONTACT_RAMP)     (13)
 """
 
 import dataclasses

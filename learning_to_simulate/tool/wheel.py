@@ -5,12 +5,13 @@ size radius R and width (m), gravity (m/s2) and tan of the friction angle.
 
 The state has two halves. The *drive* is a function of what is given; from it a network tells force,
 torque and height. The *rut* follows from the height. Neither waits for the other over time: heights
-of all frames come from one call. With z the first sinkage, in a step of travel du, angle dphi, load W:
+of all frames come from one call. With the first sinkage z, travel du, turn dphi and load W of a
+step,
 
-  contact        a = sqrt(z (2 R - z)): half the chord in which the rim first cuts the surface     (8)
+  contact        a = sqrt(z (2 R - z)): half the chord in which the rim first cuts the surface   (8)
   bearing        b_k = max(1 - ((x_k - u) / a)^2, 0), of the pressure in the middle              (9)
   slip           ds = R dphi - du                                                               (10)
-  slid, shear    S_k <- S_k + b_k |ds|,  s_k <- s_k + b_k ds, b_k the mean of both ends          (11)
+  slid, shear    S_k <- S_k + b_k |ds|, s_k <- s_k + b_k ds, b_k the mean of both ends          (11)
   peak           P_k <- max(P_k, min(b_k / BORNE, 1) W)                                         (12)
   stirred        m = min(l / STIR + sum |ds| / STIR + sum |dW| / (STIR_LOAD W_0), 1)            (13)
   rut            profile (3) of `swept` by the rim (2), once the height is known                (14)
@@ -77,8 +78,8 @@ LEAST_SUNK = 0.002  # m, added to the first sinkage where changes are compared w
 # A run whose height changes by less weighs no more than one that has as much, m.
 LEAST_SINKAGE = 0.001
 
-# What wheel it is, on what soil, and how far it has gone. Few, and without dimension (lengths of the
-# contact, loads over the first, that over the weight of a block of soil): with gravity, radius,
+# What wheel it is, on what soil, and how far it has gone. Few, and without dimension: lengths of
+# the contact, loads over the first, that over the weight of a block of soil. With gravity, radius,
 # width and load each for itself the sinkage of unseen wheels was worse by a fifth.
 _DRIVE = (
     Row(f'log(first_load / ({DENSITY} * gravity * radius**2 * 2 * half_width))', 2.0),
@@ -109,7 +110,8 @@ _OWN = (
     Row('end - u'),
     Row('at.cut', 0.02, at=AROUND), Row('at.cut - at.first_cut', 0.01, at=AROUND),
     Row('at.surface - surface', 0.02, at=AROUND),
-    Row('at.since', RECENT, 'fade', at=SLIP_AROUND), Row('at.slid', SHEARED, 'log1p', at=SLIP_AROUND),
+    Row('at.since', RECENT, 'fade', at=SLIP_AROUND),
+    Row('at.slid', SHEARED, 'log1p', at=SLIP_AROUND),
     Row('at.shear', SHEARED, 'tanh', at=SLIP_AROUND), Row('at.shear', 0.03, at=SLIP_AROUND),
     Row('at.peak / first_load', at=SLIP_AROUND),
 )  # fmt: skip

@@ -1,9 +1,9 @@
 """Whether a method knows how sure it is: a bound of each frame, fitted on valid, judged on test.
 
 The seeds of a method differ where the data do not tell. The bound of a frame is a constant, a share
-of their spread and a share of what is predicted, as a swept field's own (`swept_field.calibration`);
-of a method of one seed, the constant and that size. It is fitted so that 95 % of the frames
-of nine of ten runs keep it, on runs like those of valid.
+of their spread and a share of what is predicted, as a swept field's own
+(`swept_field.calibration`); of a method of one seed, the constant and that size. It is fitted so
+that 95 % of the frames of nine of ten runs keep it, on runs like those of valid.
 """
 
 import numpy as np
@@ -62,8 +62,8 @@ def judged(runs: dict, quantity: str) -> dict | None:
     Returns:
       `weights` of the constant, spread and size; `bound` and `error`, means over the frames of
       test; `within`, the share of these that keep their bound; `runs_within`, the share of
-      the runs of which 95 % do; `curve`, see `calibration.reliability`. None where a prediction is not
-      finite or a split has no run.
+      the runs of which 95 % do; `curve`, see `calibration.reliability`. None where a prediction
+      is not finite or a split has no run.
     """
     fitted, seen = runs['valid'], runs['test']
     if not (fitted and seen) or not all(np.isfinite(run).all() for run in [*fitted, *seen]):

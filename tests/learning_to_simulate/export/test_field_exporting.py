@@ -8,15 +8,15 @@ import re
 import numpy as np
 import pytest
 import tensorflow as tf
+from learning_to_simulate.methods.swept_field import model_files
 
 from learning_to_simulate.export import __main__ as command
 from learning_to_simulate.export import export_formats, exporting, field_exporting
 from learning_to_simulate.export.field_functions import FORMS
 from learning_to_simulate.export.field_state import STATUS
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field import model_files
-from tests.learning_to_simulate.methods.swept_field import small_wheel
-from tests.learning_to_simulate.methods.swept_field import small_world as world
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as world
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 WORLDS = {'blade': world, 'wheel': small_wheel}

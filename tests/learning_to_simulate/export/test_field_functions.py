@@ -5,13 +5,13 @@ import functools
 import numpy as np
 import pytest
 import tensorflow as tf
+from learning_to_simulate.methods.swept_field.beds import HeightMap
 
 from learning_to_simulate.export import field_exporting
 from learning_to_simulate.export.field_blade import BladeForm
 from learning_to_simulate.export.field_functions import FieldFunctions
 from learning_to_simulate.export.field_state import STATUS
-from learning_to_simulate.methods.swept_field.beds import HeightMap
-from tests.learning_to_simulate.methods.swept_field import small_world as world
+from tests.learning_to_simulate.swept_field import small_world as world
 
 MAP = HeightMap(np.array([0.1, 0.3, 0.6, 0.9]), np.array([0.26, 0.25, 0.24, 0.23]))
 

@@ -5,13 +5,13 @@ import functools
 import numpy as np
 import pytest
 import tensorflow as tf
+from learning_to_simulate.methods.swept_field.live import LiveField
 
 from learning_to_simulate.export import field_exporting
 from learning_to_simulate.export.field_functions import FieldFunctions
 from learning_to_simulate.export.field_state import STATUS
 from learning_to_simulate.live.resting_start import Starts
-from learning_to_simulate.methods.swept_field.live import LiveField
-from tests.learning_to_simulate.methods.swept_field import small_wheel as world
+from tests.learning_to_simulate.swept_field import small_wheel as world
 
 
 @pytest.fixture(scope='module')

@@ -5,7 +5,7 @@ import pytest
 
 from learning_to_simulate.export_c import c_library, field_data, fmu
 from learning_to_simulate.export_c.c_field import CField
-from tests.learning_to_simulate.methods.swept_field import small_wheel as world
+from tests.learning_to_simulate.swept_field import small_wheel as world
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
 from fmpy import fmi2, validation  # noqa: E402

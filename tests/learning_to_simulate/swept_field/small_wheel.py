@@ -3,18 +3,16 @@
 import numpy as np
 
 from learning_to_simulate.live.resting_start import Starts
-from learning_to_simulate.methods.swept_features import SweptGrid
-from learning_to_simulate.methods.swept_field import wheel_path
-from learning_to_simulate.methods.swept_field.axes import Axes
-from learning_to_simulate.methods.swept_field.field import SweptField
-from learning_to_simulate.methods.swept_field.live import LiveField
-from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
-from learning_to_simulate.methods.swept_field.tools import Wheel
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.live import LiveField
+from learning_to_simulate.swept_field.settings import SweptFieldConfig
+from learning_to_simulate.tool import Wheel, wheel
+from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate.tool.swept import Bed, Frame
 from pca_tools import convert, raw_writer
 
-GRID = SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5)
+GRID = GRIDS['wheel']
 WHEEL = Wheel()
 DT = 1 / 60
 SURFACE, MIDDLE, SPACING = 0.16, 0.2, 0.012
@@ -75,7 +73,7 @@ def body() -> np.ndarray:
 def contexts(plane) -> np.ndarray:
     """[T, 3] contexts of poses [T, K]."""
     rows = np.repeat(CONTEXT[None], len(plane), axis=0)
-    rows[:, 2] = plane[:, wheel_path.LOAD]
+    rows[:, 2] = plane[:, wheel.LOAD]
     return rows
 
 
@@ -143,14 +141,14 @@ def make_live(field, **options) -> LiveField:
 def frames(plane, heights=None) -> Frame:
     """Frames of one wheel, [T, ...]."""
     _, found = WHEEL.frames(GRID, flat_bed(plane[0, 0, 0]), SIZE[None], plane, DT, None, heights)
-    return Frame(found.bins[:, 0], found.scalars[:, 0])
+    return found.at((slice(None), 0))
 
 
 def made_up_drive(sunk, split) -> dict:
     """Soil goes down with the rut and along with the slip; the wheel sinks as it slips."""
     plane = path(sunk=sunk)
     seen = frames(plane)
-    slipped = seen.scalars[:, wheel_path.SCALARS.index('slipped')]
+    slipped = seen.scalars[:, wheel.SCALARS.index('slipped')]
     plane[:, 0, 1] = plane[0, 0, 1] - 0.4 * slipped
     seen = frames(plane)
     points = bed_points()
@@ -159,11 +157,11 @@ def made_up_drive(sunk, split) -> dict:
     share = np.clip(1 - depth / 0.03, 0, 1) * (np.abs(local[:, 2]) < WIDTH / 2)
     moved = np.zeros((len(plane), len(points), 3))
     for t, bins in enumerate(seen.bins):
-        new = bins[:, wheel_path.CUT] - bins[:, wheel_path.FIRST_CUT]
+        new = bins[:, wheel.CUT] - bins[:, wheel.FIRST_CUT]
         moved[t, :, 0] = -0.3 * share * np.interp(u, GRID.offsets, bins[:, 5])
         moved[t, :, 1] = -share * np.interp(u, GRID.offsets, new)
-    load = seen.scalars[:, wheel_path.SCALARS.index('frame_load')]
-    stirred = seen.scalars[:, wheel_path.SCALARS.index('stirred')]
+    load = seen.scalars[:, wheel.SCALARS.index('frame_load')]
+    stirred = seen.scalars[:, wheel.SCALARS.index('stirred')]
     loads = np.stack([-0.3 * stirred * load, load, 0.02 * stirred * load], axis=1)
     force, torque = AXES.world_loads(loads)
     pose = world_pose(plane[:, 0])

@@ -3,18 +3,16 @@
 import numpy as np
 
 from learning_to_simulate.live.resting_start import Starts
-from learning_to_simulate.methods.swept_features import SweptGrid
-from learning_to_simulate.methods.swept_field import tool_path
-from learning_to_simulate.methods.swept_field.axes import Axes
-from learning_to_simulate.methods.swept_field.field import SweptField
-from learning_to_simulate.methods.swept_field.live import LiveField
-from learning_to_simulate.methods.swept_field.settings import SweptFieldConfig
-from learning_to_simulate.methods.swept_field.tool_path import Bed
-from learning_to_simulate.methods.swept_field.tools import Blade
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.live import LiveField
+from learning_to_simulate.swept_field.settings import SweptFieldConfig
+from learning_to_simulate.tool import Blade
+from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate.tool.swept import Bed, Frame
 from pca_tools import convert, raw_writer
 
-GRID = SweptGrid(radius=0.014, spacing=0.005, behind=0.45, ahead=0.75)
+GRID = GRIDS['blade']
 BLADE = Blade()
 DT = 1 / 60
 SURFACE, MIDDLE = 0.25, 0.4
@@ -72,7 +70,7 @@ def make_field(members=3, seed=0, **config) -> SweptField:
         scale = np.where(np.arange(bias.shape[-1]) < 3, 10.0, 1.0)
         weight.assign(scale * weight)
         bias.assign(0.5 * (scale > 1) + bias)
-    field.ranges = {name: [-10.0, 10.0] for name in tool_path.SCALARS}
+    field.ranges = {name: [-10.0, 10.0] for name in BLADE.scalars}
     return field
 
 
@@ -85,13 +83,14 @@ def make_live(field, **options) -> LiveField:
     return LiveField(field, starts, **options)
 
 
-def frames(plane, surface=None) -> tool_path.Frame:
+def frames(plane, surface=None) -> Frame:
     """Frames of one tool, [T, ...]."""
     bed = flat_bed(plane[0, 0, 0])
     if surface is not None:
         bed = bed._replace(surface=surface)
-    found = tool_path.frames(GRID, bed, np.array([BLADE.width]), plane, DT)
-    return tool_path.Frame(found.bins[:, 0], found.scalars[:, 0])
+    velocity = (plane[1] - plane[0]) / DT if len(plane) > 1 else None
+    _, found = BLADE.frames(GRID, bed, np.array([[BLADE.width]]), plane, DT, velocity)
+    return found.at((slice(None), 0))
 
 
 def made_up_run(depth, split) -> dict:

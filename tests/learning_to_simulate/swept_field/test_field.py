@@ -1,73 +1,17 @@
-"""Inputs against a numpy twin; symmetries and exact zeros of a field with random weights."""
+"""Symmetries and exact zeros of a field with random weights; its folder."""
 
 import numpy as np
 import pytest
 
-from learning_to_simulate.methods.swept_field import inputs as inputs_lib
-from learning_to_simulate.methods.swept_field import model_files, tool_path
-from learning_to_simulate.methods.swept_field.inputs import Inputs
-from learning_to_simulate.methods.swept_field.tool_path import Frame
-from pca_tools import files
-from tests.learning_to_simulate.methods.swept_field import small_world as world
-
-C = tool_path
+from learning_to_simulate.swept_field import field as field_lib
+from learning_to_simulate.tool import blade
+from learning_to_simulate.tool.swept import Bed
+from tests.learning_to_simulate.swept_field import small_world as world
 
 
 def local_rest(field, plane):
     origin = np.array([plane[0, 0, 0], world.SURFACE, 0.0])
     return (world.AXES.points(field.rest) - origin).astype(np.float32)
-
-
-def twin(bins, scalars, rest):
-    """Gate and inputs of one particle in one frame, by interpolation with `np.interp`."""
-    s = dict(zip(tool_path.SCALARS, scalars.astype(float)))
-    u, y, z = (float(v) for v in rest)
-
-    def at(channel, place):
-        return np.interp(place, world.GRID.offsets, bins[:, channel].astype(float))
-
-    surface, cut, before = (at(c, u) for c in (C.SURFACE, C.CUT, C.AREA_BEFORE))
-    below = (at(C.DISTURBED, u) + inputs_lib.BELOW - (surface - y)) / inputs_lib.BELOW_RAMP
-    beside = (s['half_width'] + inputs_lib.BESIDE - abs(z)) / inputs_lib.BESIDE_RAMP
-    gate = at(C.INFLUENCE, u) * np.clip(below, 0, 1) * np.clip(beside, 0, 1)
-    behind, over, above = s['tip'] - u, y - s['height'], y - surface + cut
-    foremost = s['foremost'] - u
-    bumps = [np.exp(-(((behind - c) / 0.05) ** 2)) for c in (-0.08, 0.0, 0.08)]
-    values = [
-        behind / 0.15, np.tanh(behind / 0.03), *bumps,
-        (y - surface) / 0.05, over / 0.05, np.tanh(over / 0.02),
-        abs(z) / 0.15, np.tanh((abs(z) - s['half_width']) / 0.03),
-        np.tanh((abs(z) - s['half_width']) / 0.1),
-        above / 0.05, np.tanh(above / 0.01), foremost / 0.15, np.tanh(foremost / 0.03),
-        before / 0.01, np.sqrt(before + 1e-6) / 0.1, s['end'] - u,
-        np.tanh((abs(z) - s['half_width']) / 0.008),
-        np.exp(-(((abs(z) - s['half_width']) / 0.02) ** 2)),
-        np.tanh(above / 0.004), np.exp(-((above / 0.012) ** 2)),
-    ]  # fmt: skip
-    values += [at(C.CUT, u + d) / 0.03 for d in inputs_lib.AROUND]
-    values += [(at(C.SURFACE, u + d) - surface) / 0.03 for d in inputs_lib.AROUND]
-    values += [np.exp(-at(C.SINCE, u + d) / 0.15) for d in inputs_lib.SINCE_AROUND]
-    values += [
-        s['height'] / 0.05, max(s['height'], 0) / 0.03, s['lean'], s['area'] / 0.01,
-        np.sqrt(max(s['area'], 0) + 1e-6) / 0.1, (s['foremost'] - s['tip']) / 0.1,
-        s['half_width'] / 0.2, s['end'] - s['tip'],
-    ]  # fmt: skip
-    return gate, np.array(values)
-
-
-def test_inputs_are_those_of_the_twin():
-    plane = world.path()
-    frames = world.frames(plane)
-    field = world.make_field()
-    rest = local_rest(field, plane)[::11]
-    given = Inputs(world.GRID, world.BLADE.radius)
-    for t in (5, 30, 60):
-        one = frames.bins[t : t + 1], frames.scalars[t : t + 1], rest[None]
-        gate, seen = given.gate(*one).numpy()[0], given.particles(*one).numpy()[0]
-        for p, place in enumerate(rest):
-            wanted_gate, wanted = twin(frames.bins[t], frames.scalars[t], place)
-            assert gate[p] == pytest.approx(wanted_gate, abs=1e-4)
-            np.testing.assert_allclose(seen[p], wanted, atol=2e-3, rtol=1e-3)
 
 
 def test_reflection_across_the_middle_plane():
@@ -84,9 +28,11 @@ def test_shifting_the_scene_shifts_the_answer():
     field, plane, shift = world.make_field(), world.path(), np.array([3.0, 0.5, 0.0])
     here = world.frames(plane)
     bed = world.flat_bed(plane[0, 0, 0])
-    bed = tool_path.Bed(bed.surface + 0.5, bed.level + 0.5, bed.end + 3.0)
-    found = tool_path.frames(world.GRID, bed, np.array([0.457]), plane + shift, world.DT)
-    there = Frame(found.bins[:, 0], found.scalars[:, 0])
+    bed = Bed(bed.surface + 0.5, bed.level + 0.5, bed.end + 3.0)
+    speed = (plane[1] - plane[0]) / world.DT
+    size = np.array([[0.457]])
+    _, found = world.BLADE.frames(world.GRID, bed, size, plane + shift, world.DT, speed)
+    there = found.at((slice(None), 0))
     rest = local_rest(field, plane)
     difference = field.displacement(there, rest) - field.displacement(here, rest)
     assert np.abs(difference).max() < 2e-4
@@ -99,12 +45,12 @@ def test_nothing_moves_where_nothing_has_been():
     field, frames = world.make_field(), world.frames(plane)
     rest = local_rest(field, plane)
     moved = np.abs(field.displacement(frames, rest)).max(axis=(0, 3))
-    untouched = ~(frames.bins[..., C.CUT] > 0).any(axis=1)
+    untouched = ~(frames.bins[..., blade.CUT] > 0).any(axis=1)
     assert untouched.any() and not moved[untouched].any()
     assert moved.max() > 0.01
-    cut = frames.bins[-1, :, C.CUT] > 0
+    cut = frames.bins[-1, :, blade.CUT] > 0
     near = np.abs(rest[:, :1] - world.GRID.offsets[cut]).min(axis=1)
-    assert not moved[:, near > tool_path.REACH].any()
+    assert not moved[:, near > blade.REACH].any()
 
 
 def test_leaving_out_particles_changes_nothing():
@@ -163,8 +109,8 @@ def test_members_are_those_of_the_ensemble():
 def test_a_model_folder_gives_the_same_field(tmp_path):
     field = world.make_field()
     field.calibration = {'soil': [0.1, 2.0, 0.3], 'force': [1.0, 3.0, 0.1]}
-    model_files.save(str(tmp_path), field, {})
-    other = model_files.load(str(tmp_path))
+    field_lib.save(str(tmp_path), field, {})
+    other = field_lib.load(str(tmp_path))
     plane = world.path()
     frames, rest = world.frames(plane), local_rest(field, plane)
     np.testing.assert_array_equal(
@@ -176,26 +122,16 @@ def test_a_model_folder_gives_the_same_field(tmp_path):
     )  # fmt: skip
 
 
-def test_a_model_of_before_the_room_was_judged_allows_what_its_ends_allow(tmp_path):
-    field = world.make_field()
-    field.ranges |= {'end': [0.4, 0.7], 'foremost': [0.0, 0.3]}
-    model_files.save(str(tmp_path), field, {})
-    stored = files.read_json(str(tmp_path / 'config.json'))
-    del stored['field']['ranges']['room']
-    files.write_json(str(tmp_path / 'config.json'), stored)
-    assert model_files.load(str(tmp_path)).ranges['room'] == pytest.approx([0.1, 0.7])
-
-
 def test_damaged_model_folders_are_refused(tmp_path):
     field = world.make_field()
-    model_files.save(str(tmp_path), field, {})
+    field_lib.save(str(tmp_path), field, {})
     text = (tmp_path / 'config.json').read_text()
     (tmp_path / 'config.json').write_text(text.replace('"members": 3', '"members": 2'))
     with pytest.raises(ValueError, match='not the weights'):
-        model_files.load(str(tmp_path))
+        field_lib.load(str(tmp_path))
     (tmp_path / 'config.json').write_text(text.replace('"axes"', '"axles"'))
     with pytest.raises(ValueError, match='missing, unknown or wrong'):
-        model_files.load(str(tmp_path))
+        field_lib.load(str(tmp_path))
     field.network.soil.layers[0][0].assign(np.nan * field.network.soil.layers[0][0])
     with pytest.raises(ValueError, match='not finite'):
-        model_files.save(str(tmp_path), field, {})
+        field_lib.save(str(tmp_path), field, {})

@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.live.path_rollout import velocity_between
-from learning_to_simulate.methods.swept_field import soil_physics, tool_path
-from learning_to_simulate.methods.swept_field.beds import HeightMap
-from learning_to_simulate.methods.swept_field.episodes import BedReader
-from learning_to_simulate.methods.swept_field.live import LiveField
-from learning_to_simulate.methods.swept_field.path_rollout import FieldRoller
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
 from learning_to_simulate.rollout_status import RolloutStatus
-from tests.learning_to_simulate.methods.swept_field import small_wheel
-from tests.learning_to_simulate.methods.swept_field import small_world as world
+from learning_to_simulate.swept_field.live import FieldRoller, LiveField
+from learning_to_simulate.tool.bed import HeightMap
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as world
 
 
 @pytest.fixture(scope='module')
@@ -30,15 +26,11 @@ def wheel_field():
 
 def whole(field, plane, points):
     """Loads [T, 3] and particles [T, N, 3] of a path, all frames at once."""
-    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
-    surface, level, end = reader.read(points, plane[0, 0, 0], field.blade.width)
-    bed = Bed(surface[None], np.array([level]), np.array([end]))
-    found = tool_path.frames(field.grid, bed, np.array([field.blade.width]), plane, world.DT)
-    frames = Frame(found.bins[:, 0], found.scalars[:, 0])
-    origin = np.array([plane[0, 0, 0], level, 0.0])
-    rest = field.axes.points(points) - origin
-    moved = field.displacement(frames, rest.astype(np.float32)).mean(axis=0)
-    return field.loads(frames).mean(axis=0), rest + origin + moved
+    ground = field.ground(plane[0, 0, 0], np.array([field.blade.width]), points)
+    speed = (plane[1, 0] - plane[0, 0]) / world.DT
+    _, frames = field.frames(ground, plane[:, 0], world.DT, speed)
+    moved = field.displacement(frames, ground.local).mean(axis=0)
+    return field.loads(frames).mean(axis=0), ground.places + moved
 
 
 def test_steps_are_the_frames_of_a_rollout(field):
@@ -53,11 +45,11 @@ def test_steps_are_the_frames_of_a_rollout(field):
         np.testing.assert_allclose(answer.force, force, atol=1e-2)
         np.testing.assert_allclose(answer.torque, torque, atol=1e-3)
         if t % 20 == 0:
-            out = soil_physics.pushed_out(points[t], plane[t, 0], field.blade, field.blade.width)
+            size = np.array([field.blade.width])
+            out = points[t] + field.blade.inside(points[t], plane[t, 0], size)[1]
             there = field.axes.points(live.particles())
             np.testing.assert_allclose(there, out, atol=1e-5)
-            inside, _ = soil_physics.inside(there, plane[t, 0], field.blade, field.blade.width)
-            assert inside.max() < 1e-6
+            assert field.blade.inside(there, plane[t, 0], size)[0].max() < 1e-6
     assert np.abs(loads).max() > 10
 
 
@@ -87,10 +79,10 @@ def test_what_a_frame_shows_cannot_be_written_to(field, wheel_field):
         for frame in (live.state.frame, live.step(poses[1])):
             swept = frame.modes
             shown = (frame.force, frame.torque, frame.pose, frame.rigid_pose)
-            for values in (*shown, *swept.frame, swept.pose, *swept.ground):
+            for values in (*shown, *swept.frame, swept.pose, *swept.ground[:4]):
                 with pytest.raises(ValueError, match='read-only'):
                     values += 1.0
-        for part in (*live.state.bed, live.state.frame.pose):
+        for part in (*live.state.ground.bed, live.state.frame.pose):
             assert not part.flags.writeable
     # What the model has, and others share, is as it was.
     assert field.rest.flags.writeable
@@ -187,6 +179,28 @@ def test_status_says_what_is_unlike_training(field):
     assert judged.status == RolloutStatus.EXTRAPOLATING and 'lean' in judged.reason
 
 
+def test_what_the_field_does_not_know_is_said_and_may_be_refused(field):
+    """A turn, a way across, a start beside the bed; steps, starts and whole paths."""
+    poses = world.world_pose(world.path()[:, 0])
+    live = world.make_live(field)
+    roller = FieldRoller(field, live._starts)
+    aside = poses + [0, 0, 0.5, 0, 0, 0, 0]
+    assert live.start(aside[30]).status == RolloutStatus.EXTRAPOLATING
+    assert live.start(aside[0] + [0, 0.2, 0, 0, 0, 0, 0]).status == RolloutStatus.OK
+    across = poses + np.linspace(0, 0.012, len(poses))[:, None] * [0, 0, 1, 0, 0, 0, 0]
+    (rollout,) = roller.roll_out([roller.beginning(across)])
+    live.start(across[0])
+    now = [live.step(pose).now for pose in across[1:]]
+    assert now == list(rollout.frame_status) and RolloutStatus.EXTRAPOLATING in now
+    assert 'drift' in rollout.reason
+    strict = world.make_live(field, outside='raise')
+    strict.start(poses[0])
+    for pose in poses[1:30]:
+        strict.step(pose)
+    with pytest.raises(ValueError, match='aside 0.5 is outside'):
+        strict.step(aside[30])
+
+
 @pytest.mark.parametrize(
     'change, message',
     [
@@ -242,10 +256,7 @@ def test_a_wheel_finds_its_own_height_as_in_a_rollout(wheel_field):
     live.start(poses[0])
     ground, size = live.state.ground, small_wheel.SIZE
     np.testing.assert_allclose(ground.size, size)
-    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
-    surface, level, end = reader.read(ground.points, plane[0, 0], small_wheel.WIDTH)
-    bed = Bed(surface[None], np.array([level]), np.array([end]))
-    whole, frames = field.frames(bed, size, plane, small_wheel.DT)
+    whole, frames = field.frames(ground, plane, small_wheel.DT)
     loads = field.loads(frames).mean(axis=0)
     for t in range(1, len(poses)):
         asked = poses[t] + [0, 0.03, 0, 0, 0, 0, 0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.methods import swept_features as swept
+from learning_to_simulate.tool import swept
 
 GRID = swept.SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5)
 DT = 1 / 60
@@ -65,7 +65,6 @@ def test_a_straight_cut_has_the_area_of_its_swath():
     assert swept.profile_at(grid, state, np.array([[length / 2]]))[0, 0] == pytest.approx(
         SURFACE - depth
     )
-    assert swept.surface_at(grid, state, np.array([[length / 2]]))[0, 0] == SURFACE
 
 
 def test_two_calls_equal_one():
@@ -110,12 +109,20 @@ def test_distance_since_a_place_was_passed():
     y = SURFACE - 0.01
     path = np.array([[[0.0, y], [0.1, y], [0.1, y + 0.2], [0.3, y + 0.2]]])
     state = run(path)
-    at = swept.since_at(GRID, state, np.array([[0.04, 0.1, 0.25, -0.2]]))[0]
+    since = np.minimum(state.travelled - state.last[0], GRID.forget)
+    at = since[np.rint((np.array([0.04, 0.1, 0.25, -0.2]) - GRID.offsets[0]) / 0.004).astype(int)]
     # Distance counts by frames: 0.04 was passed in the first one, 0.1 also while it rose.
     np.testing.assert_allclose(at, [0.4, 0.2, GRID.forget, GRID.forget], atol=1e-9)
     assert state.foremost[0] == pytest.approx(0.1)
     assert state.velocity[0] == pytest.approx([0.2 / DT, 0.0])
     assert state.travelled[0] == pytest.approx(0.1 + 0.2 + 0.2)
+
+
+def test_cones_are_those_of_the_definition():
+    values = np.random.default_rng(1).uniform(size=(2, 37)) ** 4
+    apart = np.abs(np.arange(37)[:, None] - np.arange(37))
+    expected = (values[:, None] - 0.05 * apart).max(axis=-1)
+    np.testing.assert_allclose(swept.cone(values, 0.05), expected, atol=1e-15)
 
 
 def test_tools_of_a_batch_know_nothing_of_each_other():
@@ -145,6 +152,7 @@ def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
         (lambda: swept.start(GRID, [0.0, 0.1], 0.2), 'shape'),
         (lambda: swept.start(GRID, [[0.0, 0.1]], np.zeros((1, 3))), 'surface has shape'),
         (lambda: swept.start(GRID, [[0.0, 0.1]], np.inf), 'surface holds'),
+        (lambda: swept.advance(GRID, run(wandering_path()), [[0.0, 0.2]], -0.1), 'time'),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from learning_to_simulate.methods import wheel_terramechanics
-from learning_to_simulate.methods.tool_motion import TravelFrame
-from learning_to_simulate.methods.wheel_soil import TerrainParameters, Wheels, drive
-from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanics
+from learning_to_simulate.baselines import wheel_terramechanics
+from learning_to_simulate.baselines.wheel_terramechanics import (
+    TerrainParameters,
+    Wheels,
+    WheelTerramechanics,
+    drive,
+)
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.tool.axes import Axes
 
 RADIUS, WIDTH = 0.15, 0.12
 FIRM = TerrainParameters(k_c=0.0, k_phi=2e6, n=1.0, elastic=1e4)
@@ -133,7 +137,7 @@ def wheel_group(parameters=None, n_frame=60, seed=0):
         16, np.array([0] * 16 + [6]), np.array(positions), np.zeros((4, n_frame, 3)),
         np.array(contexts), np.arange(4),
     )  # fmt: skip
-    method = WheelTerramechanics(scene, TravelFrame(0, -1, 1), parameters or TerrainParameters())
+    method = WheelTerramechanics(scene, Axes(0, -1, 1), parameters or TerrainParameters())
     if parameters is not None:
         motion = method.drive(group)
         position = group.position.copy()
@@ -180,4 +184,4 @@ def test_the_fit_finds_a_soil_that_explains_the_runs(monkeypatch):
 def test_other_scenes_are_refused():
     scene = Scene('x', 1, RigidMotion.DRIVEN, (), True, ('gravity',), 10, 1 / 60)
     with pytest.raises(ValueError, match='context'):
-        WheelTerramechanics(scene, TravelFrame(0, -1, 1))
+        WheelTerramechanics(scene, Axes(0, -1, 1))

@@ -5,11 +5,20 @@ import json
 
 import numpy as np
 import pytest
+from sklearn.gaussian_process.kernels import RBF, Matern
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 
 from learning_to_simulate import metrics, reading_utils
-from learning_to_simulate.methods import open_loop, path_ridge
-from learning_to_simulate.methods.path_inputs import PathInputs
-from learning_to_simulate.methods.path_ridge import PathRidge
+from learning_to_simulate.baselines import open_loop, path_ridge
+from learning_to_simulate.baselines.path_ridge import (
+    SETS,
+    PathInputs,
+    PathRidge,
+    Regression,
+    errors_left_out,
+    gram_matrix,
+)
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
@@ -99,20 +108,6 @@ def test_a_file_gives_the_same_method_back_and_a_damaged_one_is_refused(tmp_path
             PathRidge.load(path)
 
 
-def test_a_file_from_before_there_could_be_several_is_read(tmp_path):
-    method, _, group = fitted(tmp_path / 'data')
-    path = str(tmp_path / 'path_ridge.npz')
-    method.save(path)
-    arrays = {key.replace('/0/', '/'): value for key, value in np.load(path).items()}
-    about = json.loads(str(arrays['about']))
-    for name, (values,) in about['outputs'].items():
-        del values['kernel']
-        about['outputs'][name] = values
-    np.savez(path, **arrays | {'about': np.array(json.dumps(about))})
-    for one, other in zip(method.predict(group)[:2], PathRidge.load(path).predict(group)[:2]):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_the_force_is_the_mean_of_its_regressions(tmp_path):
     method, _, group = fitted(tmp_path, 'driven', FEW_RUNS | {'n_best': 24})
     each = method.regressions['force']
@@ -182,3 +177,99 @@ def test_a_body_of_unknown_motion_is_refused(tmp_path):
     scene = reading_utils.read_scene(path, metadata, groups, 'predicted')
     with pytest.raises(ValueError, match='motion is given'):
         PathRidge.fit(groups, groups, scene)
+
+
+def test_a_regression_is_the_closed_form():
+    """dual = (K + alpha I)^-1 y on inputs of mean 0 and deviation 1."""
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(3.0, [1.0, 50.0, 0.0], (40, 3)), rng.normal(size=(40, 2))
+    regression = Regression.fit('path', x, y, gamma=0.6, alphas=[1.0, 0.03])[1]
+    scaled = (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)
+
+    def kernel(a, b):
+        return np.exp(-0.2 * ((a[:, None] - b[None]) ** 2).sum(axis=-1))
+
+    dual = np.linalg.solve(kernel(scaled, scaled) + 0.03 * np.eye(40), y)
+    np.testing.assert_allclose(regression.dual, dual, rtol=1e-8, atol=1e-10)
+    new = rng.normal(3.0, [1.0, 50.0, 0.0], (2, 5, 3))
+    at = ((new - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)).reshape(
+        10, 3
+    )
+    np.testing.assert_allclose(
+        regression(new).reshape(10, 2), kernel(at, scaled) @ dual, rtol=1e-8, atol=1e-9
+    )
+
+
+def test_errors_on_runs_left_out_are_those_of_fits_without_them():
+    """scikit-learn leaves each run out and fits again; the scaling is that of all samples."""
+    rng = np.random.default_rng(1)
+    x, run = rng.normal(2.0, [1.0, 30.0], (45, 2)), np.repeat([0, 1, 2, 5], [10, 15, 12, 8])
+    y = np.stack([np.sin(x[:, 0]), np.cos(x[:, 1] / 30) + x[:, 0]], axis=1)
+    alphas = [1e-6, 1e-3, 1.0]
+    found = errors_left_out(x, y, run, 0.7, alphas)
+    scaled = (x - x.mean(axis=0)) / x.std(axis=0)
+    for alpha, errors in zip(alphas, found, strict=True):
+        ridge = KernelRidge(alpha=alpha, kernel='rbf', gamma=0.35)
+        predicted = cross_val_predict(ridge, scaled, y, groups=run, cv=LeaveOneGroupOut())
+        np.testing.assert_allclose(
+            errors, y - predicted, rtol=1e-5, atol=1e-6 * np.abs(errors).max()
+        )
+
+
+@pytest.mark.parametrize(
+    ('name', 'theirs'),
+    [
+        ('gaussian', RBF),
+        ('matern', lambda length: Matern(length, nu=1.5)),
+        ('exponential', lambda length: Matern(length, nu=0.5)),
+    ],
+)
+def test_kernels_are_those_of_scikit_learn(name, theirs):
+    rng = np.random.default_rng(3)
+    a, b, gamma = rng.normal(size=(7, 3)), rng.normal(size=(5, 3)), 0.3
+    expected = theirs(1 / np.sqrt(2 * gamma))(a, b)
+    np.testing.assert_allclose(gram_matrix(a, b, gamma, name), expected, rtol=1e-12)
+
+
+def test_arrays_that_do_not_fit_each_other_are_refused():
+    rng = np.random.default_rng(2)
+    (fitted,) = Regression.fit('path', rng.normal(size=(9, 3)), rng.normal(size=(9, 2)), 1.0, [0.1])
+    fitted.check()
+    wrong = {'dual': fitted.dual[1:], 'shift': fitted.shift[1:], 'scale': np.zeros(3),
+             'offset': np.zeros(3), 'kernel': 'box'}  # fmt: skip
+    for name, value in wrong.items():
+        broken = Regression(**(vars(fitted) | {name: value}))
+        with pytest.raises(ValueError, match='do not fit'):
+            broken.check()
+
+
+@pytest.fixture(scope='module')
+def read(tmp_path_factory):
+    """(reader, a group of runs) of a blade."""
+    path = synthetic.write_dataset(tmp_path_factory.mktemp('data'), motion='prescribed')
+    metadata = dataset.read_metadata(path)
+    groups = reading_utils.read_groups(path, 'train', metadata)
+    scene = reading_utils.read_scene(path, metadata, groups, None)
+    return PathInputs.of(groups, scene), groups[0]
+
+
+@pytest.mark.parametrize('name', SETS)
+def test_only_inputs_of_the_bed_know_where_a_run_began(read, name):
+    reader, group = read
+    way = np.eye(3)[reader.axes.axis] * 0.03
+    shifted = dataclasses.replace(group, position=group.position + way)
+    here, there = reader.read(group, name), reader.read(shifted, name)
+    assert here.shape == there.shape
+    if name == 'bed':
+        begun = there[..., -1] - here[..., -1]
+        np.testing.assert_allclose(begun, reader.axes.sign * 0.03, rtol=1e-5)
+        assert np.abs(there[..., :-1] - here[..., :-1]).max() > 1e-3
+    else:
+        np.testing.assert_allclose(there, here, atol=1e-6)
+
+
+def test_a_reader_is_restored_from_its_description(read):
+    reader, group = read
+    again = PathInputs.from_json(reader.to_json(), reader.scene)
+    for name in SETS:
+        np.testing.assert_array_equal(again.read(group, name), reader.read(group, name))

@@ -9,14 +9,9 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets, registry
+from learning_to_simulate.baselines import method as method_lib
+from learning_to_simulate.baselines import path_ridge, settings
 from learning_to_simulate.live import add_start
-from learning_to_simulate.methods import (
-    kernel_ridge,
-    open_loop_method,
-    open_loop_settings,
-    resting_bed,
-    tool_motion,
-)
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -83,15 +78,15 @@ def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
     del config['scene']['dt']
     (copy / 'config.json').write_text(json.dumps(config))
     with pytest.raises(ValueError, match='missing, unknown or wrong'):
-        open_loop_method.load(str(copy))
+        method_lib.load(str(copy))
     with pytest.raises(ValueError, match='contradicts'):
-        open_loop_method.open_model(model, data, 'test', {'max_samples': 5})
+        method_lib.open_model(model, data, 'test', {'max_samples': 5})
     with pytest.raises(ValueError, match='max_samples'):
         presets.make_config('path_ridge', max_samples=0)
     for names in ('box', 'matern,', 'matern,matern'):
         with pytest.raises(ValueError, match='ridge_kernels'):
             presets.make_config('path_ridge', ridge_kernels=names)
-    assert set(open_loop_settings.RIDGE_KERNELS) == kernel_ridge.KERNELS.keys()
+    assert set(settings.RIDGE_KERNELS) == path_ridge.KERNELS.keys()
 
 
 @pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])
@@ -104,29 +99,12 @@ def test_a_formula_of_another_scene_is_refused_before_anything_is_written(
     assert not os.path.exists(tmp_path / 'model' / 'config.json')
 
 
-def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():
-    """A jittered lattice, a fifth of it kept, with a hill across the way."""
-    rng = np.random.default_rng(0)
-    spacing = 0.0136
-    grid = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in (56, 11, 42)), indexing='ij'), -1)
-    points = (grid.reshape(-1, 3) + rng.uniform(-0.05, 0.05, (grid.size // 3, 3))) * spacing
-    frame = tool_motion.TravelFrame(0, -1, 1)
-    kept = points[::5]
-    flat = resting_bed.flat_surface(kept, frame, resting_bed.kept_spacing(kept), spacing)
-    assert flat == pytest.approx(11 * spacing, abs=0.2 * spacing)
-    hill = points.copy()
-    hill[:, 1] += 0.05 * np.exp(-(((points[:, 0] - 0.4) / 0.1) ** 2))
-    places = -np.array([0.1, 0.4, 0.7])
-    profile = resting_bed.surface_profile(hill[::5], places, frame, 0.02, spacing)
-    assert profile - flat == pytest.approx([0.0, 0.05, 0.0], abs=0.006)
-
-
 def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):
     data = trained[0]
     config = presets.make_config('path_ridge_few_runs', max_samples=60)
     registry.train(data, str(tmp_path / 'model'), config)
     printed = capsys.readouterr().out
     assert 'valid was trained on' in printed
-    method = open_loop_method.load(str(tmp_path / 'model')).method
+    method = method_lib.load(str(tmp_path / 'model')).method
     left_out = min(c['error'] for c in method.choices if c['output'] == 'force')
     assert f'force {left_out:.3g} N' in printed

@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from learning_to_simulate.methods import earthmoving, tool_motion
-from learning_to_simulate.methods.earthmoving import BladeGeometry, BladeSoil, EarthmovingForce
+from learning_to_simulate.baselines import earthmoving
+from learning_to_simulate.baselines.earthmoving import BladeGeometry, BladeSoil, EarthmovingForce
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.tool.axes import Axes, blade_pose
 from mpm import bodies
 from mpm.earthmoving import draft_force
 
@@ -57,8 +58,8 @@ def forward_path(depth=0.05, n=40, surface=0.25):
 
 
 def method(group, **options):
-    frame = tool_motion.TravelFrame.of(group.position[:, :, :20], 1)
-    return EarthmovingForce(kinematic_scene(), frame, 0.25, **options)
+    axes = Axes.of_bodies([group.position[:, :, :20]], 1)
+    return EarthmovingForce(kinematic_scene(), axes, 0.25, **options)
 
 
 @pytest.mark.parametrize('depth, rake_deg', [(0.02, 90.0), (0.05, 86.0), (0.1, 60.0), (0.1, 45.0)])
@@ -112,8 +113,8 @@ def test_the_edge_lies_where_the_solvers_blade_has_it():
     for lean_deg in (0.0, 30.0):
         path = forward_path()
         group = blade_group(path, lean_deg)
-        frame = tool_motion.TravelFrame.of(group.position[:, :, :20], 1)
-        pose, lean = tool_motion.blade_pose(group.position[:, :, :20], frame)
+        axes = Axes.of_bodies([group.position[:, :, :20]], 1)
+        pose, lean = blade_pose(group.position[:, :, :20], axes)
         assert np.degrees(lean) == pytest.approx(lean_deg)
         edge = geometry.edge(pose, lean)[0]
         np.testing.assert_allclose(edge, np.stack([-path[:, 0], path[:, 1]], axis=1), atol=1e-9)
@@ -161,6 +162,5 @@ def test_bad_input_is_refused():
     group = blade_group(forward_path())
     with pytest.raises(ValueError, match='states no soil'):
         method(group).predict(group, [{'case': 7}])
-    frame = tool_motion.TravelFrame(0, -1, 1)
     with pytest.raises(ValueError, match='driven'):
-        EarthmovingForce(kinematic_scene(RigidMotion.DRIVEN), frame, 0.25)
+        EarthmovingForce(kinematic_scene(RigidMotion.DRIVEN), Axes(0, -1, 1), 0.25)
