@@ -21,9 +21,9 @@ import tensorflow as tf
 from learning_to_simulate import known_shapes, model_config, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
-from learning_to_simulate.methods import path_memory
 from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
 from learning_to_simulate.subspace.rigid_body import KnownMotion
+from learning_to_simulate.tool import path_memory
 from pca_tools import files
 from pca_tools.subspace import Subspace
 

@@ -123,8 +123,8 @@ def refuse_raw_path(raw_path: str | None) -> None:
 _SUBSPACE = 'learning_to_simulate.subspace.method'
 _MIXER = 'learning_to_simulate.subspace.mixer_model'
 _OPEN_LOOP: dict[str, Any] = {
-    'code': 'learning_to_simulate.methods.open_loop_method',
-    'settings': 'learning_to_simulate.methods.open_loop_settings',
+    'code': 'learning_to_simulate.baselines.method',
+    'settings': 'learning_to_simulate.baselines.settings',
 }
 METHODS = {
     'gns': Method(
@@ -154,9 +154,9 @@ METHODS = {
     ),
     'swept_field': Method(
         'neural field over what the tool has swept: no modes, no time stepping',
-        'learning_to_simulate.methods.swept_field.method',
-        'learning_to_simulate.methods.swept_field.settings',
-        live='learning_to_simulate.methods.swept_field.path_rollout',
+        'learning_to_simulate.swept_field.method',
+        'learning_to_simulate.swept_field.settings',
+        live='learning_to_simulate.swept_field.live',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
     'earthmoving': Method(

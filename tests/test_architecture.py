@@ -88,10 +88,11 @@ IMPORTS_WITHOUT = [
     ),
     (
         (
-            'learning_to_simulate.methods.path_ridge',
-            'learning_to_simulate.methods.earthmoving',
-            'learning_to_simulate.methods.wheel_terramechanics',
-            'learning_to_simulate.methods.swept_features',
+            'learning_to_simulate.baselines.path_ridge',
+            'learning_to_simulate.baselines.earthmoving',
+            'learning_to_simulate.baselines.wheel_terramechanics',
+            'learning_to_simulate.tool.path_memory',
+            'learning_to_simulate.tool.bed',
         ),
         ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
     ),

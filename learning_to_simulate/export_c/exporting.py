@@ -11,7 +11,7 @@ import sys
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export_c import comparing, field_data, fmu, model_data, project, starts
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field.live import LiveField
+from learning_to_simulate.swept_field.live import LiveField
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'

@@ -15,10 +15,10 @@ from learning_to_simulate import loads, normalization
 from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
-from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import features, graph_network, tool_depth
 from learning_to_simulate.subspace.contact import Contact
+from learning_to_simulate.tool.path_memory import PathMemory
 
 NUM_PARTICLE_TYPES = 9
 RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled

@@ -9,7 +9,7 @@ import numpy as np
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import resting_bed
+from learning_to_simulate.tool import bed
 from pca_tools import dataset, particles, subspace
 
 PARTICLES, DECODED = 'particles', 'decoded'
@@ -160,8 +160,8 @@ class TruthReader:
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             across=_across(body, up),
             dt=float(metadata['dt']),
-            spacing=resting_bed.solver_spacing(case)
-            or resting_bed.kept_spacing(self.subspace.initial),
+            spacing=bed.solver_spacing(case)
+            or bed.kept_spacing(self.subspace.initial),
         )
 
 
