@@ -16,12 +16,12 @@ from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, ModesSoil
-from learning_to_simulate.methods import path_memory
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, Ranges, worse
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
+from learning_to_simulate.tool import path_memory
 from pca_tools import rigid_fit
 
 

@@ -245,6 +245,7 @@ class Start:
 
     Attributes:
       index: which of the starts was chosen.
+      is_case: whether its case was asked for, whose bed it then is.
       body, kept: particles of the body in its own frame, and which are nodes.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
@@ -254,6 +255,7 @@ class Start:
     def __init__(self, scene, starts: Starts, n_modes: int):
         self._scene, self._starts, self._n_modes = scene, starts, n_modes
         self.index: int | None = None
+        self.is_case = False
 
     def choose(self, pose=None, velocity=None, case=None, context=None) -> 'Start':
         """Takes what a user gives, and the rest from the start of a case; returns itself.
@@ -275,6 +277,7 @@ class Start:
         reader = self._reader(index)
         pose = starts.pose[index] if pose is None else reader.read(pose)
         velocity = reader.read_velocity(velocity)
+        self.is_case = case is not None
         self.index, self.pose, self.velocity, self.context = index, pose, velocity, context
         self.body, self.kept = starts.body[index], starts.kept[index]
         return self
