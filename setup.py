@@ -61,7 +61,7 @@ setuptools.setup(
             for pattern in (name, f'{name}.*')
         ]
     ),
-    package_data={'learning_to_simulate.export_c': ['native/*.c', 'native/*/*']},
+    package_data={'learning_to_simulate.native': ['c/*/*']},
     install_requires=[
         'absl-py>=2.1',
         'dm-sonnet>=2.0.2',

@@ -27,16 +27,10 @@ COMMANDS = {
         [],
         'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
     ),
-    'export-c': ('learning_to_simulate.export', ['--format=c'], 'older name of export --format=c'),
     'export-page': (
-        'learning_to_simulate.export_c.web_page',
+        'learning_to_simulate.native.web_page',
         [],
         'writes a page that needs no server: the model as WebAssembly',
-    ),
-    'add-start': (
-        'learning_to_simulate.live.add_start',
-        [],
-        'makes an old model folder self-contained',
     ),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'record': ('mpm.record', [], 'makes the data of record, all runs in order'),

@@ -37,8 +37,7 @@ class Method:
         types), for methods whose code is `subspace.method`.
       has_graph: whether it takes edges between modes and body (`adjacency`).
       on_particles: whether its nodes are soil particles and not modes.
-      live: module with `stepper(path, model, outside)` and `roller(path, model)`, as the API wants
-        them; None: those of models in the subspace.
+      live: module of its engine for live use; None: that of models in the subspace.
       default_preset: where only the method is named; None: the preset of its own name.
     """
 
@@ -60,10 +59,6 @@ class Method:
         """The module with its functions; TensorFlow is imported without its start-up lines."""
         command.import_tensorflow()
         return importlib.import_module(self.code)
-
-    def load_live(self) -> ModuleType | None:
-        """The module of its live use, where it has one of its own."""
-        return importlib.import_module(self.live) if self.live else None
 
     def make_simulator(self, scene, config, statistics, particle_types=(0, 6)):
         """A simulator in the subspace with fresh weights; arguments as of `LearnedSimulator`.
@@ -156,7 +151,7 @@ METHODS = {
         'neural field over what the tool has swept: no modes, no time stepping',
         'learning_to_simulate.swept_field.method',
         'learning_to_simulate.swept_field.settings',
-        live='learning_to_simulate.swept_field.live',
+        live='learning_to_simulate.swept_field.engine',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
     'earthmoving': Method(

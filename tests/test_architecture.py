@@ -82,7 +82,7 @@ IMPORTS_WITHOUT = [
         (
             'learning_to_simulate.subspace.method',
             'learning_to_simulate.live.live_soil',
-            'learning_to_simulate.export_c.c_step',
+            'learning_to_simulate.native.c_step',
         ),
         ('keras', 'scipy', 'sklearn', 'matplotlib'),
     ),
@@ -104,15 +104,15 @@ IMPORTS_WITHOUT = [
 
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
-    'learning_to_simulate/export_c/test_c_faults.py',
-    'learning_to_simulate/export_c/test_fmu_field.py',
-    'learning_to_simulate/export_c/test_fmu_field_wheel.py',
+    'learning_to_simulate/native/test_c_faults.py',
+    'learning_to_simulate/native/test_fmu_field.py',
+    'learning_to_simulate/native/test_fmu_field_wheel.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
-    'learning_to_simulate/export_c/test_ros2_node.py',
+    'learning_to_simulate/native/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
     'reports/edges/test_nri_scripts.py',

@@ -19,7 +19,7 @@ Examples:
 
 from absl import flags
 
-from learning_to_simulate import command, export_c
+from learning_to_simulate import command, native
 from learning_to_simulate.export.exporting import FORMATS, export
 
 
@@ -49,7 +49,7 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', FORMATS + export_c.FORMATS, 'What to write.')
+    flags.DEFINE_enum('format', 'savedmodel', FORMATS + native.FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer(
         'n_particles', None, 'Particles of a swept field; default: all of its bed.', 1
@@ -60,9 +60,9 @@ def run(values) -> None:
     """Runs the command with its flags.
 
     Raises:
-      ValueError: see `export` and `export_c.exporting`.
+      ValueError: see `export` and `native.exporting`.
     """
-    if values.format in export_c.FORMATS:
+    if values.format in native.FORMATS:
         _write_c(values)
         return
     command.import_tensorflow()
@@ -77,7 +77,7 @@ def _write_c(values):
     if values.n_particles is not None:
         raise ValueError(f'--n_particles is not for --format={values.format}, which holds all')
     command.import_tensorflow()
-    from learning_to_simulate.export_c import exporting
+    from learning_to_simulate.native import exporting
 
     given = values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
     print(exporting.summary(exporting.export(*given), values.output_path))

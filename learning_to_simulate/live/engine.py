@@ -1,7 +1,7 @@
 """Engines of a `Stepper`: what computes the frames of a method, one by one.
 
 An engine has `begin`, `propose` and `accept`: it says what the coming frame would be and stays
-where it is until that frame is accepted. `SubspaceEngine` is that of every model in a subspace, with
+where it is until that frame is accepted. `SubspaceEngine` is that of all models in a subspace, with
 a step by TensorFlow (`TfStep`) or by C; a swept field has its own, and its own in C. See
 `native.engines` for who gets which.
 """
@@ -76,13 +76,18 @@ class SubspaceEngine:
         if subspace is not None:
             self._decoder = Decoder(model.fitting_subspace(subspace), self.scene.up_axis)
         self._sizes: dict[int, tuple] = {}  # R -> step and ranges
-        self._step: Any = None
+        self._now: Any = None  # step of the run
         self._ranges: Any = None
         self._start: Any = None
         self._body: Any = None  # [R, D] of the newest frame, where it is given
         self._coming: Any = None
         # Compiles now and not in the first frame.
         self._of_size(len(starts.kept[0]) if n_rigid is None else n_rigid)
+
+    @property
+    def step(self):
+        """The step for bodies of the first size."""
+        return next(iter(self._sizes.values()))[0]
 
     def _of_size(self, n_rigid):
         """The step and the ranges for bodies of R nodes, made once."""
@@ -120,7 +125,7 @@ class SubspaceEngine:
         else:  # The frames before the newest one are made up.
             before = history[-2, :n] if start.velocity.any() else None
             judgement = ranges.start(history[-1], start.context, before)
-        self._step, self._ranges, self._start = step, ranges, start
+        self._now, self._ranges, self._start = step, ranges, start
         self._body = history[-1, :n]
         force, torque = self._split(np.zeros(self._model.simulator.load_size, np.float32))
         soil = ModesSoil(history[-1, n:], self._decoder)
@@ -160,7 +165,7 @@ class SubspaceEngine:
         if coming is not None:
             body = start.nodes(coming)
             displacement = body - self._body
-        position, load = self._step.propose(body, displacement, context)
+        position, load = self._now.propose(body, displacement, context)
         flat, torque = loads.split(load, self._model.simulator.statistics)
         judgement = self._ranges.judge(number, position, flat, torque, body, self._body, context)
         force, _ = self._split(load)
@@ -174,19 +179,19 @@ class SubspaceEngine:
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
-        self._step.accept()
+        self._now.accept()
         self._body = self._coming
 
     @property
     def state(self) -> tuple:
         """All that the coming frames follow from; what is put back goes on to the same bits."""
-        return self._start, self._body, self._step.state
+        return self._start, self._body, self._now.state
 
     @state.setter
     def state(self, state: tuple) -> None:
         self._start, self._body, of_step = state
-        self._step, self._ranges = self._of_size(len(self._start.kept))
-        self._step.state = of_step
+        self._now, self._ranges = self._of_size(len(self._start.kept))
+        self._now.state = of_step
 
     def _pose(self, coming, nodes):
         """The pose [7] of the body; None where its particles do not fix one."""

@@ -83,6 +83,11 @@ class SoilRollout:
         """
         return np.stack([soil.modes for soil in self.soils])
 
+    @property
+    def subspace(self):
+        """Of the modes, or None."""
+        return self.soils[0].subspace if len(self.soils) else None
+
     def particles(self, frame: int | None = None) -> np.ndarray:
         """float32 [N, 3] of a frame, or [T', N, 3] of all, m.
 

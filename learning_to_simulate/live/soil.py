@@ -74,10 +74,12 @@ class ModesSoil:
 
     Attributes:
       modes: as given.
+      subspace: of the decoder, or None.
     """
 
     def __init__(self, modes, decoder: Decoder | None):
         self.modes, self._decoder = modes, decoder
+        self.subspace = None if decoder is None else decoder.subspace
 
     def particles(self) -> np.ndarray:
         """float32 [N, D], m.

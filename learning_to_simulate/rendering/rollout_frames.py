@@ -298,7 +298,7 @@ def of_rollout(rollout) -> RolloutFrames:
         dt=rollout.scene.dt,
         n_soil=rollout.scene.n_soil,
         projection_mse=None,
-        subspace=None if rollout.soil is None else rollout.soil.subspace,
+        subspace=rollout.subspace,
         notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
         up_axis=rollout.scene.up_axis,
     )

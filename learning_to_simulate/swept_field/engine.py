@@ -69,20 +69,25 @@ class SweptSoil:
     """
 
     def __init__(self, swept: Swept, of: FieldSoil):
-        self.swept, self._of = swept, of
+        self.swept, self.of = swept, of
+
+    @property
+    def subspace(self):
+        """For those who want modes, or None."""
+        return self.of.subspace
 
     @property
     def modes(self) -> np.ndarray:
         """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
-        return self._of.modes([self.swept])[0]
+        return self.of.modes([self.swept])[0]
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
-        return self._of.particles(self.swept)
+        return self.of.particles(self.swept)
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
-        return self._of.height_map(self.swept, nx, nz)
+        return self.of.height_map(self.swept, nx, nz)
 
 
 class FieldEngine:
@@ -184,9 +189,7 @@ class FieldEngine:
     def _proposal(self, judgement, swept, pose, loads, bound=None):
         force, torque = _frozen(self._field.axes.world_loads(loads))
         nodes = self._start.nodes(pose)
-        return Proposal(
-            judgement, SweptSoil(swept, self._soil), nodes, pose, force, torque, bound
-        )
+        return Proposal(judgement, SweptSoil(swept, self._soil), nodes, pose, force, torque, bound)
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""

@@ -5,12 +5,12 @@ import os
 from collections.abc import Iterable
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.live import resting_start
+from learning_to_simulate.live import starts
 from pca_tools import dataset, files, folder_lock
 
 # May lie in a folder that has no config.json yet: the lock, and what a training leaves that was
 # killed while it wrote the folder's first files.
-_FIRST = (folder_lock.LOCK_NAME, resting_start.START_FILE, resting_start.SUBSPACE_FILE)
+_FIRST = (folder_lock.LOCK_NAME, starts.START_FILE, starts.SUBSPACE_FILE)
 
 
 def data_digests(folder: str) -> dict[str, str]:

@@ -12,7 +12,7 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, model_config
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.export_c import fmu_description, model_data
+from learning_to_simulate.native import fmu_description, model_data
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace.learned_simulator import LearnedSimulator

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from learning_to_simulate import connectivity_utils, reading_utils, registry
-from learning_to_simulate.export_c import network_data
+from learning_to_simulate.native import network_data
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import method

@@ -20,7 +20,7 @@ from learning_to_simulate import (
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
-from learning_to_simulate.export_c import exporting as c_exporting
+from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.live import path_rollout, stepping
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.rollout import RolloutFunction, roll_out

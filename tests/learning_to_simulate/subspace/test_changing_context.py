@@ -8,7 +8,7 @@ import tensorflow as tf
 
 import learning_to_simulate as lts
 from learning_to_simulate import rollout, rollout_status
-from learning_to_simulate.export_c import c_library, c_stepper
+from learning_to_simulate.native import library, c_stepper
 from learning_to_simulate.live import stepping
 from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
@@ -137,7 +137,7 @@ def test_live_steps_are_the_rollout(made, stepper):
 
 
 @pytest.mark.skipif(
-    not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
 )
 def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
     model, group = made

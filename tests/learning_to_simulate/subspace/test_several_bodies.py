@@ -8,7 +8,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import evaluation, model_config, reading_utils, rollout
-from learning_to_simulate.export_c import model_data
+from learning_to_simulate.native import model_data
 from learning_to_simulate.live import stepping
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene

@@ -8,7 +8,7 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
 from learning_to_simulate.export import step_functions
-from learning_to_simulate.export_c import model_data
+from learning_to_simulate.native import model_data
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.mixer_model import Excitation

@@ -12,7 +12,7 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_values, field_data
+from learning_to_simulate.native import c_values, field_data
 from learning_to_simulate.live import path_rollout
 from learning_to_simulate.swept_field import method, settings, training
 from pca_tools import dataset, files, particles
