@@ -81,8 +81,8 @@ IMPORTS_WITHOUT = [
     (  # what a live step loads: a third of the time to the first frame is saved so
         (
             'learning_to_simulate.subspace.method',
-            'learning_to_simulate.live.live_soil',
-            'learning_to_simulate.native.c_step',
+            'learning_to_simulate.live.stepper',
+            'learning_to_simulate.native.engines',
         ),
         ('keras', 'scipy', 'sklearn', 'matplotlib'),
     ),
@@ -105,8 +105,6 @@ IMPORTS_WITHOUT = [
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/native/test_c_faults.py',
-    'learning_to_simulate/native/test_fmu_field.py',
-    'learning_to_simulate/native/test_fmu_field_wheel.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',

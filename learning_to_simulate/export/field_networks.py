@@ -11,7 +11,8 @@ import time
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.methods.swept_field import fitting, model_files
+from learning_to_simulate.swept_field import field as field_lib
+from learning_to_simulate.swept_field.episodes import EpisodeReader
 from pca_tools import dataset, files, splits
 
 SAMPLE_FILE = 'sample.npz'
@@ -20,22 +21,19 @@ SAMPLE_FILE = 'sample.npz'
 TOLERANCE = 1e-4
 PARTICLES_TOLERANCE = 2e-6
 COMPARED_FRAMES = 8
-# Channels of `bins` by the name of a tool; m where nothing else is said.
-CHANNELS = {
-    'blade': (
-        'depth of the cut', 'height of the untouched surface over the level',
-        'distance travelled since the tool was last there',
-        'swept area (m2) when the bin was first cut', 'influence of all cuts, 0 to 1',
-        'depth to which soil may have moved',
-    ),
-    'wheel': (
-        'depth of the rut', 'height of the untouched surface over the level',
-        'depth of the rut in the first frame', 'distance travelled since the wheel was last there',
-        'slip while the bin bore the rim', 'the same with sign',
-        'largest load that the bin bore (N)', 'influence of all that the wheel bore on, 0 to 1',
-        'depth to which soil may have moved',
-    ),
-}  # fmt: skip
+# What the columns of `bins` are; m where nothing else is said.
+MEANING = {
+    'cut': 'depth of the cut or rut',
+    'surface': 'height of the untouched surface over the level',
+    'since': 'distance travelled since the tool was last there',
+    'influence': 'of all that was cut or borne on, 0 to 1',
+    'disturbed': 'depth to which soil may have moved',
+    'area_before': 'swept area (m2) when the bin was first cut',
+    'first_cut': 'depth of the rut in the first frame',
+    'slid': 'slip while the bin bore the rim',
+    'shear': 'the same with sign',
+    'peak': 'largest load that the bin bore (N)',
+}
 
 
 class FieldNetworks:
@@ -53,20 +51,19 @@ class FieldNetworks:
     """
 
     def __init__(self, model_path: str, data_path: str, n_particles: int | None = None):
-        self.field = field = model_files.load(model_path)
+        self.field = field = field_lib.load(model_path)
         n_rest = len(field.rest)
         self.n_particles = n_rest if n_particles is None else n_particles
         if not 1 <= self.n_particles <= n_rest:
             raise ValueError(f'n_particles is {n_particles}, must lie in [1, {n_rest}]')
         self.variables = field.network.trainable_variables
-        metadata = dataset.read_metadata(data_path)
-        (episode,) = fitting.reader_of(field, data_path, metadata).read('test', limit=1)
-        _, frames = field.frames(episode.bed, episode.size, episode.pose, field.scene.dt)
+        reader = EpisodeReader(data_path, dataset.read_metadata(data_path), field.beds, field.tool)
+        (episode,) = reader.read('test', limit=1)
+        _, frames = field.frames(episode.ground, episode.pose, field.scene.dt)
         chosen = splits.spread_over(len(frames.scalars), COMPARED_FRAMES)
         rest = field.axes.points(field.rest[splits.spread_over(n_rest, self.n_particles)])
-        origin = [episode.pose[0, 0], episode.level, 0.0]
-        self._frames = type(frames)(frames.bins[chosen], frames.scalars[chosen])
-        self._rest = (rest - origin).astype(np.float32)
+        self._frames = frames.at(chosen)
+        self._rest = (rest - episode.ground.origin).astype(np.float32)
         self._concrete: dict[str, dict] = {}
 
     def load(self, bins, scalars):
@@ -83,7 +80,7 @@ class FieldNetworks:
     def signatures(self) -> dict[str, dict[str, tf.TensorSpec]]:
         """Name of a function -> its inputs by name."""
         grid, tool = self.field.grid, self.field.tool
-        frame = {'bins': [len(grid.offsets), tool.channels], 'scalars': [len(tool.scalars)]}
+        frame = {'bins': [len(grid.offsets), len(tool.channels)], 'scalars': [len(tool.scalars)]}
         shapes = {'load': frame, 'soil': frame | {'rest': [self.n_particles, 3]}}
         return {
             function: {name: tf.TensorSpec(s, tf.float32, name=name) for name, s in rows.items()}
@@ -180,7 +177,7 @@ class FieldNetworks:
             'up': field.axes.up,
             'middle': field.axes.middle,
             'bin_offsets': [round(float(x), 9) for x in field.grid.offsets],
-            'bin_channels': list(CHANNELS[field.tool.name]),
+            'bin_channels': {name: MEANING[name] for name in field.tool.channels},
             'scalars': list(field.tool.scalars),
             'ranges': field.ranges,
             'calibration': field.calibration,

@@ -81,6 +81,7 @@ class SubspaceEngine:
         self._start: Any = None
         self._body: Any = None  # [R, D] of the newest frame, where it is given
         self._coming: Any = None
+        self._allowed = {n_rigid} if starts is None else {len(kept) for kept in starts.kept}
         # Compiles now and not in the first frame.
         self._of_size(len(starts.kept[0]) if n_rigid is None else n_rigid)
 
@@ -113,8 +114,12 @@ class SubspaceEngine:
         for name, value in (('bed', bed), ('blade_width', blade_width)):
             if value is not None:
                 raise ValueError(f'{name}: a model in a subspace begins on the beds of its starts')
-        step, ranges = self._of_size(len(start.kept))
         history, n = start.history(), len(start.kept)
+        if start.velocity is None and n not in self._allowed:
+            raise ValueError(
+                f'history has {n} rigid nodes, the bodies of the model {sorted(self._allowed)}'
+            )
+        step, ranges = self._of_size(n)
         step.reset(history, start.context)
         if start.velocity is None:  # recorded frames: all of them are judged
             judgement = OK

@@ -274,7 +274,8 @@ class CFieldEngine:
         if not field.tool.predicts_height:
             field_engine.refuse_floor(field, plane, self._ground)
         grid, first = field.grid, self._ground.origin[0]
-        low, high = grid.offsets[[0, -1]]
+        radius = self._ground.size[0] if field.tool.predicts_height else grid.radius
+        low, high = grid.offsets[[0, -1]] + [radius, -radius]
         if not low <= plane[0] - first <= high:
             raise ValueError(
                 f'the tool is {plane[0] - first:.3f} m from its first place, the bins of the path '

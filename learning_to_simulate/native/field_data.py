@@ -10,6 +10,7 @@ from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.native import c_values, field_blade, field_wheel, fold, library
 from learning_to_simulate.swept_field import engine
 from learning_to_simulate.swept_field import field as field_lib
+from learning_to_simulate.swept_field.calibration import CONDITIONS, LEAST_SPEED
 from learning_to_simulate.swept_field.network import ACROSS
 from learning_to_simulate.tool import Wheel, blade, inputs
 
@@ -60,7 +61,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'up': axes.up,
         'turn': int(axes.world_loads(np.array([0.0, 0.0, 1.0]))[1][axes.across]),
         'name': field.scene.name,
-        'scalar_names': ','.join(names),
+        'scalar_names': ','.join(field.limits.names),
         'middle': axes.middle,
         'dt': field.scene.dt,
         'start_height': float(points[:, 1].max() + field.spacing / 2),
@@ -90,8 +91,9 @@ def values(field, starts=None, subspace=None) -> dict:
         'load_first': fold.dense(*_together(*load[0])),
         'load_hidden': _layers(load[1:-1]),
         'load_last': _layers(load[-1:]),
-        'limits': field.limits.limits[:, : len(names)],
-        'bits': np.array([c[_bit(name, known)] for name in names]),
+        'least_speed': LEAST_SPEED,
+        'limits': field.limits.limits,
+        'bits': np.array([c[_bit(name, known)] for name in field.limits.names]),
         'bound': np.array(field.calibration.get('force', ())),
         'n_seen': n_own,
         'n_shared': len(tables.shared),
@@ -119,6 +121,10 @@ def _check(field, known):
         )
     if n_scale > limit:
         raise ValueError(f'{n_scale} memories of the velocity, the C form has at most {limit}')
+    if len(CONDITIONS) != library.constants()['LTS_FIELD_CONDITIONS']:
+        raise ValueError(
+            f'the C form of a swept field does not know the conditions {[*CONDITIONS]}'
+        )
     if field.config.hidden_layers < 1:
         raise ValueError('a swept field without hidden layers has no C form')
 
@@ -127,6 +133,10 @@ def _bit(name, known):
     """The status of a scalar that is outside its range."""
     if name in known.CONTEXT:
         return 'LTS_OUTSIDE_CONTEXT'
+    if name in ('bed_low', 'bed_high'):
+        return 'LTS_OUTSIDE_START'
+    if name in ('drift', 'frame_time'):
+        return 'LTS_OUTSIDE_SPEED'
     return 'LTS_OUTSIDE_SPEED' if name.split('_')[0] in known.RATES else 'LTS_OUTSIDE_POSE'
 
 

@@ -20,11 +20,10 @@ from learning_to_simulate import (
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
+from learning_to_simulate.live import paths
 from learning_to_simulate.native import exporting as c_exporting
-from learning_to_simulate.live import path_rollout, stepping
-from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.rollout import RolloutFunction, roll_out
-from learning_to_simulate.rollout_status import RolloutStatus, judge
+from learning_to_simulate.rollout_status import Ranges, RolloutStatus, judge
 from pca_tools import dataset, files
 from reports.protocol import rollouts
 from tests.learning_to_simulate import models, synthetic
@@ -139,7 +138,7 @@ def test_live_steps_paths_and_batches_hand_out_the_same_torque(trained, rolled):
     batch = roll_out(function, opened.groups[0])
     close = {'rtol': 1e-3, 'atol': 1e-3 * np.abs(rollout.torque).max()}
     np.testing.assert_allclose(batch.torque[0], rollout.torque[0], **close)
-    stepper = stepping.Stepper.load(*trained)
+    stepper = models.stepper(opened.model, group.n_rigid)
     stepper.reset(group.position[0, :H])
     for k in range(10):
         frame = stepper.step(group.position[0, H + k, : group.n_rigid])
@@ -167,13 +166,13 @@ def test_a_saved_path_has_its_torque(trained, tmp_path):
     np.testing.assert_array_equal(arrays['predicted_torques'], recorded.torque)
     both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
     np.testing.assert_array_equal(both, recorded.true_torque.astype(np.float32))
-    assert isinstance(recorded, path_rollout.SoilRollout) and len(both) == synthetic.N_FRAMES
+    assert isinstance(recorded, paths.SoilRollout) and len(both) == synthetic.N_FRAMES
 
 
 def test_a_model_without_it_says_none(tmp_path):
     model, (group,), _ = models.make(tmp_path, 'mlp', torque=True, overrides={'mode_edges': 0})
     assert group.torque is not None
-    stepper = stepping.Stepper(model, group.n_rigid)
+    stepper = models.stepper(model, group.n_rigid)
     stepper.reset(group.position[0, :H])
     assert stepper.step(group.position[0, H, : group.n_rigid]).torque is None
     rollout = roll_out(RolloutFunction(model.simulator, model.layout(4)), group.select(0))
@@ -191,8 +190,8 @@ def test_a_torque_that_is_not_finite_is_found(rolled):
     load[0, 4, 5] = np.nan
     (found,) = judge(group, rollout.position, load, s, scene)
     assert found[:3] == (RolloutStatus.NON_FINITE, H + 4, -1)
-    live = FrameJudge(group.n_rigid, s, scene)
-    now = live.predicted(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
+    live = Ranges(group.n_rigid, s, scene)
+    now = live.judge(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
     assert found.reason == now.reason == 'torque is not finite'
     load[0, 4, 1] = np.inf
     assert judge(group, rollout.position, load, s, scene)[0].reason == 'force is not finite'

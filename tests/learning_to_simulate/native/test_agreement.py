@@ -1,4 +1,4 @@
-"""The shipped models in C over whole test rollouts: against TensorFlow, and against the twin."""
+"""The shipped models in C over whole test runs: against TensorFlow, and against the twins."""
 
 import os
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import registry
-from learning_to_simulate.native import agreement, library, c_stepper, starts
+from learning_to_simulate.native import agreement, library, starts
+from learning_to_simulate.native.binding import CSubspace
 from pca_tools import files, rigid_fit
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 
@@ -43,7 +44,7 @@ def test_shipped_models_over_whole_test_rollouts(path):
     model, n, space, found = starts.read_model(path, data)
     (group,) = registry.open_model(path, data, 'test').groups
     known = model.simulator.scene.rigid_motion.is_known
-    stepper = c_stepper.CStepper(model, n, space, starts=found)
+    stepper = CSubspace.of(model, n, space, starts=found)
     _follow_the_twin(model, stepper, group.select(0), n, known)
 
 
@@ -75,7 +76,7 @@ def test_a_free_wheel_follows_the_twin_over_a_rollout():
     path, data = 'models/wheel/pcg_thesis', 'datasets/wheel'
     model, n, space, _ = starts.read_model(path, data)
     group = registry.open_model(path, data, 'test').groups[0].select(0)
-    truth, stepper, twin = group.position[0], c_stepper.CStepper(model, n, space), Twin(model, n)
+    truth, stepper, twin = group.position[0], CSubspace.of(model, n, space), Twin(model, n)
     stepper.reset(truth[:H], group.context_at(H, 0))
     history, apart = truth[:H], 0.0
     for k in range(H, H + 112):
@@ -91,12 +92,38 @@ def test_a_free_wheel_follows_the_twin_over_a_rollout():
     assert apart <= 2e-5 * np.abs(expected - truth[H - 1]).max()
 
 
-def test_the_table_has_the_largest_of_all_runs(tmp_path):
-    row = {
-        'frames': 10, 'modes': 1e-6, 'force': 3e-6, 'nudged_modes': 1e-5, 'nudged_force': 2e-5,
-        'particles_m': 1e-7, 'same_status': True,
+@pytest.mark.slow
+@pytest.mark.parametrize('scene', ['excavation_v2', 'wheel_v2'])
+def test_shipped_fields_over_whole_test_runs(scene):
+    rows = agreement.measure(f'models/{scene}/swept_field', f'datasets/{scene}', limit=2)
+    assert len(rows) == 2
+    for row in rows:
+        assert row['frames'] > 40 and row['same_status'] == row['frames']
+        # Over all runs: docs/c/agreement_field.json.
+        assert row['force'] <= 1e-5 and row['height_m'] <= 1e-6
+        assert 0 < row['particles_m'] <= 4e-6
+        # The same networks in float64: the float32 of C is no farther from them than TensorFlow's.
+        assert 0 < row['c_to_twin_m'] <= 2e-6 and 0 < row['python_to_twin_m'] <= 4e-6
+
+
+def test_the_tables_have_the_largest_of_all_runs(tmp_path):
+    both = {'frames': 10, 'force': 3e-6, 'particles_m': 1e-7}
+    rows = {
+        agreement.table: both | {
+            'modes': 1e-6, 'nudged_modes': 1e-5, 'nudged_force': 2e-5, 'same_status': True
+        },
+        agreement.table_of_fields: both | {
+            'torque': 1e-6, 'height_m': 1e-8, 'c_to_twin_m': 2e-7, 'python_to_twin_m': 3e-7,
+            'same_status': 9,
+        },
     }  # fmt: skip
     path = str(tmp_path / 'agreement.json')
-    files.write_json(path, {'m': [row, row | {'frames': 5, 'modes': 4e-6, 'same_status': False}]})
-    line = agreement.table(path).splitlines()[-1]
-    assert line == '| m | 2 | 15 | 4.0e-6 | 3.0e-6 | 1.0e-7 | 1.0e-5 | 2.0e-5 | 1 of 2 |'
+    of_both = {
+        name: [row, row | {'frames': 5, 'force': 4e-6, 'same_status': row['same_status'] // 2}]
+        for name, row in zip('mf', rows.values())
+    }
+    files.write_json(path, of_both)
+    assert [table(path).splitlines()[2:] for table in rows] == [
+        ['| m | 2 | 15 | 1.0e-6 | 4.0e-6 | 1.0e-7 | 1.0e-5 | 2.0e-5 | 1 of 2 |'],
+        ['| f | 2 | 15 | 4.0e-6 | 1.0e-6 | 1.0e-8 | 1.0e-7 | 2.0e-7 | 3.0e-7 | 13 of 15 |'],
+    ]

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.native import (
-    library,
-    c_stepper,
     field_data,
+    library,
     model_data,
     project,
     starts,
 )
+from learning_to_simulate.native.binding import CSubspace
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.swept_field import small_wheel, small_world
@@ -93,7 +93,7 @@ def test_random_calls_of_a_swept_field_under_sanitizers(tool, tmp_path):
 def test_a_long_run_neither_grows_nor_drifts(tmp_path):
     """The same pose for 200,000 frames: the state keeps its size and stays finite."""
     model, (group, *_), _ = models.make(tmp_path, preset='mlp', overrides={'mode_edges': 0})
-    stepper = c_stepper.CStepper(model, group.n_rigid)
+    stepper = CSubspace.of(model, group.n_rigid)
     stepper.reset(group.position[0, :6])
     size, pose = len(stepper.save()), group.position[0, 6, : group.n_rigid]
     for _ in range(200_000):

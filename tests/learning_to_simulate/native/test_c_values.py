@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.native import library, library, c_values, fold
+from learning_to_simulate.native import c_values, fold, library
 
 
 def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
-from learning_to_simulate.native.c_field import CField
-from learning_to_simulate.native.c_instance import KERNELS, KernelLacks
+from learning_to_simulate.native.binding import KERNELS, CField, KernelLacks
+from learning_to_simulate.swept_field.engine import FieldEngine
 from learning_to_simulate.tool.bed import HeightMap
 from tests.learning_to_simulate.swept_field import small_wheel as world
 
@@ -29,7 +30,7 @@ def parts():
 def live(parts):
     """The stepper of Python."""
     field, of_start = parts
-    return world.LiveField(field, of_start['starts'], of_start['subspace'])
+    return Stepper(FieldEngine(field, of_start['starts'], of_start['subspace']))
 
 
 def play(soil, poses, given, dt=None):
@@ -98,59 +99,6 @@ def test_begins_at_the_nearest_start_or_at_the_one_that_is_named(parts):
         assert soil.save() == named
     with pytest.raises(ValueError, match='start is 2'):
         soil.start(index=2)
-
-
-def test_another_load_is_taken_and_another_soil_refused(parts):
-    poses, given = poses_and_loads()
-    soil, heavy = CField.of(parts[0], **parts[1]), CField.of(parts[0], **parts[1])
-    for one in (soil, heavy):
-        one.start(poses[0], context=given[0])
-        play(one, poses[1:20], np.repeat(given[:1], 19, axis=0))
-    more = dict(zip(world.NAMES, given[0] * [1, 1, 1.3]))
-    light = soil.step(poses[20])
-    borne = heavy.step(poses[20], context=more)
-    assert borne.force[1] > 1.05 * light.force[1]
-    kept = heavy.save()
-    for context, message in (
-        (given[0] * [1, 1.1, 1], 'range'),
-        (given[0] * [1, 1, -1], 'range'),
-        (given[0] * np.nan, 'finite'),
-        (given[0][:2], 'shape'),
-        ({'load': 100.0}, 'must name'),
-    ):
-        with pytest.raises(ValueError, match=message):
-            heavy.step(poses[21], context=context)
-    with pytest.raises(ValueError, match='jumps'):
-        heavy.step(poses[0] + [0.2, 0, 0, 0, 0, 0, 0], context=more)
-    assert heavy.save() == kept
-
-
-def test_states_come_back_bit_by_bit_between_two_runs(parts):
-    poses, given = poses_and_loads()
-    soil, other = CField.of(parts[0], **parts[1]), CField.of(parts[0], **parts[1])
-    soil.start(poses[0], context=given[0])
-    other.start(index=1)
-    play(soil, poses[1:20], given[1:20])
-    saved = soil.save()
-    first = play(soil, poses[20:40], given[20:40])
-    for one in (soil, other):
-        one.load_state(saved)
-        for a, b in zip(first, play(one, poses[20:40], given[20:40])):
-            np.testing.assert_array_equal(a, b)
-    soil.load_state(saved)
-    other.copy_state(soil)
-    # One step of each in turn: they share nothing.
-    pairs = [
-        (soil.step(p, context=c), other.step(p, context=c))
-        for p, c in zip(poses[20:40], given[20:40])
-    ]
-    for k, (one, two) in enumerate(pairs):
-        for name in ('force', 'torque', 'point'):
-            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-        np.testing.assert_array_equal(one.force, first[0][k, :3])
-    for damaged in (saved[:-1], b'', saved[:200] + b'x' + saved[201:]):
-        with pytest.raises(ValueError, match='damaged'):
-            soil.load_state(damaged)
 
 
 def test_a_wheel_that_would_sink_under_the_floor_leaves_the_state_as_it_was(parts):

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.native import (
-    library,
-    c_stepper,
     field_data,
     fmu,
+    library,
     model_data,
     starts,
 )
-from learning_to_simulate.native.c_field import CField
+from learning_to_simulate.native.binding import CField, CSubspace
 from tests.learning_to_simulate import models
-from tests.learning_to_simulate.methods.swept_field import small_wheel
-from tests.learning_to_simulate.methods.swept_field import small_world as small_blade
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as small_blade
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
 from fmpy import fmi2, validation  # noqa: E402
@@ -165,7 +164,7 @@ def test_equals_the_stepper_for_every_step_of_the_master(case, tmp_path):
     path, model, found, _ = _write(tmp_path, **CASES[case])
     dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
     first = found[0]['points'].mean(axis=0)
-    stepper = c_stepper.CStepper(model, len(found[0]['points']), starts=found)
+    stepper = CSubspace.of(model, len(found[0]['points']), starts=found)
     context = None if case == 'prescribed' else found[0]['context']
     stepper.start(0, _pose(first, twist, 0.0), twist, context)
     expected = np.array([stepper.step_at(_pose(first, twist, k * dt)).force for k in range(1, 19)])
@@ -328,12 +327,12 @@ def test_sources_alone_build_the_binary(shared, tmp_path):
     root = ElementTree.parse(tmp_path / 'modelDescription.xml')
     listed = [file.get('name') for file in root.iter('File')]
     sources = [str(tmp_path / 'sources' / name) for name in listed]
-    library = str(tmp_path / 'again.so')
+    built = str(tmp_path / 'again.so')
     subprocess.run(
         [*library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
-         '-o', library, '-lm'], check=True,
+         '-o', built, '-lm'], check=True,
     )  # fmt: skip
-    symbols = subprocess.run(['nm', '-D', library], capture_output=True, text=True).stdout
+    symbols = subprocess.run(['nm', '-D', built], capture_output=True, text=True).stdout
     assert sum(' T fmi2' in line for line in symbols.splitlines()) == 34
 
 

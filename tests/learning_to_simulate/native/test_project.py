@@ -15,19 +15,15 @@ import pytest
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.native import (
-    benchmark,
-    library,
-    c_step,
-    c_stepper,
-    comparing,
+    agreement,
     exporting,
     fmu,
+    library,
     model_data,
     project,
     starts,
 )
-from learning_to_simulate.native.c_soil import CSoil
-from learning_to_simulate.live.tf_step import TfStep
+from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 
 pytestmark = pytest.mark.skipif(
@@ -66,19 +62,19 @@ def _run(command, **options):
 def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     model, group, values = _small(tmp_path / 'data', motion='driven', context=True)
     folder = _written(tmp_path / 'project', 'lts_small', values)
-    library = os.path.join(folder, 'small.so')
-    library.compile_sources(library, folder)
-    soils = CSoil.open(library, 'lts_small'), c_stepper.CStepper(model, group.n_rigid)
+    built = os.path.join(folder, 'small.so')
+    library.compile_sources(built, folder)
+    soils = CSubspace.open(built, 'lts_small'), CSubspace.of(model, group.n_rigid)
     for soil in soils:
         soil.reset(group.position[0, :6], group.context[0])
     for pose in group.position[0, 6:, : group.n_rigid]:
         a, b = (soil.step(pose) for soil in soils)
         np.testing.assert_array_equal(a.modes, b.modes)
         np.testing.assert_array_equal(a.force, b.force)
-    assert soils[0].digest == values['digest']
-    for path, symbol in (('none.so', 'lts_small'), (library, 'lts_other')):
-        with pytest.raises(ValueError, match='no library of the model'):
-            CSoil.open(path, symbol)
+    assert soils[0].description.digest.decode() == values['digest']
+    for path, symbol in (('none.so', 'lts_small'), (built, 'lts_other')):
+        with pytest.raises(ValueError, match='no built of the model'):
+            CSubspace.open(path, symbol)
 
 
 @pytest.mark.skipif(not shutil.which('cmake'), reason='no CMake')
@@ -119,7 +115,7 @@ def test_two_models_live_in_one_program(tmp_path):
     shutil.copy(os.path.join(parts[1], 'src', 'lts_two.c'), os.path.join(parts[0], 'src'))
     shutil.copy(os.path.join(parts[1], 'include', 'lts_two.h'), os.path.join(parts[0], 'include'))
     library.compile_sources(os.path.join(parts[0], 'both.so'), parts[0])
-    soils = [CSoil.open(os.path.join(parts[0], 'both.so'), n) for n in ('lts_one', 'lts_two')]
+    soils = [CSubspace.open(os.path.join(parts[0], 'both.so'), n) for n in ('lts_one', 'lts_two')]
     for soil in soils:
         soil.start()
     with pytest.raises(ValueError, match='saved state'):
@@ -136,7 +132,7 @@ def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
         exporting.export(path, data, out, 'c')
     with pytest.raises(FileNotFoundError, match='holds no model'):
         exporting.export(str(tmp_path / 'none'), data, out + '2', 'c')
-    monkeypatch.setattr(comparing, 'TOLERANCE', 0.0)
+    monkeypatch.setattr(agreement, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='nothing was written'):
         exporting.export(path, data, out + '2', 'c')
     assert not os.path.exists(out + '2')
@@ -179,29 +175,24 @@ def test_a_model_in_a_folder_called_model_compiles(tmp_path):
     _, _, values = _small(tmp_path / 'data')
     name = project.symbol('/model')
     folder = _written(tmp_path / 'project', name, values)
-    library = os.path.join(folder, 'model.so')
-    library.compile_sources(library, folder, benchmark.PLAIN_FLAGS)
-    assert CSoil.open(library, name).digest == values['digest']
+    built = os.path.join(folder, 'model.so')
+    library.compile_sources(built, folder, ('-std=c99', '-O1', '-fPIC', '-shared'))
+    assert CSubspace.open(built, name).description.digest.decode() == values['digest']
 
 
 def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, capsys):
     data, path, out = _saved(tmp_path)
     values = types.SimpleNamespace(
-        model_path=path, data_path=data, output_path=out, format='c', n_rigid=None, members=None,
+        model_path=path, data_path=data, output_path=out, format='c', n_rigid=None,
         n_particles=None,
     )  # fmt: skip
     export_command.run(values)
     assert 'largest difference to TensorFlow' in capsys.readouterr().out
     assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
-    values.members, values.output_path = 2, out + '2'
-    with pytest.raises(ValueError, match='--members=2 is not for --format=c'):
+    values.n_particles, values.output_path = 2, out + '2'
+    with pytest.raises(ValueError, match='--n_particles is not for --format=c'):
         export_command.run(values)
     assert not os.path.exists(out + '2')
-    # Its older name, for one more release.
-    older = [sys.executable, '-m', 'learning_to_simulate.native.exporting']
-    given = [f'--model_path={tmp_path}/none', f'--data_path={data}', f'--output_path={out}2']
-    done = subprocess.run([*older, *given], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and 'none: holds no model' in done.stderr
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):
@@ -210,8 +201,11 @@ def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypat
         library.compiler()
     monkeypatch.delenv('CC')
     monkeypatch.setenv('PATH', str(tmp_path))
+    monkeypatch.setattr(library.importlib.util, 'find_spec', lambda name: None)
     with pytest.raises(library.NoCompiler, match='none of cc, gcc and clang'):
         library.compiler()
+    monkeypatch.setattr(library.importlib.util, 'find_spec', lambda name: name == 'ziglang')
+    assert library.compiler() == [sys.executable, '-m', 'ziglang', 'cc']
 
 
 def test_a_compiler_may_have_arguments(tmp_path, monkeypatch):
@@ -247,7 +241,7 @@ def test_a_library_that_cannot_be_loaded_leaves_the_steps_to_tensorflow(
     with pytest.raises(library.NoCompiler, match='cannot be loaded'):
         library.load()
     model, (group,), _ = models.make(tmp_path / 'data')
-    assert isinstance(c_step.best_step(model, group.n_rigid), TfStep)
+    assert 'cannot be loaded' in models.stepper(model, group.n_rigid, kind='best').engine
     # A home that several kinds of machines share has a library for each.
     monkeypatch.setattr(library.platform, 'machine', lambda: 'another')
     with pytest.raises(library.NoCompiler):
@@ -257,7 +251,7 @@ def test_a_library_that_cannot_be_loaded_leaves_the_steps_to_tensorflow(
 
 def test_libraries_of_one_process_leave_no_file(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
-    assert benchmark.timed_library().lts_error_text(-3)
+    assert library.load_once().lts_error_text(-3)
     assert not os.listdir(tmp_path)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate.native import library, exporting, project
 from learning_to_simulate.live.soil import surface
+from learning_to_simulate.native import exporting, project
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
@@ -27,13 +27,13 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
     folder = str(tmp_path / 'project')
     exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
     name = project.symbol('models/excavation/pcg')
-    library = str(tmp_path / 'lib.so')
-    library.compile_sources(library, folder)
+    built = str(tmp_path / 'lib.so')
+    library.compile_sources(built, folder)
     program = str(tmp_path / 'node')
     strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
     subprocess.run(
         [COMPILERS[0], *strict, f'-I{STAND_IN}', f'-I{folder}/include',
-         os.path.join(folder, 'examples', 'ros2_node.cpp'), library, '-o', program],
+         os.path.join(folder, 'examples', 'ros2_node.cpp'), built, '-o', program],
         check=True,
     )  # fmt: skip
     assert name in pathlib.Path(folder, 'examples', 'ros2_node.cpp').read_text()

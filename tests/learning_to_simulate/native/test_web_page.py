@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate.native import model_data, project, starts, web_page
 from learning_to_simulate.live_page.session import Session
+from learning_to_simulate.native import model_data, project, starts, web_page
 from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]

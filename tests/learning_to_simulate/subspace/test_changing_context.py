@@ -8,8 +8,9 @@ import tensorflow as tf
 
 import learning_to_simulate as lts
 from learning_to_simulate import rollout, rollout_status
-from learning_to_simulate.native import library, c_stepper
-from learning_to_simulate.live import stepping
+from learning_to_simulate.live.stepper import Stepper
+from learning_to_simulate.native import library
+from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.trainer import Trainer
@@ -125,7 +126,7 @@ def _step_through(stepper, group, run, count):
 def stepper(made):
     """Of TensorFlow, compiled once."""
     model, group = made
-    return stepping.Stepper(model, group.n_rigid)
+    return models.stepper(model, group.n_rigid)
 
 
 def test_live_steps_are_the_rollout(made, stepper):
@@ -141,8 +142,8 @@ def test_live_steps_are_the_rollout(made, stepper):
 )
 def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
     model, group = made
-    soil = c_stepper.CStepper(model, group.n_rigid)
-    with pytest.raises(ValueError, match='reset'):
+    soil = CSubspace.of(model, group.n_rigid)
+    with pytest.raises(ValueError, match='not started'):
         soil.set_context(group.context[0, 0])
     frames = _step_through(soil, group, 1, 12)
     expected = _step_through(stepper, group, 1, 12)
@@ -150,7 +151,7 @@ def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
         np.testing.assert_allclose(got.modes, frame.modes, atol=TOLERANCE)
     soil.prepare()  # what was computed ahead with the old context is computed again
     pose, context = group.position[1, H + 12, : group.n_rigid], 1.3 * group.context[1, H]
-    twin = c_stepper.CStepper(model, group.n_rigid)
+    twin = CSubspace.of(model, group.n_rigid)
     _step_through(twin, group, 1, 12)
     np.testing.assert_array_equal(soil.step(pose, context).modes, twin.step(pose, context).modes)
     with pytest.raises(ValueError, match='shape'):
@@ -159,7 +160,7 @@ def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
 
 def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
     model, group = made
-    n, poses = group.n_rigid, group.position[0, H:, : group.n_rigid]
+    poses = group.position[0, H:, : group.n_rigid]
     held, given = [], []
     for frames, contexts in (
         (held, [group.context[0, H], None]),
@@ -173,7 +174,7 @@ def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
     assert frame.judgement.frame == H + 2
     with pytest.raises(ValueError, match='context'):
         stepper.step(poses[3], [9.81])
-    careful = stepping.Stepper(model, n, outside='raise', back_end=stepper._back_end)
+    careful = Stepper(stepper.computing, 'raise')
     careful.reset(group.position[0, :H], group.context[0, 0])
     with pytest.raises(ValueError, match='friction_angle_deg 80'):
         careful.step(poses[0], [9.81, 80.0])

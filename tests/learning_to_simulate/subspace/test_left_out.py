@@ -15,7 +15,6 @@ from learning_to_simulate import (
     registry,
     rollout,
 )
-from learning_to_simulate.live import stepping
 from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
@@ -65,7 +64,7 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
         tmp_path / 'data', overrides={'modes': 2, 'mode_edges': 4}
     )
     space = subspace.fit([np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))], 3)
-    stepper = stepping.Stepper(model, group.n_rigid, space)
+    stepper = models.stepper(model, group.n_rigid, space)
     stepper.reset(group.position[0, :H])
     modes = stepper.step(group.position[0, H, : group.n_rigid]).modes
     full = np.concatenate([modes, np.zeros((1, 3))])

@@ -9,7 +9,6 @@ import tensorflow as tf
 
 from learning_to_simulate import evaluation, model_config, reading_utils, rollout
 from learning_to_simulate.native import model_data
-from learning_to_simulate.live import stepping
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.subspace import method
@@ -128,7 +127,7 @@ def test_rollout_files_hold_the_total_and_each(made, tmp_path):
 
 def test_live_steps_by_particles_give_the_force_on_each(made):
     model, group = made
-    stepper = stepping.Stepper(model, 7)
+    stepper = models.stepper(model, 7)
     assert stepper.reset(group.position[0, :H]).status == 'ok'
     frame = stepper.step(group.position[0, H, :7])
     assert frame.force.shape == (2, 3) and np.isfinite(frame.force).all()

@@ -28,7 +28,7 @@ typedef struct {
   int32_t abi;
   int32_t n_soil;   /* N particles */
   int32_t n_member; /* M networks whose mean answers and whose spread says how sure it is */
-  int32_t n_scalar; /* measures of a path that a status is judged by */
+  int32_t n_scalar; /* measures of a frame that a status is judged by */
   int32_t up_axis;
   int32_t travel_axis; /* the tool drives along this axis of the world, */
   int32_t travel_sign; /* this way */
@@ -65,7 +65,8 @@ typedef struct {
   double force_bound; /* N, root mean square per component, kept by 95 % of frames like those of the
                        * validation runs; 0 where the model was not calibrated */
   int32_t frame;      /* steps since the start */
-  int32_t status;     /* LTS_OUTSIDE_POSE, _SPEED, _CONTEXT (blade; wheel, soil, load) or LTS_NON_FINITE */
+  int32_t status;     /* LTS_OUTSIDE_POSE (also turned or beside the middle), _SPEED (also
+                       * across, and too long a step), _START (the bed), _CONTEXT or LTS_NON_FINITE */
 } lts_field_result;
 
 LTS_API int lts_field_describe(const lts_field_model *model, lts_field_description *out);

@@ -8,6 +8,7 @@
 
 #define LTS_FIELD_SCALES 4  /* memories of the velocity, at most */
 #define LTS_FIELD_CONTEXT 8 /* values of a context, at most */
+#define LTS_FIELD_CONDITIONS 7 /* that no network sees, see `swept_field/calibration.py` */
 
 #define LTS_FIELD_STACK 8   /* values that an operand needs at once, at most */
 
@@ -95,8 +96,9 @@ struct lts_field_model {
   const lts_dense *load_last;   /* [M] -> 3, and the logarithm of their gain; of a wheel the height */
   float displacement, force, torque, full_width; /* units of what they say; of the width */
   float gain_limit, unused_limit;
-  /* Status: limits [2][n_scalar] and the bit of each; weights of the bound: constant, of the spread over
+  /* Status: limits [2][n_scalar + LTS_FIELD_CONDITIONS] and the bit of each; weights of the bound: constant, of the spread over
    * members and of the size of the force, or null. */
+  double least_speed; /* m/s, below which a drift is a share of it */
   const double *limits;
   const int32_t *bits;
   const double *bound;

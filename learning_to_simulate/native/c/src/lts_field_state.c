@@ -18,7 +18,7 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.abi = m->abi;
   d.n_soil = m->n_soil;
   d.n_member = m->n_member;
-  d.n_scalar = m->n_scalar;
+  d.n_scalar = m->n_scalar + LTS_FIELD_CONDITIONS;
   d.up_axis = m->up;
   d.travel_axis = m->axis;
   d.travel_sign = m->sign;

@@ -1,4 +1,4 @@
-/* Start, steps and the force of a swept field; twin of `live.py`. */
+/* Start, steps and the force of a swept field; twin of `swept_field/engine.py`. */
 #include <math.h>
 #include <string.h>
 
@@ -22,15 +22,49 @@ void lts_field_rates(const lts_field_model *m, const lts_twist *twist, double ve
   velocity[2] = twist ? m->turn * twist->angular[3 - m->axis - m->up] : 0.0;
 }
 
-/* Status of the newest frame, and why. */
-static int judge(lts_field *soil, const lts_field_result *result) {
+/* What no network sees, twin of `calibration.conditions`: yaw, roll, distance from the middle plane, way across
+ * over way, lowest and highest place of the bed, duration. All are 0 in the air. */
+static void find_conditions(const lts_field *soil, const lts_pose *before, double dt,
+                            double found[LTS_FIELD_CONDITIONS]) {
   const lts_field_model *m = soil->model;
+  const lts_pose *now = &soil->head->pose;
+  const int across = 3 - m->axis - m->up;
+  const double w = now->rotation[0], a = now->rotation[1 + m->axis], u = now->rotation[1 + m->up],
+               c = now->rotation[1 + across], turn = m->sign * m->turn;
+  /* Where the rotation takes the axis across. */
+  const double along = 2.0 * (a * c + turn * w * u), rise = 2.0 * (u * c - turn * w * a),
+               aside = w * w + c * c - a * a - u * u;
+  double step[3], low = HUGE_VAL, high = -HUGE_VAL;
+  float share[3];
+  memset(found, 0, LTS_FIELD_CONDITIONS * sizeof *found);
+  if (!soil->tool->load_share(soil, share)) return;
+  for (int i = 0; i < 3; ++i) step[i] = before ? now->position[i] - before->position[i] : 0.0;
+  for (int i = 0; i < m->n_bin; ++i) {
+    low = fmin(low, soil->bins[LTS_SURFACE][i]);
+    high = fmax(high, soil->bins[LTS_SURFACE][i]);
+  }
+  found[0] = atan2(m->sign * along, aside);
+  found[1] = atan2(rise, hypot(along, aside));
+  found[2] = now->position[across] - m->middle;
+  found[3] = fabs(step[across]) / fmax(hypot(step[m->axis], step[m->up]), m->least_speed * dt);
+  found[4] = low;
+  found[5] = high;
+  found[6] = dt;
+}
+
+/* Status of the newest frame, and why; `before` is the pose of the one before, or null. */
+static int judge(lts_field *soil, const lts_field_result *result, const lts_pose *before, double dt) {
+  const lts_field_model *m = soil->model;
+  const int n = m->n_scalar, n_all = n + LTS_FIELD_CONDITIONS;
   lts_judgement *judged = &soil->head->judged;
   const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
+  double conditions[LTS_FIELD_CONDITIONS];
   int status = LTS_OK;
   *judged = well;
-  for (int i = 0; i < m->n_scalar; ++i) {
-    const double value = soil->scalars[i], low = m->limits[i], high = m->limits[m->n_scalar + i];
+  find_conditions(soil, before, dt, conditions);
+  for (int i = 0; i < n_all; ++i) {
+    const double value = i < n ? soil->scalars[i] : conditions[i - n];
+    const double low = m->limits[i], high = m->limits[n_all + i];
     if (value >= low && value <= high) continue;
     const lts_judgement found = {m->bits[i], soil->head->frame, -1, i, value, low, high};
     if (!status) *judged = found;
@@ -49,14 +83,14 @@ static int judge(lts_field *soil, const lts_field_result *result) {
 }
 
 /* Judges the newest state; needs `see`. */
-static int answer(lts_field *soil) {
+static int answer(lts_field *soil, const lts_pose *before, double dt) {
   const lts_field_model *m = soil->model;
   lts_field_head *head = soil->head;
   lts_field_result *result = &head->result;
   if (m->tool == LTS_FIELD_WHEEL) head->pose.position[m->up] = head->position[1];
   memcpy(result->point, head->pose.position, sizeof result->point);
   result->frame = head->frame;
-  result->status = judge(soil, result);
+  result->status = judge(soil, result, before, dt);
   soil->placed = 0;
   return result->status;
 }
@@ -91,7 +125,7 @@ int lts_field_begin_on(lts_field *soil, const lts_pose *pose, const double plane
     lts_field_begin(soil, plane, velocity);
   }
   soil->tool->see(soil);
-  return answer(soil);
+  return answer(soil, NULL, m->dt);
 }
 
 int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twist,
@@ -178,9 +212,10 @@ int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_
     soil->tool->see(soil);
     lts_field_find_load(soil, &head->result);
   }
+  const lts_pose before = head->pose;
   head->pose = *pose;
   if (head->frame < INT32_MAX) ++head->frame;
-  const int status = answer(soil);
+  const int status = answer(soil, &before, dt);
   if (result) *result = head->result;
   return status;
 }
