@@ -22,8 +22,8 @@ from absl import app, flags
 
 from mpm import scenes
 from mpm.motions import catalogue
+from pca_tools.storage import messages
 from reports import markdown
-from storage import messages
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 # Of each scene: the data of record, the models, and a test run of it.
@@ -68,8 +68,7 @@ def evaluate(name: str, run: dict, data: str, out: str) -> list[dict]:
     Returns:
         One dict per row of the table.
     """
-    from learning_to_simulate import evaluation
-    from learning_to_simulate.methods import registry
+    from learning_to_simulate import evaluation, registry
 
     solver = run['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]
