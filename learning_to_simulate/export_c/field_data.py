@@ -132,11 +132,13 @@ def _bit(name, known):
 
 def _table(table: inputs.Table, tool) -> dict:
     """`lts_field_table` of a table."""
-    ops, rows = [], []
+    c, ops, rows = c_header.constants(), [], []
     for row in table.rows:
+        if inputs.depth(row.operand) > (limit := c['LTS_FIELD_STACK']):
+            raise ValueError(f'{row.operand!r} needs more than the {limit} values of the C form')
         for offset in row.at or (0.0,):
             program = [_op(*step, offset, tool) for step in inputs.program(row.operand)]
-            squash = c_header.constants()[f'LTS_SQUASH_{row.squash.upper()}']
+            squash = c[f'LTS_SQUASH_{row.squash.upper()}']
             rows.append(
                 {'first': len(ops), 'count': len(program), 'squash': squash, 'shift': row.shift,
                  'scale': row.scale}

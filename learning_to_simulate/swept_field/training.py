@@ -14,6 +14,7 @@ import tqdm
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.swept_field import episodes as episodes_lib
+from learning_to_simulate.swept_field.calibration import CONDITIONS
 from learning_to_simulate.swept_field.field import GRIDS, SweptField
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool import bed, for_scene
@@ -104,11 +105,10 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
     facts = Trainer(field.network, config, TrainingData(episodes, frames, field)).run()
-    every = stacked(frames)
-    field.ranges = {
-        name: [float(every.scalars[:, i].min()), float(every.scalars[:, i].max())]
-        for i, name in enumerate(field.tool.scalars)
-    }
+    dt = field.scene.dt
+    field.ranges = ranges_of(
+        field, np.concatenate([field.judged(e.path, f, dt) for e, f in zip(episodes, frames)])
+    )
     facts |= {
         'episodes': len(episodes),
         'runs': len({e.record for e in episodes}),
@@ -118,6 +118,17 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
         **left_out(field, episodes, frames),
     }
     return field, facts
+
+
+def ranges_of(field, values) -> dict[str, list[float]]:
+    """Ranges of scalars and conditions [T, J] of training; those of `CONDITIONS` are at least what
+    is usual."""
+    names = (*field.tool.scalars, *CONDITIONS)
+    low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    ranges = dict(zip(names, map(list, zip(low, high)), strict=True))
+    for name, (least, most) in CONDITIONS.items():
+        ranges[name] = [min(ranges[name][0], least), max(ranges[name][1], most)]
+    return ranges
 
 
 def left_out(field, episodes, frames) -> dict[str, float]:

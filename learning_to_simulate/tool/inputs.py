@@ -34,6 +34,7 @@ _OPERATORS: dict[type, tuple[str, Callable]] = {
     ast.Mult: ('mul', operator.mul),
     ast.Div: ('div', operator.truediv),
 }
+_TAKE_TWO = ('add', 'sub', 'mul', 'div', 'max')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,3 +165,12 @@ def program(expression: str) -> list[tuple[str, str | float]]:
             raise ValueError(f'{expression!r}: {ast.unparse(node)!r} has no place in an operand')
 
     return list(steps(_parsed(expression)))
+
+
+def depth(expression: str) -> int:
+    """Values that a stack holds at once while it runs a `program`."""
+    most = now = 0
+    for kind, _ in program(expression):
+        now += 1 if kind in ('name', 'number') else -1 if kind in _TAKE_TWO else 0
+        most = max(most, now)
+    return most
