@@ -1,4 +1,4 @@
-"""`TrainConfig`: everything that decides what a trained simulator is, in parts.
+"""Settings: everything that decides what a trained simulator is, in parts.
 
 Each part is a frozen value that checks itself; the whole is all of them at once. So names are flat
 on command lines and in `config.json`, and what needs one part only, takes that part. The whole is
@@ -7,13 +7,12 @@ stored beside the weights, so that no flag can change their meaning.
 
 import dataclasses
 
-from learning_to_simulate import registry
+from learning_to_simulate.scene import MAX_MODES, MAX_RIGID
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
 LARGEST = 2**62
-# No body of the project has more than 20 particles; a damaged number must not ask for the memory
-# of a graph of millions.
-MAX_RIGID, MAX_MODES = 1000, 10_000
+GRAPH_NETWORK = 'gns'
+MODELS = (GRAPH_NETWORK, 'mlp', 'mixer_se', 'mixer_scse')  # of a `TrainConfig`
 
 
 def number(default, low=-LARGEST, high=LARGEST):
@@ -60,13 +59,11 @@ class Nodes(Settings):
         height of the kept ones must be that of all.
       modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
         and count in every error; 0 keeps all.
-      soil_particles: about how many soil particles the full-space model keeps; else 0.
     """
 
     rigid_particles: int = number(10, 0, MAX_RIGID)
     rigid_stride: int = number(1, 1, MAX_RIGID)
     modes: int = number(0, 0, MAX_MODES)
-    soil_particles: int = 0
 
     @property
     def nodes(self) -> dict[str, int]:
@@ -82,10 +79,10 @@ class Edges(Settings):
       adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
         where there is one, else ranked by correlation); 'correlation' (always ranked);
         'random' (by lot, from the seed); the edge file that was loaded; 'none' for a model without
-        a graph, and for full_space, whose radius graph is made in every step.
+        a graph.
       mode_edges: mode -> mode edges that are kept when they are ranked by correlation or drawn.
-      surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
-        edges that last.
+      surface_height: m; a rigid particle above it has no edges in that frame; 0 for edges that
+        last.
       gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
         hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
       gate_steps: after so many steps the gates close for good and the edge list is fixed.
@@ -241,8 +238,6 @@ class SingleSteps(Settings):
 
     Attributes:
       batch_size, num_steps: of this stage.
-      copies: so many shifted or mirrored copies of each training run are trained on as well
-        (`symmetric_copies`), in both stages.
       noise_std: random-walk noise of the last input step, m/frame or a fraction.
       noise_relative: whether the noise is a fraction of each node's own velocity scale.
       learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
@@ -251,7 +246,6 @@ class SingleSteps(Settings):
 
     batch_size: int = number(16, 1, 100_000)
     num_steps: int = number(3000, 0)
-    copies: int = number(0, 0, 100)
     noise_std: float = number(0.5, 0)
     noise_relative: bool = True
     learning_rate: float = 1e-3
@@ -278,25 +272,29 @@ class Unrolled(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
-    """Everything that decides what a model is and how it is trained.
+    """Everything that decides what a model in the subspace is and how it is trained.
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
+      model: one of `MODELS`.
+      copies: so many shifted or mirrored copies of each training run are trained on as well
+        (`symmetric_copies`), in both stages.
     """
 
     preset: str
-    model: str = 'gns'
+    model: str = GRAPH_NETWORK
+    copies: int = number(0, 0, 100)
 
     def rules(self):
-        """Raises where parts do not fit each other or the method."""
-        method = registry.get(self.model)
-        if (self.adjacency == 'none') == method.has_graph:
+        """Raises where parts do not fit each other or the network."""
+        if self.model not in MODELS:
+            raise ValueError(f'model is {self.model!r}, must be one of {", ".join(MODELS)}')
+        if (self.adjacency == 'none') == self.has_graph:
             raise ValueError(
                 f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
                 f'others take none'
             )
-        if self.surface_height and not method.has_graph:
+        if self.surface_height and not self.has_graph:
             raise ValueError(
                 f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
                 f'edges between modes and body'
@@ -306,22 +304,6 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
                 f'state_inputs is False with model {self.model!r}: only the MLP does without, '
                 f'edges and mixers are made of the state'
             )
-        if (self.soil_particles > 0) != method.on_particles:
-            raise ValueError(
-                f'soil_particles is {self.soil_particles} with model {self.model!r}: full_space '
-                f'needs some, the others take 0'
-            )
-        if method.on_particles and self.unroll_steps:
-            raise ValueError(
-                f'unroll_steps is {self.unroll_steps}, but {self.model} is trained in single '
-                f'steps: 0'
-            )
-        if method.on_particles and self.predict_torque:
-            raise ValueError(f'predict_torque is for models in a subspace, not for {self.model}')
-        if method.on_particles and (self.modes or self.rigid_stride > 1):
-            raise ValueError(
-                f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
-            )
         if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
             raise ValueError(
                 f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
@@ -329,7 +311,33 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
             )
 
     @property
+    def has_graph(self) -> bool:
+        """Whether the network takes edges."""
+        return self.model == GRAPH_NETWORK
+
+    @property
     def has_lasting_graph(self) -> bool:
         """Whether the model is a graph network with the same edges in every frame: only then
         rollouts are specialised for them."""
-        return registry.get(self.model).has_graph and not self.surface_height
+        return self.has_graph and not self.surface_height
+
+
+@dataclasses.dataclass(frozen=True)
+class FullSpaceConfig(SingleSteps, Network):
+    """What a graph network on thinned particles is and how it is trained.
+
+    Attributes:
+      preset: name of the preset the config started from.
+      model: full_space.
+      soil_particles: about how many soil particles are kept.
+      velocity_inputs: how many of the H - 1 last velocities are inputs.
+      rate_scaled: as of `Inputs`.
+      mode_order: 2 predicts the acceleration of the soil, 1 its displacement.
+    """
+
+    preset: str
+    model: str = 'full_space'
+    soil_particles: int = number(400, 1)
+    velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
+    rate_scaled: bool = True
+    mode_order: int = number(1, 1, 2)

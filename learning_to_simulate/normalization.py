@@ -14,13 +14,14 @@ import numpy as np
 
 from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.scene import RigidMotion, Scene, require
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
 STD_FLOOR = 1e-3
 # A spread below this share of a force's size is the rounding of float32 records.
 FORCE_ROUNDING = 1e-6
+MAX_PLACES = 10_000  # of the surface that a contact is read from
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,6 +99,64 @@ class Statistics:
         return cls(
             **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
         )
+
+    def check(self, scene: Scene, predict_torque: bool = False) -> None:
+        """Raises ValueError where an array is missing, of another shape, infinite or not of use.
+
+        Args:
+          scene: that the model is of.
+          predict_torque: whether the model predicts it.
+        """
+        classes, context = scene.n_modes + 1, len(scene.context_names)
+        dim = self.origin.shape[-1] if self.origin.ndim else 0
+        require(dim in (2, 3), 'statistics.origin of shape', self.origin.shape)
+        force = dim  # of one body, or of all together, or of each
+        if scene.bodies and self.force_mean is not None and self.force_mean.size > dim:
+            force = dim * len(scene.bodies)
+        shapes = {
+            'displacement_mean': (classes, classes, dim),
+            'displacement_std': (classes, classes, dim),
+            'force_mean': (force,), 'force_std': (force,),
+            'torque_mean': (dim,), 'torque_std': (dim,),
+            'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,), 'contact': (2,),
+            'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
+            'log_context_mean': (context,), 'log_context_std': (context,),
+            'position_range': (2, classes, dim), 'given_range': (2, dim),
+            'given_velocity_range': (2, dim),
+            'body_extent_range': (2, dim), 'body_speed_range': (2, 1),
+            'context_range': (2, context),
+        }  # fmt: skip
+        if self.surface is not None:
+            places = self.surface.shape[0] if self.surface.ndim else 0
+            require(0 < places <= MAX_PLACES, 'places of statistics.surface', places)
+            shapes['surface'] = (places, 2 + scene.n_modes * dim)
+        contact, surface = self.contact is not None, self.surface is not None
+        require(contact == surface, 'presence of statistics.contact', contact)
+        if contact:
+            axis = float(self.contact.flat[0]) if self.contact.size else None
+            ways = set(range(dim)) - {scene.up_axis}
+            require(axis in ways, 'axis of statistics.contact', axis)
+            prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
+            require(prescribed and scene.has_force, 'statistics.contact of the scene', scene.name)
+        for field in dataclasses.fields(self):
+            value, name = getattr(self, field.name), f'statistics.{field.name}'
+            if value is None:
+                require(type(None) in getattr(field.type, '__args__', ()), field.name, None)
+                continue
+            expected = shapes.get(field.name, (classes, dim))
+            require(value.shape == expected, f'{name} of shape', value.shape)
+            require(bool(np.isfinite(value).all()), name, 'not finite')
+            if name.endswith('_std') or field.name == 'body_speed':
+                require(bool((value > 0).all()), name, 'not positive')
+            if name.endswith('_range'):
+                require(bool((value[0] <= value[1]).all()), name, 'upside down')
+        has_load = scene.has_force and not scene.bodies
+        require(has_load or not predict_torque, 'predict_torque', predict_torque)
+        wanted = {'force': scene.has_force, 'torque': predict_torque, 'context': bool(context)}
+        for name, present in wanted.items():
+            for end in ('mean', 'std'):
+                value, field = getattr(self, f'{name}_{end}'), f'statistics.{name}_{end}'
+                require((value is not None) == present, f'presence of {field}', value)
 
 
 def _floored(std, largest=None):

@@ -58,7 +58,7 @@ def values(
     """The fields of `lts_model` for graphs of R rigid particles.
 
     Args:
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       n_rigid: R.
       subspace: that turns modes into particles, or None.
       rigid_correction: whether a predicted body is kept rigid.

@@ -17,7 +17,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.subspace import features, graph_network, tool_depth
+from learning_to_simulate.subspace import features, graph_network
 from learning_to_simulate.subspace.contact import Contact
 
 NUM_PARTICLE_TYPES = 9
@@ -236,10 +236,29 @@ class LearnedSimulator(snt.Module):
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and loads [B, F] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        gates = tool_depth.edge_gates(self, state, layout)
+        gates = self._edge_gates(state, layout)
         decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
         load = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return decoded[..., : self.dim], load
+
+    def _edge_gates(self, state, layout):
+        """Weights of the messages in the frame after `state`, float32 [B or 1, E] in [0, 1]; None
+        where all edges last.
+
+        A rigid particle above the ground has no edges: the dynamic graph that Usmani & Skonieczny
+        2023 (4.1) propose. Compiled graphs have fixed shapes, so absent edges are computed and
+        weighted by 0: it changes what is predicted, and saves nothing.
+        """
+        surface = self.config.surface_height
+        if not surface:
+            return layout.edge_gates
+        n, up = layout.n_rigid, self.scene.up_axis
+        height = state.offset[:, :n, up] + tf.cast(layout.origin[:n, up], state.offset.dtype)
+        in_soil = tf.cast(height <= np.float32(surface), tf.float32)
+        present = tf.pad(in_soil, [[0, 0], [0, layout.n_node - n]], constant_values=1.0)
+        ends = (tf.gather(present, index, axis=1) for index in (layout.senders, layout.receivers))
+        gates = tf.multiply(*ends)
+        return gates if layout.edge_gates is None else gates * layout.edge_gates
 
     def rate(self, known):
         """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].

@@ -9,7 +9,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, presets, registry
-from learning_to_simulate.subspace import edge_lists
+from learning_to_simulate.subspace import edge_lists, subspace_model
 from learning_to_simulate.subspace.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import training_state
@@ -145,7 +145,7 @@ def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
     edges = edge_lists.read(f'{trained}/edges.json')
     assert edges.method == 'gates' and edges.n_edge == 5 and edges.threshold is None
     edges.check_data(data)
-    model = checkpoints.load_model(trained)
+    model = subspace_model.load(trained)
     np.testing.assert_array_equal(model.mode_mask, edges.mask)
     assert model.edge_source == 'learned gates'
     assert model.layout(4).n_edge == 4 * synthetic.N_MODES + 5

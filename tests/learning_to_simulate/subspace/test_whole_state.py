@@ -11,8 +11,8 @@ from learning_to_simulate.export import step_functions
 from learning_to_simulate.export_c import model_data
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.subspace import method
-from learning_to_simulate.subspace.mixer_model import Excitation
 from learning_to_simulate.subspace.trainer import Trainer
+from learning_to_simulate.subspace.whole_state import Excitation
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
