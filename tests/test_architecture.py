@@ -43,7 +43,7 @@ MAY_IMPORT = {
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'storage', 'cluster'),
 }
-# The main package from the ground up: a module imports those of its own line and of lines above it,
+# The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
     ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering'),
@@ -58,8 +58,8 @@ LAYERS = (
     ('api', 'train', 'live.roll_out_path'),
     ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
-# The main package from the ground up: a module imports those of its own line and of lines above,
-# inside functions too. The longest name that fits says which line a module is on.
+CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
+# Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {
     'mpm': ('tensorflow', 'sonnet', 'graph_nets', 'sklearn'),
 }
