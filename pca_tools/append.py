@@ -87,7 +87,8 @@ def _append(
     metadata = make_metadata(runs.world, together, space, 1, base)
     if files.check_manifest(data_path, ()) != listed:  # by `--overwrite`, which takes no lock
         raise ValueError(
-            f'{data_path}: was replaced while runs were added; what is there now is kept, call again'
+            f'{data_path}: was replaced while runs were added; what is there now is kept, call '
+            'again'
         )
     convert.write_dataset(data_path, together, space, sample.indices, metadata, overwrite=True)
     return metadata

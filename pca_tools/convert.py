@@ -40,8 +40,7 @@ import numpy as np
 from absl import app, flags
 from tqdm import tqdm
 
-from cluster import workers
-from pca_tools import dataset, files, folder_lock, particles, raw_writer, subspace
+from pca_tools import dataset, files, folder_lock, particles, raw_writer, subspace, workers
 from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
 from pca_tools.metadata import (
     METADATA_NAME,
