@@ -1,8 +1,8 @@
 """Statistics of a training set, and the affine maps that the network's inputs and outputs go
 through.
 
-Two families. *Dataset-wide* (published): one mean and standard deviation per axis from
-`metadata.json`, edge displacement divided by the connectivity radius. *Conditioned*: every node
+Two families. *Published*, dataset-wide: one mean and standard deviation per axis from
+`metadata.json`, edge displacement divided by the connectivity radius. *Ours*: every node
 class (the rigid body, each mode) has its own statistics per axis, and every pair of classes its own
 displacement statistics; mode scores reach 18 while their steps are 1e-5..1e-2, so one scale for all
 hides most modes from the network.
@@ -35,11 +35,11 @@ class Statistics:
       velocity_mean, velocity_std, acceleration_mean, acceleration_std: [1 + r, D], per frame.
       displacement_mean, displacement_std: [1 + r, 1 + r, D], sender minus receiver, [receiver,
         sender].
-      force_mean, force_std: [D], N; None without a force. Conditioned: one scale for all axes,
+      force_mean, force_std: [D], N; None without a force. Ours: one scale for all axes,
         since the lateral force is noise.
       torque_mean, torque_std: [D], N m, likewise; None where the torque is not predicted.
       context_mean, context_std: [C]; None without a context.
-      log_context_mean, log_context_std: [C] of the logarithm, a second input of conditioned models
+      log_context_mean, log_context_std: [C] of the logarithm, a second input of our models
         (loads and gravities span decades); None unless all values are positive.
       target_mean, target_std: [1 + r, D] of what a node of the class predicts, per frame.
       height_std, height_velocity_std: [1] of the body's height, m, and its change per frame; only
@@ -227,23 +227,23 @@ def compute_statistics(
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
     # Loads and gravities span decades: a network sees both x and log x of a positive context.
-    logarithm = config.statistics_by_class and context is not None and (context > 0).all()
+    logarithm = not config.is_published and context is not None and (context > 0).all()
     for name, function in (('mean', np.mean), ('std', np.std)):
         values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
-        _by_node_class(positions, velocities, origin, r)
-        if config.statistics_by_class
-        else _dataset_wide(metadata, scene, config, origin)
+        _dataset_wide(metadata, scene, config, origin)
+        if config.is_published
+        else _by_node_class(positions, velocities, origin, r)
     )
     for name, load in loads.items():
         if load is None:
             moments = None, None
-        elif config.statistics_by_class:
-            moments = load.mean(axis=0), np.full(load.shape[1], _load_spread(load))
-        else:
+        elif config.is_published:
             moments = _load_wide(name, load, metadata, scene)
+        else:
+            moments = load.mean(axis=0), np.full(load.shape[1], _load_spread(load))
         values |= dict(zip((f'{name}_mean', f'{name}_std'), moments, strict=True))
     ranges = training_ranges(positions, contexts, scene)
     targets = _targets(values, _places(positions, r), heights, scene, config)
@@ -337,7 +337,7 @@ def _height_std(heights, order):
 
 
 def _by_node_class(positions, velocities, origin, r):
-    """Conditioned family: statistics of each node class and each pair of classes."""
+    """Our family: statistics of each node class and each pair of classes."""
     velocity_classes = _by_class(velocities, r)
     acceleration_classes = _by_class([np.diff(v, axis=1) for v in velocities], r)
     displacement_mean, displacement_std = _displacements(positions, origin, r)
@@ -381,7 +381,7 @@ def _targets(values, places, heights, scene, config):
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
-    if heights is not None and config.statistics_by_class:
+    if heights is not None and not config.is_published:
         # The body's height moves far less than the particles of a turning wheel do.
         change = np.concatenate(
             [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]

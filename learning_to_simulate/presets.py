@@ -11,7 +11,7 @@ from learning_to_simulate.methods import open_loop_settings
 from learning_to_simulate.methods.swept_field import settings as swept_field_settings
 
 _PUBLISHED = {
-    'conditioned': False,
+    'style': 'published',
     'rigid_particles': 0,
     'velocity_inputs': 5,
     'rate_scaled': False,
@@ -42,7 +42,7 @@ _OF_NETWORKS = {
     ),
     # Usmani & Skonieczny 2023: partial graph (their Algorithm 2), noise 6.7e-6.
     'pcg_thesis': TrainConfig('pcg_thesis', noise_std=6.7e-6, num_steps=20_000, **_PUBLISHED),
-    # This project's default: partial graph, conditioned inputs, displacement outputs, unrolled
+    # This project's default: partial graph, own inputs, displacement outputs, unrolled
     # training.
     'pcg': TrainConfig('pcg'),
     # Holden et al. 2019: a plain MLP on the subspace state.
@@ -133,6 +133,9 @@ def make_config(preset: str, **overrides):
     model = overrides.get('model')
     if model is not None and type(PRESETS[preset_of_model(model)]) is not type(PRESETS[preset]):
         raise ValueError(f'preset {preset!r} is one of {PRESETS[preset].model!r}, not of {model!r}')
-    return dataclasses.replace(
-        PRESETS[preset], **{k: v for k, v in overrides.items() if v is not None}
-    )
+    given = {k: v for k, v in overrides.items() if v is not None}
+    whole = PRESETS[preset]
+    if 'num_steps' in given and 'unroll_steps' in fields - given.keys():
+        # A shorter or longer training has both stages in the proportion of the preset.
+        given['unroll_steps'] = round(given['num_steps'] * whole.unroll_steps / whole.num_steps)
+    return dataclasses.replace(whole, **given)

@@ -60,7 +60,7 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
         statistics = dataclasses.replace(
             statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
         )
-    if config.contact_gate:
+    if not config.is_published:
         statistics = _with_contact(statistics, data_path, groups, scene)
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
@@ -70,8 +70,6 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
         model.layout(group.n_rigid)
     tf.random.set_seed(config.seed)
     model.create_variables(groups[0].n_rigid)
-    if config.zero_decoder:
-        simulator.zero_decoder()
     return model
 
 

@@ -20,6 +20,7 @@ from learning_to_simulate.subspace.learned_simulator import SimulatorState, init
 from learning_to_simulate.subspace.rigid_body import known_motion
 from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
 
+CLIP_NORM = 1.0  # largest norm of the gradient of all weights
 # Independent random streams of one (seed, step).
 _WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM, _GATE_STREAM = 1, 2, 3, 4, 5
 # The force error of a run is counted in units of the run's own force, because that is how it is
@@ -57,7 +58,7 @@ class Trainer:
                 g,
                 model.layout(g.n_rigid),
                 self.simulator.statistics,
-                relative_loads=self.config.relative_force_loss,
+                relative_loads=not self.config.is_published,
             )
             for g in groups
         ]
@@ -65,7 +66,7 @@ class Trainer:
         self._share = np.cumsum(runs / runs.sum())
         self.learning_rate = TwoStageSchedule(self.config)
         self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=self.config.clip_norm
+            self.learning_rate, global_clipnorm=None if self.config.is_published else CLIP_NORM
         )
         self.optimizer.build(self.simulator.trainable_variables)
         self._model = model
@@ -79,7 +80,7 @@ class Trainer:
     @property
     def total_steps(self) -> int:
         """Steps of both stages."""
-        return self.config.num_steps + self.config.unroll_steps
+        return self.config.num_steps
 
     def is_gated(self, step: int) -> bool:
         """Whether the edges are still being learned in training step `step`."""
@@ -97,7 +98,7 @@ class Trainer:
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
-        unrolled = step >= self.config.num_steps
+        unrolled = step >= self.config.single_steps
         group = self._group_of(step)
         key = group, unrolled, self.is_gated(step)
         if key not in self._steps:
@@ -115,7 +116,7 @@ class Trainer:
         window."""
         config, tensors = self.config, self._tensors[self._group_of(step)]
         size, length = config.batch_size, 1
-        if step >= config.num_steps:
+        if step >= config.single_steps:
             size, length = config.unroll_batch_size, config.unroll_length
 
         # Compiled as in the training step: its draws need not be eager ones.
@@ -137,9 +138,7 @@ class Trainer:
             noise_seed = tf.stack([config.seed * 8 + _NOISE_STREAM, step])
             with tf.GradientTape() as tape:
                 if unrolled:
-                    values = self._unrolled_losses(
-                        tensors, config.unroll_batch_size, window_seed, noise_seed
-                    )
+                    values = self._unrolled_losses(tensors, config.unroll_batch_size, window_seed)
                 elif gates:
                     gate_seed = tf.stack([config.seed * 8 + _GATE_STREAM, step])
                     layout = gates.gated(tensors.layout, config.batch_size, gate_seed)
@@ -182,14 +181,14 @@ class Trainer:
             ]
         return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
 
-    def _noisy_state(self, offset, velocity, layout, seed, scale=1.0):
+    def _noisy_state(self, offset, velocity, layout, seed):
         """State after the first H frames of windows, with random-walk noise on the nodes that move
         freely."""
         h = INPUT_SEQUENCE_LENGTH
         state = initial_state(offset[:, :h], velocity[:, 1:h])
-        if self.config.noise_std * scale == 0 or seed is None:
+        if self.config.noise_std == 0 or seed is None:
             return state
-        std = np.full(layout.velocity_std.shape, self.config.noise_std * scale, np.float32)
+        std = np.full(layout.velocity_std.shape, self.config.noise_std, np.float32)
         if self.config.noise_relative:
             std *= layout.velocity_std
         noise = noise_utils.random_walk_velocity_noise(
@@ -239,12 +238,12 @@ class Trainer:
         )
         return values | {'one_step_position_mse': tf.reduce_mean(error[:, layout.n_rigid :] ** 2)}
 
-    def _unrolled_losses(self, tensors, batch_size, window_seed, noise_seed):
+    def _unrolled_losses(self, tensors, batch_size, window_seed):
         h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
         offset, velocity, load, context, load_weights, memory = tensors.windows(
             batch_size, h + n, window_seed
         )
-        state = self._noisy_state(offset, velocity, layout, noise_seed, self.config.unroll_noise)
+        state = initial_state(offset[:, :h], velocity[:, 1:h])
         offsets, stepped = [], []
         for k in range(n):
             known = self._known(offset, velocity, memory, layout, h + k)

@@ -1,6 +1,6 @@
 """One training run on disk, whatever is trained: claim the folder, resume, step, save.
 
-What is trained comes as a `Training` from a method of `methods.registry`; this loop knows none.
+What is trained comes as a `Training` from a method of `registry`; this loop knows none.
 """
 
 import dataclasses

@@ -31,7 +31,7 @@ _MASK = np.array([[1, 0], [1, 1]], bool)
 
 
 def _statistics() -> Statistics:
-    """Of a conditioned model with a driven body, all parts present."""
+    """Of a model of our style with a driven body, all parts present."""
     classes = MODES + 1
     pair, axes = (classes, classes, 3), (3,)
     shapes = {

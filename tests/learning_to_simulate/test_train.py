@@ -221,6 +221,14 @@ def test_damaged_weights_are_refused(trained, tmp_path, damage):
         subspace_model.load(str(tmp_path))
 
 
+def test_number_of_steps_is_that_of_both_stages():
+    config = presets.make_config('pcg', num_steps=300)
+    assert (config.single_steps, config.unroll_steps) == (180, 120)
+    assert presets.make_config('pcg', num_steps=300, unroll_steps=50).single_steps == 250
+    with pytest.raises(ValueError, match='unroll_steps is 50, more than all 30'):
+        presets.make_config('pcg', num_steps=30, unroll_steps=50)
+
+
 def test_impossible_settings_are_refused():
     for name, value in (
         ('rate_scaled', True),

@@ -92,7 +92,7 @@ def test_a_place_is_a_function_of_path_and_start_alone(tmp_path):
         ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
         ('mlp', {'state_inputs': False}, 'need path_inputs'),
         ('pcg', {'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
-        ('pcg', {'path_inputs': True, 'conditioned': False}, 'needs conditioned'),
+        ('pcg', {'path_inputs': True, 'style': 'published'}, 'needs the style ours'),
     ],
 )
 def test_configs_without_a_path_to_follow_are_refused(preset, fields, words):
