@@ -59,7 +59,6 @@ WORLDS = {
     'twice the size, speed by its root': World(size=2.0, speed=SPEED * math.sqrt(2.0)),
     '0.4 m/s': World(speed=0.4),
     '1 m/s': World(speed=1.0),
-    '2 m/s': World(speed=2.0),
 }
 
 
