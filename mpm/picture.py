@@ -21,7 +21,7 @@ from absl import app, flags
 from mpm import bodies, raw_run, scenes
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
-from storage import messages
+from pca_tools.storage import messages
 
 OUTLINE_EVERY = 0.5  # s
 
