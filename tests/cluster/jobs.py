@@ -7,9 +7,8 @@ import time
 
 import numpy as np
 
-from mpm import experiments, scenes
+from mpm import batch, experiments, scenes
 from mpm.simulation import Settings
-from run_scripts import solver_on_cluster
 
 
 def square(number):
@@ -76,14 +75,14 @@ def short_run(job):
     """
     case, folder, frames, fatal = job
     scenes.FRAMES = frames
-    scenes.SCENES = {'excavation': experiments.coarse(scenes.EXCAVATION)}
     marker = os.path.join(folder, 'died')
     if case == fatal and not os.path.exists(marker):
         with open(marker, 'w', encoding='utf-8') as file:
             file.write(str(os.getpid()))
         subprocess.Popen(['sh', '-c', f'sleep 0.2; kill -9 {os.getpid()}'])
     start = time.process_time()
-    entry = solver_on_cluster.simulate(('excavation', case, Settings(), folder))
+    scene = experiments.coarse(scenes.EXCAVATION)
+    entry = batch._Job(scene, Settings(), None, folder).simulate(case)
     return entry['content'], time.process_time() - start
 
 
@@ -93,6 +92,7 @@ class FatalRuns(Runs):
     def __init__(self, runs, folder, first=0):
         super().__init__(runs)
         self.folder, self.first = folder, first
+        self.home = os.getpid()  # pickling asks for an iterator, too
 
     def part(self, start, stop):
         """As `SoilPositions.part`."""
@@ -100,7 +100,8 @@ class FatalRuns(Runs):
 
     def __iter__(self):
         marker = os.path.join(self.folder, 'died')
-        if self.first == 4 and not os.path.exists(marker):
+        is_away = os.getpid() != self.home
+        if self.first == 4 and is_away and not os.path.exists(marker):
             with open(marker, 'w', encoding='utf-8') as file:
                 file.write(str(os.getpid()))
             os.kill(os.getpid(), signal.SIGKILL)

@@ -2,12 +2,14 @@
 
 import json
 import pathlib
+import re
 
 import numpy as np
 import pytest
 
 from mpm import verify
 from mpm.verification.rows import Check, Table, reported
+from mpm.versions import SOLVER_VERSION
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 
@@ -66,8 +68,12 @@ def test_cheap_rows_pass(tmp_path):
 
 
 def test_readme_counts_the_checks_that_fail():
+    """Of the version that the record is of; `mpm.verify` makes it again for another."""
     readme = (ROOT / 'mpm' / 'README.md').read_text(encoding='utf-8')
-    table = Table(str(ROOT / 'docs' / 'solver' / 'verify.json'))
-    count = sum(len(entry['checks']) for entry in table.entries.values())
-    assert f'**{len(table.failed)} of {count} fail**' in readme
-    assert list(table.entries) == list(verify.rows_of('raw')), 'rows as the command orders them'
+    content = json.loads((ROOT / 'docs' / 'solver' / 'verify.json').read_text(encoding='utf-8'))
+    checks = [check for entry in content['entries'].values() for check in entry['checks']]
+    failed = sum(not check['passed'] for check in checks)
+    said = rf'All rows of version {content["solver_version"]}.*\*\*{failed} of {len(checks)} fail\*\*'
+    assert re.search(said, readme)
+    if content['solver_version'] == SOLVER_VERSION:
+        assert list(content['entries']) == list(verify.rows_of('raw')), 'rows as the command orders'
