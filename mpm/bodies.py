@@ -152,12 +152,13 @@ def make_wheel(
     if count:
         if not (height > thickness / 2.0 > 0.0):
             raise ValueError(
-                f'grousers of height {height} m and thickness {thickness} m: the height must exceed '
-                'half the thickness, both must be positive'
+                f'grousers of height {height} m and thickness {thickness} m: the height must '
+                'exceed half the thickness, both must be positive'
             )
         if count * thickness > math.pi * diameter:
             raise ValueError(
-                f'{count} grousers {thickness} m thick overlap on a rim of {math.pi * diameter:.4g} m'
+                f'{count} grousers {thickness} m thick overlap on a rim of '
+                f'{math.pi * diameter:.4g} m'
             )
     angles = 2.0 * math.pi * np.arange(WHEEL_RING_POINTS) / WHEEL_RING_POINTS
     points = [
@@ -200,8 +201,8 @@ def read_tool(path: str) -> dict:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline that
-            crosses itself; with the file.
+        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline
+            that crosses itself; with the file.
     """
     with open(path, encoding='utf-8') as file:
         try:
@@ -423,7 +424,8 @@ def extent_below(body: Body, poses: np.ndarray, height: float):
     for corners, radius in parts:
         for i in range(len(corners)):
             ends = [corners[i], corners[(i + 1) % len(corners)]]
-            px, py = ([a * cosine - b * sine for a, b in ends], [a * sine + b * cosine for a, b in ends])
+            px = [a * cosine - b * sine for a, b in ends]
+            py = [a * sine + b * cosine for a, b in ends]
             px, py = [x + p for p in px], [y + p - radius for p in py]
             # The share of the edge at which it leaves what is below the height.
             rise = py[1] - py[0]
@@ -431,7 +433,8 @@ def extent_below(body: Body, poses: np.ndarray, height: float):
                 share = np.where(rise != 0.0, (height - py[0]) / rise, 0.0)
             crossing = px[0] + np.clip(share, 0.0, 1.0) * (px[1] - px[0])
             crosses = (py[0] < height) != (py[1] < height)
-            for at, is_below in ((px[0], py[0] < height), (px[1], py[1] < height), (crossing, crosses)):
+            dips = (px[0], py[0] < height), (px[1], py[1] < height), (crossing, crosses)
+            for at, is_below in dips:
                 reach = radius
                 if len(corners) == 1:  # the chord of the circle at that height
                     depth = np.clip(height - (py[0] + radius), -radius, radius)

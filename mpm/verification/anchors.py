@@ -42,7 +42,7 @@ STEADY = 120  # the frames that are averaged, the last ones
 
 @dataclasses.dataclass(frozen=True)
 class Wheel:
-    """A published wheel: its tool, load (N), soil, and slip -> drawbar N, sinkage mm, torque N m."""
+    """A published wheel: its tool, load (N), soil; slip -> drawbar N, sinkage mm, torque N m."""
 
     tool: dict
     load: float
@@ -119,7 +119,8 @@ def measured(wheel: Wheel, slip: float, particles: np.ndarray) -> dict:
 def table(path: str) -> str:
     """Returns measured beside published as Markdown."""
     lines = [
-        '| wheel | slip | drawbar N | published | sinkage mm | published | torque N m | published |',
+        '| wheel | slip | drawbar N | published | sinkage mm | published '
+        '| torque N m | published |',
         '|---|---|---|---|---|---|---|---|',
     ]
     for name, runs in _read(path).items():
@@ -140,13 +141,19 @@ def draw(path: str, output: str) -> None:
     from matplotlib import pyplot
 
     figure, rows = pyplot.subplots(1, 3, figsize=(11, 3.8), layout='constrained')
-    names = ('drawbar', 'drawbar_N', 'N'), ('sinkage', 'sinkage_mm', 'mm'), ('torque', 'torque_N_m', 'N m')
+    names = (
+        ('drawbar', 'drawbar_N', 'N'),
+        ('sinkage', 'sinkage_mm', 'mm'),
+        ('torque', 'torque_N_m', 'N m'),
+    )
     for axes, (what, key, unit) in zip(rows, names):
         for number, (name, runs) in enumerate(_read(path).items()):
             wheel, colour = WHEELS[name], f'C{number}'
-            axes.plot(wheel.slips, getattr(wheel, what), 'o--', color=colour, label=f'{name}, published')
+            published = getattr(wheel, what)
+            axes.plot(wheel.slips, published, 'o--', color=colour, label=f'{name}, published')
             slips = [slip for slip in wheel.slips if str(slip) in runs]
-            axes.plot(slips, [runs[str(s)][key] for s in slips], 's-', color=colour, label='this solver')
+            ours = [runs[str(s)][key] for s in slips]
+            axes.plot(slips, ours, 's-', color=colour, label='this solver')
         axes.set_xlabel('slip')
         axes.set_ylabel(f'{what}, {unit}')
     rows[0].legend(fontsize=7)

@@ -162,8 +162,8 @@ def table(path: str) -> str:
     """Returns the stored ladder as Markdown, each variant beside `cubic`."""
     content = _read(path)
     lines = [
-        '| case | variant | cells mm | reach mm | draft N | of cubic | vertical N | force, 5 frames '
-        '| surface mm | density | CPU s |',
+        '| case | variant | cells mm | reach mm | draft N | of cubic | vertical N '
+        '| force, 5 frames | surface mm | density | CPU s |',
         '|---|---|---|---|---|---|---|---|---|---|---|',
     ]
     for name, runs in content.items():
@@ -183,7 +183,8 @@ def table(path: str) -> str:
         cells, drafts = _over_cells(runs, CASES[name][1])
         if len(cells) >= 3:
             value, error = limit(cells, drafts)
-            lines.append(f'| {name} | limit of fine cells | 0 | | {value:.0f} +- {error:.0f} |||||||')
+            found = f'{value:.0f} +- {error:.0f}'
+            lines.append(f'| {name} | limit of fine cells | 0 | | {found} |||||||')
     return '\n'.join(lines)
 
 

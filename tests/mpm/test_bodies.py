@@ -102,9 +102,12 @@ def test_normal_is_the_gradient(name):
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [0.3, 0.3, body.half_width + 0.04]
     found = signed(body, points)
     step = 1e-6
-    slope = np.stack(
-        [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
-    ) / step
+    slope = (
+        np.stack(
+            [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
+        )
+        / step
+    )
     smooth = np.abs(np.linalg.norm(slope, axis=1) - 1.0) < 1e-3  # not where two parts meet
     assert smooth.mean() > 0.95
     np.testing.assert_allclose(slope[smooth], found[smooth, 1:], atol=2e-3)

@@ -26,8 +26,8 @@ def test_block_without_gravity_stays_at_rest(soil):
 def test_settled_soil_carries_its_weight(soil):
     """On the cells of the wheel's scene: measured 0.995 and 0.980.
 
-    Not on coarse cells: the settling multiplies by 1 - 200 dt what pushes soil up and not its weight
-    (`grid.kick`), which overloads it by 23 % there; it then swings for 10 ms about its rest.
+    Not on coarse cells: the settling multiplies by 1 - 200 dt what pushes soil up and not its
+    weight (`grid.kick`), which overloads it by 23 % there; it then swings for 10 ms about its rest.
     """
     box = scenes.WHEEL.bin
     figures = experiments.settled_soil(box, packing.settle(box, soil, 0)[0], soil)
@@ -161,8 +161,8 @@ def test_no_soil_lies_in_the_blade(coarse_excavation, excavation_packing, soil, 
     for _ in range(60):
         simulation.frame()
         found = simulation.penetration()
-        # Pressed in by some of the half spacing that contact has: measured 0 and 0.062 cells of 40 mm
-        # (0.005 of 27 mm in version 4, which had more particles a cell).
+        # Pressed in by some of the half spacing that contact has: measured 0 and 0.062 cells of
+        # 40 mm (0.005 of 27 mm in version 4, which had more particles a cell).
         assert found['inside'] == 0 and found['deepest_cells'] < 0.1
 
 

@@ -57,7 +57,8 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
     distance = np.array(
         [
             min(
-                bodies.signed_distance(BLADE, 0.0, 1.0, *(x - [*pose[:2], MIDDLE]))[0] for pose in path
+                bodies.signed_distance(BLADE, 0.0, 1.0, *(x - [*pose[:2], MIDDLE]))[0]
+                for pose in path
             )
             for x in positions
         ]

@@ -83,7 +83,7 @@ def test_soil_at_rest_stays_calm_at_the_limit(coarse_excavation, modulus):
 def test_soil_diverges_above_the_limit(coarse_excavation):
     """At ten times the stiffness: 0.02 mm/s up to 1.4 times the limit, 0.7 at 1.6, 13 at 1.8.
 
-    With two steps between exchanges, as at 1.5 MPa on these cells, the exchange damps what diverges.
+    With two steps between exchanges, as at 1.5 MPa on these cells, the exchange damps that.
     """
     soil = make_soil(1.5e7, 0.76)
     particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
@@ -93,12 +93,13 @@ def test_soil_diverges_above_the_limit(coarse_excavation):
 
 
 @pytest.mark.parametrize(
-    ('grains', 'cells', 'refused'), [(1, 1.9, False), (1, 2.1, True), (2, 0.6, False), (9, 0.6, True)]
+    ('grains', 'cells', 'refused'),
+    [(1, 1.9, False), (1, 2.1, True), (2, 0.6, False), (9, 0.6, True)],
 )
 def test_soil_too_fast_for_the_exchange_is_an_error(
     coarse_excavation, excavation_packing, grains, cells, refused
 ):
-    """A single grain may fly up to 2 cells between exchanges; one in a thousand up to half a cell."""
+    """A single grain may fly 2 cells between exchanges; more than one in a thousand half a cell."""
     settings = Settings(exchange=1.0 / 180.0)
     motion = run.prepared(coarse_excavation, 1, settings)
     simulation = run.make_simulation(coarse_excavation, motion, excavation_packing[0], settings)

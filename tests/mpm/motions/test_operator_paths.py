@@ -99,8 +99,8 @@ def test_no_soil_is_squeezed_against_the_wall_behind(paths):
 def test_velocity_and_acceleration_are_continuous(paths):
     _, made = paths
     for path in made[:40]:
-        # Of what the story draws: x, depth, lean. Where a bucket turns from one lowest corner to the
-        # next, its depth is smooth and its reference point is not.
+        # Of what the story draws: x, depth, lean. Where a bucket turns from one lowest corner to
+        # the next, its depth is smooth and its reference point is not.
         x, y, angle, _ = path.poses.T
         drawn = np.stack([x, path.depth(path.poses), angle], axis=1)
         velocity = np.diff(drawn, axis=0) / DT

@@ -17,7 +17,7 @@ SEEDS = range(100)
 
 
 class Driven(NamedTuple):
-    """A drive, its parameters; rim and travel speed [T - 1] m/s, load [T] N (0: height is given)."""
+    """A drive, its parameters; rim and travel speed [T - 1], m/s; load [T], N (0: none)."""
 
     drive: Drive
     parameters: dict
@@ -110,7 +110,9 @@ def test_drawn_wheels_differ():
     wheels = [free_drive(SCENE, 'wheels', seed)[1]['tool'] for seed in range(60)]
     for name, (low, high) in {'radius': (0.03, 0.15), 'width': (0.05, 0.125)}.items():
         found = [wheel[name] for wheel in wheels]
-        assert low <= min(found) < low + 0.2 * (high - low) and high - 0.2 * (high - low) < max(found)
+        assert low <= min(found) < low + 0.2 * (high - low) and high - 0.2 * (high - low) < max(
+            found
+        )
     bars = [free_drive(SCENE, 'grousers', seed)[1]['tool'] for seed in range(60)]
     assert {8, 24} <= {bar['grousers']['count'] for bar in bars}
     assert all(bar['grousers']['height'] <= 0.15 * bar['radius'] + 1e-4 for bar in bars)

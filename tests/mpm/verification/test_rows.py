@@ -73,7 +73,9 @@ def test_readme_counts_the_checks_that_fail():
     content = json.loads((ROOT / 'docs' / 'solver' / 'verify.json').read_text(encoding='utf-8'))
     checks = [check for entry in content['entries'].values() for check in entry['checks']]
     failed = sum(not check['passed'] for check in checks)
-    said = rf'All rows of version {content["solver_version"]}.*\*\*{failed} of {len(checks)} fail\*\*'
+    said = (
+        rf'All rows of version {content["solver_version"]}.*\*\*{failed} of {len(checks)} fail\*\*'
+    )
     assert re.search(said, readme)
     if content['solver_version'] == SOLVER_VERSION:
         assert list(content['entries']) == list(verify.rows_of('raw')), 'rows as the command orders'
