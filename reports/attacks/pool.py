@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from pca_tools.storage import parent
 from reports.attacks import bench
-from storage import parent
 
 _BLOCK = 100  # inputs that a worker takes
 

@@ -6,8 +6,7 @@ import os
 import numpy as np
 import tqdm
 
-from cluster import workers
-from pca_tools import dataset, files
+from pca_tools import dataset, files, workers
 from reports import record
 from reports.protocol import curve, reliability, rollouts, run_errors
 from reports.protocol.truth import TruthReader

@@ -81,8 +81,8 @@ def short_run(job):
             file.write(str(os.getpid()))
         subprocess.Popen(['sh', '-c', f'sleep 0.2; kill -9 {os.getpid()}'])
     start = time.process_time()
-    scene = experiments.coarse(scenes.EXCAVATION)
-    entry = batch._Job(scene, Settings(), None, folder).simulate(case)
+    job = batch._Job(experiments.coarse(scenes.EXCAVATION), Settings(), None, folder)
+    entry = job.simulate(case)
     return entry['content'], time.process_time() - start
 
 

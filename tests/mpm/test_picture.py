@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from absl import app
 
-from mpm import bodies, scenes
-from mpm.motions import catalogue, drawn_tools, picture
+from mpm import bodies, picture, scenes
+from mpm.motions import catalogue, drawn_tools
 
 
 @pytest.mark.parametrize(
