@@ -100,7 +100,8 @@ def scatter(grid, base, strides, kept, at, affine):
 def gather(grid, base, strides, kept, at):
     """Returns sums over the 27 nodes: w g (x_i - x_p) in cells along x, y and z, and w g.
 
-    See `scatter`. All are registers of four; three times 4 / dx (4 / dz) are the columns of L_p, eq. (2).
+    See `scatter`. All are registers of four; three times 4 / dx (4 / dz) are the columns of L_p,
+    eq. (2).
     """
     nothing = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     total, total_i, total_j = nothing, nothing, nothing
