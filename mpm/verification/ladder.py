@@ -22,8 +22,6 @@ import time
 
 import numpy as np
 from absl import app, flags, logging
-from storage import markdown
-from storage.text_files import write_text
 from tqdm import tqdm
 
 from mpm import packing, run, scenes
@@ -33,6 +31,8 @@ from mpm.simulation import Settings
 from mpm.verification.density import moved_density
 from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
+from pca_tools.storage import markdown
+from pca_tools.storage.text_files import write_text
 
 _JSON = flags.DEFINE_string(
     'json', os.path.join('outputs', 'ladder.json'), 'Where runs are kept; those there are not made.'

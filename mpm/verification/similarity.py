@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from absl import app, flags, logging
-from storage import markdown
 
 from mpm import bodies, run, scenes
 from mpm.files import write_json
@@ -28,6 +27,7 @@ from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
+from pca_tools.storage import markdown
 
 _JSON = flags.DEFINE_string(
     'json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.'
@@ -59,7 +59,6 @@ WORLDS = {
     'twice the size, speed by its root': World(size=2.0, speed=SPEED * math.sqrt(2.0)),
     '0.4 m/s': World(speed=0.4),
     '1 m/s': World(speed=1.0),
-    '2 m/s': World(speed=2.0),
 }
 
 
