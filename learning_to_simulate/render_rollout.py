@@ -18,8 +18,9 @@ Examples:
     python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --format=vtp
 
-Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is rebuilt from the
-modes with the dataset's subspace.npz; without one the body and the mode scores are drawn.
+Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is the solver's own
+particles where the dataset holds a sample of them, else it is rebuilt from the modes with its
+subspace.npz; without one the body and the curves are drawn.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import command
-from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
+from learning_to_simulate.rendering import rollout_frames, vtk_export
 from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
 
@@ -43,6 +44,26 @@ COLOR_CHOICES = ('speed', 'error')
 # Pixels per inch of a page 9.6 inches wide.
 _PNG_DPI, _GIF_DPI, _MP4_DPI = 200, 100, 150
 _PALETTE_SAMPLES = 6
+
+
+def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
+    """Draws a rollout of `lts.load(...).rollout`; the ending of the path decides how.
+
+    Args:
+        rollout: `path_rollout.SoilRollout`.
+        path: file to write, .png, .gif or .mp4.
+        step_stride: draw every so many frames.
+        **options: `color_by` and `plane` of `render`.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ValueError: another ending, or as `render_frames`.
+    """
+    target, kind = target_and_format(path)
+    frames = rollout_frames.of_rollout(rollout, step_stride)
+    return render_frames(frames, target, [kind], step_stride, **options)
 
 
 def target_and_format(path: str) -> tuple[str, str]:
@@ -76,7 +97,7 @@ def render(
         data_path: dataset folder with `subspace.npz`, or None.
         output_path: folder, made if missing; the files take the rollout's name.
         formats: some of `FORMATS`.
-        step_stride: draw every so many frames.
+        step_stride: draw every so many frames; of a sample of particles, the nearest it has.
         color_by: `speed` (mm/s) or `error` (mm).
         plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
             from the side, with the scene's upward axis up.
@@ -134,7 +155,9 @@ def render_frames(
     """
     if color_by == 'error' and not frames.has_truth:
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
-    drawn = np.arange(0, min(one.n_frames for one in (frames, *beside)), step_stride)
+    shown = frames.frames[: min(len(one.frames) for one in (frames, *beside))]
+    apart = int(shown[1] - shown[0]) if len(shown) > 1 else 1
+    drawn = np.arange(0, len(shown), max(1, round(step_stride / apart)))
     written = []
     pictures = [name for name in formats if name != 'vtp']
     if pictures:
@@ -166,7 +189,8 @@ def _write_pictures(
             f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does not)'
         ) from error
     view = particle_views.setup(frames, plane, drawn)
-    frame_seconds = frames.dt * int(drawn[1] - drawn[0] if len(drawn) > 1 else 1)
+    apart = np.diff(frames.frames[drawn[:2]])
+    frame_seconds = frames.dt * float(apart[0] if len(apart) else 1)
 
     def moving(figure, label):
         return (figure.draw(int(frame)) for frame in progress(drawn, label))
@@ -235,7 +259,8 @@ def run(values) -> None:
         beside=beside,
     )
     print(frames.title)
-    print(rollout_captions.summary_line(frames))
+    if frames.has_truth:
+        print(f'{frames.model}: soil error {frames.soil_mm:.2f} mm {frames.space}')
     for note in frames.notes:
         print(f'note: {note}')
     for path in written:

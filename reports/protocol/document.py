@@ -7,6 +7,7 @@ import numpy as np
 import tqdm
 
 from cluster import workers
+from learning_to_simulate.soil_truth import PARTICLES
 from pca_tools import dataset, files
 from reports import record
 from reports.protocol import curve, reliability, rollouts, run_errors
@@ -35,11 +36,11 @@ def data_facts(reader: TruthReader, truths: dict) -> dict:
 
 
 def _truth_in_words(truth):
-    count, frames = truth.particles.shape[1], np.unique(np.diff(truth.frames)).tolist()
+    count, frames = len(truth.soil.indices), np.unique(np.diff(truth.soil.frames)).tolist()
     text = f'{count} particles in every {frames[0]}. frame' if frames != [1] else (
         f'{count} particles in every frame'
     )  # fmt: skip
-    if truth.source == 'decoded':
+    if truth.soil.space != PARTICLES:
         text += (
             ', decoded from the modes; what the modes cut off is added to errors of whole runs, '
             'horizons are within the modes'
@@ -93,18 +94,17 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
     first: dict[str, list] = {}
     signs: list[dict] = [{} for _ in methods]
     for split in SPLITS:
-        indices = reader.indices(split)
-        for truth in progress(reader.read(split)):
+        for truth in progress(reader.runs(split)):
             first.setdefault(split, [truth])
             runs[split].append(run_facts(truth))
             for method, out, told in zip(methods, judged, signs, strict=True):
                 predicted = [s['predictions'][split][truth.record] for s in method['seeds']]
-                found = reliability.run_signs(predicted, truth, reader, indices)
+                found = reliability.run_signs(predicted, truth)
                 for quantity, run in found.items():
                     told.setdefault(quantity, {n: [] for n in SPLITS})[split].append(run)
                 for seed, row in zip(method['seeds'], out['seeds'], strict=True):
                     prediction = seed['predictions'][split][truth.record]
-                    errors = run_errors.run_errors(prediction, truth, reader, indices)
+                    errors = run_errors.run_errors(prediction, truth)
                     row['runs'][split].append(clean(errors))
     for out, told in zip(judged, signs, strict=True):
         known = {quantity: reliability.judged(of, quantity) for quantity, of in told.items()}

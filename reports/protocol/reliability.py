@@ -14,36 +14,25 @@ from learning_to_simulate.methods.swept_field import quality
 UNITS = {'soil': 'mm', 'force': 'N'}
 
 
-def run_signs(predictions: list, truth, reader, indices) -> dict:
+def run_signs(predictions: list, truth) -> dict:
     """Errors of one run and what they are told by.
 
     Args:
       predictions: `RunPrediction` of each seed.
       truth: `Truth` of the run.
-      reader: `truth.TruthReader`, for decoding.
-      indices: int [P] of the truth's particles.
 
     Returns:
       quantity -> (errors [F] of the mean over seeds, spreads [F], sizes [F]), in `UNITS`; of the
       quantities that the method and the data have.
     """
-    found = {}
-    soil = [p for p in (_soil(p, truth, reader, indices) for p in predictions) if p is not None]
+    found, start, frames = {}, truth.soil.start, truth.soil.frames - H
+    soil = [p for p in (p.soil(truth) for p in predictions) if p is not None]
     if soil:
-        found['soil'] = _signs(1e3 * np.stack(soil), 1e3 * (truth.particles - truth.start))
+        found['soil'] = _signs(1e3 * (np.stack(soil) - start), 1e3 * (truth.soil.particles - start))
     if truth.force is not None and all(p.force is not None for p in predictions):
-        force = np.stack([p.force[truth.frames - H] for p in predictions])
-        found['force'] = _signs(force, truth.force[truth.frames - H])
+        force = np.stack([p.force[frames] for p in predictions])
+        found['force'] = _signs(force, truth.force[frames])
     return found
-
-
-def _soil(prediction, truth, reader, indices):
-    """[F, P, 3] m, how far the particles went."""
-    if prediction.particles is not None:
-        return prediction.particles(truth.frames, indices) - truth.start
-    if prediction.modes is not None:
-        return reader.decode(prediction.modes[truth.frames - H], indices) - truth.start
-    return None
 
 
 def _signs(predicted, truth):

@@ -1,10 +1,12 @@
 """Bounds of methods of several seeds on made-up runs whose errors are known."""
 
+import dataclasses
 import types
 
 import numpy as np
 import pytest
 
+from learning_to_simulate import soil_truth
 from reports.protocol import reliability
 from reports.protocol.run_errors import RunPrediction
 
@@ -16,21 +18,24 @@ def made_up(rng, off, differ):
     start = rng.normal(size=(PARTICLES, 3))
     moved = rng.normal(scale=0.01, size=(len(FRAMES), PARTICLES, 3))
     force = rng.normal(scale=100.0, size=(FRAMES[-1] - 5, 3))
-    truth = types.SimpleNamespace(
-        frames=FRAMES, particles=start + moved, start=start, force=force, record=0
-    )
+    soil = dataclasses.replace(
+        soil_truth.of_nodes(np.zeros((50, PARTICLES, 3)), PARTICLES),
+        frames=FRAMES, particles=start + moved, start=start,
+    )  # fmt: skip
+    truth = types.SimpleNamespace(soil=soil, force=force, record=0)
     signs = np.array([1.0, -1.0] * (SEEDS // 2))
 
     def predict(sign):
-        soil = truth.particles + off + sign * differ
-        return RunPrediction(particles=lambda f, p: soil, force=force + 1e3 * (off + sign * differ))
+        own = {'predicted_particles': soil.particles + off + sign * differ,
+               'particle_frames': FRAMES, 'particle_indices': np.arange(PARTICLES)}  # fmt: skip
+        return RunPrediction(own=own, force=force + 1e3 * (off + sign * differ))
 
     return truth, [predict(sign) for sign in signs], moved
 
 
 def test_errors_are_those_of_the_mean_and_spreads_those_of_the_seeds():
     truth, seeds, moved = made_up(np.random.default_rng(0), 0.002, 0.0005)
-    found = reliability.run_signs(seeds, truth, None, np.arange(PARTICLES))
+    found = reliability.run_signs(seeds, truth)
     errors, spreads, sizes = found['soil']
     np.testing.assert_allclose(errors, 2.0)
     np.testing.assert_allclose(spreads, 0.5)
@@ -40,9 +45,7 @@ def test_errors_are_those_of_the_mean_and_spreads_those_of_the_seeds():
     np.testing.assert_allclose(spreads, 0.5)
     chosen = truth.force[FRAMES - 6] + 2.0
     np.testing.assert_allclose(sizes, np.sqrt((chosen**2).mean(axis=1)))
-    (one,) = reliability.run_signs(
-        [RunPrediction(force=truth.force)], truth, None, np.arange(PARTICLES)
-    )
+    (one,) = reliability.run_signs([RunPrediction(force=truth.force)], truth)
     assert one == 'force'
 
 
@@ -52,7 +55,7 @@ def runs_of(rng, count, factor=1.0):
     for _ in range(count):
         differ = rng.uniform(1e-4, 3e-3)
         truth, seeds, _ = made_up(rng, factor * 2 * differ * rng.lognormal(sigma=0.2), differ)
-        found.append(reliability.run_signs(seeds, truth, None, np.arange(PARTICLES))['soil'])
+        found.append(reliability.run_signs(seeds, truth)['soil'])
     return found
 
 
