@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import command, presets
-from learning_to_simulate.methods import registry
+from learning_to_simulate import command, presets, registry
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
 

@@ -18,16 +18,12 @@ from collections.abc import Callable
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import known_shapes, model_config
+from learning_to_simulate import known_shapes, model_config, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.connectivity_utils import build
-from learning_to_simulate.learned_simulator import (
-    Layout,
-    LearnedSimulator,
-    SimulatorState,
-)
-from learning_to_simulate.methods import path_memory, registry
-from learning_to_simulate.rigid_body import KnownMotion
+from learning_to_simulate.methods import path_memory
+from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
+from learning_to_simulate.subspace.rigid_body import KnownMotion
 from pca_tools import files
 from pca_tools.subspace import Subspace
 

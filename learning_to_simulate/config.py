@@ -7,7 +7,7 @@ stored beside the weights, so that no flag can change their meaning.
 
 import dataclasses
 
-from learning_to_simulate.methods import registry
+from learning_to_simulate import registry
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
 LARGEST = 2**62

@@ -5,8 +5,8 @@ A preset is a frozen config; flags override single fields.
 
 import dataclasses
 
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.methods import registry
 
 __all__ = ['INPUT_SEQUENCE_LENGTH', 'PRESETS', 'TrainConfig', 'make_config', 'preset_of_model']
 

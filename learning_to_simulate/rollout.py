@@ -9,14 +9,14 @@ import tensorflow as tf
 from learning_to_simulate import loads
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.learned_simulator import (
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
+from learning_to_simulate.subspace.learned_simulator import (
     Layout,
     LearnedSimulator,
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.rigid_body import KnownMotion, known_motion
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
+from learning_to_simulate.subspace.rigid_body import KnownMotion, known_motion
 
 
 class Rollout(NamedTuple):

@@ -130,7 +130,7 @@ class Scene:
         if self.bodies:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
-                'Networks on modes (--preset=pcg or mlp) learn on them, roll out recorded runs, step '
+                'Networks on modes (pcg, mlp) learn on them, roll out recorded runs, step '
                 'by particles (live.stepping.Stepper) and are exported as SavedModel or LiteRT'
             )
 

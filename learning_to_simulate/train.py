@@ -30,8 +30,7 @@ import re
 import tqdm
 from absl import flags
 
-from learning_to_simulate import command, presets
-from learning_to_simulate.methods import registry
+from learning_to_simulate import command, presets, registry
 
 _MODE = flags.DEFINE_enum(
     'mode', 'train', ['train', 'eval', 'eval_rollout'], 'Train, or evaluate a trained model.'

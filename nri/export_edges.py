@@ -25,8 +25,8 @@ import numpy as np
 from absl import flags
 
 from learning_to_simulate import command, connectivity_utils
-from learning_to_simulate.edges import edge_lists, edge_picture
 from learning_to_simulate.scene import Scene
+from learning_to_simulate.subspace import edge_lists, edge_picture
 from nri import data as nri_data
 from pca_tools import dataset, files
 

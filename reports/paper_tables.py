@@ -20,7 +20,7 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate.methods import registry
+from learning_to_simulate import registry
 from pca_tools import files
 from reports import command, markdown
 from reports.record import ROOT

@@ -68,8 +68,7 @@ def evaluate(name: str, run: dict, data: str, out: str) -> list[dict]:
     Returns:
         One dict per row of the table.
     """
-    from learning_to_simulate import evaluation
-    from learning_to_simulate.methods import registry
+    from learning_to_simulate import evaluation, registry
 
     solver = run['solver_cpu_s'] * scenes.FRAME_RATE / scenes.FRAMES
     rows = [{'method': 'solver (ground truth)', 's per simulated s': solver, 'times faster': 1}]

@@ -18,9 +18,9 @@ import sys
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.methods import registry, subspace_method
-from learning_to_simulate.training.trainer import Trainer
+from learning_to_simulate import presets, reading_utils, registry
+from learning_to_simulate.subspace import method
+from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset
 
 
@@ -45,7 +45,7 @@ def of_training(data_path: str, steps: int = 3) -> str:
     config = presets.make_config('pcg', latent_size=16, num_steps=steps, **unrolled)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
-    model = subspace_method.make_model(data_path, metadata, groups, config)
+    model = method.make_model(data_path, metadata, groups, config)
     trainer = Trainer(model, groups)
     for step in range(2 * steps):
         trainer.step(step)

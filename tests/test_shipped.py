@@ -6,9 +6,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from learning_to_simulate import evaluation, presets
-from learning_to_simulate.edges import edge_lists
-from learning_to_simulate.methods import registry
+from learning_to_simulate import evaluation, presets, registry
+from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

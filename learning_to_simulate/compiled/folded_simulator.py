@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import features
 from learning_to_simulate.body_height import height_of, up_vector
 from learning_to_simulate.compiled.folded_network import (
     MODES,
@@ -22,13 +21,10 @@ from learning_to_simulate.compiled.folded_network import (
     edge_blocks,
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.learned_simulator import (
-    Layout,
-    LearnedSimulator,
-    SimulatorState,
-)
-from learning_to_simulate.rigid_body import KnownMotion
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import features
+from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
+from learning_to_simulate.subspace.rigid_body import KnownMotion
 
 
 class MovingState(NamedTuple):

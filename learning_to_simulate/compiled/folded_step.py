@@ -19,10 +19,10 @@ from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator, Given, MovingState
 from learning_to_simulate.compiled.step_form import PlainStep, context_in
 from learning_to_simulate.compiled.two_pass import AheadPass, FramePass
-from learning_to_simulate.learned_simulator import Layout, LearnedSimulator, SimulatorState
-from learning_to_simulate.rigid_body import Correction, given_part
 from learning_to_simulate.rollout import RolloutFunction
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
+from learning_to_simulate.subspace.rigid_body import Correction, given_part
 
 
 def step_of(simulator, layout, rigid_correction: bool = True):

@@ -15,9 +15,9 @@ from typing import Any
 
 import tensorflow as tf
 
-from learning_to_simulate.learned_simulator import SimulatorState
-from learning_to_simulate.rigid_body import Correction
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace.learned_simulator import SimulatorState
+from learning_to_simulate.subspace.rigid_body import Correction
 
 
 def context_in(context, frame):

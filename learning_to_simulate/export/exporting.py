@@ -54,9 +54,8 @@ def export(
       ValueError: a scene that the format cannot hold, a model that does not fit the data, an
         absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
     """
-    from learning_to_simulate import checkpoints
+    from learning_to_simulate import checkpoints, registry
     from learning_to_simulate.export import export_formats, field_exporting
-    from learning_to_simulate.methods import registry
 
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
@@ -90,8 +89,8 @@ def export(
 
 def _open_simulator(model_path, data_path, n_rigid):
     """The functions of a model in a subspace, and what compares them as they were written."""
+    from learning_to_simulate import registry
     from learning_to_simulate.export import step_functions
-    from learning_to_simulate.methods import registry
 
     opened = registry.open_model(model_path, data_path, 'test')
     model = opened.model

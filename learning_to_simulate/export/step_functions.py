@@ -3,14 +3,12 @@
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import loads, rigid_body
+from learning_to_simulate import loads
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.learned_simulator import (
-    SimulatorState,
-    initial_state,
-)
-from learning_to_simulate.rigid_body import KnownMotion, known_motion
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import rigid_body
+from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
+from learning_to_simulate.subspace.rigid_body import KnownMotion, known_motion
 
 NAMES = {'tflite': 'LiteRT', 'onnx': 'ONNX'}
 

@@ -13,11 +13,10 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import command, rollout_status
+from learning_to_simulate import command, registry, rollout_status
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_stepper, starts
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import files
 

@@ -16,7 +16,7 @@ import time
 import numpy as np
 from absl import app, flags
 
-from learning_to_simulate import checkpoints
+from learning_to_simulate import checkpoints, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import (
     benchmark_field,
@@ -27,7 +27,6 @@ from learning_to_simulate.export_c import (
 )
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import registry
 from pca_tools import files
 from storage import markdown
 

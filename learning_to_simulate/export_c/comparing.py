@@ -5,12 +5,12 @@ import tempfile
 
 import numpy as np
 
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_library, project
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field.network import ACROSS
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.scene import RigidMotion

@@ -18,12 +18,11 @@ import numpy as np
 from absl import flags
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import checkpoints, command
+from learning_to_simulate import checkpoints, command, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_header, c_library, c_stepper, starts
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.live import poses
-from learning_to_simulate.methods import registry
 from pca_tools import dataset, files, rigid_fit
 
 STEPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1, 2, 3, 6)  # communication steps in frames

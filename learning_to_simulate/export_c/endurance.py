@@ -18,12 +18,11 @@ import time
 import numpy as np
 from absl import flags
 
-from learning_to_simulate import checkpoints, command
+from learning_to_simulate import checkpoints, command, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import benchmark, c_header, c_stepper, field_data, starts
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_values import Structure
-from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import model_files
 from pca_tools import dataset, files
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from learning_to_simulate import contact, features, rollout_status
+from learning_to_simulate import rollout_status
 from learning_to_simulate.export_c import c_header, c_values, network_data
-from learning_to_simulate.learned_simulator import RATE_FLOOR
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import contact, features
+from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
 from pca_tools.subspace import Subspace
 
 _MOTIONS = {

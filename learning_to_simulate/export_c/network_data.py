@@ -4,9 +4,9 @@ import numpy as np
 import sonnet as snt
 import tensorflow as tf
 
-from learning_to_simulate import features
 from learning_to_simulate.export_c import fold
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import features
 
 LAYER_NORM_EPSILON = 1e-5  # Sonnet's
 RIGID, MODES = 0, 1  # kinds of nodes, in the order of the C code

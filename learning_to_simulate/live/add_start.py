@@ -25,9 +25,8 @@ def add_start(model_path: str, data_path: str) -> list[str]:
       FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
     """
     command.import_tensorflow()
-    from learning_to_simulate import checkpoints
+    from learning_to_simulate import checkpoints, registry
     from learning_to_simulate.live import resting_start
-    from learning_to_simulate.methods import registry
     from pca_tools import dataset
 
     if registry.of_folder(model_path).network is None:

@@ -44,8 +44,7 @@ def free_port(host: str, port: int) -> None:
 
 def model_names() -> list[str]:
     """Names of the shipped models that can be stepped live."""
-    from learning_to_simulate import api
-    from learning_to_simulate.methods import registry
+    from learning_to_simulate import api, registry
 
     shipped = os.path.join(api.ROOT, 'models')
     return sorted(

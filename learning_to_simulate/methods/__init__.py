@@ -1,1 +1,1 @@
-"""Methods of simulation behind one registry; see `registry`."""
+"""Swept field and baselines; `learning_to_simulate.registry` lists all methods."""

@@ -20,15 +20,16 @@ from learning_to_simulate import (
     normalization,
     presets,
     reading_utils,
+    registry,
     rollout_status,
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import open_loop, path_ridge, registry, resting_bed
+from learning_to_simulate.methods import open_loop, path_ridge, resting_bed
 from learning_to_simulate.methods.earthmoving import EarthmovingForce, soil_parameters
 from learning_to_simulate.methods.open_loop_settings import OpenLoopConfig
-from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.tool_motion import TravelFrame
 from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanics
+from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.training import model_folder

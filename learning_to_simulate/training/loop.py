@@ -14,7 +14,7 @@ import tensorflow as tf
 import tqdm
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.methods.registry import TrainOptions
+from learning_to_simulate.registry import TrainOptions
 from learning_to_simulate.training import model_folder, training_state
 from learning_to_simulate.training.stop_signals import StopSignals
 from pca_tools import folder_lock

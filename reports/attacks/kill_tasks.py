@@ -19,11 +19,11 @@ from unittest import mock
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, evaluation, presets, reading_utils
+from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
 from learning_to_simulate.export_c import c_library, exporting
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import registry, subspace_method
-from learning_to_simulate.training import loop, trainer
+from learning_to_simulate.subspace import method, trainer
+from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
 from pca_tools import convert, dataset, files, raw_writer
 
@@ -116,7 +116,7 @@ def _training(folder: str) -> loop.Training:
     metadata = dataset.read_metadata(data)
     config = presets.make_config('pcg', **TINY)
     groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
-    model = subspace_method.make_model(data, metadata, groups, config)
+    model = method.make_model(data, metadata, groups, config)
     return loop.Training(
         model=model, trainer=_CheapTrainer(model, groups), evaluator=None, valid=[],
         n_rigid=groups[0].n_rigid, data={'path': data, 'sha256': {}}, title='kills',

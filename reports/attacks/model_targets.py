@@ -13,9 +13,9 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints, model_config
 from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.export_c import fmu_description, model_data
-from learning_to_simulate.learned_simulator import LearnedSimulator
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace.learned_simulator import LearnedSimulator
 from nri import model as nri_model
 from nri.config import NriConfig
 from pca_tools import files

@@ -8,9 +8,9 @@ import os
 
 import numpy as np
 
-from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import edge_lists
 from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data

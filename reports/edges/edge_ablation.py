@@ -35,7 +35,7 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import connectivity_utils, presets, reading_utils
-from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset, files
 from reports import command, record, timing
 from reports.edges import edge_ablation_report
@@ -105,13 +105,13 @@ class Bench:
     def __init__(self, data_path: str, config):
         import tensorflow as tf
 
-        from learning_to_simulate.methods import subspace_method
-        from learning_to_simulate.training.trainer import Trainer
+        from learning_to_simulate.subspace import method
+        from learning_to_simulate.subspace.trainer import Trainer
 
         self.config, self._data_path = config, data_path
         self._metadata = dataset.read_metadata(data_path)
         self._groups = self._read('train')
-        self.model = subspace_method.make_model(data_path, self._metadata, self._groups, config)
+        self.model = method.make_model(data_path, self._metadata, self._groups, config)
         self._layouts = {}
         if config.gate_weight:
             for group in self._groups:
@@ -205,8 +205,8 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
       variant -> dict of `ms_min`, `ms_median`, `ms_p95`, `ms_p99`, `ms_worst` and `edges`.
     """
     from learning_to_simulate.compiled.folded_step import rollout_function
-    from learning_to_simulate.methods import subspace_method
     from learning_to_simulate.rollout import rollout_inputs
+    from learning_to_simulate.subspace import method
 
     metadata = dataset.read_metadata(data_path)
     groups, runs = (
@@ -218,7 +218,7 @@ def time_steps(data_path: str, masks: dict, rounds: int) -> dict:
     for name, mask in masks.items():
         kind = 'fully_connected' if mask is None else 'correlation'
         config = presets.make_config('pcg', adjacency=kind, mode_edges=0)
-        model = subspace_method.make_model(data_path, metadata, groups, config)
+        model = method.make_model(data_path, metadata, groups, config)
         if mask is not None:
             model.fix_mode_edges(np.array(mask, bool))
         layout = model.layout(one.n_rigid)

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from learning_to_simulate.edges import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists, edge_picture
 from pca_tools import files
 from reports import markdown
 

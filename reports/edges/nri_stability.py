@@ -17,7 +17,7 @@ from absl import flags
 from matplotlib import figure
 
 from cluster import workers
-from learning_to_simulate.edges import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists, edge_picture
 from nri import data as nri_data
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread

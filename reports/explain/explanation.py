@@ -5,15 +5,15 @@ from functools import partial
 
 import numpy as np
 
-from learning_to_simulate import connectivity_utils, reading_utils
+from learning_to_simulate import connectivity_utils, reading_utils, registry
 from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
 from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
-from learning_to_simulate.features import EMBEDDING_SIZE
-from learning_to_simulate.learned_simulator import Layout
-from learning_to_simulate.methods import registry, subspace_method
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import method
+from learning_to_simulate.subspace.features import EMBEDDING_SIZE
+from learning_to_simulate.subspace.learned_simulator import Layout
 from reports import timing
 from reports.explain import product_count
 
@@ -132,7 +132,7 @@ class Explanation:
             for split in ('train', 'test')
         )
         motion = str(model.simulator.scene.rigid_motion)
-        more = subspace_method.make_model(data_path, metadata, train, config, motion)
+        more = method.make_model(data_path, metadata, train, config, motion)
         whole = next(g for g in test if g.n_rigid == group.n_rigid).select(0)
         layout = more.layout(whole.n_rigid)
         yield self._on_top(f'modes that are no nodes ({left_out})', 'modes', more, whole, layout)

@@ -3,10 +3,10 @@
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import graph_network
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.learned_simulator import SimulatorState
 from learning_to_simulate.rollout import rollout_inputs
+from learning_to_simulate.subspace import graph_network
+from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from reports.stability import shipped as lib
 from reports.stability.cases import judged
 

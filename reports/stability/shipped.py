@@ -5,10 +5,9 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, loads, metrics, reading_utils
+from learning_to_simulate import checkpoints, loads, metrics, reading_utils, registry
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from reports.record import ROOT

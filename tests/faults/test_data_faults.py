@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import connectivity_utils
-from learning_to_simulate.edges import edge_lists
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import edge_lists
 from mpm import files as mpm_files
 from nri import data as nri_data
 from pca_tools import dataset, files, subspace

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate import presets, reading_utils, registry
+from learning_to_simulate.subspace import method
+from learning_to_simulate.subspace import trainer as trainer_module
+from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
-from learning_to_simulate.training import trainer as trainer_module
-from learning_to_simulate.training.trainer import Trainer
 from pca_tools import dataset, files
 from storage import whole_files
 from tests.learning_to_simulate import synthetic
@@ -89,7 +89,7 @@ def weights(path):
 def make_trainer(data):
     metadata = dataset.read_metadata(data)
     groups = reading_utils.read_groups(data, 'train', metadata, config().rigid_particles)
-    return Trainer(subspace_method.make_model(data, metadata, groups, config()), groups)
+    return Trainer(method.make_model(data, metadata, groups, config()), groups)
 
 
 def assert_same_weights(first, second):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from learning_to_simulate import presets, reading_utils
-from learning_to_simulate.methods import subspace_method
+from learning_to_simulate.subspace import method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
 
@@ -27,7 +27,7 @@ def make(
     config = presets.make_config(preset, **SMALL | (overrides or {}))
     metadata = dataset.read_metadata(str(folder))
     groups = reading_utils.read_groups(str(folder), 'train', metadata, **config.nodes)
-    model = subspace_method.make_model(str(folder), metadata, groups, config, rigid_motion)
+    model = method.make_model(str(folder), metadata, groups, config, rigid_motion)
     if contact:
         simulator = model.simulator
         simulator.statistics = dataclasses.replace(simulator.statistics, **surface(groups))

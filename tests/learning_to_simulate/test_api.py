@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import api
+from learning_to_simulate import api, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import add_start, poses, resting_start
-from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic

@@ -9,14 +9,21 @@ import os
 import numpy as np
 import pytest
 
-from learning_to_simulate import api, checkpoints, evaluation, loads, presets, reading_utils
+from learning_to_simulate import (
+    api,
+    checkpoints,
+    evaluation,
+    loads,
+    presets,
+    reading_utils,
+    registry,
+)
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
 from learning_to_simulate.export_c import exporting as c_exporting
 from learning_to_simulate.live import path_rollout, stepping
 from learning_to_simulate.live.frame_judge import FrameJudge
-from learning_to_simulate.methods import registry
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus, judge
 from pca_tools import dataset, files

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import rigid_body, rollout
+from learning_to_simulate import rollout
+from learning_to_simulate.subspace import rigid_body
 from pca_tools import rigid_fit
 from tests.learning_to_simulate import models
 

@@ -11,9 +11,8 @@ import time
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, evaluation, presets
-from learning_to_simulate.methods import registry
-from learning_to_simulate.training.trainer import Trainer
+from learning_to_simulate import checkpoints, evaluation, presets, registry
+from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mpm import bodies, columns, experiments
-from mpm.constitutive import make_soil
 from mpm.bodies import signed_distances
+from mpm.constitutive import make_soil
 from mpm.contact import ContactLaw, contact, list_near, make_contact
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin

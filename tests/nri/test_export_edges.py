@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import connectivity_utils
-from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
 from nri import experiment, export_edges
 from nri.config import NriConfig

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, presets, reading_utils, rollout
-from learning_to_simulate.methods import registry, subspace_method
+from learning_to_simulate import checkpoints, presets, reading_utils, registry, rollout
+from learning_to_simulate.subspace import method
 from pca_tools import dataset
 from reports.explain import __main__ as explain
 from reports.explain import explanation, product_count
@@ -52,7 +52,7 @@ def trained(tmp_path_factory):
                                                          'mode_edges': 3})  # fmt: skip
     metadata = dataset.read_metadata(data)
     groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
-    model = subspace_method.make_model(data, metadata, groups, config)
+    model = method.make_model(data, metadata, groups, config)
     path = folder / 'model'
     path.mkdir()
     checkpoints.save_config(str(path), model, 2, {})
@@ -90,6 +90,6 @@ def test_model_without_a_graph_is_refused(trained, monkeypatch):
     path, data = trained
     opened = registry.open_model(path, data, 'test')
     object.__setattr__(opened.model.simulator.config, 'model', 'mlp')
-    monkeypatch.setattr(subspace_method, 'open_model', lambda *_: opened)
+    monkeypatch.setattr(method, 'open_model', lambda *_: opened)
     with pytest.raises(ValueError, match="'mlp' has no graph"):
         explanation.Explanation(path, data)

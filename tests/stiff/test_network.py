@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import graph_network, learned_simulator, reading_utils, rigid_body
+from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
-from learning_to_simulate.training.trainer import Trainer
+from learning_to_simulate.subspace import graph_network, learned_simulator, rigid_body
+from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset
 from tests.learning_to_simulate import models
 from tests.test_shipped import ROOT
@@ -150,10 +151,10 @@ def test_noise_arrives_as_it_was_drawn(scene):
 
 def _trainer(folder, metadata, groups, config):
     from learning_to_simulate import presets
-    from learning_to_simulate.methods import subspace_method
+    from learning_to_simulate.subspace import method
 
     config = presets.make_config(config['preset'], **config['overrides'])
-    model = subspace_method.make_model(folder, metadata, groups, config)
+    model = method.make_model(folder, metadata, groups, config)
     return model, Trainer(model, groups)
 
 
@@ -187,7 +188,7 @@ def test_true_motion_reproduces_shipped_runs(scene, preset, monkeypatch):
 
     Order 1 (pcg) and order 2 (pcg_thesis); float32 offsets and velocities, float64 origin.
     """
-    from learning_to_simulate.methods import registry
+    from learning_to_simulate import registry
 
     folder = str(ROOT / 'datasets' / scene)
     opened = registry.open_model(str(ROOT / 'models' / scene / preset), folder, 'test')

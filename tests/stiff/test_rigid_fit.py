@@ -5,7 +5,7 @@ import pytest
 import tensorflow as tf
 from scipy.spatial.transform import Rotation
 
-from learning_to_simulate import rigid_body
+from learning_to_simulate.subspace import rigid_body
 from pca_tools.rigid_fit import fit_rigid_motion
 
 RNG = np.random.default_rng(0)

@@ -9,9 +9,9 @@ import tqdm
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.registry import OpenedModel
 from learning_to_simulate.methods.swept_field import fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
+from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock, particles, splits
 

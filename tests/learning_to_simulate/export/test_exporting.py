@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from learning_to_simulate import checkpoints, rollout
+from learning_to_simulate import checkpoints, registry, rollout
 from learning_to_simulate.export import exporting
-from learning_to_simulate.methods import registry
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 

@@ -5,8 +5,8 @@ import os
 import numpy as np
 import pytest
 
+from learning_to_simulate import registry
 from learning_to_simulate.export_c import agreement, c_library, c_stepper, starts
-from learning_to_simulate.methods import registry
 from pca_tools import files, rigid_fit
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from learning_to_simulate import registry
 from learning_to_simulate.export_c import c_library, c_stepper, endurance, starts
 from learning_to_simulate.export_c.c_field import CField
-from learning_to_simulate.methods import registry
 from pca_tools import dataset, files
 
 pytestmark = pytest.mark.skipif(

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import evaluation, presets
+from learning_to_simulate import evaluation, presets, registry
 from learning_to_simulate.live import add_start
 from learning_to_simulate.methods import (
     kernel_ridge,
     open_loop_method,
     open_loop_settings,
-    registry,
     resting_bed,
     tool_motion,
 )

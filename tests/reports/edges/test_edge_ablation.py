@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import presets
-from learning_to_simulate.edges import edge_lists
+from learning_to_simulate.subspace import edge_lists
 from reports.edges import edge_ablation, edge_ablation_report
 from tests.learning_to_simulate import synthetic
 

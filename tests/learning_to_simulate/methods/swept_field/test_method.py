@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import c_values, field_data
 from learning_to_simulate.live import path_rollout
-from learning_to_simulate.methods import registry
 from learning_to_simulate.methods.swept_field import fitting, method, settings
 from pca_tools import dataset, files
 from reports.protocol import rollouts

@@ -1,1 +1,0 @@
-"""Which node acts on which: lists, learned gates, pictures."""

@@ -1,0 +1,162 @@
+"""Training and evaluation of the full-space baseline on disk; see the package."""
+
+import dataclasses
+import os
+from types import SimpleNamespace
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, model_config, reading_utils
+from learning_to_simulate.full_space import data_parallel, runs
+from learning_to_simulate.full_space.rollout import ParticleEvaluator
+from learning_to_simulate.full_space.simulator import (
+    ParticleSimulator,
+    ParticleStatistics,
+    compute_statistics,
+    typical_radius,
+)
+from learning_to_simulate.full_space.training import ParticleTrainer
+from learning_to_simulate.registry import OpenedModel
+from learning_to_simulate.training import loop
+from pca_tools import dataset, files
+
+
+@dataclasses.dataclass
+class ParticleModel:
+    """A `ParticleSimulator` as model folders and the training loop take it: its edges are of the
+    moment, so it has none to store."""
+
+    simulator: ParticleSimulator
+    mode_mask: None = None
+    loaded_mask: None = None
+    edge_source: None = None
+
+    def layout(self, n_rigid: int):
+        """A graph without lasting edges."""
+        n_node = n_rigid + self.simulator.scene.n_modes
+        return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
+
+    def edge_counts(self) -> dict[str, int]:
+        """None: edges come and go."""
+        return {}
+
+
+def make_model(data_path, metadata, group, config, rigid_motion=None) -> ParticleModel:
+    """A fresh model for the training runs `group`.
+
+    Raises:
+      ValueError: a scene that the model cannot simulate.
+    """
+    scene = reading_utils.read_scene(data_path, metadata, [group], rigid_motion)
+    scene.check_one_body('the method full_space')
+    n_particle = group.position.shape[2] - group.n_rigid
+    scene = dataclasses.replace(
+        scene,
+        n_modes=n_particle,
+        n_soil=n_particle,
+        rigid_edges=(),
+        connectivity_radius=typical_radius(group.position[0, 0, group.n_rigid :]),
+    )
+    types = group.particle_type
+    rate_scaled = config.rate_scaled and scene.rigid_motion.is_known
+    statistics = compute_statistics(group, scene, rate_scaled)
+    simulator = ParticleSimulator(scene, config, statistics, (int(types[0]), int(types[-1])))
+    tf.random.set_seed(config.seed)
+    simulator.create_variables()
+    return ParticleModel(simulator)
+
+
+def train(data_path, model_path, config, options) -> dict:
+    """Trains to the end, or resumes; see `registry.train`."""
+    raw_path, share = options.raw_path, data_parallel.Share()
+    metadata = dataset.read_metadata(data_path)
+    read = [
+        runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
+        for split in ('train', 'valid')
+        if os.path.exists(dataset.split_path(data_path, split))
+    ]
+    model = make_model(data_path, metadata, read[0], config, options.rigid_motion)
+    source, scene = runs.RAW if raw_path else runs.DECODED, model.simulator.scene
+    weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
+    training = loop.Training(
+        model=model,
+        trainer=ParticleTrainer(model, read[:1], share if share.count > 1 else None),
+        evaluator=ParticleEvaluator(model, {} if raw_path else metadata),
+        valid=read[1:],
+        n_rigid=read[0].n_rigid,
+        data={
+            'path': data_path,
+            'source': source,
+            'sha256': {'metadata.json': files.sha256_of_file(f'{data_path}/metadata.json')},
+        },
+        title=f'{config.preset} on {data_path} ({source}): {len(read[0].position)} runs, '
+        f'{read[0].n_rigid} rigid and {scene.n_soil} soil particles, radius '
+        f'{scene.connectivity_radius:.4g} m, {weights} weights',
+    )
+    training.agree_on = share.refuse_other_step
+    return loop.run(training, share.folder(model_path), options)
+
+
+def load(path: str) -> ParticleModel:
+    """Loads a model for evaluation.
+
+    Raises:
+      FileNotFoundError, ValueError: no full-space model there, or weights of another.
+    """
+    values = checkpoints.read_config(path)
+    try:
+        config, scene, types = model_config.config_and_scene(values)
+        statistics = ParticleStatistics.from_json(values['statistics'])
+        statistics.check(scene)
+    except model_config.WRONG_FIELD as error:
+        raise ValueError(
+            f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
+        ) from error
+
+    def make():
+        simulator = ParticleSimulator(scene, config, statistics, types)
+        simulator.create_variables()
+        return ParticleModel(simulator)
+
+    return checkpoints.filled(path, make)
+
+
+def open_model(
+    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
+) -> OpenedModel:
+    """A trained model with the runs of a split; see `registry`.
+
+    Raises:
+      FileNotFoundError: no model, dataset, raw folder or split there.
+      ValueError: an override contradicts the model, or particles of another source or number.
+    """
+    model = load(model_path)
+    scene, config = model.simulator.scene, model.simulator.config
+    checkpoints.refuse_contradictions(model_path, config, overrides or {})
+    source = checkpoints.read_config(model_path)['data']['source']
+    if source != (runs.RAW if raw_path else runs.DECODED):
+        raise ValueError(
+            f'{model_path} was trained on particles of {source}: '
+            + ('give --raw_path' if source == runs.RAW else 'leave --raw_path out')
+        )
+    metadata = dataset.read_metadata(data_path)
+    group = runs.read_runs(data_path, raw_path, split, metadata, config.soil_particles)
+    if group.position.shape[2] - group.n_rigid != scene.n_modes:
+        raise ValueError(
+            f'{data_path} has {group.position.shape[2] - group.n_rigid} thinned soil particles, '
+            f'the model in {model_path} was trained on {scene.n_modes}'
+        )
+    for part, has in (('force', scene.has_force), ('context', bool(scene.context_names))):
+        if (getattr(group, part) is not None) != has:
+            raise ValueError(
+                f'{data_path} {"lacks" if has else "has"} a {part}, unlike the data of {model_path}'
+            )
+    metadata = {} if raw_path else metadata
+    return OpenedModel(
+        model,
+        [group],
+        metadata,
+        ParticleEvaluator(model, metadata),
+        lambda: ParticleTrainer(model, [group]).one_step_errors(),
+    )

@@ -1,0 +1,290 @@
+"""`ParticleSimulator`: one frame of thinned soil; features on the host, network in TensorFlow."""
+
+import dataclasses
+
+import numpy as np
+import sonnet as snt
+import tensorflow as tf
+from scipy.spatial import cKDTree
+
+from learning_to_simulate.body_height import height_of, without_height
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.full_space.network import ParticleNetwork
+from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
+
+NEIGHBOURS = 14  # the radius is the mean distance of so many-th neighbours in the first frames
+STD_FLOOR = 1e-3  # of the loudest axis
+
+
+@dataclasses.dataclass(frozen=True)
+class ParticleStatistics:
+    """Statistics of the training runs; rows are the rigid particles and the soil.
+
+    Attributes:
+      body_speed: [1] mean RMS displacement of the rigid particles, m/frame; 1 where none moves.
+      velocity_std, acceleration_std: [2, D], m/frame and m/frame²; where motion is counted per
+        displacement of the body, of that ratio times `body_speed`. Means are zero by choice: soil
+        mostly rests.
+      height_std: [1] of the acceleration of the body's height, m/frame².
+      low, high: [D] box of the soil in the first frames, m: where the walls are.
+      force_mean, force_std: [D], N, or None.
+      context_mean, context_std: [C], or None.
+    """
+
+    body_speed: np.ndarray
+    velocity_std: np.ndarray
+    acceleration_std: np.ndarray
+    height_std: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    force_mean: np.ndarray | None
+    force_std: np.ndarray | None
+    context_mean: np.ndarray | None
+    context_std: np.ndarray | None
+
+    def check(self, scene: Scene) -> None:
+        """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
+        dim, context = self.low.shape, (len(scene.context_names),)
+        shapes = {'velocity_std': (2, *dim), 'acceleration_std': (2, *dim), 'height_std': (1,)}
+        shapes |= {'body_speed': (1,)}
+        shapes |= {'context_mean': context, 'context_std': context}
+        for name, value in dataclasses.asdict(self).items():
+            optional = {'force': scene.has_force, 'context': bool(context[0])}
+            if (value is not None) != optional.get(name.split('_')[0], True):
+                raise ValueError(f'statistics.{name} does not fit the scene')
+            if value is None:
+                continue
+            positive = not name.endswith(('_std', '_speed')) or (value > 0).all()
+            if value.shape != shapes.get(name, dim) or not np.isfinite(value).all() or not positive:
+                raise ValueError(f'statistics.{name} of shape {value.shape} is {value.tolist()}')
+
+    def to_json(self) -> dict:
+        """Nested lists of float64, exact under `from_json`."""
+        return {k: None if v is None else v.tolist() for k, v in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, values: dict) -> 'ParticleStatistics':
+        """Rebuilds the statistics of `to_json`."""
+        return cls(
+            **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
+        )
+
+
+def _speed(displacement):
+    """RMS length [...] of the body's displacements [..., R, D]."""
+    return np.sqrt((displacement**2).sum(axis=-1).mean(axis=-1))
+
+
+def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatistics:
+    """Statistics of the training runs.
+
+    Args:
+      group: `RunGroup` of particles.
+      scene: of the particles.
+      rate_scaled: whether motion is counted per displacement of the body.
+
+    Raises:
+      ValueError: motion counted so, but no body moves.
+    """
+    n = group.n_rigid
+    velocity = np.diff(group.position, axis=1)
+    speeds = _speed(velocity[:, :, :n]) if n else np.zeros(1)
+    if rate_scaled and not speeds.mean() > 0:
+        raise ValueError('rate_scaled needs a body that moves in the training runs')
+    body_speed = speeds.mean() or 1.0
+    if rate_scaled:
+        velocity = velocity / np.maximum(speeds / body_speed, RATE_FLOOR)[:, :, None, None]
+    height = height_of(group.position[:, :, :n], scene.up_axis) if n else np.zeros((1, 3))
+
+    def std_of_rows(values):
+        rows = [values[:, :, :n], values[:, :, n:]] if n else [values, values]
+        std = np.stack([np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows])
+        largest = std.max(axis=1, keepdims=True)
+        return np.maximum(std, np.where(largest > 0, STD_FLOOR * largest, 1.0))
+
+    soil = group.position[:, 0, n:]
+    force, context = group.force, group.context
+    if context is not None:
+        context = context.reshape(-1, context.shape[-1])
+    return ParticleStatistics(
+        body_speed=np.array([body_speed]),
+        velocity_std=std_of_rows(velocity),
+        acceleration_std=std_of_rows(np.diff(velocity, axis=1)),
+        height_std=np.maximum(np.diff(height, 2).std(), 1e-9).reshape(1),
+        low=soil.min(axis=(0, 1)),
+        high=soil.max(axis=(0, 1)),
+        force_mean=None if force is None else force.mean(axis=(0, 1)),
+        force_std=None if force is None else np.full(3, max(force.std(axis=(0, 1)).max(), 1e-9)),
+        context_mean=None if context is None else context.mean(axis=0),
+        context_std=None if context is None else np.maximum(context.std(axis=0), 1e-9),
+    )
+
+
+def typical_radius(soil) -> float:
+    """Mean distance of the `NEIGHBOURS`-th neighbour among soil particles [N, D], m."""
+    count = min(NEIGHBOURS, len(soil) - 1)
+    return float(cKDTree(soil).query(soil, count + 1)[0][:, -1].mean())
+
+
+def neighbour_list(position, radius: float, n_rigid: int):
+    """Edges between particles within the radius, both ways; no self-edges, none within the body.
+
+    Args:
+      position: [V, D], m.
+      radius: m.
+      n_rigid: R, the first particles.
+
+    Returns:
+      senders, receivers: int32 [E].
+    """
+    pairs = cKDTree(position).query_pairs(radius, output_type='ndarray')
+    pairs = pairs[(pairs >= n_rigid).any(axis=1)].astype(np.int32)
+    return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])
+
+
+class ParticleSimulator(snt.Module):
+    """One frame of the simulation of thinned soil and a body.
+
+    Args:
+      scene: `n_modes` counts the soil particles, `connectivity_radius` is that of the graph; the
+        body's motion is prescribed or driven.
+      config: `TrainConfig`.
+      statistics: `ParticleStatistics`.
+      particle_types: for the record.
+
+    Raises:
+      ValueError: a body whose particles are all to be predicted.
+    """
+
+    def __init__(self, scene: Scene, config, statistics, particle_types=(0, 6), name=None):
+        super().__init__(name=name)
+        if scene.rigid_motion == RigidMotion.PREDICTED:
+            raise ValueError(
+                'full_space takes a body whose motion is prescribed or driven, or none'
+            )
+        self.scene, self.config, self.statistics = scene, config, statistics
+        self.particle_types = particle_types
+        self.dim = len(statistics.low)
+        self._network = ParticleNetwork(
+            config.latent_size,
+            config.hidden_layers,
+            config.message_passing_steps,
+            self.dim * (2 if scene.has_force else 1),
+        )
+        shapes = ((None, None), (None, None), (None,), (None,))
+        types = (tf.float32, tf.float32, tf.int32, tf.int32)
+        # One trace for graphs of any size: edges come and go with every frame.
+        self._compiled = tf.function(
+            self._network,
+            input_signature=[tf.TensorSpec(*spec) for spec in zip(shapes, types)],
+            autograph=False,
+        )
+
+    def create_variables(self):
+        """Makes all variables; as `checkpoints.Model.create_variables`."""
+        s = self.scene
+        width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(s.context_names)
+        self._network(
+            tf.zeros([1, width]), tf.zeros([1, self.dim + 1]), tf.constant([0]), tf.constant([0])
+        )
+
+    def inputs(self, position, velocity, body_velocity, context, n_rigid):
+        """Graph and features of one state, in float64 until the last cast.
+
+        Args:
+          position: [V, D], m.
+          velocity: [H - 1, V, D], m/frame, newest last.
+          body_velocity: [R, D], given displacement of the coming frame (see `given_motion`).
+          context: [C] or None.
+          n_rigid: R.
+
+        Returns:
+          nodes float32 [V, F], edges float32 [E, D + 1], senders and receivers int32 [E].
+        """
+        s, radius = self.statistics, self.scene.connectivity_radius
+        n_node = len(position)
+        is_rigid = np.arange(n_node) < n_rigid
+        rate = self.rate(body_velocity)
+        std = rate * np.where(is_rigid[:, None], s.velocity_std[0], s.velocity_std[1])
+        history = velocity[-self.config.velocity_inputs :] / std
+        to_come = np.zeros_like(position)
+        to_come[:n_rigid] = body_velocity / (rate * s.velocity_std[0])
+        walls = np.concatenate([position - s.low, s.high - position], axis=1) / radius
+        features = [
+            np.moveaxis(history, 0, 1).reshape(n_node, -1),
+            to_come,
+            np.clip(walls, -1.0, 1.0),  # distance to the walls within the radius (SG 2020)
+            is_rigid[:, None],
+            np.full((n_node, 1), np.log(rate)),
+        ]
+        if context is not None:
+            features.append(np.tile((context - s.context_mean) / s.context_std, (n_node, 1)))
+        senders, receivers = neighbour_list(position, radius, n_rigid)
+        displacement = (position[senders] - position[receivers]) / radius
+        length = np.linalg.norm(displacement, axis=1, keepdims=True)
+        return (
+            np.concatenate(features, axis=1).astype(np.float32),
+            np.concatenate([displacement, length], axis=1).astype(np.float32),
+            senders,
+            receivers,
+        )
+
+    def rate(self, body_velocity) -> float:
+        """Given displacement [R, D] of the body in the coming frame over its mean in training; 1
+        where motion is not counted per displacement of the body."""
+        if not (self.config.rate_scaled and self.scene.rigid_motion.is_known):
+            return 1.0
+        return float(max(_speed(body_velocity) / self.statistics.body_speed[0], RATE_FLOOR))
+
+    def given_motion(self, displacement):
+        """The given part of the body's true displacement [R, D] of the coming frame: all of it, or
+        all but its mean height where that is predicted."""
+        if self.scene.rigid_motion != RigidMotion.DRIVEN:
+            return displacement
+        return without_height(displacement, self.scene.up_axis)
+
+    def decode(self, nodes, edges, senders, receivers):
+        """Normalised outputs of the network, differentiable: values of each node [V, D], forces of
+        each node [V, D] or None."""
+        decoded = self._compiled(nodes, edges, senders, receivers)
+        return decoded[:, : self.dim], decoded[:, self.dim :] if self.scene.has_force else None
+
+    def step(self, position, velocity, body_displacement, context, n_rigid):
+        """One frame on the host.
+
+        Args:
+          position, velocity, context, n_rigid: as `inputs`.
+          body_displacement: [R, D], true displacement of the body in the coming frame; of its
+            height nothing is used where that is predicted.
+
+        Returns:
+          displacement of all particles [V, D] in m, force [D] in N or None, number of edges.
+        """
+        s = self.statistics
+        given = self.given_motion(body_displacement)
+        graph = self.inputs(position, velocity, given, context, n_rigid)
+        target, forces = (None if x is None else x.numpy() for x in self.decode(*graph))
+        std = s.velocity_std if self.config.mode_order == 1 else s.acceleration_std
+        base = velocity[-1] if self.config.mode_order == 2 else np.zeros_like(position)
+        displacement = base + target * std[1] * self.rate(given)
+        displacement[:n_rigid] = given
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:
+            up = self.scene.up_axis
+            height = target[:n_rigid, up].mean() * s.height_std[0]
+            displacement[:n_rigid, up] += velocity[-1, :n_rigid, up].mean() + height
+        force = None
+        if forces is not None:
+            force = self.pooled_force(forces, n_rigid) * s.force_std + s.force_mean
+        return displacement, force, len(graph[2])
+
+    def pooled_force(self, forces, n_rigid):
+        """Mean over the rigid particles, on which the force acts [D]; over all where there are
+        none."""
+        return forces[: n_rigid or None].mean(axis=0)
+
+
+def history_of(group, run: int, end: int):
+    """Position [V, D] of frame `end` of a run and the velocities [H - 1, V, D] up to it."""
+    frames = group.position[run, end - INPUT_SEQUENCE_LENGTH + 1 : end + 1]
+    return frames[-1], np.diff(frames, axis=0)

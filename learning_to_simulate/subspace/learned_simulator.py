@@ -1,0 +1,351 @@
+"""`LearnedSimulator`: features, network, heads and integration of one frame.
+
+State inside the model is float32 offset from a float64 origin plus float32 velocities (per frame);
+absolute mode scores reach 18 while their steps are 1e-5, so float32 positions would lose the
+motion. Callers add the origin back in float64 when positions are written.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import sonnet as snt
+import tensorflow as tf
+
+from learning_to_simulate import loads, normalization
+from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.connectivity_utils import Adjacency
+from learning_to_simulate.methods.path_memory import PathMemory
+from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import features, graph_network, tool_depth
+from learning_to_simulate.subspace.contact import Contact
+
+NUM_PARTICLE_TYPES = 9
+RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
+
+
+class SimulatorState(NamedTuple):
+    """State of B graphs.
+
+    Attributes:
+      offset: float32 [B, V, D], position minus origin, m.
+      velocity: float32 [B, V, H - 1, D], displacement of the last H - 1 frames, newest last.
+    """
+
+    offset: tf.Tensor
+    velocity: tf.Tensor
+
+
+class Layout:
+    """Constants of the graph for one number of rigid particles: edges and statistics per node and
+    edge.
+
+    Args:
+      adjacency: edges of V = R + r nodes.
+      n_rigid: R.
+      scene: the scene.
+      statistics: by node class.
+      config: decides how losses are weighted.
+    """
+
+    def __init__(
+        self,
+        adjacency: Adjacency,
+        n_rigid: int,
+        scene: Scene,
+        statistics: normalization.Statistics,
+        config: TrainConfig,
+    ):
+        self.n_rigid = n_rigid
+        self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
+        self.senders, self.receivers = adjacency.senders, adjacency.receivers
+        self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
+        self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
+        self.origin = statistics.origin[self.node_class]
+        self.memory = None  # reads the path, where that is an input
+        if statistics.path is not None:
+            self.memory = PathMemory.of_statistics(statistics.path, scene)
+        self.contact = None  # says where the body feels no soil, where tools leave it
+        if statistics.contact is not None:
+            self.contact = Contact.of_statistics(statistics.contact, statistics.surface, scene)
+        counts = [count for _, count in scene.bodies] or [n_rigid]
+        if sum(counts) != n_rigid:
+            raise ValueError(f'the bodies {scene.bodies} have {sum(counts)} nodes, not {n_rigid}')
+        # Rows of an embedding by class: further bodies have theirs behind those of the modes.
+        further = np.where(np.arange(len(counts)) > 0, np.arange(len(counts)) + scene.n_modes, 0)
+        self.embedded = self.node_class.copy()
+        self.embedded[:n_rigid] = np.repeat(further, counts)
+        s = statistics
+        pair = (self.node_class[self.receivers], self.node_class[self.senders])
+        edge_std = s.displacement_std[pair]
+        edge_origin = self.origin[self.senders] - self.origin[self.receivers]
+
+        def per_node(values):
+            return values[self.node_class].astype(np.float32)
+
+        self.position_std = per_node(s.position_std)
+        self.velocity_mean, self.velocity_std = per_node(s.velocity_mean), per_node(s.velocity_std)
+        self.acceleration_mean = per_node(s.acceleration_mean)
+        self.acceleration_std = per_node(s.acceleration_std)
+        self.target_mean, self.target_std = per_node(s.target_mean), per_node(s.target_std)
+        self.edge_std = edge_std.astype(np.float32)
+        self.edge_shift = ((edge_origin - s.displacement_mean[pair]) / edge_std).astype(np.float32)
+        # What the network decides: all of the modes; of the body nothing, its height, or all.
+        moving = np.ones((self.n_node, self.origin.shape[1]), np.float32)
+        if scene.rigid_motion.is_known:
+            moving[:n_rigid] = 0.0
+        if scene.rigid_motion == RigidMotion.DRIVEN:
+            # R particles share one degree of freedom: together they count as one component.
+            moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
+        self.moving = moving
+        self.loss_weight = moving.copy()
+        if config.loss_by_motion and config.mode_order == 0:
+            # Places: an error counts as it does in the particles.
+            weight = (s.target_std[1:] / s.target_std[1:].max()) ** 2
+            self.loss_weight[n_rigid:] *= weight.astype(np.float32)
+        elif config.loss_by_motion:
+            # Quiet components cost less: an error counts by its share of the loudest component's
+            # motion. Lateral scores are mostly noise, and equal weights would spend the network on
+            # them.
+            self.loss_weight[n_rigid:] *= (s.velocity_std[1:] / s.velocity_std[1:].max()).astype(
+                np.float32
+            )
+
+
+class LearnedSimulator(snt.Module):
+    """One frame of the simulation of B graphs.
+
+    Args:
+      scene: what exists.
+      config: what the model is.
+      statistics: of the training runs.
+      particle_types: (type of the rigid particles, type of the modes), for the published type
+        embedding.
+    """
+
+    def __init__(
+        self, scene: Scene, config: TrainConfig, statistics, particle_types=(0, 6), name=None
+    ):
+        super().__init__(name=name)
+        self.scene, self.config, self.statistics = scene, config, statistics
+        self.particle_types = particle_types
+        dim = statistics.origin.shape[1]
+        self.dim = dim
+        mean = statistics.force_mean
+        self.force_size = 0 if mean is None else len(mean)  # D of each body
+        self.load_mean, self.load_std = (x.astype(np.float32) for x in loads.scale(statistics))
+        self.load_size = len(self.load_mean)  # F: of the force, and of the torque where predicted
+        self._make_network()
+
+    def _make_network(self):
+        config, scene = self.config, self.scene
+        self._network = graph_network.EncodeProcessDecode(
+            config.latent_size,
+            config.hidden_layers,
+            config.message_passing_steps,
+            output_size=self.dim + self.load_size,
+            mean_aggregation=config.mean_aggregation,
+        )
+        n_embedding = (
+            scene.n_modes + max(len(scene.bodies), 1)
+            if config.embedding_by_class
+            else NUM_PARTICLE_TYPES
+        )
+        initial = tf.random.stateless_normal(
+            [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
+        )
+        self._embedding = tf.Variable(initial, name='embedding')
+
+    def check_size(self, n_rigid: int):
+        """Refuses bodies of R particles that the network cannot take; a graph takes any number."""
+
+    @property
+    def network(self) -> graph_network.EncodeProcessDecode:
+        """The graph network, for code that rewrites it."""
+        return self._network
+
+    @property
+    def knows_next_frame(self) -> bool:
+        """Whether the coming frame of the body is an input; not in the published presets."""
+        return self.config.coming_motion_input and self.scene.rigid_motion.is_known
+
+    @property
+    def rate_scaled(self) -> bool:
+        """Whether motion is counted per displacement of the body, which must be known for it."""
+        return self.config.rate_scaled and self.scene.rigid_motion.is_known
+
+    def zero_decoder(self):
+        """Makes the untrained model predict the training mean: constant velocity in order 2."""
+        self._network.zero_decoder()
+
+    def features(self, state: SimulatorState, known, context, layout: Layout):
+        """Network inputs.
+
+        Args:
+          state: of B graphs.
+          known: `KnownMotion` of the coming frame, or None.
+          context: float32 [B, C] or None.
+          layout: of the graphs.
+
+        Returns:
+          nodes [B, V, F], edges [B, E, D + 1].
+        """
+        view = features.View(self, state, known, context, layout)
+        nodes = [features.at_every_node(feature, view) for feature in features.of(self)]
+        ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
+            state.offset, layout.receivers, axis=1
+        )
+        displacement = ends / layout.edge_std + layout.edge_shift
+        # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
+        length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
+        return tf.concat(nodes, axis=-1), tf.concat([displacement, length], axis=-1)
+
+    def node_embedding(self, layout: Layout):
+        """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
+        classes = layout.embedded
+        if not self.config.embedding_by_class:
+            classes = np.where(layout.node_class == 0, *self.particle_types)
+        return tf.gather(self._embedding, classes)
+
+    def context_features(self, context):
+        """Normalised context [B, C], with its normalised logarithm where there is one [B, 2 C]."""
+        s = self.statistics
+        linear = (context - s.context_mean.astype(np.float32)) / s.context_std.astype(np.float32)
+        if s.log_context_mean is None:
+            return linear
+        mean, std = s.log_context_mean.astype(np.float32), s.log_context_std.astype(np.float32)
+        # The floor is far below any positive context; it keeps a zero from becoming infinite.
+        return tf.concat([linear, (tf.math.log(tf.maximum(context, 1e-6)) - mean) / std], axis=-1)
+
+    def predict(self, state: SimulatorState, known, context, layout: Layout):
+        """Normalised predictions.
+
+        Returns:
+          target [B, V, D] (displacement or acceleration over its statistics), and the loads over
+          their statistics [B, F] (`loads`; mean over the nodes' decoded ones, Haeri & Skonieczny
+          2021) or None.
+        """
+        target, load = self._decoded(state, known, context, layout)
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:
+            body = tf.reduce_mean(target[:, : layout.n_rigid], axis=1, keepdims=True)
+            target = tf.concat(
+                [tf.tile(body, [1, layout.n_rigid, 1]), target[:, layout.n_rigid :]], axis=1
+            )
+        return target, load
+
+    def _decoded(self, state, known, context, layout):
+        """The network's target [B, V, D] and loads [B, F] or None."""
+        nodes, edges = self.features(state, known, context, layout)
+        gates = tool_depth.edge_gates(self, state, layout)
+        decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
+        load = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
+        return decoded[..., : self.dim], load
+
+    def rate(self, known):
+        """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
+
+        1 where motion is not counted per displacement of the body.
+        """
+        if not self.rate_scaled:
+            return tf.ones([1, 1, 1])
+        speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
+            self.statistics.body_speed[0]
+        )
+        return tf.maximum(speed, RATE_FLOOR)[:, None, None]
+
+    def normalized_target(self, next_velocity, state: SimulatorState, known, layout: Layout):
+        """What `predict` should have said, [B, V, D], for the true next velocity [B, V, D].
+
+        The velocities of `state` may carry noise: an acceleration target then corrects it, as in
+        Sanchez-Gonzalez et al. 2020. Where places are predicted, `next_velocity` is what leads from
+        the offset of `state`, noise and all, to the true one.
+        """
+        target = self._of_height(next_velocity, layout) - self._base_velocity(state, known, layout)
+        return (target / self.rate(known) - layout.target_mean) / layout.target_std
+
+    def step(self, state: SimulatorState, known, context, layout: Layout):
+        """One frame.
+
+        Args:
+          state: of B graphs.
+          known: `KnownMotion` of the coming frame where the rigid motion is prescribed or driven,
+            else None.
+          context: float32 [B, C] or None.
+          layout: of the graphs.
+
+        Returns:
+          the next `SimulatorState` and the loads on the body [B, F], or None: the force, N, and
+          behind it the torque, N m, where the model predicts it (`loads.split`).
+        """
+        target, load = self.predict(
+            state, known if self.knows_next_frame else None, context, layout
+        )
+        # v' = rate (std y + mean), plus v where an acceleration is predicted, and start - x where a
+        # place is; x' = x + v'.
+        velocity = (target * layout.target_std + layout.target_mean) * self.rate(
+            known
+        ) + self._base_velocity(state, known, layout)
+        offset = state.offset + velocity
+        if self.scene.rigid_motion.is_known:
+            velocity, offset = self._place_body(state, velocity, offset, known, layout)
+        history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
+        if load is not None:
+            load = load * self.load_std + self.load_mean
+            if layout.contact is not None:
+                n = layout.n_rigid
+                body = known.offset + layout.origin[:n].astype(np.float32)
+                load *= layout.contact.share(body, state.offset[:, n:])[:, None]
+        return SimulatorState(offset, history), load
+
+    def _base_velocity(self, state, known, layout):
+        """The velocity that the prediction is added to: none (order 1), the last one (order 2), or
+        what leads back to the start of the run (order 0)."""
+        last = self._of_height(state.velocity[:, :, -1], layout)
+        order = np.where(layout.node_class == 0, self.config.rigid_order, self.config.mode_order)
+        base = last * (order == 2).astype(np.float32)[:, None]
+        if self.config.mode_order:
+            return base
+        n = layout.n_rigid
+        return tf.concat([base[:, :n], known.start - state.offset[:, n:]], axis=1)
+
+    def _of_height(self, velocity, layout):
+        """Replaces each rigid particle's velocity by the body's mean where only the height is
+        predicted."""
+        if self.scene.rigid_motion != RigidMotion.DRIVEN:
+            return velocity
+        body = tf.reduce_mean(velocity[:, : layout.n_rigid], axis=1, keepdims=True)
+        return tf.concat(
+            [tf.tile(body, [1, layout.n_rigid, 1]), velocity[:, layout.n_rigid :]], axis=1
+        )
+
+    def _place_body(self, state, velocity, offset, known, layout):
+        """Overwrites the given part of the rigid motion."""
+        if self.scene.rigid_motion == RigidMotion.DRIVEN:
+            up = up_vector(self.dim, self.scene.up_axis)
+            height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
+            change = velocity[:, :1]
+            body_offset = known.offset + (height + change) * up
+            body_velocity = known.velocity + change * up
+        else:
+            body_offset, body_velocity = known.offset, known.velocity
+        return (
+            tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
+            tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),
+        )
+
+
+def initial_state(offset, velocity) -> SimulatorState:
+    """State after H frames.
+
+    Args:
+      offset: [B, H, V, D] of the first H frames.
+      velocity: [B, H - 1, V, D] of the frames 1 .. H - 1.
+    """
+    if offset.shape[1] != INPUT_SEQUENCE_LENGTH or velocity.shape[1] != INPUT_SEQUENCE_LENGTH - 1:
+        raise ValueError(
+            f'a history has {INPUT_SEQUENCE_LENGTH} frames, got {offset.shape} and {velocity.shape}'
+        )
+    return SimulatorState(
+        tf.cast(offset[:, -1], tf.float32),
+        tf.cast(tf.transpose(velocity, [0, 2, 1, 3]), tf.float32),
+    )

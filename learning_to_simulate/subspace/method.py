@@ -1,0 +1,213 @@
+"""Methods on the scores of the modes: data, model, training and evaluation on disk.
+
+The `code` of gns, the MLP and the mixers in `registry`; which network they are, is the registry's.
+"""
+
+import dataclasses
+import os
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
+from learning_to_simulate.checkpoints import load_model as load
+from learning_to_simulate.live import resting_start
+from learning_to_simulate.methods import resting_bed
+from learning_to_simulate.methods.path_memory import PathMemory
+from learning_to_simulate.registry import OpenedModel
+from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import contact, edge_lists
+from pca_tools import dataset
+from pca_tools.subspace import Subspace
+
+__all__ = ['load', 'make_model', 'open_model', 'train']
+
+
+def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkpoints.Model:
+    """A fresh model for the training runs of a dataset, its variables created.
+
+    Args:
+      data_path: dataset folder.
+      metadata: its metadata.
+      groups: `RunGroup`s of the training split.
+      config: `TrainConfig`.
+      rigid_motion: override of the scene's, or None.
+
+    Raises:
+      ValueError: edges that do not fit the dataset, a scene that the config cannot model, or no
+        torque where one is to be predicted.
+    """
+    scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
+    if (
+        config.predict_driven_body
+        and rigid_motion is None
+        and scene.rigid_motion == RigidMotion.DRIVEN
+    ):
+        scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
+    if config.predict_torque:
+        _check_torque(data_path, metadata, groups, scene)
+    statistics = normalization.compute_statistics(
+        [g.position for g in groups],
+        [g.force for g in groups],
+        reading_utils.contexts_by_frame(groups),
+        metadata,
+        scene,
+        config,
+        [g.torque for g in groups] if config.predict_torque else None,
+    )
+    velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
+    if config.path_inputs:
+        statistics = dataclasses.replace(
+            statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
+        )
+    if config.contact_gate:
+        statistics = _with_contact(statistics, data_path, groups, scene)
+    edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
+    types = groups[0].particle_type
+    simulator = registry.get(config.model).make_simulator(
+        scene, config, statistics, (int(types[0]), int(types[-1]))
+    )
+    model = checkpoints.Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
+    for group in groups:
+        model.layout(group.n_rigid)
+    tf.random.set_seed(config.seed)
+    model.create_variables(groups[0].n_rigid)
+    if config.zero_decoder:
+        simulator.zero_decoder()
+    return model
+
+
+def _check_torque(data_path, metadata, groups, scene):
+    """Refuses data without what `predict_torque` needs."""
+    scene.check_one_body('predict_torque')
+    stated = scene.has_force and 'rigid_body_torque_mean' in metadata
+    if not stated or any(g.torque is None for g in groups):
+        raise ValueError(
+            f'predict_torque: {data_path} does not hold force and torque of every training run'
+        )
+
+
+def _path_memory(data_path, metadata, groups, scene):
+    if scene.rigid_motion != RigidMotion.PRESCRIBED or scene.bodies:
+        raise ValueError(
+            f'path_inputs needs one body whose whole motion is given (prescribed); in {data_path} '
+            f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
+        )
+    bodies = [g.position[:, :, : g.n_rigid] for g in groups]
+    frame = PathMemory.of_runs(bodies, scene).frame
+    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    return PathMemory.of_runs(bodies, scene, surface)
+
+
+def _with_contact(statistics, data_path, groups, scene):
+    """The statistics with what `contact.fit` finds, where there is a subspace and it finds any."""
+    path = os.path.join(data_path, 'subspace.npz')
+    if not os.path.exists(path):
+        return statistics
+    space = Subspace.load(path).truncated(scene.n_modes)
+    found = contact.fit(groups, space, statistics.origin[1:], scene)
+    return dataclasses.replace(statistics, **found.to_statistics()) if found else statistics
+
+
+def _with_copies(model, groups, data_path):
+    """The runs that a config trains on: with copies of them where it asks for some."""
+    config, scene = model.simulator.config, model.simulator.scene
+    if not config.copies:
+        return groups
+    from learning_to_simulate.subspace import symmetric_copies
+
+    path = os.path.join(data_path, 'subspace.npz')
+    if not scene.rigid_motion.is_known or scene.bodies or not os.path.exists(path):
+        raise ValueError(
+            f'copies is {config.copies}: shifted runs need one body whose motion is known and a '
+            f'subspace.npz in {data_path}'
+        )
+    space = model.fitting_subspace(Subspace.load(path))
+    return symmetric_copies.with_copies(groups, space, scene.up_axis, config.copies, config.seed)
+
+
+def train(data_path, model_path, config, options) -> dict:
+    """Trains to the end of both stages, or resumes; see `registry.train`."""
+    # A model that is only run waits neither for Keras nor for the rest of training.
+    from learning_to_simulate.subspace.trainer import Trainer
+    from learning_to_simulate.training import loop, model_folder
+
+    registry.refuse_raw_path(options.raw_path)
+    metadata = dataset.read_metadata(data_path)
+    groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
+    has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
+    valid = (
+        reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
+    )
+    model = make_model(data_path, metadata, groups, config, options.rigid_motion)
+    trainer = Trainer(model, _with_copies(model, groups, data_path))
+    layouts = [model.layout(g.n_rigid) for g in groups]
+    weights = sum(int(np.prod(v.shape)) for v in model.simulator.trainable_variables)
+    training = loop.Training(
+        model=model,
+        trainer=trainer,
+        evaluator=evaluation.Evaluator(model, metadata),
+        valid=valid,
+        n_rigid=groups[0].n_rigid,
+        data=model_folder.data_record(data_path, metadata),
+        title=f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
+        f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
+        f'{weights} weights; edges: {model.edge_source}',
+    )
+    training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
+    if trainer.gates:
+        training.close_gates = lambda path: _close_gates(training, data_path, path)
+    return loop.run(training, model_path, options)
+
+
+def _close_gates(training, data_path, model_path):
+    """Fixes the learned edges, writes them beside the model, and says what they are."""
+    trainer, model = training.trainer, training.model
+    config = model.simulator.config
+    edges = trainer.gates.edge_list(config, data_path)
+    trainer.fix_edges(edges.mask)
+    edge_lists.write(os.path.join(model_path, edge_lists.FILE_NAME), edges)
+    beside = checkpoints.read_config(model_path).get('files')
+    checkpoints.save_config(model_path, model, training.n_rigid, training.data, beside)
+    text = f'step {config.gate_steps}: {edges.n_edge} of {edges.mask.size} mode edges stay'
+    return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
+
+
+def open_model(
+    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
+) -> OpenedModel:
+    """A trained model with the runs of a split; see `registry`.
+
+    Raises:
+      FileNotFoundError: no model, dataset or split there.
+      ValueError: an override contradicts the model, or the dataset does not fit it.
+    """
+    registry.refuse_raw_path(raw_path)
+    # A model that is only run waits for none of it.
+    from learning_to_simulate.penetration import Penetration
+
+    def one_step_errors():
+        from learning_to_simulate.subspace.trainer import Trainer
+
+        return Trainer(model, groups).one_step_errors()
+
+    model = load(model_path)
+    config = model.simulator.config
+    checkpoints.refuse_contradictions(model_path, config, overrides or {})
+    metadata = dataset.read_metadata(data_path)
+    checkpoints.check_dataset(model_path, model, data_path, metadata)
+    groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
+    for group in groups:
+        model.layout(group.n_rigid)
+    return OpenedModel(
+        model,
+        groups,
+        metadata,
+        evaluation.Evaluator(
+            model,
+            metadata,
+            rigid_correction,
+            Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
+        ),
+        one_step_errors,
+    )

@@ -1,0 +1,267 @@
+"""The full-space baseline: neighbours, invariance, data, training and rollouts in miniature."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, presets, registry
+from learning_to_simulate.full_space import method as particles
+from learning_to_simulate.full_space import runs
+from learning_to_simulate.full_space.network import ParticleNetwork
+from learning_to_simulate.full_space.rollout import ParticleEvaluator
+from learning_to_simulate.full_space.simulator import neighbour_list, typical_radius
+from learning_to_simulate.full_space.training import ParticleTrainer
+from pca_tools import convert, dataset, files
+from tests.learning_to_simulate import synthetic as modes
+from tests.pca_tools import synthetic
+
+SHORT = {'soil_particles': 60, 'latent_size': 8, 'message_passing_steps': 2, 'num_steps': 6}
+
+
+@pytest.fixture(scope='module')
+def folders(tmp_path_factory):
+    """{scene: (dataset, raw runs)} of both scenes. Not to be changed."""
+    base = tmp_path_factory.mktemp('full_space')
+    made = {}
+    for name in ('excavation', 'wheel'):
+        raw = synthetic.write_raw_folder(str(base / f'raw_{name}'), name, range(1, 13))
+        convert.convert(raw, str(base / name))
+        made[name] = (str(base / name), raw)
+    return made
+
+
+def make(folder, raw=None, **overrides):
+    """An untrained model with random weights and its training runs."""
+    config = presets.make_config('full_space', **SHORT | overrides)
+    metadata = dataset.read_metadata(folder)
+    group = runs.read_runs(folder, raw, 'train', metadata, config.soil_particles)
+    model = particles.make_model(folder, metadata, group, config)
+    rng = np.random.default_rng(0)
+    for variable in model.simulator.trainable_variables:
+        variable.assign(rng.normal(0.0, 0.3, variable.shape))
+    return model, group
+
+
+def test_neighbours_are_those_of_brute_force():
+    rng = np.random.default_rng(0)
+    position, n_rigid, radius = rng.uniform(0, 1, (80, 3)), 9, 0.3
+    found = set(zip(*(ends.tolist() for ends in neighbour_list(position, radius, n_rigid))))
+    near = np.linalg.norm(position[:, None] - position[None], axis=-1) <= radius
+    wanted = {(s, r) for s, r in np.argwhere(near) if s != r and (s >= n_rigid or r >= n_rigid)}
+    assert found == wanted and len(wanted) > 100
+
+
+def test_radius_of_a_lattice_reaches_its_nearest_shells():
+    """Of 27 in a unit cube, the 14th neighbour is a corner of the cell or the next point along."""
+    lattice = np.stack(np.meshgrid(*[np.arange(12.0)] * 3), axis=-1).reshape(-1, 3)
+    assert np.sqrt(2) < typical_radius(lattice) < 2.0
+
+
+def test_network_equals_numpy_edge_by_edge():
+    network = ParticleNetwork(8, 2, 2, 6)
+    rng = np.random.default_rng(1)
+    nodes, edges = rng.normal(size=(5, 7)), rng.normal(size=(9, 4))
+    senders, receivers = rng.integers(0, 5, (2, 9)).astype(np.int32)
+    result = network(
+        tf.constant(nodes, tf.float32), tf.constant(edges, tf.float32), senders, receivers
+    )
+    weights = {v.name: v.numpy().astype(float) for v in network.trainable_variables}
+
+    def mlp(name, x, norm=True):
+        w = [v for k, v in weights.items() if f'/{name}/' in k and 'layer_norm' not in k]
+        for i, pair in enumerate(zip(w[::2], w[1::2])):
+            bias, matrix = sorted(pair, key=np.ndim)
+            x = x @ matrix + bias
+            x = np.maximum(x, 0) if i < 2 else x
+        if norm:  # scale 1 and offset 0 as initialised
+            x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-5)
+        return x
+
+    n, e = mlp('encode_nodes', nodes), mlp('encode_edges', edges)
+    for m in range(2):
+        messages = np.stack(
+            [
+                mlp(f'edges_{m}', np.concatenate([e[k], n[r], n[s]]))
+                for k, (s, r) in enumerate(zip(senders, receivers))
+            ]
+        )
+        received = np.zeros_like(n)
+        for k, r in enumerate(receivers):
+            received[r] += messages[k]
+        n, e = n + mlp(f'nodes_{m}', np.concatenate([received, n], axis=1)), e + messages
+    np.testing.assert_allclose(result, mlp('decode', n, norm=False), atol=2e-4)
+
+
+@pytest.mark.parametrize('name', ['excavation', 'wheel'])
+def test_moved_scene_moves_the_prediction(folders, name):
+    """Everything shifted by whole metres, walls too: the displacements stay, to round-off."""
+    model, group = make(*folders[name])
+    simulator, n = model.simulator, group.n_rigid
+    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
+    body = group.position[0, 9, :n] - position[:n]
+    context = None if group.context is None else group.context[0]
+    here = simulator.step(position, velocity, body, context, n)
+    shift = np.array([3.0, -7.0, 11.0])
+    s = simulator.statistics
+    for wall in (s.low, s.high):
+        wall += shift
+    there = simulator.step(position + shift, velocity, body, context, n)
+    np.testing.assert_allclose(there[0], here[0], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(there[1], here[1], rtol=1e-3)
+    assert there[2] == here[2] > 100
+
+
+def test_twice_the_speed_is_twice_the_motion_but_for_what_the_rate_itself_changes(folders):
+    model, group = make(*folders['excavation'])
+    simulator, n = model.simulator, group.n_rigid
+    first_layer = next(
+        v for v in simulator.trainable_variables
+        if 'encode_nodes' in v.name and v.shape[0] == 3 * (1 + 3) + 2
+    )  # fmt: skip
+    first_layer.assign(np.where(np.arange(14)[:, None] == 13, 0.0, first_layer))  # log of the rate
+    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
+    body = group.position[0, 9, :n] - position[:n]
+    once, force, _ = simulator.step(position, velocity, body, None, n)
+    twice, same, _ = simulator.step(position, 2 * velocity, 2 * body, None, n)
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-4)
+    np.testing.assert_allclose(same, force, rtol=1e-4)  # of soil without inertia
+
+
+def test_order_of_the_soil_particles_does_not_matter(folders):
+    model, group = make(*folders['excavation'])
+    n = group.n_rigid
+    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
+    body = group.position[0, 9, :n] - position[:n]
+    order = np.concatenate(
+        [np.arange(n), n + np.random.default_rng(0).permutation(len(position) - n)]
+    )
+    straight = model.simulator.step(position, velocity, body, None, n)
+    mixed = model.simulator.step(position[order], velocity[:, order], body, None, n)
+    np.testing.assert_allclose(mixed[0], straight[0][order], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(mixed[1], straight[1], rtol=1e-3)
+
+
+def test_given_motion_is_followed_and_only_the_height_is_predicted(folders):
+    for name, free in (('excavation', []), ('wheel', [1])):
+        model, group = make(*folders[name])
+        rollout = ParticleEvaluator(model, {}).roll_out(group.select(0))
+        error = (rollout.position - group.position[:1, 6:])[0, :, : group.n_rigid]
+        given = [axis for axis in range(3) if axis not in free]
+        np.testing.assert_allclose(error[..., given], 0.0, atol=1e-9)
+        # What is wrong is the same for all particles: the wheel stays rigid.
+        np.testing.assert_allclose(error - error[:, :1], 0.0, atol=1e-9)
+
+
+def test_particles_are_those_of_the_raw_runs_or_decoded(folders):
+    folder, raw = folders['excavation']
+    metadata = dataset.read_metadata(folder)
+    whole = runs.read_runs(folder, raw, 'test', metadata, 70)
+    case = metadata['cases']['test'][0]['case']
+    stored = files.read_npz(f'{raw}/run_{case:03d}.npz')
+    np.testing.assert_array_equal(whole.position[0, :, 20:], stored['positions'][:, ::2])
+    decoded = runs.read_runs(folder, None, 'test', metadata, 70)
+    error = ((decoded.position - whole.position)[:, :, 20:] ** 2).mean()
+    # Half of the particles: their error is like the mean of all, within a factor of two.
+    assert 0.5 < error / np.mean(metadata['projection_mse']['test']) < 2.0
+
+
+def test_command_trains_and_rolls_out(folders, tmp_path):
+    """As a user runs it, from raw runs."""
+    folder, raw = folders['excavation']
+    path, out = str(tmp_path / 'model'), str(tmp_path / 'out')
+    command = [
+        sys.executable, '-m', 'learning_to_simulate.train', f'--data_path={folder}',
+        f'--model_path={path}', f'--raw_path={raw}',
+    ]  # fmt: skip
+    flags = [f'--{k}={v}' for k, v in SHORT.items() if k != 'message_passing_steps']
+    train = [*flags, '--model=full_space', '--mssg=2']
+    for extra in (train, [f'--output_path={out}', '--mode=eval_rollout']):
+        done = subprocess.run([*command, *extra], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / 'out' / 'metrics.json').read_text())
+    values = files.read_npz(f'{out}/rollout_test_0.npz')
+    error = (values['predicted_rollout'] - values['ground_truth_rollout']).astype(float)
+    soil = error[:, values['particle_types'] == runs.SOIL_TYPE]
+    row = summary['runs']['model'][0]
+    assert row['soil_mse'] == pytest.approx((soil**2).mean(), rel=1e-3, abs=1e-12)
+    assert row['peak_memory_mb'] > 50 and row['edges'] > 100
+    assert {'stay_still', 'constant_velocity', 'model'} <= summary['mean'].keys()
+
+
+def test_driven_wheel_is_trained_on_decoded_particles(folders, tmp_path):
+    """Without raw runs what the subspace cuts off is stated beside the error."""
+    folder, _ = folders['wheel']
+    summary = registry.train(
+        folder, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
+    )
+    row = summary['runs']['model'][0]
+    assert 1e-6 * row['soil_mm'] ** 2 > row['soil_mse'] > 0 and row['rigid_mse'] > 0
+
+
+def test_training_learns_resumes_and_refuses(folders, tmp_path):
+    folder, raw = folders['excavation']
+    path = str(tmp_path / 'model')
+    config = presets.make_config('full_space', **SHORT | {'num_steps': 40, 'noise_std': 0.0})
+    registry.train(folder, path, config, save_every=40, raw_path=raw)
+    before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
+    registry.train(folder, path, config, save_every=40, raw_path=raw)
+    opened = particles.open_model(path, folder, 'valid', raw_path=raw)
+    model, groups = opened.model, opened.groups
+    for variable, stored in zip(model.simulator.trainable_variables, before.values()):
+        np.testing.assert_array_equal(variable.numpy(), stored)
+    fresh, _ = make(folder, raw)
+    losses = [ParticleTrainer(m, groups).one_step_errors(5)['loss'] for m in (model, fresh)]
+    assert losses[0] < losses[1]
+    with pytest.raises(ValueError, match='trained on particles of raw runs: give --raw_path'):
+        particles.open_model(path, folder, 'test')
+    with pytest.raises(ValueError, match='noise_std=0.3 contradicts'):
+        particles.open_model(path, folder, 'test', {'noise_std': 0.3}, raw)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('force_std', None),
+        ('velocity_std', [[0.0] * 3] * 2),
+        ('low', [0.0, float('inf'), 0.0]),
+        ('acceleration_std', [1.0]),
+        ('context_mean', [1.0]),
+    ],
+)
+def test_damaged_statistics_are_refused(folders, tmp_path, name, value):
+    model, group = make(*folders['excavation'])
+    checkpoints.save_config(str(tmp_path), model, group.n_rigid, {})
+    values = checkpoints.read_config(str(tmp_path))
+    values['statistics'][name] = value
+    (tmp_path / checkpoints.CONFIG_FILE).write_text(json.dumps(values))
+    with pytest.raises(ValueError, match=f'config.json: .*statistics.{name}'):
+        particles.load(str(tmp_path))
+
+
+def test_bad_data_is_refused(folders, tmp_path):
+    folder, raw = folders['excavation']
+    metadata = dataset.read_metadata(folder)
+    few = synthetic.write_raw_folder(str(tmp_path / 'few'), 'excavation', [1])
+    for path, message in ((few, 'lacks the runs'), (folders['wheel'][1], 'of another dataset')):
+        with pytest.raises(ValueError, match=message):
+            runs.read_runs(folder, path, 'train', metadata, 60)
+    with pytest.raises(FileNotFoundError, match='no such folder of raw runs'):
+        runs.read_runs(folder, str(tmp_path / 'gone'), 'train', metadata, 60)
+    with pytest.raises(ValueError, match='soil_particles is 200, but the runs have 140'):
+        runs.read_runs(folder, raw, 'train', metadata, 200)
+    alone = modes.write_dataset(tmp_path / 'alone')
+    with pytest.raises(FileNotFoundError, match='needs the raw runs'):
+        runs.read_runs(alone, None, 'train', dataset.read_metadata(alone), 60)
+    with pytest.raises(ValueError, match='soil_particles is 0'):
+        presets.make_config('full_space', soil_particles=0)
+    with pytest.raises(ValueError, match='single steps'):
+        presets.make_config('full_space', unroll_steps=10)
+    with pytest.raises(ValueError, match='not one of a subspace'):
+        model, _ = make(folder, raw)
+        registry.get('full_space').make_simulator(
+            model.simulator.scene, model.simulator.config, None
+        )

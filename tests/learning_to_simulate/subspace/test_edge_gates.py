@@ -1,0 +1,203 @@
+"""Hard-concrete gates against their closed forms, and edges learned by `train.py`."""
+
+import json
+import pathlib
+import shutil
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, presets, registry
+from learning_to_simulate.subspace import edge_lists
+from learning_to_simulate.subspace.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
+from learning_to_simulate.subspace.trainer import Trainer
+from learning_to_simulate.training import training_state
+from pca_tools import files
+from tests.learning_to_simulate import models, synthetic
+
+SEED = tf.constant([0, 1])
+SHORT = {'latent_size': 8, 'num_steps': 24, 'unroll_steps': 0}
+GATED = SHORT | {'gate_weight': 0.5, 'gate_steps': 14, 'gate_keep': 5}
+
+
+@pytest.fixture(scope='module')
+def data(tmp_path_factory):
+    """Without a validation split: its rollouts would be compiled anew for every training."""
+    folder = synthetic.write_dataset(tmp_path_factory.mktemp('data'))
+    (pathlib.Path(folder) / 'valid.tfrecord').unlink()
+    return folder
+
+
+@pytest.fixture(scope='module')
+def trained(data, tmp_path_factory):
+    """A model whose edges were learned in this process. Not to be changed."""
+    path = str(tmp_path_factory.mktemp('model') / 'gated')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training_state, 'KEPT', 3)
+        registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
+    return path
+
+
+def test_shares_of_shut_and_open_gates_are_those_of_the_paper():
+    """P(0) and P(1) of a stretched, clipped concrete variable (Louizos et al. 2018), by drawing.
+
+    P(s (HIGH - LOW) + LOW <= 0) with logit(s) = (logit(u) + log_alpha) / TEMPERATURE.
+    """
+    gates = EdgeGates(2)
+    values = np.array([[-3.0, 0.0], [0.5, 4.0]])
+    gates.log_alpha.assign(values)
+    drawn = gates.sample(40_000, SEED).numpy()
+    shut, whole = (drawn == 0).mean(axis=0), (drawn == 1).mean(axis=0)
+
+    def probability_below(x):
+        logit = np.log((x - LOW) / (HIGH - x))  # of s where the stretched value is x
+        return 1 / (1 + np.exp(-(TEMPERATURE * logit - values)))
+
+    # Five standard deviations of a share of 40 thousand draws: 0.0125.
+    np.testing.assert_allclose(shut, probability_below(0.0), atol=0.0125)
+    np.testing.assert_allclose(1 - whole, probability_below(1.0), atol=0.0125)
+    np.testing.assert_allclose(gates.open_probability(), 1 - probability_below(0.0), rtol=1e-5)
+    price = gates.with_price({'loss': tf.constant(1.0)}, _Price(3.0, 10), tf.constant(5))
+    expected = (1 - probability_below(0.0)).mean()
+    assert float(price['open_gates']) == pytest.approx(expected, rel=1e-5)
+    assert float(price['loss']) == pytest.approx(1.0 + 3.0 * 0.5 * expected, rel=1e-5)
+
+
+class _Price:
+    def __init__(self, gate_weight, gate_steps):
+        self.gate_weight, self.gate_steps = gate_weight, gate_steps
+
+
+@pytest.mark.parametrize('logit', [-1e4, -20.0, 0.0, 20.0, 1e4])
+def test_gradient_is_finite_at_saturated_gates(logit):
+    """And of the right sign where there is one: a price always pulls down, never up."""
+    gates = EdgeGates(3)
+    gates.log_alpha.assign(tf.fill([3, 3], logit))
+    with tf.GradientTape() as tape:
+        drawn = gates.sample(64, SEED)
+        values = gates.with_price({'loss': tf.reduce_sum(drawn)}, _Price(1.0, 1), tf.constant(1))
+    gradient = tape.gradient(values['loss'], gates.log_alpha).numpy()
+    assert np.isfinite(drawn).all() and np.isfinite(gradient).all()
+    assert (gradient >= 0).all() and (gradient > 0).all() == (logit in (-20.0, 0.0))
+    if abs(logit) > 100:
+        assert (drawn.numpy() == (logit > 0)).all()
+
+
+def test_a_draw_of_zero_has_a_finite_gate(monkeypatch):
+    """The uniform draw includes 0, once in 2^23."""
+    monkeypatch.setattr(tf.random, 'stateless_uniform', lambda shape, seed: tf.zeros(shape))
+    gates = EdgeGates(2)
+    with tf.GradientTape() as tape:
+        drawn = gates.sample(1, SEED)
+    assert np.isfinite(tape.gradient(drawn, gates.log_alpha)).all() and not drawn.numpy().any()
+
+
+def predictions(model, group, layout):
+    trainer = Trainer(model, [group])
+    tensors = trainer._tensors[0].with_layout(layout)
+    values = trainer._single_step_losses(tensors, 4, SEED, None)
+    return {k: float(v) for k, v in values.items()}
+
+
+@pytest.mark.parametrize('preset', ['pcg', 'fcg_original'])
+def test_open_gates_are_the_dense_graph_and_shut_ones_no_edge(tmp_path, preset):
+    """Mean and sum aggregation; losses over random windows, two message-passing steps."""
+    kind = 'adjacency' if preset == 'fcg_original' else 'mode_edges'
+    overrides = {kind: 'correlation' if kind == 'adjacency' else synthetic.N_MODES**2}
+    overrides |= {'mode_edges': synthetic.N_MODES**2, 'message_passing_steps': 2}
+    model, (group,), _ = models.make(tmp_path, preset, overrides=overrides)
+    dense = model.layout(group.n_rigid)
+    gates = EdgeGates(synthetic.N_MODES)
+    keep = np.random.default_rng(0).random((synthetic.N_MODES,) * 2) < 0.5
+    for mask in (np.ones_like(keep), keep):
+        gates.log_alpha.assign(np.where(mask, 1e3, -1e3))
+        gated = predictions(model, group, gates.gated(dense, 4, SEED))
+        model.fix_mode_edges(mask)
+        fixed = predictions(model, group, model.layout(group.n_rigid))
+        assert model.layout(group.n_rigid).n_edge == dense.n_edge - (~mask).sum()
+        for name, value in fixed.items():  # float32 sums in another order: 1e-7 seen
+            assert gated[name] == pytest.approx(value, rel=1e-5), name
+
+
+def test_gates_belong_to_modes_whatever_the_size_of_the_body(tmp_path):
+    model, (group,), _ = models.make(tmp_path, overrides={'mode_edges': synthetic.N_MODES**2})
+    gates = EdgeGates(synthetic.N_MODES)
+    values = np.arange(9.0).reshape(3, 3) - 4
+    gates.log_alpha.assign(100 * np.sign(values))
+    layout = gates.gated(model.layout(group.n_rigid), 2, SEED)
+    drawn = gates.sample(2, SEED).numpy()
+    for edge in range(layout.n_edge):
+        ends = layout.receivers[edge] - group.n_rigid, layout.senders[edge] - group.n_rigid
+        expected = drawn[:, ends[0], ends[1]] if min(ends) >= 0 else 1.0
+        np.testing.assert_array_equal(layout.edge_gates[:, edge], expected)
+    assert model.layout(group.n_rigid).edge_gates is None
+
+
+def test_training_without_gates_has_no_trace_of_them(tmp_path):
+    model, groups, _ = models.make(tmp_path)
+    trainer = Trainer(model, groups)
+    assert trainer.gates is None and not trainer.is_gated(0)
+    assert not [v.name for v in model.simulator.variables if 'gate' in v.name]
+
+
+def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
+    edges = edge_lists.read(f'{trained}/edges.json')
+    assert edges.method == 'gates' and edges.n_edge == 5 and edges.threshold is None
+    edges.check_data(data)
+    model = checkpoints.load_model(trained)
+    np.testing.assert_array_equal(model.mode_mask, edges.mask)
+    assert model.edge_source == 'learned gates'
+    assert model.layout(4).n_edge == 4 * synthetic.N_MODES + 5
+    config = json.loads(pathlib.Path(f'{trained}/config.json').read_text())
+    assert config['edges'] == {'4': 17}
+    # The list can be given to a training of its own.
+    path = f'{trained}/edges.json'
+    chosen = edge_lists.choose(
+        presets.make_config('pcg', adjacency=path), data, synthetic.N_MODES, None
+    )
+    np.testing.assert_array_equal(chosen.mode_mask, edges.mask)
+
+
+@pytest.mark.parametrize('step', [10, 20], ids=['gates open', 'edges fixed'])
+def test_training_resumes_to_the_same_weights_and_edges(data, trained, tmp_path, step):
+    """From a checkpoint before and after the gates closed, as if killed right after it."""
+    path = tmp_path / 'model'
+    shutil.copytree(trained, path)
+    for name in ('weights.npz', 'edges.json', *(p.name for p in path.glob('ckpt-*'))):
+        if not name.startswith(f'ckpt-{step}.'):
+            (path / name).unlink()
+    assert training_state.stored_steps(str(path)) == [step]
+    registry.train(data, str(path), presets.make_config('pcg', **GATED), save_every=10)
+    for name in ('edges.json', 'config.json'):
+        assert (path / name).read_bytes() == pathlib.Path(trained, name).read_bytes()
+    weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))
+    for name in straight:
+        np.testing.assert_array_equal(weights[name], straight[name])
+
+
+def test_a_high_price_shuts_gates_and_a_low_one_does_not(data, tmp_path):
+    """The price decides: what is free stays open, what costs more than it helps goes."""
+    left = {}
+    for weight in (1e-6, 100.0):
+        settings = SHORT | {'gate_weight': weight, 'gate_steps': 300, 'num_steps': 301}
+        model, groups, _ = models.make(tmp_path / str(weight), overrides=settings)
+        trainer = Trainer(model, groups)
+        for step in range(300):
+            trainer.step(step)
+        left[weight] = trainer.gates.edge_list(trainer.config, data)
+    assert left[1e-6].n_edge > left[100.0].n_edge
+    assert left[100.0].degenerate == 'empty' and left[100.0].n_edge == 0
+
+
+def test_impossible_settings_are_refused():
+    for message, overrides in (
+        ('gates must close', {'gate_steps': 3000}),
+        ('gates must close', {'gate_steps': 30, 'num_steps': 30}),
+        ('leave one of them out', {'adjacency': 'fully_connected'}),
+        ('gate_steps is 0', {'gate_steps': 0}),
+        ('gate_keep is -1', {'gate_keep': -1}),
+        ('gate_weight is -1', {'gate_weight': -1.0}),
+    ):
+        with pytest.raises(ValueError, match=message):
+            presets.make_config('pcg', **{'gate_weight': 0.1} | overrides)

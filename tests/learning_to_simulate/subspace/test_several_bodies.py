@@ -1,0 +1,216 @@
+"""Two bodies of given motion in one scene: a force on each; what knows one body refuses them."""
+
+import dataclasses
+import os
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate import evaluation, model_config, reading_utils, rollout
+from learning_to_simulate.compiled.folded_step import FoldedStep
+from learning_to_simulate.compiled.step_form import PlainStep
+from learning_to_simulate.export_c import model_data
+from learning_to_simulate.live import stepping
+from learning_to_simulate.presets import make_config
+from learning_to_simulate.scene import Scene
+from learning_to_simulate.subspace import method
+from learning_to_simulate.subspace.learned_simulator import Layout
+from learning_to_simulate.subspace.trainer import Trainer
+from pca_tools import dataset, files
+from reports.protocol import baselines, rollouts
+from reports.protocol.truth import TruthReader
+from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
+
+H = 6
+POINTS = {'blade': 4, 'wheel': 3}
+
+
+def write(folder, motions=('prescribed', 'prescribed'), each=True):
+    """A dataset of a blade and a wheel; `each`: whether the force on each is known."""
+    folder = synthetic.write_dataset(folder, rigid_counts=(7,))
+    path = os.path.join(folder, 'metadata.json')
+    metadata = files.read_json(path)
+    metadata['scene']['bodies'] = [
+        {'name': name, 'rigid_motion': motion, 'points': count}
+        for (name, count), motion in zip(POINTS.items(), motions, strict=True)
+    ]
+    files.write_json(path, metadata)
+    for split in dataset.SPLITS:
+        runs = []
+        for run in dataset.read_split(folder, split):
+            share = 0.7 + 0.1 * np.sin(np.arange(run.n_frames))[:, None]
+            forces = np.stack([share * run.force, (1 - share) * run.force], axis=1)
+            body_force = forces.astype(np.float32) if each else None
+            runs.append(dataclasses.replace(run, body_force=body_force))
+        dataset.write_split(dataset.split_path(folder, split), runs)
+    return folder
+
+
+def make(folder, preset='pcg', **overrides):
+    metadata = dataset.read_metadata(folder)
+    config = make_config(preset, **models.SMALL | overrides)
+    groups = reading_utils.read_groups(folder, 'train', metadata, **config.nodes)
+    return method.make_model(folder, metadata, groups, config), groups[0]
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+    return make(write(str(tmp_path_factory.mktemp('data'))))
+
+
+def test_the_scene_knows_its_bodies_and_the_force_on_each(made):
+    model, group = made
+    scene = model.simulator.scene
+    assert scene.bodies == tuple(POINTS.items()) and group.force.shape[-1] == 6
+    assert Scene.from_json(scene.to_json()) == scene
+    total = evaluation.total_force(group.force[0])
+    expected = synthetic.make_trajectory(0, 7).force
+    np.testing.assert_allclose(total, expected, rtol=1e-5, atol=1e-5)
+    layout = model.layout(7)
+    r = scene.n_modes
+    np.testing.assert_array_equal(layout.embedded, [0] * 4 + [r + 1] * 3 + list(range(1, r + 1)))
+
+
+def test_thinning_keeps_the_lowest_of_each_body(tmp_path):
+    folder = write(str(tmp_path))
+    model, group = make(folder, rigid_particles=2)
+    assert model.simulator.scene.bodies == (('blade', 2), ('wheel', 2)) and group.n_rigid == 4
+    run = dataset.read_split(folder, 'train')[0]
+    for body, kept in ((range(4), group.kept[0][:2]), (range(4, 7), group.kept[0][2:])):
+        lowest = sorted(body, key=lambda i: run.position[0, i, 1])[:2]
+        assert sorted(lowest) == kept.tolist()
+
+
+@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis', 'mlp'])
+def test_a_step_is_that_of_the_numpy_twin(tmp_path, preset):
+    own = {'mode_edges': 0} if preset == 'mlp' else {}
+    model, group = make(write(str(tmp_path)), preset, rigid_particles=0, **own)
+    twin = WholeStateTwin if preset == 'mlp' else Twin
+    layout = model.layout(7)
+    state, known, _, _ = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
+    coming = type(known)(known.offset[0], known.velocity[0])
+    after, force = model.simulator.step(state, coming, None, layout)
+    expected, expected_force = twin(model, 7).step(
+        group.position[0, :H], group.position[0, H, :7], None
+    )
+    np.testing.assert_allclose(after.offset[0] + layout.origin, expected, atol=1e-5)
+    assert force.shape == (1, 6)
+    size = np.abs(expected_force).max()
+    np.testing.assert_allclose(force[0], expected_force, atol=1e-4 * size)
+
+
+def test_folded_rollouts_are_the_plain_ones(made):
+    model, group = made
+    state, known, _, _ = rollout.rollout_inputs(group, model.layout(7), model.simulator.scene)
+    known = known.at(slice(8))
+    tf.config.run_functions_eagerly(True)
+    try:
+        (offsets, forces), (folded, folded_forces) = (
+            rollout.RolloutFunction(model.simulator, model.layout(7), make_step=make_step)(
+                state, known, None, 8
+            )
+            for make_step in (PlainStep, FoldedStep)
+        )
+    finally:
+        tf.config.run_functions_eagerly(False)
+    np.testing.assert_allclose(folded, offsets, atol=1e-5)
+    assert forces.shape == (8, 4, 6)
+    np.testing.assert_allclose(folded_forces, forces, atol=1e-4 * np.abs(forces).max())
+
+
+def test_training_windows_hold_the_force_on_each(made):
+    model, group = made
+    trainer = Trainer(model, [group])
+    (tensors,) = trainer._tensors
+    s = model.simulator.statistics
+    force = tensors.windows(8, H + 1, tf.constant([1, 2]))[2]
+    run, start = (x.numpy() for x in tensors.picks(8, H + 1, tf.constant([1, 2])))
+    expected = (group.force[run, start + H] - s.force_mean) / s.force_std
+    np.testing.assert_allclose(force[:, H], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_rollout_files_hold_the_total_and_each(made, tmp_path):
+    model, group = made
+    position, force = group.position[:1, H:], group.force[:1, H:].astype(np.float32)
+    result = rollout.Rollout(position, force, [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0)
+    written = evaluation.save_rollouts(
+        str(tmp_path), 'test', [(0, group.select(0), result)], {}, {}
+    )
+    arrays = files.read_npz(written[0])
+    assert arrays['predicted_body_forces'].shape == (position.shape[1], 2, 3)
+    np.testing.assert_allclose(
+        arrays['predicted_body_forces'].sum(axis=1), arrays['predicted_forces'], rtol=1e-5
+    )
+    np.testing.assert_allclose(arrays['ground_truth_forces'], arrays['predicted_forces'], rtol=1e-5)
+
+
+def test_live_steps_by_particles_give_the_force_on_each(made):
+    model, group = made
+    stepper = stepping.Stepper(model, 7)
+    assert stepper.reset(group.position[0, :H]).status == 'ok'
+    frame = stepper.step(group.position[0, H, :7])
+    assert frame.force.shape == (2, 3) and np.isfinite(frame.force).all()
+
+
+def test_a_total_alone_is_one_force(tmp_path):
+    model, group = make(write(str(tmp_path), each=False))
+    assert group.force.shape[-1] == 3 and model.simulator.force_size == 3
+    assert len(model.simulator.scene.bodies) == 2
+
+
+@pytest.mark.parametrize('motions', [('prescribed', 'driven'), ('predicted', 'predicted')])
+def test_bodies_that_move_by_themselves_are_refused_before_any_work(tmp_path, motions):
+    with pytest.raises(ValueError, match="several bodies .'blade', 'wheel'.*State the recorded"):
+        make(write(str(tmp_path), motions))
+
+
+def test_what_knows_one_body_says_so(made, tmp_path):
+    model, group = made
+    with pytest.raises(ValueError, match='the C form knows one'):
+        model_data.values(model, 7)
+    with pytest.raises(ValueError, match='predict_torque knows one'):
+        make(write(str(tmp_path)), predict_torque=True)
+    with pytest.raises(ValueError, match='7 nodes, not 6'):
+        s = model.simulator
+        Layout(model.layout(7), 6, s.scene, s.statistics, True)
+
+
+def test_damaged_numbers_of_bodies_are_refused(made):
+    model, _ = made
+    scene, statistics = model.simulator.scene, model.simulator.statistics
+    model_config._check_scene(scene)
+    model_config._check_statistics(statistics, scene)
+    with pytest.raises(ValueError, match='body'):
+        model_config._check_scene(dataclasses.replace(scene, bodies=(('blade', -1),)))
+    wrong = dataclasses.replace(statistics, force_mean=np.zeros(5), force_std=np.ones(5))
+    with pytest.raises(ValueError, match='force_mean'):
+        model_config._check_statistics(wrong, scene)
+
+
+def test_the_protocol_judges_the_force_on_each(tmp_path):
+    """Truth, mean force and files hold the forces one behind the other, not their sum."""
+    folder = write(str(tmp_path / 'data'))
+    synthetic.write_subspace(folder)
+    reader = TruthReader(folder)
+    truth = next(reader.runs('test'))
+    run = dataset.read_split(folder, 'test')[0]
+    np.testing.assert_allclose(truth.force, run.body_force[H:].reshape(-1, 6), rtol=1e-6)
+    train = dataset.read_split(folder, 'train')
+    mean = np.mean([r.body_force.reshape(r.n_frames, 6).mean(axis=0) for r in train], axis=0)
+    (found,) = [b for b in baselines.trivial(reader) if b.name == 'mean force']
+    metadata = dataset.read_metadata(folder)
+    group = reading_utils.read_groups(folder, 'test', metadata)[0]
+    force = found.predict(group, None).force
+    np.testing.assert_allclose(force[0], np.broadcast_to(mean, (len(truth.force), 6)), rtol=1e-5)
+    arrays = {
+        'predicted_rollout': run.position[H:],
+        'particle_types': run.particle_type,
+        'predicted_forces': truth.force.reshape(-1, 2, 3).sum(axis=1),
+        'predicted_body_forces': truth.force.reshape(-1, 2, 3),
+    }
+    files.write_npz(str(tmp_path / 'rollout_test_0.npz'), **arrays)
+    (read,) = rollouts.read(str(tmp_path), 'test', 1, metadata)
+    np.testing.assert_allclose(read.force, truth.force)
