@@ -430,7 +430,8 @@ def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader | None:
         return None
     if not os.path.isdir(data_path):
         raise FileNotFoundError(f'{data_path}: no such dataset folder')
-    reader = soil_truth.TruthReader(data_path, metadata)
+    # A rollout of the API states its scene alone.
+    reader = soil_truth.TruthReader(data_path, metadata if 'bounds' in metadata else None)
     space, path = reader.subspace, os.path.join(data_path, 'subspace.npz')
     if space is None:
         return reader
