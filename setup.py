@@ -53,10 +53,6 @@ setuptools.setup(
                 'mpm',
                 'nri',
                 'pca_tools',
-                'reports',
-                'run_scripts',
-                'storage',
-                'cluster',
             )
             for pattern in (name, f'{name}.*')
         ]

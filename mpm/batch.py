@@ -9,13 +9,13 @@ import os
 
 from tqdm import tqdm
 
-from cluster import workers
 from mpm import packing, raw_run, run, scenes, versions
 from mpm.constitutive import make_soil
 from mpm.files import one_writer, remove_temporary
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
+from pca_tools import workers
 
 
 def generate(
@@ -40,7 +40,7 @@ def generate(
         settings: of all runs in the folder.
         num_processes: runs at a time.
         tool: `bodies.check_tool`, of all runs; None: what each run has.
-        where: see `cluster.workers`; '': processes of this machine.
+        where: see `pca_tools.workers`; '': processes of this machine.
         show_progress: whether to draw bars.
 
     Returns:

@@ -3,7 +3,7 @@
 import concurrent.futures
 import multiprocessing
 
-from storage import parent
+from pca_tools.storage import parent
 
 
 def call(function, *arguments, limit_s: float | None = None, threads: int | None = None):

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from storage.markdown import cell, table
+from pca_tools.storage.markdown import cell, table
 
 __all__ = ['FLOOR', 'TRIVIAL', 'cell', 'span', 'table']
 

@@ -24,8 +24,8 @@ from absl import app, flags
 
 from mpm import scenes
 from mpm.motions import catalogue
+from pca_tools.storage import messages
 from reports import markdown
-from storage import messages
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 # Of each scene: the data of record, the models, and a test run of it.

@@ -19,19 +19,15 @@ PACKAGES = (
     'pca_tools',
     'reports',
     'run_scripts',
-    'storage',
-    'cluster',
 )
 MAX_LINES = 800
 UNPICKLERS = ('legacy_pickles.py',)  # the restricted reader of the authors' arrays
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
-    'storage': (),
-    'cluster': ('storage',),
-    'mpm': ('cluster', 'storage'),
-    'pca_tools': ('storage', 'cluster'),
-    'learning_to_simulate': ('pca_tools', 'storage.markdown'),
+    'mpm': ('pca_tools.storage', 'pca_tools.workers'),
+    'pca_tools': (),
+    'learning_to_simulate': ('pca_tools',),
     'nri': (
         'pca_tools',
         'learning_to_simulate.command',
@@ -41,7 +37,7 @@ MAY_IMPORT = {
         'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
-    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'storage', 'cluster'),
+    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
 }
 # Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {
@@ -56,9 +52,9 @@ ONLY_IN = {
     'dill': (),
     'joblib': (),
     'cloudpickle': (),
-    'distributed': ('cluster/workers.py',),
-    'dask': ('cluster/workers.py',),
-    'dask_jobqueue': ('cluster/workers.py',),
+    'distributed': ('pca_tools/workers.py',),
+    'dask': ('pca_tools/workers.py',),
+    'dask_jobqueue': ('pca_tools/workers.py',),
     'h5py': ('pca_tools/formats/lagrangebench.py',),
     'vtk': ('pca_tools/formats/vtp_files.py',),
 }
@@ -66,14 +62,22 @@ ONLY_IN = {
 # they are installed, so a look at what is loaded afterwards would blame the wrong one.)
 IMPORTS_WITHOUT = [
     (
-        ('storage.whole_files', 'storage.folder_lock', 'storage.parent', 'storage.messages'),
-        ('numpy', 'pca_tools', 'mpm'),
+        (
+            'pca_tools.storage.whole_files',
+            'pca_tools.storage.folder_lock',
+            'pca_tools.storage.parent',
+            'pca_tools.storage.messages',
+        ),
+        ('numpy', 'mpm'),
     ),
     (
         ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
         ('tensorflow', 'matplotlib'),
     ),
-    (('mpm.run', 'mpm.scenes', 'mpm.solver'), ('tensorflow', 'sklearn', 'pca_tools')),
+    (
+        ('mpm.run', 'mpm.scenes', 'mpm.solver'),
+        ('tensorflow', 'sklearn', 'pca_tools.files', 'pca_tools.subspace', 'pca_tools.convert'),
+    ),
     (
         ('learning_to_simulate.subspace.learned_simulator', 'learning_to_simulate.rollout'),
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),

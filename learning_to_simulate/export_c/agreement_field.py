@@ -14,7 +14,7 @@ from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field.live import LiveField
 from pca_tools import dataset, files, splits
-from storage import markdown
+from pca_tools.storage import markdown
 
 PARTICLES_EVERY = 40
 

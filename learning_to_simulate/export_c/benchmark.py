@@ -28,7 +28,7 @@ from learning_to_simulate.export_c import (
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
 from pca_tools import files
-from storage import markdown
+from pca_tools.storage import markdown
 
 PLAIN_FLAGS = ('-std=c99', '-O2', '-fPIC', '-shared')
 TURNS = 5  # the rows of the table take turns, so that a busy moment hits all of them

@@ -18,7 +18,7 @@ from learning_to_simulate import command
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.methods.swept_field import model_files
 from pca_tools import dataset, files
-from storage import markdown
+from pca_tools.storage import markdown
 
 FRAMES, TURNS = 32, 8
 

@@ -221,7 +221,7 @@ def _offsets(rng, width) -> list:
     aside = rng.uniform(0.0, FARTHEST) * width * rng.choice([-1.0, 1.0])
     if rng.random() < 0.75:
         return [0.0, float(aside)]
-    other = -math.copysign(rng.uniform(0.3, FARTHEST) * width, aside)
+    other = math.copysign(rng.uniform(0.3, FARTHEST) * width, aside)
     return [0.0, float(aside + other), float(aside)]
 
 

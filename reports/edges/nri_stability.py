@@ -16,12 +16,11 @@ import numpy as np
 from absl import flags
 from matplotlib import figure
 
-from cluster import workers
 from learning_to_simulate.subspace import edge_lists, edge_picture
 from nri import data as nri_data
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
-from pca_tools import files
+from pca_tools import files, workers
 from reports import command, isolated, record
 
 SETTINGS = (

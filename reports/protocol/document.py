@@ -6,9 +6,8 @@ import os
 import numpy as np
 import tqdm
 
-from cluster import workers
 from learning_to_simulate.soil_truth import PARTICLES
-from pca_tools import dataset, files
+from pca_tools import dataset, files, workers
 from reports import record
 from reports.protocol import curve, reliability, rollouts, run_errors
 from reports.protocol.truth import TruthReader

@@ -123,7 +123,7 @@ def _run(flags, shown=False):
       ValueError: it failed; the message holds its last lines, where they were not shown.
     """
     # Ends with this process: a worker that is killed leaves no training behind.
-    command = [sys.executable, '-m', 'storage.parent', str(os.getpid()), _TRAIN, *flags]
+    command = [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()), _TRAIN, *flags]
     done = subprocess.run(command, cwd=ROOT, capture_output=not shown, text=True, check=False)
     if done.returncode:
         printed = (done.stdout or '') + (done.stderr or '')

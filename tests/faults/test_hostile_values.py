@@ -9,7 +9,7 @@ from absl import flags, logging
 
 from learning_to_simulate import command, metrics, normalization, presets, reading_utils
 from pca_tools import dataset
-from storage import messages
+from pca_tools.storage import messages
 from tests.learning_to_simulate import synthetic
 
 

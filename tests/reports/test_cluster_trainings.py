@@ -10,8 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from cluster import workers
-from pca_tools import files
+from pca_tools import files, workers
 from reports.protocol import rollouts
 from tests.learning_to_simulate import synthetic
 

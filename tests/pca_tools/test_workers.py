@@ -10,9 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from cluster import workers
-from pca_tools import decompose, subspace
-from tests.cluster import jobs
+from pca_tools import decompose, subspace, workers
+from tests.pca_tools import jobs
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 KINDS = ['', 'local:2']
@@ -122,8 +121,8 @@ def test_a_killed_scheduler_and_the_command_given_again(tmp_path):
     pytest.importorskip('distributed')
     code = """
 import sys
-from cluster import workers
-from tests.cluster import jobs
+from pca_tools import workers
+from tests.pca_tools import jobs
 if __name__ == '__main__':
     with workers.start('local:2') as crew:
         done = list(crew.run(jobs.write_file, [(n, sys.argv[1]) for n in range(8)]))

@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from storage import whole_files
+from pca_tools.storage import whole_files
 
 
 def write_text(path: str, text: str) -> None:

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from storage import parent
+from pca_tools.storage import parent
 
 RETRIES = 2
 # Batch jobs end themselves before the batch system ends them, a little apart from each other.

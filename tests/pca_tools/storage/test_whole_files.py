@@ -11,9 +11,9 @@ import threading
 
 import pytest
 
-from storage import whole_files
+from pca_tools.storage import whole_files
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 
 def put(text):
@@ -137,7 +137,7 @@ def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, swaps):
     """SIGKILL right before each system call that changes a name, one after the other."""
     code = """
 import os, signal, sys
-from storage import whole_files
+from pca_tools.storage import whole_files
 path, point, swaps = sys.argv[1], int(sys.argv[2]), sys.argv[3] == 'True'
 count = 0
 def counted(real):
@@ -195,7 +195,7 @@ def test_kill_while_results_are_replaced_never_mixes_them(tmp_path, point):
     """SIGKILL before each change of a name: `last` lies beside one whole set, or is absent."""
     code = """
 import os, signal, sys
-from storage import whole_files
+from pca_tools.storage import whole_files
 folder, point = sys.argv[1], int(sys.argv[2])
 count = 0
 def counted(real):

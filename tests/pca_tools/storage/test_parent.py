@@ -9,28 +9,20 @@ import time
 
 import pytest
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 # What starts a child that would live for ever, and where the child writes who it is.
 POOL = """
 import sys
-from cluster import workers
-from tests.storage import test_parent
+from pca_tools import workers
+from tests.pca_tools.storage import test_parent
 if __name__ == '__main__':
     with workers.start('', 1) as crew:
         list(crew.run(test_parent.wait_for_ever, [sys.argv[1]]))
 """
-SOLVER_POOL = """
-import sys, concurrent.futures, multiprocessing
-from tests.storage import test_parent
-if __name__ == '__main__':
-    context = multiprocessing.get_context('spawn')
-    pool = concurrent.futures.ProcessPoolExecutor(1, context, test_parent.keep, (sys.argv[1],))
-    pool.submit(test_parent.wait_for_ever, sys.argv[1]).result()
-"""
 PROGRAM = """
 import os, subprocess, sys
-subprocess.run([sys.executable, '-m', 'storage.parent', str(os.getpid()),
-                'tests.storage.child', sys.argv[1]])
+subprocess.run([sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()),
+                'tests.pca_tools.storage.child', sys.argv[1]])
 """
 
 
@@ -38,14 +30,6 @@ def wait_for_ever(path):
     """Names this process in a file and stays."""
     pathlib.Path(path).write_text(str(os.getpid()))
     time.sleep(1000)
-
-
-def keep(path):
-    """Begins a process of the solver's pool, without its packing."""
-    from mpm import batch
-
-    batch._packed = lambda *_: path
-    batch._keep(None, None, path)
 
 
 def is_alive(pid):
@@ -56,7 +40,7 @@ def is_alive(pid):
     return state not in 'ZX'
 
 
-@pytest.mark.parametrize('code', [POOL, SOLVER_POOL, PROGRAM], ids=['pool', 'solver', 'program'])
+@pytest.mark.parametrize('code', [POOL, PROGRAM], ids=['pool', 'program'])
 def test_child_of_a_killed_process_ends(code, tmp_path):
     script, mark = tmp_path / 'parent.py', tmp_path / 'pid'
     script.write_text(code)

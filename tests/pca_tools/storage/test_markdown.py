@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from storage import markdown
+from pca_tools.storage import markdown
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ import time
 
 import numpy as np
 
-from mpm import experiments, scenes
+from mpm import batch, experiments, scenes
 from mpm.simulation import Settings
-from run_scripts import solver_on_cluster
 
 
 def square(number):
@@ -76,14 +75,14 @@ def short_run(job):
     """
     case, folder, frames, fatal = job
     scenes.FRAMES = frames
-    scenes.SCENES = {'excavation': experiments.coarse(scenes.EXCAVATION)}
     marker = os.path.join(folder, 'died')
     if case == fatal and not os.path.exists(marker):
         with open(marker, 'w', encoding='utf-8') as file:
             file.write(str(os.getpid()))
         subprocess.Popen(['sh', '-c', f'sleep 0.2; kill -9 {os.getpid()}'])
     start = time.process_time()
-    entry = solver_on_cluster.simulate(('excavation', case, Settings(), folder))
+    job = batch._Job(experiments.coarse(scenes.EXCAVATION), Settings(), None, folder)
+    entry = job.simulate(case)
     return entry['content'], time.process_time() - start
 
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from tests.storage import test_parent
+from tests.pca_tools.storage import test_parent
 
 if __name__ == '__main__':
     test_parent.wait_for_ever(sys.argv[1])

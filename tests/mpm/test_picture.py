@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from absl import app
 
-from mpm import bodies, scenes
-from mpm.motions import catalogue, picture
+from mpm import bodies, picture, scenes
+from mpm.motions import catalogue
 
 
 @pytest.mark.parametrize('body', [bodies.make_blade(0.4), bodies.make_wheel(0.15, 0.4)])

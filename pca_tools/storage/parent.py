@@ -4,7 +4,7 @@ A pool's workers, or a training that a worker started, would outlive a parent th
 SIGKILL: they would hold locks and memory, and finish files that nobody waits for.
 
     ProcessPoolExecutor(initializer=parent.end_with_parent)
-    [sys.executable, '-m', 'storage.parent', str(os.getpid()), 'some.module', '--flag=1']
+    [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()), 'some.module', '--flag=1']
 """
 
 import multiprocessing

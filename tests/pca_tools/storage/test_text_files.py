@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from storage import text_files
+from pca_tools.storage import text_files
 
 
 def test_what_is_written_is_read_again_by_another_reader(tmp_path):

@@ -1,23 +1,27 @@
-"""Draws how tools move: one strip for each run, the tool's outline every half second.
+"""Draws how tools move, and what the soil did.
 
-    python -m mpm.motions.picture --scene=excavation --cases=22,lift_0003,disturbed_0004 \\
+    python -m mpm.picture --scene=excavation --cases=22,lift_0003,disturbed_0004 \\
         --output_path=paths.png
-    python -m mpm.motions.picture --scene=wheel --operator_seeds=9000-9004 --output_path=new.png
-    python -m mpm.motions.picture --scene=excavation --path=mine.csv --output_path=mine.png
+    python -m mpm.picture --scene=wheel --operator_seeds=9000-9004 --output_path=new.png
+    python -m mpm.picture --scene=excavation --path=mine.csv --output_path=mine.png
+    python -m mpm.picture --scene=excavation --raw_path=raw/excavation --output_path=runs.png
 
-The grey line is the lead-in (an earlier pass), the blue one the recorded path of the lowest point;
-outlines go from light to dark in time. Needs matplotlib (`pip install .[viz]`).
+Paths: one strip for each run, the tool's outline every half second, light to dark. The grey line is
+the lead-in (an earlier pass), the blue one the recorded path of the lowest point.
+Runs (`--raw_path`; the first of each kind, or those of --cases): six moments from the side, soil
+near the tool's plane, coloured by how far it has moved. Needs matplotlib (`pip install .[viz]`).
 """
 
+import os
 import sys
 
 import numpy as np
 from absl import app, flags
 
-from mpm import bodies, scenes
+from mpm import bodies, raw_run, scenes
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
-from storage import messages
+from pca_tools.storage import messages
 
 OUTLINE_EVERY = 0.5  # s
 
@@ -111,6 +115,67 @@ def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None)
     pyplot.close(figure)
 
 
+MOMENTS = 6  # of a run
+SLICE = 0.04  # m, half the thickness of the soil that is shown
+FARTHEST = 100.0  # mm of way, from where the colour does not change
+
+
+def first_of_each_kind(folder: str) -> list:
+    """Returns the ids of the first finished run of each kind in a folder of raw runs.
+
+    Raises:
+        ValueError: the folder holds none.
+    """
+    found: dict[str, int | str] = {}
+    for entry in (raw_run.read_manifest(folder) or {'runs': []})['runs']:
+        found.setdefault(entry['parameters']['kind'], entry['case'])
+    if not found:
+        raise ValueError(f'{folder}: no finished raw runs')
+    return list(found.values())
+
+
+def draw_runs(scene: scenes.Scene, folder: str, cases, output_path: str) -> None:
+    """Draws raw runs of a folder into one picture file, a row each.
+
+    Raises:
+        ValueError: the folder lacks one, or it is no run of the scene.
+    """
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from matplotlib import pyplot
+
+    figure, grid = pyplot.subplots(
+        len(cases), MOMENTS, figsize=(2.8 * MOMENTS, 1.9 * len(cases)), squeeze=False,
+        layout='constrained',
+    )  # fmt: skip
+    for row, case in zip(grid, cases):
+        run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))
+        within = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
+        body = catalogue.motion_of(within, case, run.parameters.get('tool')).drive.body
+        way = 1e3 * np.linalg.norm(run.positions - run.positions[0], axis=2)
+        for axes, frame in zip(row, np.linspace(0, len(way) - 1, MOMENTS).astype(int)):
+            x, y, z, w, _, _, sine = run.pose[frame]
+            near = np.abs(run.positions[frame, :, 2] - z) < SLICE
+            shown = axes.scatter(
+                *run.positions[frame, near, :2].T, c=way[frame, near], s=1.5, vmin=0, vmax=FARTHEST
+            )
+            axes.plot(*outline(body, (x, y, 2 * np.arctan2(sine, w), z)).T, 'r-', linewidth=0.8)
+            force = run.force[frame]
+            axes.set_title(
+                f'{frame / scenes.FRAME_RATE:.1f} s: {force[0]:.0f}, {force[1]:.0f} N', fontsize=8
+            )
+            axes.set_aspect('equal')
+            axes.set_xlim(scenes.CORNER, scenes.CORNER + within.bin.size[0])
+            axes.set_ylim(scenes.CORNER, within.bin.surface + max(0.15, within.bin.size[1]))
+            axes.tick_params(labelsize=6)
+        row[0].set_ylabel(str(case), fontsize=9)
+    figure.colorbar(shown, ax=grid, label='way since the first frame, mm', shrink=0.6)
+    figure.suptitle('Soil from the side; force on the tool along x and upwards', fontsize=11)
+    figure.savefig(output_path, dpi=90)
+    pyplot.close(figure)
+
+
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
@@ -119,6 +184,7 @@ def define_flags() -> None:
     flags.DEFINE_string('kinds', None, 'Kinds that take turns among these seeds.')
     flags.DEFINE_string('tool', None, 'JSON file of a tool (mpm/bodies.py).')
     flags.DEFINE_list('path', [], 'CSV files of paths.')
+    flags.DEFINE_string('raw_path', None, 'Folder of raw runs, of which the soil is drawn.')
     flags.DEFINE_string('output_path', None, 'Picture file.', required=True)
 
 
@@ -133,10 +199,14 @@ def main(argv) -> None:
         if values.operator_seeds is not None:
             cases += catalogue.select_seeds(scene, values.operator_seeds, values.kinds)
         cases += [Recording(path, scenes.WHEEL.demo_case) for path in values.path]
-        if not cases:
-            raise ValueError('nothing to draw: give --cases, --operator_seeds or --path')
-        tool = None if values.tool is None else bodies.read_tool(values.tool)
-        draw(scene, cases, values.output_path, tool)
+        if values.raw_path is not None:
+            cases = cases or first_of_each_kind(values.raw_path)
+            draw_runs(scene, values.raw_path, cases, values.output_path)
+        else:
+            if not cases:
+                raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
+            tool = None if values.tool is None else bodies.read_tool(values.tool)
+            draw(scene, cases, values.output_path, tool)
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f'error: {messages.printable(error)}')
     print(f'wrote {values.output_path}: {len(cases)} runs')
