@@ -4,8 +4,7 @@ A reader may refuse (ValueError or OSError with the name of the file in its mess
 value: the original one, or, where the files carry no checksum, one that some valid file could hold.
 Everything else is a failure: another exception, a crash of the process, more than 10 s, more than
 1 GB of memory, a damaged file that passes. Inputs are functions of (seed, number); those that fail
-are kept in `<output_path>/fuzz_failures/`. The same command goes on where it was stopped, and runs
-those parts again in which an input failed.
+are kept in `<output_path>/fuzz_failures/`.
 
 Examples:
     python -m reports fuzz --count=1000000 --seed=0 --num_processes=8 --output_path=docs
@@ -31,7 +30,7 @@ COLUMNS = {
     'possible': 'read as another valid file',
     'failed': 'failures',
 }
-_PART = 5000  # inputs between two saves
+_PART = 5000  # inputs of a process
 _LIMIT_S = 10 * _PART  # of a part: an input may take 10 s of CPU
 
 
@@ -77,44 +76,6 @@ def run_part(names: list[str], seed: int, part: tuple[int, int]) -> dict:
         'counts': _sum([one['counts'] for one in found]),
         'failures': [failure for one in found for failure in one['failures']],
     }
-
-
-def missing(parts: list[dict], count: int) -> list[tuple[int, int]]:
-    """(first, one beyond the last) input of what is to be run, in pieces that are saved one by one.
-
-    Args:
-        parts: what was run; see `joined`. One in which an input failed is to be run again.
-        count: inputs in all.
-    """
-    whole = sorted((p['first'], p['last']) for p in parts if not p['failures'])
-    at, found = 0, []
-    for first, last in (*whole, (count, count)):
-        starts = range(at, min(first, count), _PART)
-        found += [(start, min(start + _PART, first, count)) for start in starts]
-        at = max(at, last)
-    return found
-
-
-def joined(parts: list[dict], new: dict) -> list[dict]:
-    """Parts with another one, in order: those of `run_part`, and `commit`.
-
-    Neighbours of one commit without failures become one. What `new` was run again for goes.
-    """
-    kept = [p for p in parts if p['last'] <= new['first'] or p['first'] >= new['last']]
-    result: list[dict] = []
-    for part in sorted([*kept, new], key=lambda p: p['first']):
-        before = result[-1] if result else None
-        if (
-            before
-            and (before['last'], before['commit']) == (part['first'], part['commit'])
-            and not before['failures'] + part['failures']
-        ):
-            seconds = before['seconds'] + part['seconds']
-            counts = _sum([before['counts'], part['counts']])
-            result[-1] = before | {'last': part['last'], 'seconds': seconds, 'counts': counts}
-        else:
-            result.append(part)
-    return result
 
 
 def _sum(counts):
@@ -174,23 +135,19 @@ def main(values, _) -> int:
     names = [name for name in known if values.targets is None or name in values.targets]
     if unknown := set(values.targets or ()) - set(known):
         raise ValueError(f'no readers named {sorted(unknown)}; there are {known}')
-    path = values.output_path
-    document: dict = {'parts': []}
+    path, parts, head = values.output_path, [], record.provenance()
     if path:
         os.makedirs(path, exist_ok=True)
-        identity = {'seed': values.seed, 'readers': names}
-        document = record.resume(f'{path}/fuzz.json', identity, document)
-    parts, head = document['parts'], record.provenance()
-    todo = missing(parts, values.count)
     run = functools.partial(run_part, names, values.seed)
+    starts = range(0, values.count, _PART)
+    pieces = [(start, min(start + _PART, values.count)) for start in starts]
     with concurrent.futures.ThreadPoolExecutor(values.num_processes) as threads:
-        running = [threads.submit(run, part) for part in todo]
-        done = concurrent.futures.as_completed(running)
-        for future in tqdm.tqdm(done, total=len(todo), unit='part', disable=None):
-            part = future.result()
-            parts = joined(parts, part | {'commit': head['commit']})
+        done = threads.map(run, pieces)
+        for part in tqdm.tqdm(done, total=len(pieces), unit='part', disable=None):
+            parts.append(part)
             if path:
-                files.write_json(f'{path}/fuzz.json', document | head | {'parts': parts})
+                document = head | {'seed': values.seed, 'readers': names, 'parts': parts}
+                files.write_json(f'{path}/fuzz.json', document)
                 save_failures(f'{path}/fuzz_failures', part['failures'], names, values.seed)
     print(_table(parts))
     failures = [failure for part in parts for failure in part['failures']]

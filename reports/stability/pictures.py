@@ -65,7 +65,8 @@ def _draw(figure, curves, lines, label):
         for curve in (c for c in curves if c['model'].split()[0] == scene):
             seconds, model = np.array(curve['frames']) / FRAME_RATE, curve['model'].split()[1]
             for name, key in lines.items():
-                if (name and name in named) or curve.get('continuation', 'to and fro') != 'to and fro':
+                held = curve.get('continuation') == 'held at its end'
+                if held or (name and name in named):
                     continue  # the trivial predictors are the same beside every model
                 values = np.array(curve[key], float)
                 style = _LINES[name or model] | {'linewidth': 1.4}
