@@ -33,7 +33,7 @@ DATA = {'excavation': 'excavation_v2', 'wheel': 'wheel_v2'}
 MODELS = {'excavation': ('pcg', 'mlp_driven', 'swept_field'), 'wheel': ('pcg', 'swept_field')}
 LABELS = {'swept_field': 'swept field', 'pcg': 'graph network (pcg)'}
 CASES = {'excavation': 'lift_0158', 'wheel': 'load_0007'}
-SOIL, FORCE, DRAWBAR = 'soil error, mm', 'force error, N', 'along the way, N'
+SOIL, FORCE, DRAWBAR = 'soil error, mm', 'force error, N', 'along the way (drawbar), N'
 STEP, PARTICLES, FASTER = 'step and force, ms', 'and all particles, ms', 'times faster'
 COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES, FASTER
 # Steps after which the particles are asked for, too; a whole run of them takes long in TensorFlow.
