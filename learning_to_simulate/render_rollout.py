@@ -42,7 +42,7 @@ from pca_tools import files
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
 COLOR_CHOICES = ('speed', 'error')
 # Pixels per inch of a page 9.6 inches wide.
-_PNG_DPI, _GIF_DPI, _MP4_DPI = 200, 100, 150
+_PNG_DPI, _DPI = 200, {'gif': 100, 'mp4': 150}
 _PALETTE_SAMPLES = 6
 
 
@@ -157,59 +157,36 @@ def render_frames(
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
     shown = frames.frames[: min(len(one.frames) for one in (frames, *beside))]
     apart = int(shown[1] - shown[0]) if len(shown) > 1 else 1
-    drawn = np.arange(0, len(shown), max(1, round(step_stride / apart)))
-    written = []
-    pictures = [name for name in formats if name != 'vtp']
-    if pictures:
-        written += _write_pictures(
-            target, pictures, frames, drawn, color_by, plane, progress, beside
-        )
+    stride = max(1, round(step_stride / apart))
+    drawn, written = np.arange(0, len(shown), stride), []
+    if pictures := [name for name in formats if name != 'vtp']:
+        try:
+            from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does '
+                'not)'
+            ) from error
+        view = particle_views.setup(frames, plane, drawn)
+    for name in pictures:
+        path = f'{target}.{name}'
+        written.append(path)
+        if name == 'png':
+            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
+            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
+            continue
+        figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
+        moving, seconds = (figure.draw(int(i)) for i in progress(drawn, name)), frames.dt * apart
+        if name == 'gif':
+            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
+            samples = [figure.draw(int(i)) for i in drawn[chosen]]
+            movie_files.write_gif(path, moving, stride * seconds, samples)
+        else:
+            movie_files.write_mp4(path, moving, stride * seconds)
     if 'vtp' in formats:
         folder = f'{target}_vtk'
         vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
         written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
-    return written
-
-
-def _write_pictures(
-    target: str,
-    formats: Sequence[str],
-    frames: RolloutFrames,
-    drawn: np.ndarray,
-    color_by: str,
-    plane: str | None,
-    progress: Callable,
-    beside: Sequence[RolloutFrames],
-) -> list[str]:
-    """Writes PNG, GIF and MP4; returns the paths."""
-    try:
-        from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does not)'
-        ) from error
-    view = particle_views.setup(frames, plane, drawn)
-    apart = np.diff(frames.frames[drawn[:2]])
-    frame_seconds = frames.dt * float(apart[0] if len(apart) else 1)
-
-    def moving(figure, label):
-        return (figure.draw(int(frame)) for frame in progress(drawn, label))
-
-    written = []
-    for name in formats:
-        path = f'{target}.{name}'
-        if name == 'png':
-            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
-            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
-        elif name == 'gif':
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _GIF_DPI, beside)
-            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
-            samples = [figure.draw(int(frame)) for frame in drawn[chosen]]
-            movie_files.write_gif(path, moving(figure, name), frame_seconds, samples)
-        else:
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _MP4_DPI, beside)
-            movie_files.write_mp4(path, moving(figure, name), frame_seconds)
-        written.append(path)
     return written
 
 

@@ -372,48 +372,31 @@ def _split_nodes(path, arrays, metadata) -> tuple[int, bool]:
 
 def _nodes(path: str, arrays: dict[str, np.ndarray]):
     """{truth, prediction} -> [T, V, 3], and {truth, prediction} -> forces [T, 3] or None; without
-    the truth where there is none."""
-    given = np.asarray(arrays['initial_positions'], np.float64)
-    later = {w: np.asarray(arrays[k], np.float64) for w, k in _POSITIONS.items() if k in arrays}
+    the truth where there is none. Forces of the given frames of a path are zero."""
     count, n_frames = len(arrays['particle_types']), len(arrays['predicted_rollout'])
-    if given.shape[1:] != (count, DIM) or any(
-        values.shape != (n_frames, count, DIM) for values in later.values()
-    ):
-        shapes = {_POSITIONS[which]: values.shape for which, values in later.items()}
-        raise ValueError(
-            f'{path}: shapes do not fit: {count} particle types, initial_positions {given.shape}, '
-            + ', '.join(f'{name} {shape}' for name, shape in shapes.items())
-        )
-    if not all(np.isfinite(x).all() for x in (given, *(later[w] for w in later if w == TRUTH))):
-        raise ValueError(f'{path}: the ground truth has NaN or infinite values')
-    nodes = {which: np.concatenate([given, values]) for which, values in later.items()}
-    return nodes, _forces(path, arrays, len(given), n_frames, TRUTH in later)
-
-
-def _forces(path, arrays, n_given, n_frames, has_truth):
-    """{truth, prediction} -> forces [T, 3], or None; of a path, zero in the given frames."""
-    wanted = {_FORCES[PREDICTION]: n_frames}
-    if has_truth:
-        wanted |= {'initial_forces': n_given, _FORCES[TRUTH]: n_frames}
-    if not any(key in arrays for key in wanted):
-        return None
-    missing = [key for key in wanted if key not in arrays]
-    if missing:
+    n_given = len(arrays['initial_positions'])
+    which = [w for w, key in _POSITIONS.items() if key in arrays]
+    nodes = {'initial_positions': n_given} | {_POSITIONS[w]: n_frames for w in which}
+    forces = {'initial_forces': n_given} if TRUTH in which else {}
+    forces |= {_FORCES[w]: n_frames for w in which}
+    has_force = any(key in arrays for key in forces)
+    if missing := [key for key in forces if has_force and key not in arrays]:
         raise ValueError(f'{path}: has forces but lacks {missing}')
-    for key, length in wanted.items():
-        if arrays[key].shape != (length, DIM):
-            raise ValueError(
-                f'{path}: {key} has shape {arrays[key].shape}, {(length, DIM)} was expected'
-            )
-    before = arrays['initial_forces'] if has_truth else np.zeros((n_given, DIM))
-    force = {
-        which: np.concatenate([before, arrays[key]]).astype(np.float64)
-        for which, key in _FORCES.items()
-        if which == PREDICTION or has_truth
-    }
-    if has_truth and not np.isfinite(force[TRUTH]).all():
-        raise ValueError(f'{path}: the true force has NaN or infinite values')
-    return force
+    shapes = {key: (length, count, DIM) for key, length in nodes.items()}
+    shapes |= {key: (length, DIM) for key, length in forces.items() if has_force}
+    values = {}
+    for key, shape in shapes.items():
+        if arrays[key].shape != shape:
+            raise ValueError(f'{path}: {key} has shape {arrays[key].shape}, {shape} was expected')
+        values[key] = np.asarray(arrays[key], np.float64)
+        if not key.startswith('predicted') and not np.isfinite(values[key]).all():
+            raise ValueError(f'{path}: {key} has NaN or infinite values')
+    before = values.get('initial_forces', np.zeros((n_given, DIM)))
+    given = values['initial_positions']
+    return (
+        {w: np.concatenate([given, values[_POSITIONS[w]]]) for w in which},
+        {w: np.concatenate([before, values[_FORCES[w]]]) for w in which} if has_force else None,
+    )
 
 
 def _finite_length(prediction, force) -> int:

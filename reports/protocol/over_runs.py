@@ -15,6 +15,7 @@ QUIET_MM = 1.0
 QUANTITIES = {
     'soil_mm': 'soil, mm',
     'force_l2': 'force, relative L2',
+    'drawbar_l2': 'force along the way, relative L2',
     'height_mm': "body's height, mm",
     'torque_l2': 'torque, relative L2',
     'pitch_l2': 'torque in the plane of travel, relative L2',

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from learning_to_simulate import metrics
+
 HORIZONS = (0.25, 0.5, 1.0, 2.0)  # s
 
 
@@ -69,11 +71,6 @@ def soil_errors(particles, truth) -> dict:
     }
 
 
-def relative_l2(predicted, truth) -> float:
-    """|predicted - truth| / |truth| over all frames and axes."""
-    return float(np.linalg.norm(predicted - truth) / np.linalg.norm(truth))
-
-
 def run_errors(prediction: RunPrediction, truth) -> dict:
     """All errors of one run; quantities that the method or the data lack are absent.
 
@@ -82,19 +79,27 @@ def run_errors(prediction: RunPrediction, truth) -> dict:
       truth: `truth.Truth` of the run.
 
     Returns:
-      as `soil_errors`, and `force_l2`, `force_n` (root mean square per component, N), `torque_l2`,
-      `pitch_l2` (of the torque about the axis across the body's way), `height_mm`, `status`.
+      as `soil_errors`; of force, `drawbar` and `vertical`, torque and `pitch` (see
+      `metrics.load_errors`): `force_l2`, `force_n` (root mean square per component, N or N m),
+      `force_peak_n` and so on; `height_mm`, `status`.
     """
     errors: dict[str, Any] = {}
     if (soil := prediction.soil(truth)) is not None:
         errors |= soil_errors(soil, truth)
-    if prediction.force is not None and truth.force is not None:
-        errors['force_l2'] = relative_l2(prediction.force, truth.force)
-        errors['force_n'] = float(np.sqrt(((prediction.force - truth.force) ** 2).mean()))
-    if prediction.torque is not None and truth.torque is not None:
-        errors['torque_l2'] = relative_l2(prediction.torque, truth.torque)
-        pitch = (torque[:, truth.across] for torque in (prediction.torque, truth.torque))
-        errors['pitch_l2'] = relative_l2(*pitch)
+    along, up, across = truth.axes
+    loads = (
+        ('force', prediction.force, truth.force, slice(None)),
+        ('drawbar', prediction.force, truth.force, slice(along, None, 3)),
+        ('vertical', prediction.force, truth.force, slice(up, None, 3)),
+        ('torque', prediction.torque, truth.torque, slice(None)),
+        ('pitch', prediction.torque, truth.torque, slice(across, None, 3)),
+    )
+    for name, load, true_load, axis in loads:
+        if load is None or true_load is None:
+            continue
+        found = metrics.force_errors(load[None, :, axis], true_load[None, :, axis], name)
+        for short, key in (('l2', 'relative_l2'), ('n', 'rmse'), ('peak_n', 'peak_error')):
+            errors[f'{name}_{short}'] = float(found[f'{name}_{key}'][0])
     if prediction.height is not None and truth.height is not None:
         errors['height_mm'] = float(1e3 * np.sqrt(((prediction.height - truth.height) ** 2).mean()))
     if prediction.status is not None:

@@ -31,7 +31,7 @@ class Truth:
       force: float64 [T - H, 3], N (of several bodies one behind the other), or None.
       height: float64 [T - H] of the body's mean particle, m, or None where it is given.
       torque: float64 [T - H, 3] about the body's reference point, N m, or None.
-      across: the horizontal axis across the body's way.
+      axes: along the body's way, up and across.
       dt: s per frame.
       spacing: between particles of the solver, m.
     """
@@ -46,7 +46,7 @@ class Truth:
     force: np.ndarray | None
     height: np.ndarray | None
     torque: np.ndarray | None
-    across: int
+    axes: tuple[int, int, int]
     dt: float
     spacing: float
 
@@ -114,7 +114,7 @@ class TruthReader(soil_truth.TruthReader):
             force=None if force is None else force[H:],
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
-            across=metrics.travel_axes(body, up)[2],
+            axes=metrics.travel_axes(body, up),
             dt=float(metadata['dt']),
             spacing=resting_bed.solver_spacing(case)
             or resting_bed.kept_spacing(self.subspace.initial),

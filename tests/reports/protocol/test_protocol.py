@@ -66,9 +66,9 @@ def test_force_height_and_torque_are_judged_where_both_sides_have_them(folder):
     full = truth.__class__(
         **{**vars(truth), 'height': np.zeros(count), 'torque': np.ones((count, 3))}
     )
-    assert full.across == 2  # it travels along x, and y is up
+    assert full.axes == (0, 1, 2)  # it travels along x, and y is up
     torque = np.zeros((count, 3))
-    torque[:, full.across] = 0.75
+    torque[:, 2] = 0.75
     prediction = run_errors.RunPrediction(
         force=1.5 * truth.force, height=np.full(count, 2e-3), torque=torque
     )
@@ -78,7 +78,7 @@ def test_force_height_and_torque_are_judged_where_both_sides_have_them(folder):
     assert found['height_mm'] == pytest.approx(2.0) and found['pitch_l2'] == pytest.approx(0.25)
     assert found['torque_l2'] == pytest.approx(np.sqrt((1 + 1 + 0.25**2) / 3))
     found = run_errors.run_errors(prediction, truth)
-    assert set(found) == {'force_l2', 'force_n'}
+    assert {name.partition('_')[0] for name in found} == {'force', 'drawbar', 'vertical'}
 
 
 def write_rollout(path, truth, **more):
@@ -176,7 +176,7 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
     assert names == ['persistence', 'constant velocity', 'mean force', 'path ridge', 'model']
     text = json.dumps(judged, allow_nan=False)
     summary = judged['summary']['test']['all']
-    assert set(summary) == {'soil_mm', 'force_l2'}
+    assert set(summary) == {'soil_mm', 'force_l2', 'drawbar_l2'}
     assert 'model' not in summary['force_l2'] and 'mean force' not in summary['soil_mm']
     ridge = summary['soil_mm']['path ridge']
     assert ridge['mean']['mean'] < summary['soil_mm']['persistence']['mean']['mean']
