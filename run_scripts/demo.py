@@ -152,7 +152,7 @@ def _bar(drawn, label):
 def draw(name: str, out: str) -> list[str]:
     """A picture and a film of the swept field beside the graph network; returns the files.
 
-    `docs/lift.gif` and `docs/wheel.gif` are those of `bash run_scripts/demo.sh`.
+    Those of the README, `docs/lift.gif` and `docs/wheel.gif`, are made this way.
     """
     from learning_to_simulate import render_rollout
 
