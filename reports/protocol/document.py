@@ -36,14 +36,9 @@ def data_facts(reader: TruthReader, truths: dict) -> dict:
 
 def _truth_in_words(truth):
     count, frames = len(truth.soil.indices), np.unique(np.diff(truth.soil.frames)).tolist()
-    text = f'{count} particles in every {frames[0]}. frame' if frames != [1] else (
-        f'{count} particles in every frame'
-    )  # fmt: skip
+    text = f'{count} particles in every {"" if frames == [1] else f"{frames[0]}. "}frame'
     if truth.soil.space != PARTICLES:
-        text += (
-            ', decoded from the modes; what the modes cut off is added to errors of whole runs, '
-            'horizons are within the modes'
-        )
+        text += ', decoded from the modes; what the modes cut off is added to errors of whole runs'
     return text
 
 

@@ -7,8 +7,6 @@ import numpy as np
 
 from learning_to_simulate import metrics
 
-HORIZONS = (0.25, 0.5, 1.0, 2.0)  # s
-
 
 @dataclasses.dataclass(frozen=True)
 class RunPrediction:
@@ -37,40 +35,6 @@ class RunPrediction:
         return truth.soil.of_rollout(self.modes, self.own)
 
 
-def soil_errors(particles, truth) -> dict:
-    """Errors of predicted soil.
-
-    Args:
-      particles: [F, P, 3] in the frames of the truth, m.
-      truth: `truth.Truth`.
-
-    Returns:
-      `soil_mm`: the error of soil (`soil_truth`). `horizons_mm`: {seconds: root mean square in the
-      frame next to it}, 'end' the last; `seconds_to_spacing`: when it first exceeds the spacing of
-      the particles, None if never. Horizons of decoded truth are within the modes.
-    """
-    if particles.shape != truth.soil.particles.shape:
-        raise ValueError(
-            f'predicted particles {particles.shape} do not fit the truth '
-            f'{truth.soil.particles.shape}'
-        )
-    rms = 1e3 * np.sqrt(truth.soil.mean_square(particles))
-    times = truth.times
-    horizons = {
-        f'{horizon:g}': float(rms[np.argmin(np.abs(times - horizon))])
-        for horizon in HORIZONS
-        if horizon <= times[-1]
-    }
-    horizons['end'] = float(rms[-1])
-    # A NaN is beyond any spacing.
-    beyond = ~(rms <= 1e3 * truth.spacing)
-    return {
-        'soil_mm': truth.soil.soil_mm(particles),
-        'horizons_mm': horizons,
-        'seconds_to_spacing': float(times[beyond.argmax()]) if beyond.any() else None,
-    }
-
-
 def run_errors(prediction: RunPrediction, truth) -> dict:
     """All errors of one run; quantities that the method or the data lack are absent.
 
@@ -79,13 +43,18 @@ def run_errors(prediction: RunPrediction, truth) -> dict:
       truth: `truth.Truth` of the run.
 
     Returns:
-      as `soil_errors`; of force, `drawbar` and `vertical`, torque and `pitch` (see
+      `soil_mm` (see `soil_truth`); of force, `drawbar` and `vertical`, torque and `pitch` (see
       `metrics.load_errors`): `force_l2`, `force_n` (root mean square per component, N or N m),
       `force_peak_n` and so on; `height_mm`, `status`.
     """
     errors: dict[str, Any] = {}
     if (soil := prediction.soil(truth)) is not None:
-        errors |= soil_errors(soil, truth)
+        if soil.shape != truth.soil.particles.shape:
+            raise ValueError(
+                f'predicted particles {soil.shape} do not fit the truth '
+                f'{truth.soil.particles.shape}'
+            )
+        errors['soil_mm'] = truth.soil.soil_mm(soil)
     along, up, across = truth.axes
     loads = (
         ('force', prediction.force, truth.force, slice(None)),

@@ -32,7 +32,6 @@ class Truth:
       height: float64 [T - H] of the body's mean particle, m, or None where it is given.
       torque: float64 [T - H, 3] about the body's reference point, N m, or None.
       axes: along the body's way, up and across.
-      dt: s per frame.
       spacing: between particles of the solver, m.
     """
 
@@ -47,13 +46,7 @@ class Truth:
     height: np.ndarray | None
     torque: np.ndarray | None
     axes: tuple[int, int, int]
-    dt: float
     spacing: float
-
-    @property
-    def times(self) -> np.ndarray:
-        """[F] s since the last given frame."""
-        return (self.soil.frames - (H - 1)) * self.dt
 
 
 class TruthReader(soil_truth.TruthReader):
@@ -115,7 +108,6 @@ class TruthReader(soil_truth.TruthReader):
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             axes=metrics.travel_axes(body, up),
-            dt=float(metadata['dt']),
             spacing=resting_bed.solver_spacing(case)
             or resting_bed.kept_spacing(self.subspace.initial),
         )

@@ -42,27 +42,6 @@ def test_motion_and_truncation_are_those_of_the_particles(folder):
     assert found['soil_mm'] == pytest.approx(truth.truncation) and truth.truncation > 1.0
 
 
-def test_horizons_and_the_time_to_a_spacing(folder):
-    reader = TruthReader(folder)
-    truth = next(reader.runs('test'))
-    # An error that grows by 1 mm a frame on every axis.
-    growth = 1e-3 * np.arange(1, FRAMES - H + 1)
-    off = truth.soil.particles + growth[:, None, None]
-    found = run_errors.soil_errors(off, truth)
-    assert found['horizons_mm'] == pytest.approx({'0.25': 15.0, '0.5': 30.0, 'end': FRAMES - H})
-    frames = int(np.floor(truth.spacing / 1e-3)) + 1
-    assert truth.spacing < FRAMES * 1e-3 or found['seconds_to_spacing'] is None
-    near = truth.__class__(**{**vars(truth), 'spacing': 0.0105})
-    assert run_errors.soil_errors(off, near)['seconds_to_spacing'] == pytest.approx(11 / 60)
-    assert run_errors.soil_errors(truth.soil.particles, near)['seconds_to_spacing'] is None
-    broken = off.copy()
-    broken[3:] = np.nan
-    assert run_errors.soil_errors(broken, near)['seconds_to_spacing'] == pytest.approx(4 / 60)
-    assert frames > 0
-    with pytest.raises(ValueError, match='do not fit'):
-        run_errors.soil_errors(off[:-1], truth)
-
-
 def test_force_height_and_torque_are_judged_where_both_sides_have_them(folder):
     reader = TruthReader(folder)
     truth = next(reader.runs('test'))
