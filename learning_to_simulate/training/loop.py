@@ -17,7 +17,7 @@ from learning_to_simulate import checkpoints
 from learning_to_simulate.registry import TrainOptions
 from learning_to_simulate.training import model_folder, training_state
 from learning_to_simulate.training.stop_signals import StopSignals
-from pca_tools import folder_lock
+from pca_tools.storage import folder_lock
 
 LOG_EVERY = 50  # steps between looks at the losses
 

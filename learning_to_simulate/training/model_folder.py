@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.live import resting_start
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 # May lie in a folder that has no config.json yet: the lock, and what a training leaves that was
 # killed while it wrote the folder's first files.
