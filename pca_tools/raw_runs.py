@@ -1,4 +1,4 @@
-"""Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/raw_data.md`.
+"""Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/data.md`.
 
 The ground-truth solver writes them, and `pca_tools.write_raw` for data of any other origin. The
 folder is trusted no further than its manifest: bytes and sha256 are checked when a run is first

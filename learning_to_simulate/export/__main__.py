@@ -8,11 +8,11 @@ Examples:
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
-  # a swept field, of a blade or a wheel; see docs/swept_field.md
+  # a swept field, of a blade or a wheel; see docs/native.md
   python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
       --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
 
-  # C99 source, or an FMU of FMI 2.0 (fmu) or 3.0 (fmu3); see docs/c_and_fmu.md
+  # C99 source, or an FMU of FMI 2.0 (fmu) or 3.0 (fmu3); see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
 """

@@ -1,6 +1,6 @@
 """`EdgeList`: edges between named nodes, found by a method, in a file: `edges.json`.
 
-One schema for every method (Neural Relational Inference, learned gates, correlation); WORKSPACE.md
+One schema for every method (Neural Relational Inference, learned gates, correlation); docs/data.md
 explains its fields. A list belongs to the subspace it was found in: names and digests are held
 against the dataset before an edge is used.
 """

@@ -1,4 +1,4 @@
-"""Figures of the stored protocol follow from the errors of its runs, and the page shows them."""
+"""Figures of the stored protocol follow from the errors of its runs."""
 
 import json
 import pathlib
@@ -36,11 +36,3 @@ def test_figures_follow_from_the_errors_of_the_runs(path):
         for seed in method['seeds']:
             for split, runs in document['runs'].items():
                 assert len(seed['runs'][split]) == len(runs)
-
-
-def test_the_page_shows_every_stored_scene():
-    text = (ROOT / 'docs' / 'protocol.md').read_text(encoding='utf-8')
-    assert STORED
-    for path in STORED:
-        for quantity in json.loads(path.read_text(encoding='utf-8'))['summary']['test']['all']:
-            assert f'tables:quantity docs/protocol/{path.name} test {quantity} -->' in text
