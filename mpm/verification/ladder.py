@@ -31,8 +31,8 @@ from mpm.simulation import Settings
 from mpm.verification.density import moved_density
 from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
-from storage import markdown
-from storage.text_files import write_text
+from pca_tools.storage import markdown
+from pca_tools.storage.text_files import write_text
 
 _JSON = flags.DEFINE_string(
     'json', os.path.join('outputs', 'ladder.json'), 'Where runs are kept; those there are not made.'

@@ -27,7 +27,7 @@ from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
-from storage import markdown
+from pca_tools.storage import markdown
 
 _JSON = flags.DEFINE_string(
     'json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.'
