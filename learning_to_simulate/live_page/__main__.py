@@ -50,7 +50,7 @@ def model_names() -> list[str]:
     return sorted(
         os.path.relpath(folder, shipped)
         for folder, _, inside in os.walk(shipped)
-        if 'config.json' in inside and not registry.of_folder(folder).on_particles
+        if 'config.json' in inside and registry.of_folder(folder).steps
     )
 
 
