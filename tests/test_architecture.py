@@ -45,11 +45,9 @@ LAYERS = (
     ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering'),
     ('render_rollout', 'config', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
-    (  # the tool: its pose, what it has swept, the bed
-     'methods.tool_motion', 'methods.resting_bed', 'methods.swept_features',
-     'methods.swept_field.tool_path', 'methods.path_memory'),
+    ('tool',),
     ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
-    ('methods', 'full_space', 'penetration', 'subspace.method', 'presets'),
+    ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
     ('export', 'export_c'),
     ('api', 'train', 'live.roll_out_path'),
     ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
@@ -133,7 +131,6 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
-    'reports/edges/test_nri_scripts.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip

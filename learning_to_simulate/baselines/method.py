@@ -32,7 +32,8 @@ from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.tool import bed
 from learning_to_simulate.tool.axes import Axes
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 _UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
 _FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}

@@ -14,7 +14,8 @@ from learning_to_simulate.swept_field import field as field_lib
 from learning_to_simulate.swept_field import training
 from learning_to_simulate.swept_field.episodes import EpisodeReader
 from learning_to_simulate.swept_field.evaluation import FieldEvaluator, model_of
-from pca_tools import dataset, files, folder_lock, particles, splits
+from pca_tools import dataset, files, particles, splits
+from pca_tools.storage import folder_lock
 
 METRICS = 'metrics.json'
 
