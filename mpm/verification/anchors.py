@@ -40,9 +40,6 @@ from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
 from pca_tools.storage import markdown
 
-_JSON = flags.DEFINE_string('json', os.path.join('outputs', 'anchors.json'), 'Where runs are kept.')
-_PICTURE = flags.DEFINE_string('picture', None, 'Picture: drawbar, sinkage, torque over slip.')
-
 RIM_SPEED = 0.04  # m/s
 FRAMES = 150
 STEADY = 60  # the frames that are averaged, the last ones
@@ -302,18 +299,24 @@ def make(path: str) -> None:
             add(runs, case, draft, case, settings)
 
 
+def define_flags():
+    flags.DEFINE_string('json', os.path.join('outputs', 'anchors.json'), 'Where runs are kept.')
+    flags.DEFINE_string('picture', None, 'Picture: drawbar, sinkage, torque over slip.')
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
     try:
-        make(_JSON.value)
-        print(wheel_table(_JSON.value), other_table(_JSON.value), sep='\n\n')
-        if _PICTURE.value:
-            draw(_JSON.value, _PICTURE.value)
+        make(flags.FLAGS.json)
+        print(wheel_table(flags.FLAGS.json), other_table(flags.FLAGS.json), sep='\n\n')
+        if flags.FLAGS.picture:
+            draw(flags.FLAGS.json, flags.FLAGS.picture)
     except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)

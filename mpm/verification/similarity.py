@@ -29,10 +29,6 @@ from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
 from pca_tools.storage import markdown
 
-_JSON = flags.DEFINE_string(
-    'json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.'
-)
-
 DEPTH, SPEED, LEAN_DEG = 0.08, 0.1, 10.0  # of case 186: m, m/s, deg
 TRAVEL = 0.16  # m at size 1; the force counts over its second half
 MOON = 1.62  # m/s2
@@ -135,10 +131,14 @@ def _read(path) -> dict:
     return content['worlds']
 
 
+def define_flags():
+    flags.DEFINE_string('json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.')
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = _JSON.value
+    path = flags.FLAGS.json
     try:
         content = _read(path)
         os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
@@ -154,4 +154,5 @@ def main(argv):
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)
