@@ -14,7 +14,8 @@ from learning_to_simulate.subspace import edge_lists
 from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data
-from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace
+from pca_tools import dataset, files, legacy_pickles, raw_runs, subspace
+from pca_tools.storage import folder_lock
 from reports.attacks.import_targets import IMPORT_TARGETS
 from reports.attacks.model_targets import MODEL_TARGETS
 from reports.attacks.target import Promise, Target
@@ -148,11 +149,11 @@ def _write_rollout(folder):
 
 
 def _possible_rollout(frames):
-    arrays = [*frames.scores.values(), *frames.rigid.values(), *(frames.force or {}).values()]
+    arrays = [*frames.rigid.values(), *(frames.force or {}).values()]
     return (
         all(np.isfinite(a).all() and len(a) == frames.n_frames for a in arrays)
+        and all(np.isfinite(a).all() for a in [*frames.soil.values(), *frames.soil_rms_mm.values()])
         and np.isfinite(frames.time).all()
-        and all(np.isfinite(v).all() for v in frames.soil_rms_mm.values())
         and isinstance(frames.title, str)
     )
 

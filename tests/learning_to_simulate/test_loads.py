@@ -118,7 +118,7 @@ def test_a_trained_model_follows_a_known_torque(rolled):
         held = group.torque[0, H - 1]
         still = summary['runs']['stay_still'][record]['torque_relative_l2']
         assert still == pytest.approx(relative(held, group.torque[0, H:]), rel=1e-6)
-    assert 'torque rel. L2' in evaluation.table(summary)
+    assert 'torque in the plane of travel' in evaluation.table(summary)
 
 
 def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):

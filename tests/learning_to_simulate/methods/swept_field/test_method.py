@@ -80,7 +80,7 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
         relative = np.linalg.norm(found - recorded[6:]) / np.linalg.norm(recorded[6:])
         assert relative < 0.6
     # The modes in the file, for pictures, are those of the particles.
-    assert summary['mean']['model']['soil_rms_mm'] < summary['mean']['stay_still']['soil_rms_mm']
+    assert summary['mean']['model']['soil_mm'] < summary['mean']['stay_still']['soil_mm']
 
 
 def test_a_second_call_finds_it_done_and_other_settings_are_refused(data_path, model_path):
