@@ -42,8 +42,9 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering'),
-    ('render_rollout', 'config', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
+    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
+     'soil_truth', 'rendering'),
+    ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
     ('tool',),
     ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
