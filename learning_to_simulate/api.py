@@ -121,7 +121,7 @@ class TrainedModel:
 
     Attributes:
       path: its folder.
-      model: `checkpoints.Model`, or what another method has.
+      model: `subspace_model.Model`, or what another method has.
 
     Raises:
       FileNotFoundError, ValueError: no model there, or a damaged one.
@@ -258,7 +258,7 @@ class TrainedModel:
         """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
         from learning_to_simulate.live.soil import Soil
 
-        if self._method.on_particles:
+        if not self._method.steps:
             return None
         space = Dataset(split.folder).subspace
         if space is None:  # records alone

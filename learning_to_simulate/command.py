@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from absl import app, flags, logging
 
 _WRAPPED = ('sklearn', 'matplotlib')  # loaded by Keras
+_TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
 
 
@@ -61,6 +62,30 @@ def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
     found = dict(item.partition('=')[::2] for item in items)
     if '' in found or '' in found.values() or len(found) < len(items):
         raise ValueError(f'--{flag}={",".join(items)}: NAME={what} was expected, each name once')
+    return found
+
+
+def settings(items: list[str], types: dict[str, type]) -> dict:
+    """Name -> value of what a repeated flag `--set` gives.
+
+    Args:
+      items: NAME=VALUE each.
+      types: name -> type of every setting there is.
+
+    Raises:
+      ValueError: an unknown name, one that is given twice, or a value of another type.
+    """
+    found: dict = {}
+    for item in items:
+        name, equals, text = item.partition('=')
+        if not equals or name not in types or name in found:
+            reason = 'is given twice' if name in found else 'NAME=VALUE was expected'
+            raise ValueError(f'--set={item}: {reason}; names are {", ".join(types)}')
+        kind = types[name]
+        try:
+            found[name] = _TRUTHS[text.lower()] if kind is bool else kind(text)
+        except (KeyError, ValueError) as error:
+            raise ValueError(f'--set={item}: must be of type {kind.__name__}') from error
     return found
 
 

@@ -11,11 +11,11 @@ import re
 import numpy as np
 
 from learning_to_simulate import metrics
-from learning_to_simulate.checkpoints import Model
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.subspace.subspace_model import Model
 from pca_tools import files, folder_lock
 
 METRICS_FILE = 'metrics.json'

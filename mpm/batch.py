@@ -135,7 +135,7 @@ def _check_cases(scene, groups, settings, tool) -> None:
 
 
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
-    """Returns the cases that are not among the finished; refuses a path or tool of other content."""
+    """Returns the cases that are not finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
     todo = []
     for case in cases:
@@ -147,8 +147,8 @@ def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
         other = [key for key in ('path_sha256', 'tool') if asked.get(key) != done[name].get(key)]
         if other:
             raise ValueError(
-                f'{job.folder}: {raw_run.file_name(name)} was made with another {" and ".join(other)}; '
-                'name another folder'
+                f'{job.folder}: {raw_run.file_name(name)} was made with another '
+                f'{" and ".join(other)}; name another folder'
             )
     return todo
 

@@ -154,12 +154,13 @@ def make_wheel(
     if count:
         if not (height > thickness / 2.0 > 0.0):
             raise ValueError(
-                f'grousers of height {height} m and thickness {thickness} m: the height must exceed '
-                'half the thickness, both must be positive'
+                f'grousers of height {height} m and thickness {thickness} m: the height must '
+                'exceed half the thickness, both must be positive'
             )
         if count * thickness > math.pi * diameter:
             raise ValueError(
-                f'{count} grousers {thickness} m thick overlap on a rim of {math.pi * diameter:.4g} m'
+                f'{count} grousers {thickness} m thick overlap on a rim of '
+                f'{math.pi * diameter:.4g} m'
             )
     angles = 2.0 * math.pi * np.arange(WHEEL_RING_POINTS) / WHEEL_RING_POINTS
     points = [
@@ -207,8 +208,8 @@ def read_tool(path: str) -> dict:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline that
-            crosses itself; with the file.
+        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline
+            that crosses itself; with the file.
     """
     with open(path, encoding='utf-8') as file:
         try:

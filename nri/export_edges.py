@@ -11,7 +11,7 @@ Examples:
   python -m learning_to_simulate.train --adjacency=/tmp/edges/edges.json --data_path=... \\
       --model_path=...
 
-Writes edges.json (schema in WORKSPACE.md), edges.npy (bool, [receiver, sender]) and edges.png
+Writes edges.json (schema in docs/data.md), edges.npy (bool, [receiver, sender]) and edges.png
 (senders x receivers). NRI knows no self-edges; `--self_edges` adds those of all nodes. They carry
 nothing that a node's own update does not see, so they are left out unless asked for. A graph
 without any edge, or with all of them, is not exported unless --allow_degenerate is given: it says

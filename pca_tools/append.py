@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from absl import app, flags
 
-from pca_tools import convert, dataset, files, folder_lock, particles
+from pca_tools import convert, dataset, files, folder_lock, packing, particles
 from pca_tools.encode import EncodedRun, encode_runs, make_metadata, make_trajectory
 from pca_tools.metadata import PROJECTION_KEYS, SPLITS
 from pca_tools.raw_runs import RawRun, RawRuns
@@ -84,7 +84,7 @@ def _append(
     added = encode_runs(runs, parts, space, space.n_modes, sample.indices, convert.progress_bar)
     together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
     together = {split: numbered(part) for split, part in together.items() if part}
-    metadata = make_metadata(runs.world, together, space, 1, base)
+    metadata = make_metadata(runs.world, together, space, 1, base, base.get('packed', False))
     if files.check_manifest(data_path, ()) != listed:  # by `--overwrite`, which takes no lock
         raise ValueError(
             f'{data_path}: was replaced while runs were added; what is there now is kept, call '
@@ -159,12 +159,19 @@ def _is_record_of(
     if len(run.positions) != held.n_frames:
         return False
     made = make_trajectory(held.key, run, held.position[:, held.n_rigid :], scene)
-    soil = particles.unpack(*record.sample, sample.rest, sample.resolution)
+    soil = packing.unpack_steps(*record.sample, sample.rest, sample.resolution)
     apart = np.abs(run.positions[:: sample.frame_stride, sample.indices] - soil)
     # Stored to half a step; the other half is for float32.
-    return np.max(apart) < sample.resolution and all(
-        np.array_equal(getattr(made, field.name), getattr(held, field.name))
-        for field in dataclasses.fields(held)
+    # Packed records hold rigid particles as the pose puts them.
+    return (
+        np.max(apart) < sample.resolution
+        and made.position.shape == held.position.shape
+        and np.abs(made.position - held.position).max() < dataset.POSE_TOLERANCE
+        and all(
+            np.array_equal(getattr(made, field.name), getattr(held, field.name))
+            for field in dataclasses.fields(held)
+            if field.name != 'position'
+        )
     )
 
 

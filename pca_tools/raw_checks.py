@@ -29,6 +29,10 @@ SERIES = {
     # Of several bodies: [T, bodies, 3] and [T, bodies, 7].
     'body_force': (3, DIM),
     'body_pose': (3, 7),
+    # Of a body that is free: what pulls it, and its force in the quarters of a frame, [T, 4, 3].
+    'target': (2, DIM),
+    'external': (2, DIM),
+    'subframe_force': (3, DIM),
 }
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
@@ -190,6 +194,9 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
             f'has {body.shape[1]} rigid points, its bodies '
             f'{ {b["name"]: b["points"] for b in bodies} }'
         )
+    quarters = arrays.get('subframe_force', np.empty((0, 4, 0)))
+    if quarters.ndim == 3 and quarters.shape[1] != 4:
+        faults.append(f'subframe_force has {quarters.shape[1]} parts of a frame, 4 were expected')
     for name in ('body_force', 'body_pose'):
         values = arrays.get(name, np.empty(0))
         if values.ndim == 3 and values.shape[1] != len(bodies):

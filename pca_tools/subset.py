@@ -103,7 +103,7 @@ def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) 
 def _write(data_path, output_path, parts, base, space, overwrite):
     """Writes encoded runs with what they share; returns the metadata."""
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
-    metadata = make_metadata(world, parts, space, 1, base)
+    metadata = make_metadata(world, parts, space, 1, base, base.get('packed', False))
     indices = particles.read_sample(data_path, next(iter(base['cases']))).indices
     convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
     return metadata

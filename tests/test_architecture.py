@@ -39,6 +39,23 @@ MAY_IMPORT = {
     ),
     'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
 }
+# The main package from the ground up: a module imports those of its own line and of lines above,
+# inside functions too. The longest name that fits says which line a module is on.
+LAYERS = (
+    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering',
+     'shipped'),
+    ('render_rollout', 'config', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
+     'checkpoints', 'registry'),
+    (  # the tool: its pose, what it has swept, the bed
+     'methods.tool_motion', 'methods.resting_bed', 'methods.swept_features',
+     'methods.swept_field.tool_path', 'methods.path_memory'),
+    ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
+    ('methods', 'full_space', 'penetration', 'subspace.method', 'presets'),
+    ('export', 'export_c'),
+    ('api', 'train', 'live.roll_out_path'),
+    ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
+)  # fmt: skip
+CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {
     'mpm': ('tensorflow', 'sonnet', 'graph_nets', 'sklearn'),
@@ -173,6 +190,47 @@ def test_imports_follow_the_arrows(path):
             if not any(path.as_posix().startswith(place) for place in places):
                 wrong.append(f'{path}:{line} imports {name}; only {places} may')
     assert not wrong, '\n'.join(wrong)
+
+
+def own_imports():
+    """Module of the main package -> those of it that it imports, without the package's name."""
+    files = [path for path in package_files() if path.parts[0] == 'learning_to_simulate']
+    names = {'.'.join(p.with_suffix('').parts[1:]).removesuffix('.__init__'): p for p in files}
+    found = {}
+    for name, path in names.items():
+        found[name] = set()
+        for imported, _ in imported_names(path):
+            parts = imported.split('.')[1:] if is_within(imported, 'learning_to_simulate') else []
+            while parts and '.'.join(parts) not in names:
+                parts.pop()
+            found[name] |= {'.'.join(parts)} - {name, ''}
+    return found
+
+
+def layer_of(module):
+    fits = [(len(n), i) for i, line in enumerate(LAYERS) for n in line if is_within(module, n)]
+    assert fits, f'learning_to_simulate.{module} is on no line of LAYERS'
+    return max(fits)[1]
+
+
+def test_no_arrow_of_the_main_package_climbs():
+    imports = own_imports()
+    assert 'config' in imports['presets'] and 'evaluation' in imports['train']  # it sees
+    climbs = {
+        (name, other)
+        for name in imports.keys() - {'__init__'}
+        for other in imports[name]
+        if layer_of(other) > layer_of(name)
+    }
+    assert climbs == CLIMBS.keys(), 'LAYERS says who lies above whom'
+
+
+def test_no_circle_in_the_main_package():
+    """Modules that import none of the rest are taken away until none is left."""
+    left = own_imports()
+    while free := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in free}
+    assert not left, f'these import each other: {sorted(left)}'
 
 
 def test_tests_mirror_the_sources():

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.methods import path_memory
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
 
@@ -21,12 +21,12 @@ class CompiledStep:
     """Frames by TensorFlow, compiled: the back end of a `Stepper`.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `subspace_model.Model`; its weights are taken as they are now.
       n_rigid: R, rigid particles that are nodes.
       rigid_correction: whether a predicted body is kept rigid.
     """
 
-    def __init__(self, model: checkpoints.Model, n_rigid: int, rigid_correction: bool = True):
+    def __init__(self, model: subspace_model.Model, n_rigid: int, rigid_correction: bool = True):
         self._simulator, self._layout = model.simulator, model.layout(n_rigid)
         self._scene = scene = model.simulator.scene
         self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED

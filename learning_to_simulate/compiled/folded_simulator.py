@@ -96,7 +96,7 @@ class FoldedSimulator:
                 weights = tf.nest.map_structure(lambda v: None if v is None else v.numpy(), weights)
         self._network = FoldedNetwork(
             weights,
-            edge_blocks(layout, config.mean_aggregation, dense),
+            edge_blocks(layout, not config.is_published, dense),
             {MODES, RIGID} if self._decodes_body else {MODES},
         )
         self._of_edge = Linear(*weights.edge_encoder.layers[0])
@@ -114,7 +114,7 @@ class FoldedSimulator:
         """How many last velocities of modes and body the model reads: K of both."""
         config, scene = simulator.config, simulator.scene
         count = config.velocity_inputs
-        if scene.rigid_motion == RigidMotion.DRIVEN and config.position_inputs:
+        if scene.rigid_motion == RigidMotion.DRIVEN and not config.is_published:
             return count, INPUT_SEQUENCE_LENGTH - 1
         return count, count
 

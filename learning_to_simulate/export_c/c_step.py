@@ -12,7 +12,7 @@ class CStep:
     """The same frames as `compiled_step.CompiledStep`, to round-off, without TensorFlow.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `subspace_model.Model`; its weights are taken as they are now.
       n_rigid: R, rigid particles that are nodes.
       rigid_correction: whether a predicted body is kept rigid.
 

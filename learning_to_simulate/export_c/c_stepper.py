@@ -23,7 +23,7 @@ class CStepper(CSoil):
     """Steps a trained model frame by frame, without TensorFlow.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `subspace_model.Model`; its weights are taken as they are now.
       n_rigid: R, rigid particles that are nodes.
       subspace: turns modes into particles; None if particles are never asked for.
       rigid_correction: whether a predicted body is kept rigid.
@@ -54,7 +54,7 @@ class CStepper(CSoil):
         """A stepper of a model folder and the dataset folder it belongs to.
 
         Args:
-          model_path: of `checkpoints.load_model`.
+          model_path: of `subspace_model.load`.
           data_path: its metadata, its training runs' starts and, if it has one, its subspace.
           n_rigid: R; default: that of the model's first training run.
           **options: of the constructor.

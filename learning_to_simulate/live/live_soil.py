@@ -115,7 +115,7 @@ class LiveSoil:
     """Steps a model with poses.
 
     Args:
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       starts: of the model folder.
       subspace: of the model folder, or None.
       outside: of `Stepper`.

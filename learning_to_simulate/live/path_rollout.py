@@ -165,7 +165,7 @@ class PathRoller:
     lengths.
 
     Args:
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       starts: of the model folder.
       soil: of the model's subspace, or None.
     """

@@ -29,6 +29,7 @@ from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.live.soil import Soil
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.subspace import subspace_model
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 
@@ -100,7 +101,7 @@ class Stepper:
     """Steps a trained model frame by frame.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `subspace_model.Model`; its weights are taken as they are now.
       n_rigid: R, rigid particles that are nodes.
       subspace: turns modes into particles; None if particles are never asked for.
       rigid_correction: whether a predicted body is kept rigid.
@@ -117,7 +118,7 @@ class Stepper:
 
     def __init__(
         self,
-        model: checkpoints.Model,
+        model: subspace_model.Model,
         n_rigid: int,
         subspace: Subspace | None = None,
         rigid_correction: bool = True,
@@ -151,7 +152,7 @@ class Stepper:
         """A stepper of a model folder and the dataset folder it belongs to.
 
         Args:
-          model_path: of `checkpoints.load_model`.
+          model_path: of `subspace_model.load`.
           data_path: its metadata and, if it has one, its subspace are read.
           n_rigid: R; default: that of the model's first training run.
           **options: of the constructor.
@@ -159,7 +160,7 @@ class Stepper:
         Raises:
           FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
         """
-        model = checkpoints.load_model(model_path)
+        model = subspace_model.load(model_path)
         checkpoints.check_dataset(model_path, model, data_path, read_metadata(data_path))
         path = os.path.join(data_path, 'subspace.npz')
         subspace = Subspace.load(path) if os.path.exists(path) else None

@@ -46,11 +46,7 @@ def model_names() -> list[str]:
     """Names of the shipped models that can be stepped live."""
     from learning_to_simulate import registry, shipped
 
-    return [
-        name
-        for name in shipped.names()
-        if not registry.of_folder(shipped.find(name, 'models')).on_particles
-    ]
+    return [n for n in shipped.names() if registry.of_folder(shipped.find(n, 'models')).steps]
 
 
 def session_of(name: str, data_path: str | None = None):

@@ -16,7 +16,6 @@ from learning_to_simulate import (
     checkpoints,
     evaluation,
     metrics,
-    model_config,
     normalization,
     presets,
     reading_utils,
@@ -32,7 +31,6 @@ from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanic
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.training import model_folder
 from pca_tools import dataset, files, folder_lock
 
 _UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
@@ -150,10 +148,10 @@ def train(data_path, model_path, config, options) -> dict:
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, options.rigid_motion)
-    data = model_folder.data_record(data_path, metadata)
+    data = checkpoints.data_record(data_path, metadata)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     with folder_lock.locked(model_path, options.take_over_lock):
-        if not model_folder.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
+        if not checkpoints.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
@@ -219,7 +217,7 @@ def load(model_path: str) -> OpenLoopModel:
             method = _FORMULAS[config.model].from_json(values, scene, frame)
     except FileNotFoundError:
         raise
-    except model_config.WRONG_FIELD as error:
+    except checkpoints.WRONG_FIELD as error:
         raise ValueError(
             f'{model_path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong '
             f'({error!r})'
@@ -227,9 +225,7 @@ def load(model_path: str) -> OpenLoopModel:
     return OpenLoopModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
 
 
-def open_model(
-    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
-) -> OpenedModel:
+def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A fitted method with the runs of a split; see `registry`."""
     registry.refuse_raw_path(raw_path)
     model = load(model_path)

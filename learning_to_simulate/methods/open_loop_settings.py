@@ -14,7 +14,7 @@ class OpenLoopConfig(Settings):
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
+      model: the method, a name of `registry`.
       max_samples: frames of training that a kernel ridge is fitted to, spread over all runs.
       leave_one_out: whether a kernel ridge is fitted to train and valid together and chosen by each
         of their runs, judging what the others give: for data of a dozen runs.

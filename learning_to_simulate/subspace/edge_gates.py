@@ -82,22 +82,21 @@ class EdgeGates(tf.Module):
         return values | {'loss': values['loss'] + price * share, 'open_gates': share}
 
     def edge_list(self, config, data_path: str) -> EdgeList:
-        """The list that the gates stand for: those of `gate_keep`, or those more likely open.
+        """The list that the gates stand for: the edges that are more likely open than not.
 
         Args:
           config: `TrainConfig` of the simulator that they were learned with.
           data_path: dataset folder.
         """
         probabilities = self.open_probability().numpy().astype(np.float64)
-        wish = {'keep': config.gate_keep} if config.gate_keep else {'threshold': OPEN_THRESHOLD}
-        mask = edge_lists.select(probabilities, **wish)
+        mask = edge_lists.select(probabilities, threshold=OPEN_THRESHOLD)
         settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
         return EdgeList(
             mask=mask,
             node_names=edge_lists.mode_names(self.n_modes),
             probabilities=probabilities,
             method='gates',
-            threshold=wish.get('threshold'),
+            threshold=OPEN_THRESHOLD,
             digests={'model': hashlib.sha256(settings.encode()).hexdigest()}
             | edge_lists.data_digests(data_path),
             # Training has no one to ask: it says so and goes on.

@@ -152,11 +152,6 @@ class EncodeProcessDecode(snt.Module):
         ]
         self._decoder = _mlp(latent_size, hidden_layers, output_size, name='decoder')
 
-    def zero_decoder(self):
-        """Sets the last layer to zero: every output is 0 until it is trained."""
-        for variable in self._decoder.trainable_variables[-2:]:
-            variable.assign(tf.zeros_like(variable))
-
     def weights(self) -> NetworkWeights:
         """The variables by role, for code that rewrites the network; they must exist already."""
         edge, node = (m for m in self._encoder.submodules if isinstance(m, snt.Sequential))

@@ -1,10 +1,12 @@
 """One training run on disk, whatever is trained: claim the folder, resume, step, save.
 
-What is trained comes as a `Training` from a method of `methods.registry`; this loop knows none.
+What is trained comes as a `Training` from a method of `registry`; this loop knows none.
 """
 
 import dataclasses
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,8 +17,7 @@ import tqdm
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.registry import TrainOptions
-from learning_to_simulate.training import model_folder, training_state
-from learning_to_simulate.training.stop_signals import StopSignals
+from learning_to_simulate.training import training_state
 from pca_tools import folder_lock
 
 LOG_EVERY = 50  # steps between looks at the losses
@@ -90,7 +91,7 @@ def open_model_path(path: str, training: Training) -> None:
     }
     fields = dataclasses.fields(model.simulator.config)
     defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
-    if not model_folder.holds_model(path, fresh, defaults=defaults):
+    if not checkpoints.holds_model(path, fresh, defaults=defaults):
         written = training.write_files(path) if training.write_files else None
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
@@ -201,3 +202,38 @@ def _log_rollout(summary, step, bar):
         tf.summary.scalar('torque_error_mse', mean['torque_rmse'] ** 2, step=step)
         text += f', torque rel. L2 {mean["torque_relative_l2"]:.3g}'
     bar.write(text)
+
+
+class StopSignals:
+    """Notes the first SIGINT or SIGTERM inside a `with` block; a second one acts as usual.
+
+    Outside of the main thread, where Python cannot handle signals, nothing is noted.
+
+    Attributes:
+      number: the signal that came, or None.
+    """
+
+    def __init__(self):
+        self.number = None
+        self._before = {}
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell expects of a program that a signal ended: 130 for Ctrl-C, 143 for
+        SIGTERM."""
+        return 128 + self.number
+
+    def __enter__(self) -> 'StopSignals':
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_):
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}
+
+    def _note(self, number, _):
+        self.number = number
+        self.__exit__()

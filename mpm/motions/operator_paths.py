@@ -12,8 +12,8 @@ disturbed: any of the above on a bed that an earlier pass has cut. That pass is 
     use does; the blade rests above the soil at its frame 0.
 halts: a smooth path that halts two to four times within one frame and goes on within one, as a
     lever that is let go or a mouse does it.
-beside: in a bin twice as wide, a path at a lateral offset of 0 to 1.5 widths from an earlier pass of
-    another depth, or between two of them.
+beside: in a bin twice as wide, a path at a lateral offset of 0 to 1.5 widths from an earlier pass
+    of another depth, or between two of them.
 soils: any of the first five, in soil of another friction angle, and in some of another density or
     under another gravity.
 tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
@@ -325,7 +325,8 @@ def _trench(rng, story) -> float:
     length = rng.uniform(*TRENCH)
 
     def way():
-        return float(Levels(np.array(story.times), np.array(story.speeds)).integral([story.time])[0])
+        speed = Levels(np.array(story.times), np.array(story.speeds))
+        return float(speed.integral([story.time])[0])
 
     while way() < length - 0.1:
         story.go(rng.uniform(0.8, 1.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.07))

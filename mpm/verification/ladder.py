@@ -31,15 +31,8 @@ from mpm.simulation import Settings
 from mpm.verification.density import moved_density
 from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
-from storage import markdown
-from storage.text_files import write_text
-
-_JSON = flags.DEFINE_string(
-    'json', os.path.join('outputs', 'ladder.json'), 'Where runs are kept; those there are not made.'
-)
-_PICTURE = flags.DEFINE_string('picture', None, 'Picture of the draft over the cells.')
-_CASES = flags.DEFINE_list('cases', None, 'Only these: excavation:186,wheel:122.')
-_VARIANTS = flags.DEFINE_list('variants', None, 'Only these (see VARIANTS).')
+from pca_tools.storage import markdown
+from pca_tools.storage.text_files import write_text
 
 MEAN = 5  # frames, of a mean force
 # Case -> frames that are simulated, the first that counts, and the axis of the force that matters:
@@ -270,27 +263,39 @@ def _write(path, content) -> None:
     write_text(path, f'{head}\n{cases}\n}}}}\n')
 
 
+def define_flags():
+    flags.DEFINE_string(
+        'json',
+        os.path.join('outputs', 'ladder.json'),
+        'Where runs are kept; those there are not made.',
+    )
+    flags.DEFINE_string('picture', None, 'Picture of the draft over the cells.')
+    flags.DEFINE_list('cases', None, 'Only these: excavation:186,wheel:122.')
+    flags.DEFINE_list('variants', None, 'Only these (see VARIANTS).')
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = _JSON.value
+    path = flags.FLAGS.json
     try:
         content = _read(path)
         os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-        for variant in _VARIANTS.value or VARIANTS:
-            for name in _CASES.value or CASES:
+        for variant in flags.FLAGS.variants or VARIANTS:
+            for name in flags.FLAGS.cases or CASES:
                 is_asked = variant in WIDE_VARIANTS or name not in WIDE
                 if is_asked and variant not in content.setdefault(name, {}):
                     content[name][variant] = measured(name, VARIANTS[variant])
                     print(f'{name} {variant}: {content[name][variant]["cpu_s"]} s', flush=True)
                     _write(path, content)
         print(table(path), limits(path), sep='\n\n')
-        if _PICTURE.value:
-            draw(path, _PICTURE.value)
+        if flags.FLAGS.picture:
+            draw(path, flags.FLAGS.picture)
     except (ValueError, OSError, KeyError) as error:
         logging.error('%s', error)
         sys.exit(1)
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)

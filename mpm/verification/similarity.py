@@ -27,11 +27,7 @@ from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
-from storage import markdown
-
-_JSON = flags.DEFINE_string(
-    'json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.'
-)
+from pca_tools.storage import markdown
 
 DEPTH, SPEED, LEAN_DEG = 0.08, 0.1, 10.0  # of case 186: m, m/s, deg
 TRAVEL = 0.16  # m at size 1; the force counts over its second half
@@ -59,7 +55,6 @@ WORLDS = {
     'twice the size, speed by its root': World(size=2.0, speed=SPEED * math.sqrt(2.0)),
     '0.4 m/s': World(speed=0.4),
     '1 m/s': World(speed=1.0),
-    '2 m/s': World(speed=2.0),
 }
 
 
@@ -136,10 +131,14 @@ def _read(path) -> dict:
     return content['worlds']
 
 
+def define_flags():
+    flags.DEFINE_string('json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.')
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = _JSON.value
+    path = flags.FLAGS.json
     try:
         content = _read(path)
         os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
@@ -155,4 +154,5 @@ def main(argv):
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)

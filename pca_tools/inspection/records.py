@@ -24,6 +24,9 @@ RIGID_TOLERANCE = 1e-4
 PLAUSIBLE_DT = (1e-4, 0.5)
 PLAUSIBLE_SPEED = 10.0
 # Statistics of a part of the runs differ from those of all runs, but not by this factor.
+# A run is far from the training runs if the modes leave so many times their error of it.
+FAR_FACTOR = 3.0
+MAX_NAMED = 5
 STATISTICS_FACTOR = 10.0
 STATISTICS_TOLERANCE = 1e-4
 
@@ -53,6 +56,7 @@ def inspect_folder(folder: str) -> Inspection:
         _check_duplicates(inspection)
         _check_statistics(inspection)
         _check_motion(inspection)
+    _check_truncation(inspection)
     _check_particles(inspection)
     check_subspace(inspection)
     check_legacy_files(inspection)
@@ -286,6 +290,29 @@ def _check_motion(inspection: Inspection) -> None:
     forceless = sum(run.force is not None and not np.any(run.force) for run in inspection.runs)
     if forceless:
         inspection.warn(f'{forceless} runs have no force at any frame')
+
+
+def _check_truncation(inspection: Inspection) -> None:
+    """Runs of valid and test that the modes do not hold: they differ from all training runs."""
+    errors = inspection.metadata.get('projection_mse', {})
+    train = errors.get('train')
+    if not train:
+        return
+    usual, worst = np.mean(train) ** 0.5, max(train) ** 0.5
+    cases = inspection.metadata.get('dataset_split', {})
+    far = [
+        f'case {case} of {split} ({1e3 * mse**0.5:.3g} mm)'
+        for split in ('valid', 'test')
+        for case, mse in zip(cases.get(split, []), errors.get(split, []))
+        if mse**0.5 > max(FAR_FACTOR * usual, worst)
+    ]
+    if far:
+        more = f' and {len(far) - MAX_NAMED} more' if len(far) > MAX_NAMED else ''
+        inspection.warn(
+            f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
+            f'mm of the worst, but far more of {", ".join(far[:MAX_NAMED])}{more}: these runs do '
+            'something that no training run does; add such runs to train'
+        )
 
 
 def _check_particles(inspection: Inspection) -> None:

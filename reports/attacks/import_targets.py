@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pca_tools import particles
+from pca_tools import packing, particles
 from pca_tools.formats import detect, full_space
 from reports.attacks.target import Promise, Target
 
@@ -55,7 +55,7 @@ def _possible_runs(runs: list) -> bool:
 
 def _write_sample(folder: str) -> None:
     positions = np.random.default_rng(0).uniform(0.0, 1.0, (FRAMES, PARTICLES, 3))
-    packed = [(particles.pack(positions, positions[0]), FRAMES)]
+    packed = [(packing.pack_steps(positions, positions[0], particles.RESOLUTION), FRAMES)]
     particles.write_sample(
         os.path.join(folder, 'particles_train.npz'), packed, np.arange(PARTICLES), positions[0]
     )

@@ -10,11 +10,12 @@ from xml.etree import ElementTree
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, model_config
+from learning_to_simulate import checkpoints
 from learning_to_simulate.config import TrainConfig
 from learning_to_simulate.export_c import fmu_description, model_data
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import LearnedSimulator
 from nri import model as nri_model
 from nri.config import NriConfig
@@ -30,7 +31,7 @@ _MASK = np.array([[1, 0], [1, 1]], bool)
 
 
 def _statistics() -> Statistics:
-    """Of a conditioned model with a driven body, all parts present."""
+    """Of a model of our style with a driven body, all parts present."""
     classes = MODES + 1
     pair, axes = (classes, classes, 3), (3,)
     shapes = {
@@ -52,7 +53,7 @@ def _statistics() -> Statistics:
 def _write_model(folder: str) -> None:
     config = TrainConfig('pcg', latent_size=4, hidden_layers=1)
     simulator = LearnedSimulator(_SCENE, config, _statistics())
-    model = checkpoints.Model(simulator, _MASK, None)
+    model = subspace_model.Model(simulator, _MASK, None)
     tf.random.set_seed(0)
     model.create_variables(R)
     checkpoints.save_config(folder, model, R, {'path': 'x', 'sha256': {}})
@@ -60,7 +61,7 @@ def _write_model(folder: str) -> None:
 
 
 def _read_model(folder: str):
-    model = checkpoints.load_model(folder)
+    model = subspace_model.load(folder)
     simulator = model.simulator
     weights = [variable.numpy() for variable in simulator.trainable_variables]
     return simulator.config, simulator.scene, model.edge_counts(), weights
@@ -96,7 +97,7 @@ def _possible_nri(value) -> bool:
 
 
 def _read_config(folder: str):
-    return model_config.parse(checkpoints.read_config(folder), f'{folder}/config.json')
+    return subspace_model.parse(checkpoints.read_config(folder), f'{folder}/config.json')
 
 
 def _possible_mask(mask) -> bool:

@@ -265,6 +265,7 @@ def run(v) -> dict:
     result = record.resume(v.output_path, identity, {'rows': [], 'timing': {}})
     result |= record.provenance(v.num_threads)
     shared = {k: budget[k] for k in budget if k.endswith(('steps', 'length', 'batch_size'))}
+    shared['num_steps'] += budget['unroll_steps']  # single ones are budgeted
     done = {(row['variant'], row['seed']) for row in result['rows']}
 
     def keep_row(variant, seed, row):
@@ -284,7 +285,7 @@ def run(v) -> dict:
             for name, pair in masks.items()
             if (name, seed) not in done and name in (v.variants or masks)
         }
-        gated = {'gate_weight': v.gate_weight, 'gate_keep': v.keep}
+        gated = {'gate_weight': v.gate_weight}
         benches = [(todo, shared | gated)]
         if (FULL, seed) not in done and FULL in (v.variants or [FULL]):
             benches.append(({FULL: (None, None)}, shared | {'adjacency': 'fully_connected'}))

@@ -89,7 +89,7 @@ def _is_trained(model_path):
     if not os.path.exists(path):
         return False
     config = files.read_json(path).get('config', {})
-    total = config.get('num_steps', 0) + config.get('unroll_steps', 0)
+    total = config.get('num_steps', 0)
     return total > 0 and os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
 
 

@@ -18,7 +18,7 @@ NAMES = [target.name for target in targets.TARGETS]
 
 @pytest.mark.parametrize('name', NAMES)
 def test_reader_refuses_or_returns_what_can_be(name, tmp_path):
-    """100 inputs a reader; docs/fuzz.md has those of the long run."""
+    """100 inputs a reader; docs/findings.md counts those of a long run."""
     with bench.benches([name]) as made:
         result = bench.run_block(made, 20, 0, 100, str(tmp_path / 'note'))
     assert result['failures'] == []

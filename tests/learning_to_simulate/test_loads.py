@@ -26,6 +26,7 @@ from learning_to_simulate.live import path_rollout, stepping
 from learning_to_simulate.live.frame_judge import FrameJudge
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus, judge
+from learning_to_simulate.subspace import subspace_model
 from pca_tools import dataset, files
 from reports.protocol import rollouts
 from tests.learning_to_simulate import models, synthetic
@@ -208,7 +209,7 @@ def test_folders_of_before_load_and_train_on(tmp_path):
     group = reading_utils.read_groups(data, 'test', dataset.read_metadata(data))[0].select(0)
 
     def rollout():
-        model = checkpoints.load_model(path)
+        model = subspace_model.load(path)
         return roll_out(rollout_function(model.simulator, model.layout(group.n_rigid)), group)
 
     before, name = rollout(), os.path.join(path, checkpoints.CONFIG_FILE)
@@ -264,4 +265,4 @@ def test_damaged_statistics_are_refused(trained, tmp_path, name, value, message)
     values['statistics'][name] = value
     (tmp_path / checkpoints.CONFIG_FILE).write_text(json.dumps(values))
     with pytest.raises(ValueError, match=message):
-        checkpoints.load_model(str(tmp_path))
+        subspace_model.load(str(tmp_path))

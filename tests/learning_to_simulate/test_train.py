@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
+from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -84,7 +85,7 @@ def test_killed_training_resumes_to_the_same_weights(data, trained, tmp_path):
     """SIGKILL after a checkpoint, then the same command again: bit-equal to the run without a
     kill."""
     path = tmp_path / 'killed'
-    flags = [f'--{k}={v}' for k, v in SHORT.items()]
+    flags = [f'--set={k}={v}' for k, v in SHORT.items()]
     args = (f'--data_path={data}', f'--model_path={path}', '--save_every=12', *flags)
     process = subprocess.Popen(
         command(*args), cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE
@@ -120,7 +121,7 @@ def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained,
 def test_exported_weights_are_not_mistaken_for_a_training_state(data, trained, tmp_path):
     for name in (checkpoints.CONFIG_FILE, checkpoints.WEIGHTS_FILE):
         shutil.copy(f'{trained}/{name}', tmp_path)
-    checkpoints.load_model(str(tmp_path))
+    subspace_model.load(str(tmp_path))
     with pytest.raises(ValueError, match='without training state'):
         registry.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
 
@@ -217,7 +218,15 @@ def test_damaged_weights_are_refused(trained, tmp_path, damage):
         del values[name]
     files.write_npz(str(tmp_path / checkpoints.WEIGHTS_FILE), **values)
     with pytest.raises(ValueError, match='not finite' if damage == 'nan' else 'not the weights'):
-        checkpoints.load_model(str(tmp_path))
+        subspace_model.load(str(tmp_path))
+
+
+def test_number_of_steps_is_that_of_both_stages():
+    config = presets.make_config('pcg', num_steps=300)
+    assert (config.single_steps, config.unroll_steps) == (180, 120)
+    assert presets.make_config('pcg', num_steps=300, unroll_steps=50).single_steps == 250
+    with pytest.raises(ValueError, match='unroll_steps is 50, more than all 30'):
+        presets.make_config('pcg', num_steps=30, unroll_steps=50)
 
 
 def test_impossible_settings_are_refused():
@@ -244,4 +253,4 @@ def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path,
     config = presets.make_config('pcg', **SHORT | {'num_steps': 3, 'unroll_steps': 0})
     summary = registry.train(data, str(tmp_path / 'model'), config, save_every=3)
     assert summary['mean']['model']['soil_mse'] is None
-    checkpoints.load_model(str(tmp_path / 'model'))
+    subspace_model.load(str(tmp_path / 'model'))

@@ -5,16 +5,24 @@ import pytest
 from absl import app
 
 from mpm import bodies, picture, scenes
-from mpm.motions import catalogue
+from mpm.motions import catalogue, drawn_tools
 
 
-@pytest.mark.parametrize('body', [bodies.make_blade(0.4), bodies.make_wheel(0.15, 0.4)])
+@pytest.mark.parametrize(
+    'body',
+    [
+        bodies.make_blade(0.4),
+        bodies.make_wheel(0.15, 0.4),
+        bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))._replace(radius=0.0),
+    ],
+    ids=['blade', 'wheel', 'bucket'],
+)
 def test_outline_lies_on_the_surface(body):
-    pose = (0.5, 0.3, -0.6)
+    pose = (0.5, 0.3, -0.6, 0.4)
     ring = picture.outline(body, pose)
     np.testing.assert_allclose(ring[0], ring[-1])
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    wide = body._replace(half_width=9.0)
+    wide = body._replace(half_width=9.0, plates=np.zeros((0, 2)))
     for x, y in ring - pose[:2]:
         assert abs(bodies.signed_distance(wide, sine, cosine, x, y, 0.0)[0]) < 1e-12
 

@@ -76,7 +76,9 @@ def test_records_hold_the_raw_runs(excavation, raw_excavation):
             raw = raw_of(raw_excavation, case)
             assert run.key == index
             assert run.particle_type.tolist() == [3] * 20 + [6] * 8
-            np.testing.assert_array_equal(run.position[:, :20], raw['rigid_positions'])
+            # the pose puts them there
+            np.testing.assert_allclose(run.position[:, :20], raw['rigid_positions'], atol=2e-7)
+            np.testing.assert_array_equal(run.rigid_pose, raw['pose'])
             np.testing.assert_array_equal(run.force, raw['force'])
             # twin: the definition, one frame and axis at a time
             frame, axis = 7, 1
@@ -116,7 +118,7 @@ def test_statistics_leave_out_kinematic_nodes(excavation):
     metadata = dataset.read_metadata(excavation)
     modes = np.stack([run.position[:, 20:] for run in dataset.read_split(excavation, 'train')])
     steps = np.diff(modes.astype(np.float64), axis=1).reshape(-1, 3)
-    np.testing.assert_allclose(metadata['vel_std'], steps.std(0), rtol=1e-9)
+    np.testing.assert_allclose(metadata['vel_std'], steps.std(0), rtol=1e-5)  # packed scores
 
 
 def test_subspace_knows_only_training_runs(excavation, raw_excavation):
@@ -223,7 +225,7 @@ def no_context(current, arrays):
     'change, text',
     [
         (nan_at(4, 9, 17), 'run_004.npz: positions holds 1 NaN .* frame 9, point 17'),
-        (fewer_particles, r'run_003.npz: has .* \(100, False, False\), the runs before'),
+        (fewer_particles, r'run_003.npz: has .* \(100, False, True\), the runs before'),
         (shuffled_particles, 'case 3: its particles start .*not the same order'),
         (no_force, r"run_00..npz: lacks the arrays \['force'\]"),
         (short_force, r'force has shape \(23, 3\), float32 for 24 frames'),

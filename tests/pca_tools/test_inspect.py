@@ -60,6 +60,20 @@ def test_good_datasets_pass(name, request):
     assert len(inspection.runs) == 12 and inspection.n_soil == 140
 
 
+def test_runs_that_the_modes_do_not_hold_are_named(copy):
+    held = files.read_json(f'{copy}/metadata.json')
+    assert 'these runs do something' not in texts(copy, Level.WARN)
+    errors = held['projection_mse']
+    usual = np.mean(errors['train'])
+    errors['test'][0] = 30.0**2 * usual
+    change_metadata(copy, projection_mse=errors)
+    case, far = held['dataset_split']['test'][0], 1e3 * 30.0 * usual**0.5
+    assert f'far more of case {case} of test ({far:.3g} mm): these runs' in texts(copy, Level.WARN)
+    errors['train'][0] = 31.0**2 * usual  # training has seen as much
+    change_metadata(copy, projection_mse=errors)
+    assert 'these runs do something' not in texts(copy, Level.WARN)
+
+
 def test_authors_folders_pass_with_their_defects_named(original):
     inspection = inspect_folder(original)
     assert not inspection.failed, inspection.findings

@@ -33,7 +33,7 @@ def own_runs(count=5, frames=20, scale=1.0, axes=(0, 1, 2), **extra):
 
 
 def test_script_of_the_page_becomes_a_dataset(tmp_path):
-    page = (REPOSITORY / 'docs' / 'raw_data.md').read_text(encoding='utf-8')
+    page = (REPOSITORY / 'docs' / 'data.md').read_text(encoding='utf-8')
     (script,) = re.findall(r'```python\n(.*?)```', page, flags=re.DOTALL)
     assert len(script.strip().splitlines()) <= 21
     environment = os.environ | {'PYTHONPATH': str(REPOSITORY)}

@@ -11,7 +11,7 @@ class SweptFieldConfig(Settings):
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
+      model: the method, a name of `registry`.
       members: networks that are trained together from different first weights; their mean predicts,
         their spread says how sure it is.
       latent_size, hidden_layers: of the network of the particles.

@@ -9,7 +9,6 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets, registry
-from learning_to_simulate.live import add_start
 from learning_to_simulate.methods import (
     kernel_ridge,
     open_loop_method,
@@ -58,8 +57,6 @@ def test_the_api_rolls_recorded_runs_out_though_the_folder_has_no_start(trained)
     assert rollout.particles(0).shape == (synthetic.N_SOIL, 3)
     with pytest.raises(ValueError, match='path_ridge has no live stepping and no paths'):
         model.stepper()
-    with pytest.raises(ValueError, match='no model in a subspace'):
-        add_start.add_start(path, data)
 
 
 def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):

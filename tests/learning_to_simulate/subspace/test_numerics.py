@@ -7,7 +7,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import normalization, presets, reading_utils
-from learning_to_simulate.subspace import losses, noise_utils
+from learning_to_simulate.subspace import noise_utils, trainer
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset
 from tests.learning_to_simulate import models, synthetic
@@ -79,9 +79,9 @@ def test_one_step_loss_is_equation_13():
     expected = np.mean([((p - t)[2:] ** 2).sum() / 3 for p, t in zip(predicted, target)]) + np.mean(
         [((p - t) ** 2).sum() for p, t in zip(predicted_force, force)]
     )
-    values = losses.one_step_loss(target, predicted, force, predicted_force, moving)
+    values = trainer.one_step_loss(target, predicted, force, predicted_force, moving)
     np.testing.assert_allclose(values['loss'], expected, rtol=1e-5)
-    without = losses.one_step_loss(target, predicted, None, None, moving)
+    without = trainer.one_step_loss(target, predicted, None, None, moving)
     assert set(without) == {'loss', 'loss_mse'}
 
 
@@ -90,7 +90,7 @@ def test_force_error_is_weighted_graph_by_graph():
     none = np.zeros((2, 1, 3), np.float32)
     weight = np.array([0.5, 3.0], np.float32)
     moving = np.ones((1, 3), np.float32)
-    values = losses.one_step_loss(none, none, force, 0 * force, moving, [weight])
+    values = trainer.one_step_loss(none, none, force, 0 * force, moving, [weight])
     np.testing.assert_allclose(values['loss_force_mse'], (0.5 * 1 + 3.0 * 4) / 2)
 
 
@@ -99,7 +99,7 @@ def test_unrolled_loss_weighs_frame_k_by_one_over_k():
     error[0, :, 1, 0] = [1, 2, 3, 4]
     moving = np.array([[0, 0, 0], [1, 1, 1]], np.float32)
     scale = np.full((2, 3), 2.0, np.float32)
-    values = losses.unrolled_loss(
+    values = trainer.unrolled_loss(
         tf.zeros_like(error), tf.constant(error), None, None, moving, scale
     )
     expected = np.mean([(k / 2) ** 2 / k for k in (1, 2, 3, 4)])

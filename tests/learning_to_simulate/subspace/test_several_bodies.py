@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import evaluation, model_config, reading_utils, rollout
+from learning_to_simulate import evaluation, reading_utils, rollout
 from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.export_c import model_data
@@ -181,13 +181,13 @@ def test_what_knows_one_body_says_so(made, tmp_path):
 def test_damaged_numbers_of_bodies_are_refused(made):
     model, _ = made
     scene, statistics = model.simulator.scene, model.simulator.statistics
-    model_config._check_scene(scene)
-    model_config._check_statistics(statistics, scene)
+    scene.check()
+    statistics.check(scene)
     with pytest.raises(ValueError, match='body'):
-        model_config._check_scene(dataclasses.replace(scene, bodies=(('blade', -1),)))
+        dataclasses.replace(scene, bodies=(('blade', -1),)).check()
     wrong = dataclasses.replace(statistics, force_mean=np.zeros(5), force_std=np.ones(5))
     with pytest.raises(ValueError, match='force_mean'):
-        model_config._check_statistics(wrong, scene)
+        wrong.check(scene)
 
 
 def test_the_protocol_judges_the_force_on_each(tmp_path):

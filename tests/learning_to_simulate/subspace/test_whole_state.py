@@ -11,8 +11,8 @@ from learning_to_simulate.export import step_functions
 from learning_to_simulate.export_c import model_data
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.subspace import method
-from learning_to_simulate.subspace.mixer_model import Excitation
 from learning_to_simulate.subspace.trainer import Trainer
+from learning_to_simulate.subspace.whole_state import Excitation
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
@@ -92,7 +92,7 @@ def test_a_place_is_a_function_of_path_and_start_alone(tmp_path):
         ('pcg', {'mode_order': 0, 'rate_scaled': False}, 'need path_inputs'),
         ('mlp', {'state_inputs': False}, 'need path_inputs'),
         ('pcg', {'path_inputs': True, 'state_inputs': False}, 'only the MLP'),
-        ('pcg', {'path_inputs': True, 'conditioned': False}, 'needs conditioned'),
+        ('pcg', {'path_inputs': True, 'style': 'published'}, 'needs the style ours'),
     ],
 )
 def test_configs_without_a_path_to_follow_are_refused(preset, fields, words):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import metrics
-from pca_tools import dataset, files, particles, subspace
+from pca_tools import dataset, files, packing, particles, subspace
 from reports import documents, record
 from reports.protocol import baselines, document, rollouts, run_errors, tables
 from reports.protocol.truth import DECODED, PARTICLES, TruthReader
@@ -44,7 +44,7 @@ def with_sample(folder):
     for split in ('valid', 'test'):
         count = len(dataset.read_split(folder, split))
         soil = [soil_of(reader, split, i)[::STRIDE, chosen] for i in range(count)]
-        packed = [(particles.pack(p, soil[0][0], 1e-7), len(p)) for p in soil]
+        packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
         path = particles.sample_path(folder, split)
         particles.write_sample(path, packed, chosen, soil[0][0], STRIDE, 1e-7)
     return TruthReader(folder), chosen
