@@ -20,7 +20,8 @@ import numpy as np
 
 from learning_to_simulate import known_shapes
 from learning_to_simulate.scene import Scene, is_int, require
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 START_FILE, SUBSPACE_FILE = 'start.npz', 'subspace.npz'

@@ -16,7 +16,8 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.subspace_model import Model
-from pca_tools import files, folder_lock
+from pca_tools import files
+from pca_tools.storage import folder_lock
 
 METRICS_FILE = 'metrics.json'
 

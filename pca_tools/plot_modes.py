@@ -26,7 +26,7 @@ from sklearn import decomposition
 
 from pca_tools import dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
-from pca_tools.raw_checks import AXES
+from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import DIM, Subspace
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, matching, raw_checks
-from pca_tools.raw_checks import AXES, SERIES
+from pca_tools.metadata import AXES
+from pca_tools.raw_checks import SERIES
 
 
 @dataclasses.dataclass(frozen=True)

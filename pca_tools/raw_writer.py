@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, raw_checks
-from pca_tools.raw_checks import AXES, SERIES, faults_error
+from pca_tools.metadata import AXES
+from pca_tools.raw_checks import SERIES, faults_error
 
 _RUN_KEYS = (*SERIES, 'case', 'context', 'parameters', 'split', 'kind')
 # Bounds that are not given: the hull of soil and body, wider by this share of its size.

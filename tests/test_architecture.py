@@ -135,7 +135,6 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
-    'reports/edges/test_nri_scripts.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip

@@ -31,7 +31,8 @@ from learning_to_simulate.methods.wheel_terramechanics import WheelTerramechanic
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 _UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
 _FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}

@@ -18,7 +18,7 @@ import tqdm
 from learning_to_simulate import checkpoints
 from learning_to_simulate.registry import TrainOptions
 from learning_to_simulate.training import training_state
-from pca_tools import folder_lock
+from pca_tools.storage import folder_lock
 
 LOG_EVERY = 50  # steps between looks at the losses
 

@@ -14,7 +14,8 @@ from learning_to_simulate.subspace import edge_lists
 from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data
-from pca_tools import dataset, files, folder_lock, legacy_pickles, raw_runs, subspace
+from pca_tools import dataset, files, legacy_pickles, raw_runs, subspace
+from pca_tools.storage import folder_lock
 from reports.attacks.import_targets import IMPORT_TARGETS
 from reports.attacks.model_targets import MODEL_TARGETS
 from reports.attacks.target import Promise, Target

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pca_tools import append, convert, dataset, subset
-from pca_tools.inspection import inspect_folder
+from pca_tools.inspect import inspect_folder
 from pca_tools.metadata import SPLITS
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic

@@ -12,7 +12,7 @@ import pytest
 
 from learning_to_simulate.scene import Scene
 from pca_tools import convert, dataset, files, raw_writer, write_raw
-from pca_tools.inspection import inspect_folder
+from pca_tools.inspect import inspect_folder
 from pca_tools.matching import match_particles
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic

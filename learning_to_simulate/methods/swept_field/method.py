@@ -12,7 +12,8 @@ from learning_to_simulate.live import resting_start
 from learning_to_simulate.methods.swept_field import fitting, model_files
 from learning_to_simulate.methods.swept_field.evaluation import FieldEvaluator, model_of
 from learning_to_simulate.registry import OpenedModel
-from pca_tools import dataset, files, folder_lock, particles, splits
+from pca_tools import dataset, files, particles, splits
+from pca_tools.storage import folder_lock
 
 METRICS = 'metrics.json'
 
