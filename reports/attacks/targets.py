@@ -149,11 +149,11 @@ def _write_rollout(folder):
 
 
 def _possible_rollout(frames):
-    arrays = [*frames.scores.values(), *frames.rigid.values(), *(frames.force or {}).values()]
+    arrays = [*frames.rigid.values(), *(frames.force or {}).values()]
     return (
         all(np.isfinite(a).all() and len(a) == frames.n_frames for a in arrays)
+        and all(np.isfinite(a).all() for a in [*frames.soil.values(), *frames.soil_rms_mm.values()])
         and np.isfinite(frames.time).all()
-        and all(np.isfinite(v).all() for v in frames.soil_rms_mm.values())
         and isinstance(frames.title, str)
     )
 
