@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 from scipy import spatial
 
-from learning_to_simulate.methods.tool_motion import TravelFrame
+from learning_to_simulate.tool.axes import Axes
 from pca_tools.subspace import Subspace
 
 _STREAM = 6  # see the random streams of `trainer`
@@ -72,7 +72,7 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
       list of `RunGroup` of the same shapes but for S; `record` says which run a copy is of.
     """
     rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, _STREAM, 0]))
-    frame = TravelFrame.of(groups[0].position[:, :, : groups[0].n_rigid], up)
+    frame = Axes.of_bodies([groups[0].position[:, :, : groups[0].n_rigid]], up)
     axis, across = frame.axis, 3 - frame.axis - up
     places = [g.position[:, :, : g.n_rigid, axis] for g in groups]
     low, high = min(p.min() for p in places), max(p.max() for p in places)
