@@ -21,8 +21,8 @@ from tests.learning_to_simulate.swept_field import small_wheel
 from tests.learning_to_simulate.swept_field import small_world as world
 
 SMALL = {
-    'members': 2, 'latent_size': 16, 'hidden_layers': 2, 'force_latent_size': 16,
-    'num_steps': 250, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
+    'members': 2, 'latent_size': 16, 'hidden_layers': 2,
+    'num_steps': 250, 'batch_size': 32, 'start_every': 40,
 }  # fmt: skip
 
 
