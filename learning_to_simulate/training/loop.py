@@ -89,9 +89,7 @@ def open_model_path(path: str, training: Training) -> None:
         'scene': model.simulator.scene.to_json(),
         'data': training.data,
     }
-    fields = dataclasses.fields(model.simulator.config)
-    defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
-    if not checkpoints.holds_model(path, fresh, defaults=defaults):
+    if not checkpoints.holds_model(path, fresh):
         written = training.write_files(path) if training.write_files else None
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return

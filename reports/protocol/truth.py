@@ -8,8 +8,8 @@ import numpy as np
 
 from learning_to_simulate import metrics, reading_utils, soil_truth
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import resting_bed
 from learning_to_simulate.soil_truth import SoilTruth, of_run
+from learning_to_simulate.tool import bed
 from pca_tools import dataset
 
 # Kind of runs of the case grid, which state none.
@@ -108,6 +108,6 @@ class TruthReader(soil_truth.TruthReader):
             height=body[..., up].mean(axis=1) if driven else None,
             torque=None if run.torque is None else run.torque[H:].astype(np.float64),
             axes=metrics.travel_axes(body, up),
-            spacing=resting_bed.solver_spacing(case)
-            or resting_bed.kept_spacing(self.subspace.initial),
+            spacing=bed.solver_spacing(case)
+            or bed.kept_spacing(self.subspace.initial),
         )
