@@ -287,11 +287,11 @@ class TrainedModel:
         """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
         from learning_to_simulate.live.soil import Soil
 
-        if not self._method.steps:
-            return None
         space = Dataset(split.folder).subspace
         if space is None:  # records alone
             return self._soil() if self._method.steps and not self.scene.bodies else None
+        if space.n_modes < self.scene.n_modes:  # a model on particles
+            return None
         return Soil(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):

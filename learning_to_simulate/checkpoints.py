@@ -283,19 +283,13 @@ def data_record(data_path: str, metadata: dict) -> dict:
     }
 
 
-def holds_model(
-    path: str,
-    parts: dict[str, dict],
-    own_files: Iterable[str] = (),
-    defaults: dict | None = None,
-) -> bool:
+def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()) -> bool:
     """Whether a folder holds a model already, which must then be one of these parts.
 
     Args:
       path: model folder; it exists.
       parts: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
       own_files: further names that a killed training may leave before its `config.json`.
-      defaults: what fields of `config` mean that the folder of an older version does not have.
 
     Raises:
       ValueError: a folder of something else, or of another model; nothing was written.
@@ -313,8 +307,6 @@ def holds_model(
     for part, values in parts.items():
         old = stored.get(part)
         old = old if isinstance(old, dict) else {}
-        if part == 'config':
-            old = (defaults or {}) | old
         differing = [
             k for k, v in values.items() if k != 'path' and _plain(old.get(k)) != _plain(v)
         ]

@@ -97,7 +97,7 @@ def refuse_raw_path(raw_path: str | None) -> None:
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'
-_OPEN_LOOP = 'learning_to_simulate.methods.open_loop_method'
+_OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
     'gns': Method(
         'graph network on modes and body (Usmani & Skonieczny 2023)',
@@ -118,8 +118,8 @@ METHODS = {
     ),
     'swept_field': Method(
         'neural field over what the tool has swept: no modes, no time stepping',
-        'learning_to_simulate.methods.swept_field.method',
-        live='learning_to_simulate.methods.swept_field.path_rollout',
+        'learning_to_simulate.swept_field.method',
+        live='learning_to_simulate.swept_field.live',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
     'earthmoving': Method(

@@ -33,7 +33,6 @@ MAY_IMPORT = {
         'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.subspace.edge_picture',
         'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
@@ -42,14 +41,13 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering'),
-    ('render_rollout', 'config', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
+    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
+     'soil_truth', 'rendering'),
+    ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
-    (  # the tool: its pose, what it has swept, the bed
-     'methods.tool_motion', 'methods.resting_bed', 'methods.swept_features',
-     'methods.swept_field.tool_path', 'methods.path_memory'),
+    ('tool',),
     ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
-    ('methods', 'full_space', 'penetration', 'subspace.method', 'presets'),
+    ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
     ('export', 'export_c'),
     ('api', 'train', 'live.roll_out_path'),
     ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
@@ -108,10 +106,11 @@ IMPORTS_WITHOUT = [
     ),
     (
         (
-            'learning_to_simulate.methods.path_ridge',
-            'learning_to_simulate.methods.earthmoving',
-            'learning_to_simulate.methods.wheel_terramechanics',
-            'learning_to_simulate.methods.swept_features',
+            'learning_to_simulate.baselines.path_ridge',
+            'learning_to_simulate.baselines.earthmoving',
+            'learning_to_simulate.baselines.wheel_terramechanics',
+            'learning_to_simulate.tool.path_memory',
+            'learning_to_simulate.tool.bed',
         ),
         ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
     ),
@@ -124,8 +123,6 @@ IMPORTS_WITHOUT = [
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/export_c/test_c_faults.py',
-    'learning_to_simulate/export_c/test_fmu_field.py',
-    'learning_to_simulate/export_c/test_fmu_field_wheel.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',

@@ -10,11 +10,11 @@ from learning_to_simulate.body_height import without_height
 from learning_to_simulate.compiled.folded_step import FoldedStep
 from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods import path_memory
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
+from learning_to_simulate.tool import path_memory
 
 
 class CompiledStep:

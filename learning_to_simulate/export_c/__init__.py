@@ -4,5 +4,5 @@
 for it; `project` writes both as a CMake project, `fmu` as an FMU; `c_stepper` runs them in Python.
 """
 
-# A C project, an FMU of FMI 2.0 and of 3.0.
-FORMATS = ('c', 'fmu', 'fmu3')
+# A C project, an FMU of FMI 2.0.
+FORMATS = ('c', 'fmu')

@@ -12,7 +12,7 @@ from learning_to_simulate import command
 from learning_to_simulate.export_c import agreement, comparing, field_data
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field.live import LiveField
+from learning_to_simulate.swept_field.live import LiveField
 from pca_tools import dataset, files, splits
 from pca_tools.storage import markdown
 

@@ -9,7 +9,7 @@ from learning_to_simulate.export_c import c_library, c_values, field_data
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_instance import KERNELS, KernelLacks
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field.live import LiveField
+from learning_to_simulate.swept_field.live import LiveField
 from pca_tools import dataset
 
 

@@ -95,7 +95,7 @@ class CField(CInstance):
 
     @classmethod
     def load(cls, model_path: str, **options) -> 'CField':
-        """Of a model folder; raises as `model_files.load` and `of`."""
+        """Of a model folder; raises as `swept_field.field.load` and `of`."""
         field, parts = field_data.read(model_path)
         return cls.of(field, **parts, **options)
 

@@ -11,9 +11,9 @@ from learning_to_simulate.export_c import c_library, project
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_soil import CSoil
 from learning_to_simulate.live import stepping
-from learning_to_simulate.methods.swept_field.network import ACROSS
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.swept_field.network import ACROSS
 from pca_tools import dataset
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7

@@ -23,7 +23,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export_c import benchmark, c_header, c_stepper, field_data, starts
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_values import Structure
-from learning_to_simulate.methods.swept_field import model_files
+from learning_to_simulate.swept_field import field as field_lib
 from pca_tools import dataset, files
 
 WAYS = ('again', 'without end')
@@ -119,7 +119,7 @@ def _graph(library, model_path, data_path, way):
 
 
 def _field(library, model_path, data_path, way):
-    field = model_files.load(model_path)
+    field = field_lib.load(model_path)
     poses = dataset.read_split(data_path, 'test')[0].rigid_pose
     if poses is None:
         raise ValueError(f'{data_path}: the first test run holds no pose of its tool')

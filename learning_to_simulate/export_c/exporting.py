@@ -11,11 +11,10 @@ import sys
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export_c import comparing, field_data, fmu, model_data, project, starts
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field.live import LiveField
+from learning_to_simulate.swept_field.live import LiveField
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
-_FMI = {'fmu': 2, 'fmu3': 3}  # versions
 
 
 def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid=None) -> dict:
@@ -52,8 +51,8 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     }
 
     def fill(folder):
-        if kind in _FMI:
-            fmu.write(os.path.join(folder, f'{name}.fmu'), name, values, _FMI[kind])
+        if kind == 'fmu':
+            fmu.write(os.path.join(folder, f'{name}.fmu'), name, values)
         else:
             project.write(folder, name, values)
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)

@@ -1,25 +1,26 @@
 """A trained swept field as the values of `struct lts_field_model`.
 
-All constants come from the modules of the method; what C repeats of them is only their order.
+All constants come from the modules of the method, and the tables of inputs go along as data: what C
+repeats is only the order of a frame's scalars.
 """
 
 import numpy as np
 
 from learning_to_simulate.export_c import c_header, c_values, field_blade, field_wheel, fold
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods.swept_field import live, model_files, quality, tool_path
-from learning_to_simulate.methods.swept_field.tools import Wheel
-
-_MOST_PLACES = 32
+from learning_to_simulate.swept_field import field as field_lib
+from learning_to_simulate.swept_field import live
+from learning_to_simulate.swept_field.network import ACROSS, LOAD_HIDDEN
+from learning_to_simulate.tool import Wheel, blade, inputs
 
 
 def read(model_path: str):
     """A field, and the `starts` and `subspace` that `values` takes, by name: of a wheel.
 
     Raises:
-      FileNotFoundError, ValueError: as `model_files.load` and `resting_start.read`.
+      FileNotFoundError, ValueError: as `field.load` and `resting_start.read`.
     """
-    field = model_files.load(model_path)
+    field = field_lib.load(model_path)
     if not isinstance(field.tool, Wheel):
         return field, {}
     starts, subspace = resting_start.read(model_path)
@@ -36,19 +37,19 @@ def values(field, starts=None, subspace=None) -> dict:
     Raises:
       ValueError: inputs that the C code does not know; a wheel without starts.
     """
-    is_wheel = isinstance(field.tool, Wheel)
+    is_wheel, tool = isinstance(field.tool, Wheel), field.tool
     of_tool = field_wheel.values(field, starts, subspace) if is_wheel else field_blade.values(field)
-    places, own = of_tool.pop('places'), of_tool.pop('inputs')
-    sizes = {name: len(row) for name, row in places.items()}
-    counts = dict(zip(('n_seen', 'n_shared', 'n_force'), own(sizes)))
-    _check(field, counts, sizes)
-    c, names = c_header.constants(), field.tool.scalars
+    known = field_wheel if is_wheel else field_blade
+    _check(field, known)
+    tables = tool.tables
+    n_own = len(tables.own)
+    c, names = c_header.constants(), tool.scalars
     axes, grid = field.axes, field.grid
     points = axes.points(field.rest)
     soil, load = (_numpy(net) for net in (field.network.soil, field.network.load))
     w, b = soil[0]
-    own_weights, shared = w[:, : counts['n_seen']], w[:, counts['n_seen'] :]
-    reach = max(np.abs(places[name]).max() for name in ('around', 'since'))
+    own_weights, shared = w[:, :n_own], w[:, n_own:]
+    reach = max(np.abs(row.at).max() for row in tables.own.rows if row.at)
     result = {
         'abi': c['LTS_ABI'],
         'n_soil': len(field.rest),
@@ -70,7 +71,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'bin': grid.spacing,
         'radius': grid.radius,
         'forget': grid.forget,
-        'touch': tool_path.TOUCH,
+        'touch': blade.TOUCH,
         'kept_spacing': field.kept_spacing,
         'spacing': field.spacing,
         'fastest': live.FASTEST,
@@ -81,7 +82,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'n_soil_hidden': len(soil) - 2,
         'n_load_hidden': len(load) - 2,
         'latent': field.config.latent_size,
-        'load_latent': field.config.force_latent_size,
+        'load_latent': LOAD_HIDDEN[0],
         'soil_first': [fold.dense(part) for part in own_weights],
         'soil_hidden': _layers(soil[1:-1]),
         'soil_last': _layers(soil[-1:]),
@@ -89,29 +90,85 @@ def values(field, starts=None, subspace=None) -> dict:
         'load_first': fold.dense(*_together(*load[0])),
         'load_hidden': _layers(load[1:-1]),
         'load_last': _layers(load[-1:]),
-        'limits': quality.limits(field.ranges, names),
-        'bits': np.array([c[of_tool['bit'](name)] for name in names]),
+        'limits': field.limits.limits[:, : len(names)],
+        'bits': np.array([c[_bit(name, known)] for name in names]),
         'bound': np.array(field.calibration.get('force', ())),
-        **counts,
-        **places,
-        **{f'n_{name.rstrip("s")}': size for name, size in sizes.items()},
+        'n_seen': n_own,
+        'n_shared': len(tables.shared),
+        'n_force': len(tables.force),
+        'own': _table(tables.own, tool),
+        'shared': _table(tables.shared, tool),
+        'force_inputs': _table(tables.force, tool),
+        'below': tool.below,
+        'below_ramp': tool.below_ramp,
+        'beside': tool.beside,
+        'beside_ramp': tool.beside_ramp,
+        'displacement': tool.displacement,
+        'across': ACROSS,
     }
-    del of_tool['bit']
     result |= of_tool
     return result | {'digest': c_values.digest(result)}
 
 
-def _check(field, counts, sizes):
-    n_soil, n_force = field.network.sizes
-    if (counts['n_seen'] + counts['n_shared'], counts['n_force']) != (n_soil, n_force):
+def _check(field, known):
+    n_scale = sum(name.startswith(f'{known.RATES[0]}_') for name in known.SCALARS)
+    limit = c_header.constants()['LTS_FIELD_SCALES']
+    if field.tool.scalars != known.SCALARS:
         raise ValueError(
-            f'the networks take {n_soil} and {n_force} inputs, the C form of a swept field has '
-            f'{counts["n_seen"] + counts["n_shared"]} and {counts["n_force"]}'
+            f'the C form of a swept field does not know the scalars {field.tool.scalars}'
         )
-    if max(sizes.values()) > _MOST_PLACES:
-        raise ValueError(f'the C form of a swept field looks at no more than {_MOST_PLACES} places')
+    if n_scale > limit:
+        raise ValueError(f'{n_scale} memories of the velocity, the C form has at most {limit}')
     if field.config.hidden_layers < 1:
         raise ValueError('a swept field without hidden layers has no C form')
+
+
+def _bit(name, known):
+    """The status of a scalar that is outside its range."""
+    if name in known.CONTEXT:
+        return 'LTS_OUTSIDE_CONTEXT'
+    return 'LTS_OUTSIDE_SPEED' if name.split('_')[0] in known.RATES else 'LTS_OUTSIDE_POSE'
+
+
+def _table(table: inputs.Table, tool) -> dict:
+    """`lts_field_table` of a table."""
+    c, ops, rows = c_header.constants(), [], []
+    for row in table.rows:
+        if inputs.depth(row.operand) > (limit := c['LTS_FIELD_STACK']):
+            raise ValueError(f'{row.operand!r} needs more than the {limit} values of the C form')
+        for offset in row.at or (0.0,):
+            program = [_op(*step, offset, tool) for step in inputs.program(row.operand)]
+            squash = c[f'LTS_SQUASH_{row.squash.upper()}']
+            rows.append(
+                {'first': len(ops), 'count': len(program), 'squash': squash, 'shift': row.shift,
+                 'scale': row.scale}
+            )  # fmt: skip
+            ops += program
+    return {
+        'n_row': len(rows),
+        'place': -1 if table.place == 'u' else tool.scalars.index(table.place),
+        'unit': tool.scalars.index(table.unit) if table.unit else -1,
+        'rows': rows,
+        'ops': ops,
+    }
+
+
+def _op(kind, value, offset, tool):
+    """`lts_field_op` of one step of `inputs.program`."""
+    if kind != 'name':
+        number = value if kind == 'number' else 0.0
+        return _coded(kind, 0, number)
+    if value.startswith('at.'):
+        return _coded('at', c_header.constants()[f'LTS_{value[3:].upper()}'], offset)
+    if value in tool.channels:
+        return _coded('here', c_header.constants()[f'LTS_{value.upper()}'])
+    if value in tool.scalars:
+        return _coded('scalar', tool.scalars.index(value))
+    return _coded('rest', 'uyz'.index(value))
+
+
+def _coded(code, index=0, value=0.0):
+    return {'code': c_header.constants()[f'LTS_OP_{code.upper()}'], 'index': index, 'value': value}
 
 
 def _numpy(net):

@@ -1,5 +1,4 @@
-"""Writes a model as an FMU: co-simulation of FMI 2.0 or 3.0, with its sources and a binary for this
-machine.
+"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine.
 
 Names of the variables follow Chrono's tyre FMU (`wheel_state.pos.x`, `wheel_load.force.x`); a tool
 whose pose is prescribed is called `tool` instead of `wheel`.
@@ -13,17 +12,15 @@ import zipfile
 from learning_to_simulate.export_c import c_header, c_library, fmu_description, project
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
-VERSIONS = (2, 3)  # of FMI
 
 
-def write(path: str, name: str, values: dict, version: int = 2) -> None:
+def write(path: str, name: str, values: dict) -> None:
     """Writes the FMU; without a C compiler it holds sources only.
 
     Args:
       path: of the file.
       name: of `project.symbol`.
       values: of `model_data.values`, with at least one start, or of `field_data.values`.
-      version: of FMI.
 
     Raises:
       ValueError: no start, a model without a body, or sources that do not compile.
@@ -33,24 +30,17 @@ def write(path: str, name: str, values: dict, version: int = 2) -> None:
     with tempfile.TemporaryDirectory() as folder:
         sources = os.path.join(folder, 'sources')
         os.makedirs(sources)
-        _write_sources(sources, name, values, version)
+        _write_sources(sources, name, values)
         names = sorted(file for file in os.listdir(sources) if file.endswith('.c'))
-        described = {'modelDescription.xml': fmu_description.fmi2(name, values, names)}
-        if version == 3:
-            described = {
-                'modelDescription.xml': fmu_description.fmi3(name, values),
-                'sources/buildDescription.xml': fmu_description.build_description(name, names),
-            }
-        for file, text in described.items():
-            with open(os.path.join(folder, file), 'wb') as out:
-                out.write(text)
+        with open(os.path.join(folder, 'modelDescription.xml'), 'wb') as out:
+            out.write(fmu_description.fmi2(name, values, names))
         project.write_template(
             'fmi/index.html.in',
             _made(folder, 'documentation/index.html'),
             {'NAME': name, 'BODY': fmu_description.body(values), **_about(values)},
         )
         try:
-            binary = _made(folder, f'binaries/{_platform(version)}/{name}.{_suffix()}')
+            binary = _made(folder, f'binaries/{_platform()}/{name}.{_suffix()}')
             c_library.compile_flat(binary, sources)
         except c_library.NoCompiler:
             os.removedirs(os.path.dirname(binary))
@@ -82,24 +72,19 @@ def _made(folder, name):
     return path
 
 
-def _platform(version):
-    """Folder of a binary: linux64 in FMI 2.0, x86_64-linux in 3.0."""
+def _platform():
     system = {'Linux': 'linux', 'Darwin': 'darwin', 'Windows': 'win'}.get(platform.system())
-    if version == 2:
-        return f'{system or platform.system().lower()}64'
-    machine = {'AMD64': 'x86_64', 'arm64': 'aarch64'}.get(platform.machine(), platform.machine())
-    return f'{machine}-{"windows" if system == "win" else system}'
+    return f'{system or platform.system().lower()}64'
 
 
 def _suffix():
     return {'Darwin': 'dylib', 'Windows': 'dll'}.get(platform.system(), 'so')
 
 
-def _write_sources(folder, name, values, version):
+def _write_sources(folder, name, values):
     project.write_sources(folder, name, values)
     kind = 'field' if project.is_field(values) else 'graph'
-    parts = ['fmu_core.h', 'fmu_core.c', f'fmu_{kind}.c', f'fmi{version}.c']
-    parts += ['fmi3_rest.h'] * (version == 3)
+    parts = ['fmu_core.h', 'fmu_core.c', f'fmu_{kind}.c', 'fmi2.c']
     for part in [*project.headers(values), *(f'fmi/{part}' for part in parts)]:
         project.copy(part, folder)
     project.write_template(
@@ -107,7 +92,6 @@ def _write_sources(folder, name, values, version):
     )
     c = c_header.constants()
     given = values.get('motion') in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
-    (u, v), (nx, ny) = fmu_description.grid(values)
     lines = [
         f'/* Generated: what the FMI layer must know of {name}. */',
         f'#include "{name}.h"',
@@ -118,9 +102,6 @@ def _write_sources(folder, name, values, version):
         f'#define FMU_LOAD {values["load"] if project.is_wheel(values) else -1}',
         f'#define FMU_RIGID {values.get("n_rigid", 0)}',
         f'#define FMU_GIVEN {int(given)}',
-        f'#define FMU_SOIL {values.get("n_soil", 0)}',
-        f'#define FMU_CELLS {nx * ny}',
-        f'#define FMU_GRID {{{{{u!r}, {v!r}}}, {fmu_description.CELL!r}, {{{nx}, {ny}}}}}',
     ]
     with open(os.path.join(folder, 'fmu_model.h'), 'w', encoding='utf-8') as file:
         file.write('\n'.join([*lines, '']))

@@ -1,6 +1,5 @@
-"""modelDescription.xml of FMI 2.0 and 3.0: one table of variables, two ways to write it."""
+"""modelDescription.xml of FMI 2.0: one table of variables."""
 
-import math
 import uuid
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -28,8 +27,6 @@ _BOOLEANS = {
     'left_bounds': 'the soil left twice the hull of its training positions',
     'non_finite': 'a position or force is not finite',
 }
-# m, of the height map of an FMU.
-CELL = 0.025
 
 
 class Variable(NamedTuple):
@@ -57,22 +54,6 @@ def body(values: dict) -> str:
     """What the variables call the body."""
     given = values.get('motion', 1) == c_header.constants()['LTS_PRESCRIBED']
     return 'tool' if given and not project.is_wheel(values) else 'wheel'
-
-
-def grid(values: dict) -> tuple[list[float], list[int]]:
-    """Origin [2] (m) and cells [2] of the height map over the bed at rest; none without a bed."""
-    if project.is_field(values):
-        points, up = np.asarray(values['rest']), values['up']
-    elif values.get('n_soil'):
-        n, up, start = values['n_soil'], values['up_axis'], values['starts'][0]
-        offsets = start['modes'] - values['origin'][values['n_rigid'] :]
-        points = (values['mean'] + offsets.T @ values['components'])[:, :n].T
-    else:
-        return [0.0, 0.0], [0, 0]
-    low, high = (np.delete(f(points, axis=0), up) for f in (np.min, np.max))
-    cells = [max(1, math.ceil(float(length) / CELL)) for length in high - low]
-    middle = (low + high) / 2
-    return [float(m - n * CELL / 2) for m, n in zip(middle, cells)], cells
 
 
 def _context(values):
@@ -228,86 +209,6 @@ def fmi2(name: str, values: dict, sources) -> bytes:
         parent = sub(structure, part)
         for index in outputs:
             sub(parent, 'Unknown', index=str(index))
-    return _text(root)
-
-
-def fmi3(name: str, values: dict) -> bytes:
-    """modelDescription.xml of FMI 3.0; arguments as of `fmi2`, sources are in
-    `build_description`."""
-    element, sub = ElementTree.Element, ElementTree.SubElement
-    root = element(
-        'fmiModelDescription',
-        fmiVersion='3.0',
-        modelName=name,
-        instantiationToken=guid(values),
-        description=f'Soil under a moving body, scene {values["name"]}',
-        generationTool='learning_to_simulate',
-        variableNamingConvention='structured',
-    )
-    sub(
-        root,
-        'CoSimulation',
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize='true',
-        canGetAndSetFMUState='true',
-        canSerializeFMUState='true',
-    )
-    _common(root, values)
-    outputs, variables = [], sub(root, 'ModelVariables')
-
-    def variable(label, text, kind, causality, **attributes):
-        vr = str(len(variables))
-        attributes = _attributes(causality) | _given(**attributes)
-        found = sub(variables, kind, name=label, valueReference=vr, description=text, **attributes)
-        if causality == 'output':
-            outputs.append(vr)
-        return found
-
-    for v in reals(values):
-        start = None if v.start is None else repr(float(v.start))
-        variable(v.name, v.text, 'Float64', v.causality, unit=v.unit, start=start)
-    variable('start', _START_TEXT, 'Int32', 'parameter', **_start_range(values))
-    for label, text in _BOOLEANS.items():
-        variable(f'status.{label}', text, 'Boolean', 'output')
-    digest = variable('digest', _DIGEST_TEXT, 'String', 'constant')
-    sub(digest, 'Start', value=values['digest'])
-    origin, cells = grid(values)
-    arrays = (
-        (
-            'height_map',
-            'highest particle of each cell across the up axis, NaN where there is none; cells of '
-            f'{CELL} m from {origin[0]:.6g}, {origin[1]:.6g} m on',
-            cells,
-        ),
-        ('particles', 'of the soil', (values.get('n_soil', 0), 3)),
-    )
-    for label, text, shape in arrays if all(cells) else ():
-        found = variable(label, text, 'Float32', 'output', unit='m')
-        for size in shape:
-            sub(found, 'Dimension', start=str(size))
-    variables.append(
-        element('Float64', name='time', valueReference=str(_time_reference(values)),
-                causality='independent', variability='continuous', unit='s')
-    )  # fmt: skip
-    structure = sub(root, 'ModelStructure')
-    for part in ('Output', 'InitialUnknown'):
-        for vr in outputs:
-            sub(structure, part, valueReference=vr)
-    return _text(root)
-
-
-def _time_reference(values):
-    """Behind the reals, the start, the Booleans, the digest and both arrays; see fmi3.c."""
-    return len(reals(values)) + 1 + len(_BOOLEANS) + 1 + 2
-
-
-def build_description(name: str, sources) -> bytes:
-    """sources/buildDescription.xml of FMI 3.0."""
-    root = ElementTree.Element('fmiBuildDescription', fmiVersion='3.0')
-    built = ElementTree.SubElement(root, 'BuildConfiguration', modelIdentifier=name)
-    listed = ElementTree.SubElement(built, 'SourceFileSet', language='C99')
-    for file in sources:
-        ElementTree.SubElement(listed, 'SourceFile', name=file)
     return _text(root)
 
 

@@ -16,7 +16,7 @@ from absl import flags
 
 from learning_to_simulate import command
 from learning_to_simulate.export_c.c_field import CField
-from learning_to_simulate.methods.swept_field import model_files
+from learning_to_simulate.swept_field import field as field_lib
 from pca_tools import dataset, files
 from pca_tools.storage import markdown
 
@@ -48,7 +48,7 @@ def measure(model_paths, data_path: str) -> list[dict]:
     shared = set.intersection(*(set(runs) for runs in judged.values()))
     rows, soils = [], []
     for path in model_paths:
-        field = model_files.load(path)
+        field = field_lib.load(path)
         products = sum(int(np.prod(w.shape[1:])) for w, _ in field.network.soil.layers)
         for members in dict.fromkeys((field.config.members, 1)):
             key = 'soil_mm' if members > 1 else 'soil_mm_of_members'

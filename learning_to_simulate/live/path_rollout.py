@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from learning_to_simulate import loads, reading_utils
 from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.evaluation import total_force
+from learning_to_simulate.evaluation import soil_of_run, torque_of, total_force
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.frame_judge import FrameJudge, worse
 from learning_to_simulate.live.live_soil import Beginning
@@ -19,6 +19,7 @@ from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.soil_truth import PARTICLES, SoilTruth
 from pca_tools import dataset, files
 
 # Paths are padded to a multiple of so many frames, so that few lengths are compiled.
@@ -45,6 +46,8 @@ class SoilRollout:
       name: for files and titles.
       torque: float32 [T', 3] about the body's reference point, N m, where the model predicts one.
       true_torque: float64 [H + T', 3] of a recorded run, where there is a `torque`; else None.
+      soil_truth: `soil_truth.SoilTruth` of a recorded run, else None.
+      sampled: float64 [F, P, 3], m: the predicted particles that it is compared with.
     """
 
     history: np.ndarray
@@ -60,6 +63,8 @@ class SoilRollout:
     name: str = 'rollout'
     torque: np.ndarray | None = None
     true_torque: np.ndarray | None = None
+    soil_truth: SoilTruth | None = None
+    sampled: np.ndarray | None = None
 
     def __repr__(self) -> str:
         reason = f' ({self.reason})' if self.reason else ''
@@ -74,6 +79,11 @@ class SoilRollout:
     def reason(self) -> str:
         """Value and limits behind the status, in words; '' where it is OK."""
         return self.judgement.reason
+
+    @property
+    def soil_mm(self) -> float | None:
+        """The error of soil of a recorded run, mm (see `soil_truth`); None of a path."""
+        return None if self.soil_truth is None else self.soil_truth.soil_mm(self.sampled)
 
     @property
     def time(self) -> np.ndarray:
@@ -133,6 +143,10 @@ class SoilRollout:
         if self.true_torque is not None:
             arrays['initial_torques'] = self.true_torque[:H].astype(np.float32)
             arrays['ground_truth_torques'] = self.true_torque[H:].astype(np.float32)
+        if self.soil_truth is not None and self.soil_truth.space == PARTICLES:
+            arrays['predicted_particles'] = self.sampled.astype(np.float32)
+            arrays['particle_frames'] = self.soil_truth.frames
+            arrays['particle_indices'] = self.soil_truth.indices
         if self.truth is not None:
             true_modes, true_body, true_force = self.truth
             arrays['ground_truth_rollout'] = np.concatenate(
@@ -154,10 +168,8 @@ class SoilRollout:
           ValueError: another ending, or a package for pictures is missing (pip install .[viz]).
         """
         from learning_to_simulate import render_rollout
-        from learning_to_simulate.rendering import rollout_frames
 
-        target, kind = render_rollout.target_and_format(path)
-        render_rollout.render_frames(rollout_frames.of_rollout(self), target, [kind], **options)
+        render_rollout.draw(self, path, **options)
 
 
 class PathRoller:
@@ -299,7 +311,8 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
     predicted = group.all_particles(np.concatenate([history[None], rollout.position], axis=1))[0]
     n_body = true.shape[1] - scene.n_modes - group.n_left_modes
     modes = slice(n_body, n_body + scene.n_modes)
-    torque = getattr(rollout, 'torque', None)
+    torque = torque_of(rollout)
+    soil_truth, sampled = soil_of_run(group, rollout, scene)
     bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
     return SoilRollout(
         history=history,
@@ -317,8 +330,10 @@ def of_recorded_run(group, rollout, scene, soil: Soil | None, name: str) -> Soil
             None if group.force is None else total_force(group.force[0]),
         ),
         name=name,
-        torque=None if torque is None else torque[0],
-        true_torque=None if torque is None else group.torque[0],
+        torque=torque,
+        true_torque=None if torque is None or group.torque is None else group.torque[0],
+        soil_truth=soil_truth,
+        sampled=sampled,
     )
 
 

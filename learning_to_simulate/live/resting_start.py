@@ -51,6 +51,9 @@ class Starts:
     def __len__(self) -> int:
         return len(self.cases)
 
+    def __repr__(self) -> str:
+        return f'<{len(self)} starts: pose, body, modes, context and case of each>'
+
     def index(self, case: int | None) -> int:
         """The start of a case of the dataset; for None, the first on a bed that no run before has
         disturbed.

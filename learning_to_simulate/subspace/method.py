@@ -11,12 +11,12 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
 from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import resting_bed
-from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
 from learning_to_simulate.subspace.subspace_model import Model, load, make_simulator
+from learning_to_simulate.tool import bed
+from learning_to_simulate.tool.path_memory import PathMemory
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -90,8 +90,8 @@ def _path_memory(data_path, metadata, groups, scene):
             f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
         )
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
-    frame = PathMemory.of_runs(bodies, scene).frame
-    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    axes = PathMemory.of_runs(bodies, scene).axes
+    surface = bed.height_of_dataset(data_path, metadata, axes)
     return PathMemory.of_runs(bodies, scene, surface)
 
 

@@ -85,7 +85,11 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
         rollout.save(name)
         frames = rollout_frames.load(name, data.path)
         assert frames.has_truth == (rollout.truth is not None)
-        np.testing.assert_allclose(frames.scores['prediction'][H:], rollout.modes, atol=1e-5)
+        modes = rollout.modes[frames.frames - H]
+        soil = data.subspace.decode(modes)
+        np.testing.assert_allclose(frames.soil['prediction'], soil, atol=1e-5)
+        if rollout.truth is not None:
+            assert frames.soil_mm == pytest.approx(rollout.soil_mm, rel=1e-5)
         np.testing.assert_allclose(frames.force['prediction'][H:], rollout.force, atol=1e-4)
     assert len(data.test) == 4 and data.test[-1].index == 3
     with pytest.raises(IndexError, match='has 4 runs'):

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
 from learning_to_simulate.subspace import subspace_model
@@ -101,6 +102,18 @@ def test_killed_training_resumes_to_the_same_weights(data, trained, tmp_path):
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))
     for name in straight:
         np.testing.assert_array_equal(weights[name], straight[name])
+
+
+def test_the_averages_are_what_is_saved(trained):
+    """And not the weights that the last step left, which the checkpoint holds beside them."""
+    weights = files.read_npz(f'{trained}/{checkpoints.WEIGHTS_FILE}')
+    checkpoint = tf.train.load_checkpoint(f'{trained}/ckpt-{SHORT["num_steps"]}')
+    for i, value in enumerate(weights.values()):
+        average = checkpoint.get_tensor(f'averages/{i}/.ATTRIBUTES/VARIABLE_VALUE')
+        np.testing.assert_array_equal(value, average)
+    last = checkpoint.get_tensor('simulator/_embedding/.ATTRIBUTES/VARIABLE_VALUE')
+    (stored,) = (v for k, v in weights.items() if 'embedding' in k)
+    assert np.abs(stored - last).max() > 0
 
 
 def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained, tmp_path):

@@ -16,7 +16,7 @@ from learning_to_simulate.export_c import (
 )
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.methods.swept_field import small_wheel, small_world
+from tests.learning_to_simulate.swept_field import small_wheel, small_world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'

@@ -8,11 +8,12 @@ import pytest
 from learning_to_simulate.export_c import c_library, field_data, project
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_instance import KERNELS, KernelLacks
-from learning_to_simulate.methods.swept_field import quality, soil_physics, tool_path
-from learning_to_simulate.methods.swept_field.beds import HeightMap
-from learning_to_simulate.methods.swept_field.episodes import BedReader
-from learning_to_simulate.methods.swept_field.tool_path import Bed, Frame
-from tests.learning_to_simulate.methods.swept_field import small_world as world
+from learning_to_simulate.swept_field import calibration
+from learning_to_simulate.swept_field.network import stacked
+from learning_to_simulate.tool.bed import HeightMap
+from learning_to_simulate.tool.blade import Blade
+from learning_to_simulate.tool.inputs import Row, Table
+from tests.learning_to_simulate.swept_field import small_world as world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
@@ -42,22 +43,19 @@ def stretched(field, bed):
 
 def twin(field, plane, points, dt=world.DT, velocity=None, width=world.BLADE.width):
     """Loads [M, T, 3] and particles [T, N, 3] of a path, whole, by numpy and TensorFlow."""
-    reader = BedReader(field.axes, field.grid, field.kept_spacing, field.spacing)
-    surface, level, end = reader.read(points, plane[0, 0], width)
-    bed = Bed(surface[None], np.array([level]), np.array([end]))
-    state = tool_path.start(field.grid, bed, plane[:1], velocity)
-    frames = []
+    size = np.array([width])
+    ground = field.ground(plane[0, 0], size, points)
+    tool, frames = field.tool, []
+    state, _ = tool.begin(field.grid, ground.bed, size[None], plane[:1], velocity)
     for pose in plane[1:]:
-        state = tool_path.advance(field.grid, state, pose[None], dt)
-        frames.append(tool_path.frame(field.grid, bed, np.array([width]), state))
-    seen = Frame(*(np.concatenate(part) for part in zip(*frames)))
-    rest = field.axes.points(points)
-    local = (rest - [plane[0, 0], level, 0.0]).astype(np.float32)
-    moved = field.displacement(seen, local).mean(axis=0)
+        state, _, seen = tool.step(field.grid, ground.bed, size[None], state, pose[None], dt)
+        frames.append(seen)
+    seen = stacked(frames)
+    moved = field.displacement(seen, ground.local).mean(axis=0)
     there = []
     for pose, shift in zip(plane[1:], moved):
-        now, out = shift.any(axis=1), rest + shift
-        out[now] = soil_physics.pushed_out(out[now], pose, field.blade, width)
+        now, out = shift.any(axis=1), ground.places + shift
+        out[now] += tool.inside(out[now], pose, size)[1]
         there.append(out)
     return field.loads(seen), np.array(there), seen
 
@@ -80,7 +78,7 @@ def assert_same(field, of_c, of_twin):
     assert np.abs(force).max() > 10 and np.abs(there[-1] - there[0]).max() > 1e-3
     np.testing.assert_allclose(loads, both, atol=1e-5 * np.abs(both).max())
     of_force = expected[..., :2]
-    bound = quality.bound(quality.spread(of_force), quality.size(of_force), BOUND)
+    bound = calibration.bound(calibration.spread(of_force), calibration.size(of_force), BOUND)
     np.testing.assert_allclose(bounds, bound, rtol=1e-4)
     np.testing.assert_allclose(field.axes.points(points), there, atol=1e-6)
 
@@ -243,9 +241,17 @@ def test_bad_starts_are_refused(field):
         soil.step(poses[1], dt=-0.1)
 
 
-def test_other_inputs_are_refused_by_name(field, monkeypatch):
-    monkeypatch.setattr(field.network, 'sizes', (60, 78))
-    with pytest.raises(ValueError, match='take 60 and 78 inputs, the C form'):
+@pytest.mark.parametrize(
+    'operand, message',
+    [
+        ('tip ** 3', 'has no place in an operand'),
+        ('height + (' * 8 + 'tip' + ')' * 8, 'more than the 8 values'),
+    ],
+)
+def test_inputs_that_c_cannot_read_are_refused(field, monkeypatch, operand, message):
+    table = Table((Row(operand),))
+    monkeypatch.setattr(Blade, 'tables', Blade.tables.__class__(Blade.tables.own, table, table))
+    with pytest.raises(ValueError, match=message):
         field_data.values(field)
 
 

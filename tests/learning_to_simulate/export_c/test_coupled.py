@@ -6,7 +6,7 @@ import pytest
 from learning_to_simulate.export_c import c_library, coupled
 from learning_to_simulate.export_c.c_field import CField
 from pca_tools import files
-from tests.learning_to_simulate.methods.swept_field import small_world as world
+from tests.learning_to_simulate.swept_field import small_world as world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'

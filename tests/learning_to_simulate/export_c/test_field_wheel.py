@@ -6,8 +6,8 @@ import pytest
 from learning_to_simulate.export_c import c_library
 from learning_to_simulate.export_c.c_field import CField
 from learning_to_simulate.export_c.c_instance import KERNELS, KernelLacks
-from learning_to_simulate.methods.swept_field.beds import HeightMap
-from tests.learning_to_simulate.methods.swept_field import small_wheel as world
+from learning_to_simulate.tool.bed import HeightMap
+from tests.learning_to_simulate.swept_field import small_wheel as world
 
 pytestmark = pytest.mark.skipif(
     not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'

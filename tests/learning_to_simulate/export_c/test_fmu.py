@@ -1,4 +1,4 @@
-"""The FMU by FMPy: valid, equal to the project's rollout, rolled back bit by bit, side by side."""
+"""The FMU by FMPy: valid, equal to the library, rolled back bit by bit, side by side."""
 
 import os
 import subprocess
@@ -16,7 +16,10 @@ from learning_to_simulate.export_c import (
     model_data,
     starts,
 )
+from learning_to_simulate.export_c.c_field import CField
 from tests.learning_to_simulate import models
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as small_blade
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
 from fmpy import fmi2, validation  # noqa: E402
@@ -30,6 +33,7 @@ CASES = {
     'driven': {'motion': 'driven', 'context': True},
     'predicted': {'motion': 'predicted', 'context': True},
 }
+PARTS = {'pos': 'xyz', 'rot': ('e0', 'e1', 'e2', 'e3'), 'lin_vel': 'xyz', 'ang_vel': 'xyz'}
 
 
 def _write(folder, **case):
@@ -48,18 +52,26 @@ def shared(tmp_path_factory):
     return _write(tmp_path_factory.mktemp('fmu'), **CASES['driven'])
 
 
-def _body(path):
-    names = [v.name for v in fmpy.read_model_description(path).modelVariables]
-    return 'tool' if 'tool_state.pos.x' in names else 'wheel'
+@pytest.fixture(scope='module')
+def fields(tmp_path_factory):
+    """Name of a tool -> path of its FMU, field, what a wheel starts from."""
+    found, folder = {}, tmp_path_factory.mktemp('fields')
+    for name, small in (('blade', small_blade), ('wheel', small_wheel)):
+        field = small.make_field()
+        parts = small.two_starts(field) if name == 'wheel' else {}
+        path = str(folder / f'{name}.fmu')
+        fmu.write(path, f'lts_{name}', field_data.values(field, **parts))
+        found[name] = path, field, parts
+    return found
 
 
 class _Slave:
     """An instance of an FMU with its variables by name."""
 
-    def __init__(self, path, folder, name='one', **start):
+    def __init__(self, path, folder, name='one', start=None, **inputs):
         description = fmpy.read_model_description(path)
         self.vr = {v.name: v.valueReference for v in description.modelVariables}
-        self.body, self.logged = _body(path), []
+        self.body, self.logged = _body(self.vr), []
         self.c = fmi2.FMU2Slave(
             guid=description.guid,
             unzipDirectory=fmpy.extract(path, unzipdir=str(folder)),
@@ -77,20 +89,18 @@ class _Slave:
         self.c.instantiate(callbacks=callbacks, loggingOn=True)
         self.c.setupExperiment(startTime=0.0)
         self.c.enterInitializationMode()
-        self.set(**start)
+        if start is not None:
+            self.c.setInteger([self.vr['start']], [start])
+        self.set(**inputs)
         self.c.exitInitializationMode()
         self.time = 0.0
 
-    def set(self, pos=None, rot=None, lin=None, ang=None, **others):
-        for part, axes, values in (
-            ('pos', 'xyz', pos), ('rot', ('e0', 'e1', 'e2', 'e3'), rot),
-            ('lin_vel', 'xyz', lin), ('ang_vel', 'xyz', ang),
-        ):  # fmt: skip
-            if values is not None:
-                names = [f'{self.body}_state.{part}.{a}' for a in axes]
-                self.c.setReal([self.vr[n] for n in names], list(map(float, values)))
-        for name, value in others.items():
-            self.c.setReal([self.vr[name]], [float(value)])
+    def set(self, **parts):
+        """Parts of the pose and twist of the body (`PARTS`), and other reals by name."""
+        for part, values in parts.items():
+            names = [f'{self.body}_state.{part}.{a}' for a in PARTS.get(part, ())] or [part]
+            reference = [self.vr[n] for n in names]
+            self.c.setReal(reference, [float(v) for v in np.atleast_1d(values)])
 
     def step(self, h):
         self.c.doStep(self.time, h)
@@ -102,6 +112,10 @@ class _Slave:
     def free(self):
         self.c.terminate()
         self.c.freeInstance()
+
+
+def _body(names):
+    return 'tool' if 'tool_state.pos.x' in names else 'wheel'
 
 
 @pytest.mark.parametrize('case', CASES.values(), ids=CASES)
@@ -123,7 +137,7 @@ SHIPPED = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', SHIPPED)
-def test_shipped_models_are_valid_in_both_versions(name, tmp_path):
+def test_shipped_models_are_valid(name, tmp_path):
     path = os.path.join('models', name)
     if name.endswith('swept_field'):
         field, parts = field_data.read(path)
@@ -132,20 +146,17 @@ def test_shipped_models_are_valid_in_both_versions(name, tmp_path):
         data = os.path.join('datasets', os.path.dirname(name))
         model, n, subspace, found = starts.read_model(path, data)
         values = model_data.values(model, n, subspace, starts=found)
-    for version in fmu.VERSIONS:
-        written = str(tmp_path / f'soil{version}.fmu')
-        fmu.write(written, 'lts_soil', values, version)
-        assert validation.validate_fmu(written) == []
-        result = fmpy.simulate_fmu(written, stop_time=0.1, output_interval=1 / 60)
-        assert all(np.isfinite(result[n]).all() for n in result.dtype.names)
+    written = str(tmp_path / 'soil.fmu')
+    fmu.write(written, 'lts_soil', values)
+    assert validation.validate_fmu(written) == []
+    result = fmpy.simulate_fmu(written, stop_time=0.1, output_interval=1 / 60)
+    assert all(np.isfinite(result[n]).all() for n in result.dtype.names)
 
 
-def _path(found, twist, dt, n_frame):
-    """Poses [n_frame + 1, 7] of a body that keeps its twist (turning about z)."""
-    t = dt * np.arange(n_frame + 1)
-    centre = found['points'].mean(axis=0) + t[:, None] * twist[:3]
+def _pose(start, twist, t):
+    """[7] of a body that keeps its twist [6], turning about z."""
     half = 0.5 * t * twist[5]
-    return np.c_[centre, np.cos(half), 0 * t, 0 * t, np.sin(half)]
+    return np.array([*(start + t * twist[:3]), np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
 @pytest.mark.parametrize('case', ['prescribed', 'driven'])
@@ -153,16 +164,16 @@ def test_equals_the_stepper_for_every_step_of_the_master(case, tmp_path):
     """Frame by frame, in single milliseconds and in steps of three frames: frames stay whole."""
     path, model, found, _ = _write(tmp_path, **CASES[case])
     dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
-    poses = _path(found[0], twist, dt, 18)
+    first = found[0]['points'].mean(axis=0)
     stepper = c_stepper.CStepper(model, len(found[0]['points']), starts=found)
     context = None if case == 'prescribed' else found[0]['context']
-    stepper.start(0, poses[0], twist, context)
-    expected = np.array([stepper.step_at(pose).force for pose in poses[1:]])
+    stepper.start(0, _pose(first, twist, 0.0), twist, context)
+    expected = np.array([stepper.step_at(_pose(first, twist, k * dt)).force for k in range(1, 19)])
     for h in (dt, dt / 16, 3 * dt):
-        slave = _Slave(path, tmp_path / f'h{h:.4f}', lin=twist[:3], ang=twist[3:])
+        slave = _Slave(path, tmp_path / f'h{h:.4f}', lin_vel=twist[:3], ang_vel=twist[3:])
         forces = []
         for k in range(round(18 * dt / h)):
-            pose = _path(found[0], twist, h, k)[-1]
+            pose = _pose(first, twist, k * h)
             slave.set(pos=pose[:3], rot=pose[3:])
             slave.step(h)
             done = (k + 1) * h / dt
@@ -173,66 +184,110 @@ def test_equals_the_stepper_for_every_step_of_the_master(case, tmp_path):
         np.testing.assert_allclose(forces, expected[every - 1 :: every], rtol=1e-4, atol=1e-3)
 
 
-def test_rollback_and_serialised_states_are_bit_exact(shared, tmp_path):
-    path, model, found, _ = shared
-    one, other = (_Slave(path, tmp_path / n, n, lin=[-0.06, 0, 0]) for n in ('a', 'b'))
-    dt = model.simulator.scene.dt
-    for _ in range(5):
-        one.step(0.7 * dt)
-    state = one.c.getFMUstate()
+# Speeds along x and up, and the turn about z: of a wheel it slips.
+TWISTS = {
+    'blade': np.array([-0.2, -0.1, 0.0, 0.0, 0.0, 0.3]),
+    'wheel': np.array([-0.03, 0.0, 0.0, 0.0, 0.0, 0.6]),
+}
+
+
+def _load(t):
+    return 120.0 + 100.0 * t
+
+
+def _field_inputs(tool, start, t):
+    """All real inputs of a field's FMU by name; the height of a wheel is of no meaning."""
+    pose = _pose(start[:3], TWISTS[tool], t)
+    if tool == 'blade':
+        own = {}
+    else:
+        pose[1] += 0.5
+        own = {'load': _load(t)}
+    body = 'tool' if tool == 'blade' else 'wheel'
+    parts = zip(PARTS.items(), (pose[:3], pose[3:], *np.split(TWISTS[tool], 2)))
+    named = {
+        f'{body}_state.{part}.{a}': float(v)
+        for (part, axes), values in parts
+        for a, v in zip(axes, values)
+    }
+    return named | own
+
+
+def _by_the_library(tool, field, parts, start, h, n):
+    """Height lost, force and torque [n, 7] of the same motion."""
+    soil, rows, twist = CField.of(field, **parts), [], TWISTS[tool]
+    if tool == 'blade':
+        soil.start(_pose(start, twist, 0.0), twist)
+        context = None
+    else:
+        start, context = soil.start_of(0)
+        context[2] = _load(0.0)
+        soil.start(None, twist, index=0, context=context)
+    for k in range(n):
+        if context is not None:
+            context[2] = _load(k * h)
+        frame = soil.step(_pose(start[:3], twist, (k + 1) * h), h, context)
+        rows.append([start[1] - frame.point[1], *frame.force, *frame.torque])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize('tool', TWISTS)
+@pytest.mark.parametrize('h', [1 / 64, 1 / 512])
+def test_a_field_is_valid_and_equals_the_library_for_any_step(fields, tool, h):
+    path, field, parts = fields[tool]
+    assert validation.validate_fmu(path) == []
+    told = {v.name: v.start for v in fmpy.read_model_description(path).modelVariables}
+    body, n = _body(told), round(0.25 / h)
+    start = np.array([float(told[f'{body}_state.pos.{a}']) for a in 'xyz'])
+    rows = [{'time': k * h} | _field_inputs(tool, start, k * h) for k in range(n + 1)]
+    signals = np.array([(*r.values(),) for r in rows], dtype=[(name, float) for name in rows[0]])
+    loads = [f'{body}_load.{part}.{a}' for part in ('force', 'moment') for a in 'xyz']
+    got = fmpy.simulate_fmu(
+        path, stop_time=n * h, output_interval=h, input=signals, output=['sinkage', *loads],
+        start_values={} if tool == 'blade' else {'start': 0},
+    )  # fmt: skip
+    expected = _by_the_library(tool, field, parts, start, h, n)
+    assert np.ptp(expected, axis=0)[[0, 1, 2, 6]].min() > 1e-4  # a moment, too
+    found = np.stack([got[name] for name in ('sinkage', *loads)], axis=1)[1:]
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-8)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize('kind', ['graph', 'blade', 'wheel'])
+def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, fields, kind, tmp_path):
+    path, start = shared[0] if kind == 'graph' else fields[kind][0], None
+    if kind == 'wheel':
+        # It begins where the recorded one stood.
+        start, recorded = 1, fields[kind][2]['starts'].pose[1, :3]
+    slow, fast = ([v, 0, 0] for v in (-0.02, -0.06))
+    one, other = (_Slave(path, tmp_path / n, n, start, lin_vel=fast) for n in ('a', 'b'))
+    if kind == 'wheel':
+        np.testing.assert_array_equal(one.get('point'), recorded)
+    place = one.get('point')
+
+    def go(slave, time, n, lin_vel, h=0.011):
+        """Forces of n steps from a time on."""
+        slave.time, forces = time, []
+        for _ in range(n):
+            slave.set(pos=place + slave.time * np.array(lin_vel), lin_vel=lin_vel)
+            slave.step(h)
+            forces.append(slave.get('force'))
+        return np.array(forces)
+
+    go(one, 0.0, 5, fast)
+    state, time = one.c.getFMUstate(), one.time
     saved = one.c.serializeFMUstate(state)
-    time = one.time
-
-    def go(slave):
-        slave.time = time
-        for _ in range(7):
-            slave.step(0.9 * dt)
-        return slave.get('force')
-
-    first = go(one)
-    one.c.setFMUstate(state)
-    np.testing.assert_array_equal(go(one), first)
-    theirs = _restored(other, saved)
-    np.testing.assert_array_equal(go(other), first)
-    one.c.freeFMUstate(state)
-    other.c.freeFMUstate(theirs)
-    one.free()
-    other.free()
-
-
-def _restored(slave, saved):
-    state = slave.c.deSerializeFMUstate(saved)
-    slave.c.setFMUstate(state)
-    return state
-
-
-def test_two_instances_in_turns_do_not_touch_each_other(shared, tmp_path):
-    path, model, *_ = shared
-    dt = model.simulator.scene.dt
-    motions = ([-0.06, 0, 0], [-0.02, 0, 0])
-
-    def alone(motion, name):
-        slave = _Slave(path, tmp_path / name, name, lin=motion)
-        forces = []
-        for _ in range(6):
-            slave.step(dt)
-            forces.append(slave.get('force'))
+    first = go(one, time, 7, fast)
+    go(other, 0.0, 5, slow)  # Another instance in between changes nothing.
+    theirs = other.c.deSerializeFMUstate(saved)
+    for slave, at in ((one, state), (other, theirs)):
+        slave.c.setFMUstate(at)
+        np.testing.assert_array_equal(go(slave, time, 7, fast), first)
+        slave.c.freeFMUstate(at)
         slave.free()
-        return forces
-
-    expected = [alone(motion, f'alone{i}') for i, motion in enumerate(motions)]
-    pair = [_Slave(path, tmp_path / f'p{i}', f'p{i}', lin=m) for i, m in enumerate(motions)]
-    got = [[], []]
-    for _ in range(6):
-        for slave, forces in zip(pair, got):
-            slave.step(dt)
-            forces.append(slave.get('force'))
-    for slave in pair:
-        slave.free()
-    np.testing.assert_array_equal(got, expected)
 
 
-def test_status_is_told_and_bad_input_is_refused(shared, tmp_path):
+def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
     path, model, found, values = shared
     slave = _Slave(path, tmp_path / 'x')
     ok, outside = (slave.vr[f'status.{n}'] for n in ('ok', 'extrapolating'))
@@ -241,6 +296,10 @@ def test_status_is_told_and_bad_input_is_refused(shared, tmp_path):
     assert slave.c.getBoolean([ok, outside]) == [False, True]
     assert {category for category, _ in slave.logged} == {'logStatusWarning'}
     assert any('pose lies outside' in text for _, text in slave.logged)
+    wheel = _Slave(fields['wheel'][0], tmp_path / 'w', start=0)
+    described = fmpy.read_model_description(fields['wheel'][0]).modelVariables
+    causes = {v.name: v.causality for v in described}
+    assert causes['load'] == 'input' and causes['gravity'] == 'parameter'
     for act in (
         lambda: slave.set(pos=[np.nan, 0, 0]),
         lambda: slave.set(step_size=0.1),
@@ -248,10 +307,14 @@ def test_status_is_told_and_bad_input_is_refused(shared, tmp_path):
         lambda: slave.c.setReal([999], [0.0]),
         lambda: slave.c.doStep(slave.time, -1.0),
         lambda: (slave.set(rot=[0, 0, 0, 0]), slave.step(0.1)),
+        lambda: wheel.set(gravity=3.0),
+        lambda: wheel.set(load=np.nan),
+        lambda: (wheel.set(load=-1.0), wheel.step(0.01)),
     ):
         with pytest.raises(FMICallException):
             act()
     slave.free()
+    wheel.free()
     with pytest.raises(ValueError, match='needs a body'):
         fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', values | {'n_start': 0})
 
@@ -283,7 +346,7 @@ def test_a_spring_and_mass_on_the_soil_stay_bounded(shared, tmp_path):
         x0 = found[0]['points'].mean(axis=0)
         x, v = x0.copy(), np.zeros(3)
         for _ in range(round(0.5 / h)):
-            slave.set(pos=x, lin=v)
+            slave.set(pos=x, lin_vel=v)
             slave.step(h)
             v = v + h * (np.clip(slave.get('force'), -5, 5) - 400 * (x - x0) - 20 * v) / 2.0
             x = x + h * v

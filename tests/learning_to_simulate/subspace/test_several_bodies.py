@@ -195,7 +195,7 @@ def test_the_protocol_judges_the_force_on_each(tmp_path):
     folder = write(str(tmp_path / 'data'))
     synthetic.write_subspace(folder)
     reader = TruthReader(folder)
-    truth = next(reader.read('test'))
+    truth = next(reader.runs('test'))
     run = dataset.read_split(folder, 'test')[0]
     np.testing.assert_allclose(truth.force, run.body_force[H:].reshape(-1, 6), rtol=1e-6)
     train = dataset.read_split(folder, 'train')

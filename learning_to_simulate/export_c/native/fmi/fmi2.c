@@ -9,6 +9,7 @@
 #define FMI2_EXPORT __declspec(dllexport)
 #elif defined(__GNUC__)
 #define FMI2_EXPORT __attribute__((visibility("default")))
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard asks for all of them */
 #else
 #define FMI2_EXPORT
 #endif
@@ -81,8 +82,6 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
                                                 fmi2String resources,
                                                 const fmi2CallbackFunctions *call,
                                                 fmi2Boolean visible, fmi2Boolean logs) {
-  (void)resources;
-  (void)visible;
   if (!call || !call->allocateMemory || !call->freeMemory || !name || !guid) return NULL;
   component probe;
   memset(&probe, 0, sizeof probe);
@@ -122,8 +121,6 @@ FMI2_EXPORT void FMI2(fmi2FreeInstance)(fmi2Component instance) {
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetDebugLogging)(fmi2Component instance, fmi2Boolean on, size_t n,
                                                  const fmi2String categories[]) {
-  (void)n;
-  (void)categories;
   if (!instance) return fmi2Error;
   ((component *)instance)->logs = on;
   return fmi2OK;
@@ -133,10 +130,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boo
                                                  fmi2Real tolerance, fmi2Real start,
                                                  fmi2Boolean has_stop, fmi2Real stop) {
   component *c = (component *)instance;
-  (void)has_tolerance;
-  (void)tolerance;
-  (void)has_stop;
-  (void)stop;
   if (!c) return fmi2Error;
   if (c->core.v.now != FMU_CREATED) {
     return refuse(c, "fmi2SetupExperiment after the initialisation");
@@ -221,8 +214,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2Va
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, const fmi2Boolean value[]) {
-  (void)vr;
-  (void)value;
   if (!instance) return fmi2Error;
   return n ? refuse((component *)instance, "no boolean variable can be set") : fmi2OK;
 }
@@ -240,8 +231,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetString)(fmi2Component instance, const fmi2Val
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2ValueReference vr[],
                                            size_t n, const fmi2String value[]) {
-  (void)vr;
-  (void)value;
   if (!instance) return fmi2Error;
   return n ? refuse((component *)instance, "no string variable can be set") : fmi2OK;
 }
@@ -251,7 +240,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2Val
 FMI2_EXPORT fmi2Status FMI2(fmi2DoStep)(fmi2Component instance, fmi2Real time, fmi2Real h,
                                         fmi2Boolean no_set_state) {
   component *c = (component *)instance;
-  (void)no_set_state;
   return c ? done(c, fmu_step(&c->core, time, h)) : fmi2Error;
 }
 
@@ -263,9 +251,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetRealInputDerivatives)(fmi2Component instance,
                                                          const fmi2ValueReference vr[], size_t n,
                                                          const fmi2Integer order[],
                                                          const fmi2Real value[]) {
-  (void)vr;
-  (void)order;
-  (void)value;
   if (!instance) return fmi2Error;
   return n ? refuse((component *)instance, "the velocities are inputs; derivatives are not taken")
            : fmi2OK;
@@ -275,9 +260,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetRealOutputDerivatives)(fmi2Component instance
                                                           const fmi2ValueReference vr[], size_t n,
                                                           const fmi2Integer order[],
                                                           fmi2Real value[]) {
-  (void)vr;
-  (void)order;
-  (void)value;
   if (!instance) return fmi2Error;
   return n ? refuse((component *)instance, "outputs have no derivatives") : fmi2OK;
 }
@@ -286,18 +268,11 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetDirectionalDerivative)(
     fmi2Component instance, const fmi2ValueReference unknown[], size_t n_unknown,
     const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],
     fmi2Real d_unknown[]) {
-  (void)unknown;
-  (void)n_unknown;
-  (void)known;
-  (void)n_known;
-  (void)d_known;
-  (void)d_unknown;
   return instance ? refuse((component *)instance, "no directional derivatives") : fmi2Error;
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetStatus)(fmi2Component instance, const fmi2StatusKind kind,
                                            fmi2Status *value) {
-  (void)kind;
   if (!instance || !value) return fmi2Error;
   *value = fmi2OK;
   return fmi2OK;
@@ -313,8 +288,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetRealStatus)(fmi2Component instance, const fmi
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetIntegerStatus)(fmi2Component instance, const fmi2StatusKind kind,
                                                   fmi2Integer *value) {
-  (void)kind;
-  (void)value;
   return instance ? fmi2Discard : fmi2Error;
 }
 
@@ -328,8 +301,6 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetBooleanStatus)(fmi2Component instance, const 
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetStringStatus)(fmi2Component instance, const fmi2StatusKind kind,
                                                  fmi2String *value) {
-  (void)kind;
-  (void)value;
   return instance ? fmi2Discard : fmi2Error;
 }
 

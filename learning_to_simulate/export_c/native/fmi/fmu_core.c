@@ -1,4 +1,4 @@
-/* The FMU apart from the version of the standard. Inputs are the pose and the velocity of the body at the
+/* The FMU apart from the standard. Inputs are the pose and the velocity of the body at the
  * beginning of a communication step. The model wants the coming pose: the velocity leads to it. */
 #include "fmu_core.h"
 
@@ -152,25 +152,6 @@ const char *fmu_status(fmu_core *c, unsigned which, int *value) {
   *value = which ? (c->v.told & bits[which]) != 0 : !c->v.told;
   return wrong;
 }
-
-/* Arrays need a model that has begun. */
-static const char *array_of(fmu_core *c, int (*fill)(fmu_core *c, float *out), float *out) {
-  const char *wrong = c->v.now == FMU_INITIALISING ? begin(c) : NULL;
-  if (wrong) return wrong;
-  if (!c->v.begun) return "an array is read before the initialisation";
-  const int status = fill(c, out);
-  return status < 0 ? lts_error_text(status) : NULL;
-}
-
-static int fill_particles(fmu_core *c, float *out) { return fmu_soil_particles(c->soil, out); }
-
-static int fill_heights(fmu_core *c, float *out) {
-  static const lts_grid grid = FMU_GRID;
-  return fmu_soil_heights(c->soil, &grid, out);
-}
-
-const char *fmu_particles(fmu_core *c, float *out) { return array_of(c, fill_particles, out); }
-const char *fmu_heights(fmu_core *c, float *out) { return array_of(c, fill_heights, out); }
 
 size_t fmu_state_size(const fmu_core *c) { return sizeof c->v + fmu_soil_state_size(c->soil); }
 

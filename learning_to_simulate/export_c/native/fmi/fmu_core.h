@@ -1,6 +1,5 @@
-/* What an FMU is apart from the version of the standard: variables, life, steps and states around the C
- * interface of a model. fmi2.c and fmi3.c put the functions of the standards around it; fmu_graph.c or
- * fmu_field.c is the model. Functions return null, or what is wrong. */
+/* What an FMU is apart from the standard: variables, life, steps and states around the C interface of a
+ * model. fmi2.c puts the functions of the standard around it; fmu_graph.c or fmu_field.c is the model. Functions return null, or what is wrong. */
 #ifndef FMU_CORE_H
 #define FMU_CORE_H
 
@@ -64,8 +63,6 @@ int fmu_soil_step(fmu_core *core, double h, fmu_answer *answer);
 size_t fmu_soil_state_size(const void *soil);
 int fmu_soil_save(const void *soil, void *bytes, size_t size);
 int fmu_soil_load(void *soil, const void *bytes, size_t size);
-int fmu_soil_particles(void *soil, float *out);                       /* [FMU_SOIL][3] */
-int fmu_soil_heights(void *soil, const lts_grid *grid, float *out);
 
 /* ---- the FMU ---- */
 void fmu_defaults(fmu_core *core);
@@ -77,9 +74,6 @@ const char *fmu_set_reals(fmu_core *core, const unsigned *vr, size_t n, const do
 const char *fmu_set_start(fmu_core *core, int start);
 /* Status by number of a Boolean variable; `told` is up to date afterwards. */
 const char *fmu_status(fmu_core *core, unsigned which, int *value);
-/* Arrays: computed when they are asked for. */
-const char *fmu_particles(fmu_core *core, float *out);
-const char *fmu_heights(fmu_core *core, float *out);
 lts_pose fmu_pose(const fmu_core *core);
 lts_twist fmu_twist(const fmu_core *core);
 /* A state: its values, then the bytes of the model. */

@@ -89,9 +89,3 @@ int fmu_soil_save(const void *soil, void *bytes, size_t size) {
 int fmu_soil_load(void *soil, const void *bytes, size_t size) {
   return lts_field_load((lts_field *)soil, bytes, size);
 }
-int fmu_soil_particles(void *soil, float *out) {
-  return lts_field_particles((lts_field *)soil, out, FMU_SOIL);
-}
-int fmu_soil_heights(void *soil, const lts_grid *grid, float *out) {
-  return lts_field_height_map((lts_field *)soil, grid, out);
-}

@@ -72,9 +72,3 @@ int fmu_soil_save(const void *soil, void *bytes, size_t size) {
 int fmu_soil_load(void *soil, const void *bytes, size_t size) {
   return lts_load((lts_instance *)soil, bytes, size);
 }
-int fmu_soil_particles(void *soil, float *out) {
-  return lts_particles((lts_instance *)soil, out, FMU_SOIL);
-}
-int fmu_soil_heights(void *soil, const lts_grid *grid, float *out) {
-  return lts_height_map((lts_instance *)soil, grid, out);
-}

@@ -9,13 +9,6 @@
 #define LTS_FIELD_MAGIC 0x4c544632u
 #define LTS_FIELD_ROWS 48 /* particles that go through a network at once: they stay in the first cache */
 
-/* Channels of a frame's bins: of both tools, of a blade, of a wheel. */
-enum {
-  LTS_CUT, LTS_SURFACE, LTS_SINCE, LTS_INFLUENCE, LTS_DISTURBED,
-  LTS_AREA_BEFORE,
-  LTS_FIRST_CUT, LTS_SLID, LTS_SHEAR, LTS_PEAK,
-  LTS_CHANNELS
-};
 /* The first numbers of a blade's scalars; the last five are area, foremost, half width, end and room. */
 enum { LTS_TIP, LTS_HEIGHT, LTS_LEAN, LTS_SPEED, LTS_RISE, LTS_TURN };
 #define LTS_MOST_SCALARS (23 + 3 * LTS_FIELD_SCALES)
@@ -26,7 +19,7 @@ typedef struct {
   double origin, level, end, floor, width; /* u of the tool's first place; m */
 } lts_field_ground;
 
-/* What is given of a wheel so far; twin of `wheel_path.DriveState`. */
+/* What is given of a wheel so far; twin of `wheel.DriveState`. */
 typedef struct {
   double radius, width, gravity, friction;     /* m, m/s2; tan of the friction angle */
   double first_height, first_turned, first_load; /* of its first pose: m, rad, N */
@@ -58,10 +51,6 @@ typedef struct {
   /* Bins and scalars that the load sees; those that only particles see. */
   void (*see)(lts_field *soil);
   void (*see_reach)(lts_field *soil);
-  void (*force_inputs)(const lts_field *soil, float *out);
-  void (*shared_inputs)(const lts_field *soil, float *out);
-  /* Own inputs [n][ld] of particles. */
-  void (*own_inputs)(const lts_field *soil, const int32_t *which, int n, float *out, int ld);
   /* What outputs are multiplied by; 0 where they are of no effect. */
   int (*load_share)(const lts_field *soil, float share[3]);
   void (*load_of)(const lts_field_model *model, const float *out, const float share[3],
@@ -114,6 +103,12 @@ int lts_field_read_bed(lts_field *soil, const float *points, double u, double wi
                        lts_field_ground *ground);
 /* Particles [N][3] of a bed that a user gave, checked; a height map goes by way of `soil->points`. */
 int lts_field_take_bed(lts_field *soil, const lts_field_bed *bed, const float **points);
+
+/* lts_field_table.c: inputs of a table that looks at the tool; own inputs [n][ld] of particles; a channel at u
+ * from the tool's first place, m. */
+void lts_field_read(const lts_field *soil, const lts_field_table *table, float *out);
+void lts_field_read_particles(const lts_field *soil, const int32_t *which, int n, float *out, int ld);
+float lts_field_channel_at(const lts_field *soil, int channel, float u);
 
 /* lts_field_load.c: what the tool feels, into the result; the mean change of a wheel's height, m. Needs
  * `see`. */

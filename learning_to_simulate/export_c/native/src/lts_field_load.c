@@ -13,7 +13,7 @@ double lts_field_find_load(lts_field *soil, lts_field_result *result) {
   if (soil->tool->load_share(soil, share)) {
     lts_dense first = m->load_first;
     first.columns = n * latent;
-    soil->tool->force_inputs(soil, soil->seen);
+    lts_field_read(soil, &m->force_inputs, soil->seen);
     run->dense(&first, soil->seen, m->n_force, 1, soil->a, first.columns, LTS_SILU, NULL, NULL);
     for (int member = 0; member < n; ++member) {
       float *x = soil->a + member * latent, *y = soil->b + member * latent;

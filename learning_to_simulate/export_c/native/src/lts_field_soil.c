@@ -61,7 +61,7 @@ static void displacement(lts_field *soil, const int32_t *which, int n, float *me
   const lts_field_model *m = soil->model;
   const lts_kernels *run = soil->run;
   const int ld = LTS_PADDED(m->n_seen), latent = LTS_PADDED(m->latent);
-  soil->tool->own_inputs(soil, which, n, soil->seen, ld);
+  lts_field_read_particles(soil, which, n, soil->seen, ld);
   for (int i = 0; i < 3 * n; ++i) mean[i] = 0.0f;
   for (int member = 0; member < soil->of_particles; ++member) {
     float *a = soil->a, *b = soil->b;
@@ -94,7 +94,7 @@ void lts_field_place_particles(lts_field *soil) {
   if (n) {
     lts_dense shared = m->soil_shared;
     shared.columns = soil->of_particles * LTS_PADDED(m->latent);
-    soil->tool->shared_inputs(soil, soil->shared);
+    lts_field_read(soil, &m->shared, soil->shared);
     soil->run->dense(&shared, soil->shared, m->n_shared, 1, soil->bias, shared.columns, LTS_NORMED,
                      NULL, NULL);
   }
@@ -103,7 +103,7 @@ void lts_field_place_particles(lts_field *soil) {
     displacement(soil, soil->moving + done, rows, mean);
     for (int row = 0; row < rows; ++row) {
       const int i = soil->moving[done + row];
-      const float size = m->displacement * soil->gate[done + row], z = soil->z[i] / 0.05f;
+      const float size = m->displacement * soil->gate[done + row], z = soil->z[i] / m->across;
       const float odd = z < -1.0f ? -1.0f : z > 1.0f ? 1.0f : z;
       double old[3], now[3];
       lts_field_plane(m, rest + 3 * i, old);
