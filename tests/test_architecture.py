@@ -33,7 +33,6 @@ MAY_IMPORT = {
         'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.subspace.edge_picture',
         'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
