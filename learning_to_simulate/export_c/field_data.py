@@ -10,7 +10,7 @@ from learning_to_simulate.export_c import c_header, c_values, field_blade, field
 from learning_to_simulate.live import resting_start
 from learning_to_simulate.swept_field import field as field_lib
 from learning_to_simulate.swept_field import live
-from learning_to_simulate.swept_field.network import ACROSS
+from learning_to_simulate.swept_field.network import ACROSS, LOAD_HIDDEN
 from learning_to_simulate.tool import Wheel, blade, inputs
 
 
@@ -82,7 +82,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'n_soil_hidden': len(soil) - 2,
         'n_load_hidden': len(load) - 2,
         'latent': field.config.latent_size,
-        'load_latent': field.config.force_latent_size,
+        'load_latent': LOAD_HIDDEN[0],
         'soil_first': [fold.dense(part) for part in own_weights],
         'soil_hidden': _layers(soil[1:-1]),
         'soil_last': _layers(soil[-1:]),

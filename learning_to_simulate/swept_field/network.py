@@ -19,6 +19,7 @@ from learning_to_simulate.tool import blade, inputs, wheel
 from learning_to_simulate.tool.swept import Frame
 
 OUTPUTS = 3
+LOAD_HIDDEN = [64, 64]  # layers of the network of force and torque
 # Motion across grows over so much distance from the middle plane, where it is odd, m.
 ACROSS = 0.05
 
@@ -248,9 +249,8 @@ class FieldNetwork(tf.Module):
         hidden = [config.latent_size] * config.hidden_layers
         m = config.members
         self.soil = Members(m, [self.sizes[0], *hidden, OUTPUTS], 2 * config.seed, 'soil')
-        hidden = [config.force_latent_size] * 2
         self.load = Members(
-            m, [self.sizes[1], *hidden, tool.outputs], 2 * config.seed + 1, 'load'
+            m, [self.sizes[1], *LOAD_HIDDEN, tool.outputs], 2 * config.seed + 1, 'load'
         )
 
     def displacement(self, bins, scalars, rest, members: int | None = None):

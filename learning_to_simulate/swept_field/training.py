@@ -30,6 +30,7 @@ LEAST_MOTION = 0.003
 MOVED = 0.001
 MOVER_SHARE = 0.85
 LOAD_BATCH = 1024
+PARTICLES = 48  # drawn of the sample of each frame of a batch
 CLIP_NORM = 1.0
 _SOIL_STREAM, _LOAD_STREAM, _PARTICLE_STREAM = 1, 2, 3
 
@@ -215,9 +216,7 @@ class Trainer:
         return {'loss_soil': float(soil), 'loss_force': float(load)}
 
     def _train_step(self, seed, bins, scalars, rest, moved, logits, weight, *loads):
-        drawn = tf.random.stateless_categorical(
-            logits, self._config.particles_per_frame, seed, dtype=tf.int32
-        )
+        drawn = tf.random.stateless_categorical(logits, PARTICLES, seed, dtype=tf.int32)
         rest, moved, weight = (tf.gather(x, drawn, batch_dims=1) for x in (rest, moved, weight))
         seen, share, load, load_weight = loads
         losses = []

@@ -11,7 +11,6 @@ from learning_to_simulate import checkpoints, presets, reading_utils, registry
 from learning_to_simulate.subspace import edge_lists, method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
-from tests.learning_to_simulate.test_connectivity_utils import ring_edges, scene
 
 R = synthetic.N_MODES
 GONE = object()  # of a field that the file lacks
@@ -48,23 +47,6 @@ def test_file_round_trip(tmp_path):
     read = edge_lists.read(path)
     for field in dataclasses.fields(written):
         np.testing.assert_array_equal(getattr(read, field.name), getattr(written, field.name))
-
-
-def test_algorithm_2_of_an_nri_list_gives_the_counts_of_the_thesis(tmp_path):
-    """784 -> 188 with 28 edges between modes, 576 -> 336 with the wheel's rest of 48."""
-    from learning_to_simulate import connectivity_utils as cu
-
-    probabilities = np.random.default_rng(1).random((8, 8))
-    np.fill_diagonal(probabilities, np.nan)
-    for keep, this_scene, n_rigid, count in (
-        (28, scene(), 20, 188),
-        (48, scene('predicted', rigid_edges=ring_edges()), 16, 336),
-    ):
-        mask = edge_lists.select(probabilities, keep=keep)
-        path = str(tmp_path / f'{keep}.json')
-        edge_lists.write(path, edge_list(mask, 8, probabilities=probabilities, threshold=None))
-        mask = edge_lists.read(path).mask_for(edge_lists.mode_names(8))
-        assert cu.algorithm2(this_scene, n_rigid, mask).n_edge == count
 
 
 def test_names_and_not_positions_decide():
