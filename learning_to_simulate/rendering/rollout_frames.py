@@ -292,10 +292,10 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
         soil = {PREDICTION: np.stack([rollout.particles(int(f) - start) for f in frames])}
         first = soil[PREDICTION][0]
     kind = 'wheel' if str(scene.rigid_motion) == 'driven' else 'tool'
+    run = f'recorded run {rollout.name.removeprefix("rollout_")}' if rollout.truth else ''
     return RolloutFrames(
         name=rollout.name,
-        title=f'{scene.name.capitalize()}: a {kind} on a '
-        + (f'recorded run, {rollout.name}' if rollout.truth else 'given path'),
+        title=f'{scene.name.capitalize()}: the {kind} follows {run or "a given path"}',
         label='',
         frames=frames,
         soil=soil,

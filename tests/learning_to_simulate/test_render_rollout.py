@@ -9,9 +9,8 @@ import sys
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
-from learning_to_simulate import evaluation, render_rollout, rollout
+from learning_to_simulate import render_rollout
 from learning_to_simulate.rendering import (
     movie_files,
     particle_views,
@@ -21,7 +20,7 @@ from learning_to_simulate.rendering import (
 from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH
 from pca_tools import files
 from pca_tools.subspace import Subspace
-from tests.learning_to_simulate import models, synthetic_rollout
+from tests.learning_to_simulate import synthetic_rollout
 from tests.learning_to_simulate.synthetic_rollout import DT, N_GIVEN, N_RIGID
 
 N_FRAMES = 60
@@ -59,25 +58,6 @@ def changed(made, tmp_path, **changes):
     path = str(tmp_path / 'rollout_test_0.npz')
     files.write_npz(path, **{name: array for name, array in arrays.items() if array is not None})
     return path
-
-
-def test_a_rollout_as_evaluation_writes_it_is_read(tmp_path):
-    """With the judgement of the rollout and the digest of its model, which are texts."""
-    model, (group, *_), metadata = models.make(tmp_path / 'data')
-    function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
-    tf.config.run_functions_eagerly(True)
-    try:
-        run = group.select(0)
-        results = [(0, run, rollout.roll_out(function, run))]
-    finally:
-        tf.config.run_functions_eagerly(False)
-    summary = evaluation.summarise(results, model, metadata, 'train')
-    (path, _) = evaluation.save_rollouts(
-        str(tmp_path), 'train', results, summary, metadata, 64 * 'a'
-    )
-    stored = files.read_npz(path)
-    assert stored['status'].dtype.kind == stored['model_digest'].dtype.kind == 'U'
-    assert rollout_frames.load(path, str(tmp_path / 'data')).rigid[TRUTH].shape[1] == 4
 
 
 class TestFrames:
@@ -291,9 +271,7 @@ class TestPictures:
             render_rollout.render(*made[:2], str(tmp_path / 'out'), beside={'other': path})
         assert not (tmp_path / 'out').exists()
 
-    def test_blade_is_a_line_from_the_side_and_a_wheel_a_circle(self, made, tmp_path):
-        frames = rollout_frames.load(*made[:2])
-        view = particle_views.setup(frames, 'xy', np.arange(N_SHOWN))
+    def test_blade_is_a_line_from_the_side_and_a_wheel_a_circle(self, made, frames, view, tmp_path):
         drawn = rollout_figures.AnimatedFigure(frames, view, 'speed', dpi=60)
         drawn.draw(20)
         ends = drawn.views[0].body.get_xy()[:2]
@@ -319,7 +297,7 @@ class TestPictures:
     @pytest.mark.parametrize(
         'plane, left_out',
         [
-            *((plane, 'nothing') for plane in rollout_frames.PLANES),
+            *((plane, 'nothing') for plane in ('xz', 'zy', 'yx')),
             *(('xy', part) for part in ('subspace', 'force', 'body')),
         ],
     )

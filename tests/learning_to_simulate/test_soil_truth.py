@@ -83,20 +83,21 @@ def test_every_printout_has_the_same_number(tmp_path, sampled):
         results, summary = evaluator.run(groups, 'test')
     finally:
         tf.config.run_functions_eagerly(False)
-    evaluation.save_rollouts(str(tmp_path / 'out'), 'test', results, summary, metadata)
+    out = str(tmp_path / 'out')
+    evaluation.save_rollouts(out, 'test', results, summary, metadata, 64 * 'a')
     numbers = [row['soil_mm'] for row in summary['runs']['model']]
     assert numbers[0] != pytest.approx(numbers[1], rel=1e-3)
     text = evaluation.table(summary)
     assert f'{np.mean(numbers):.4g}' in text and summary['soil_error'] in text
     assert summary['soil_error'] == (soil_truth.PARTICLES if sampled else soil_truth.SUBSPACE)
     reader = TruthReader(data)
-    read = rollouts.read(str(tmp_path / 'out'), 'test', 2, metadata)
+    read = rollouts.read(out, 'test', 2, metadata)
     scene = model.simulator.scene
     for truth, prediction, number in zip(reader.runs('test'), read, numbers, strict=True):
         record = truth.record
         same = pytest.approx(number, rel=1e-5)
         assert run_errors.run_errors(prediction, truth)['soil_mm'] == same
-        frames = rollout_frames.load(str(tmp_path / f'out/rollout_test_{record}.npz'), data)
+        frames = rollout_frames.load(f'{out}/rollout_test_{record}.npz', data)
         assert frames.soil_mm == same and frames.space == summary['soil_error']
         assert f'soil error {number:.2f} mm' in rollout_figures.caption([frames])
         _, group, rollout = results[record]

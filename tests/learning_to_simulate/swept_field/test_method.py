@@ -70,9 +70,11 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
     sample = particles.read_sample(data_path, 'test')
     frames = np.arange(8, 61, 4)
     truth = sample[0][frames // 4]
-    predicted = prediction.particles(frames, np.asarray(sample.indices))
+    predicted = prediction.own['predicted_particles'].astype(float)
+    np.testing.assert_array_equal(prediction.own['particle_frames'], frames)
     error = 1e3 * np.sqrt(((predicted - truth) ** 2).mean())
     assert error == pytest.approx(summary['field'][0]['soil_mm'], rel=1e-3)
+    assert error == pytest.approx(summary['runs']['model'][0]['soil_mm'], rel=1e-3)
     run = dataset.read_split(data_path, 'test')[0]
     for found, recorded in ((prediction.force, run.force), (prediction.torque, run.torque)):
         relative = np.linalg.norm(found - recorded[6:]) / np.linalg.norm(recorded[6:])
