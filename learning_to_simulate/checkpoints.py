@@ -216,6 +216,8 @@ def refuse_contradictions(model_path, config, overrides):
     """Raises ValueError if an override {field: value} is not what the model's config, or scene,
     says."""
     for field, value in overrides.items():
+        if not hasattr(config, field):
+            raise ValueError(f'{field}={value} is no setting of the model in {model_path}')
         if value != getattr(config, field):
             raise ValueError(
                 f'--{field}={value} contradicts the model in {model_path}, which has '

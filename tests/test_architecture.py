@@ -42,7 +42,7 @@ MAY_IMPORT = {
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
     ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
-     'soil_truth', 'rendering'),
+     'soil_truth', 'rendering', 'shipped'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
     ('tool',),

@@ -94,8 +94,7 @@ def open_model_path(path: str, training: Training) -> None:
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
     stored = checkpoints.read_config(path)
-    # Learned edges change on the way, by themselves.
-    if not getattr(model.simulator.config, 'gate_weight', 0):
+    if not training.close_gates:  # learned edges change on the way, by themselves
         masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
         for name, mask in masks.items():
             if stored[name] != (None if mask is None else mask.astype(int).tolist()):

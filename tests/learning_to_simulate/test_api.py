@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import api, registry
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses, resting_start
 from learning_to_simulate.rollout_status import RolloutStatus
@@ -343,20 +343,7 @@ def test_what_is_printed_fits_on_a_line(blade):
     assert repr(data) == f"<dataset {data.path!r}: {{'train': 32, 'valid': 4, 'test': 4}}>"
 
 
-@pytest.mark.parametrize(
-    'name, model',
-    [('excavation', 'pcg'), ('excavation_v2', 'swept_field'), ('wheel_v2/pcg', '')],
-)
-def test_the_name_of_a_dataset_means_its_best_model(name, model):
-    assert api.find_model(name) == os.path.join(api.ROOT, 'models', name, model).rstrip(os.sep)
-
-
-def test_names_that_are_not_there(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match='shipped are .*excavation/pcg'):
-        lts.load('moon')
-    with pytest.raises(FileNotFoundError, match='shipped are excavation, excavation_v2, wheel'):
-        lts.Dataset('moon')
-    assert lts.Dataset('wheel').test.folder.endswith('wheel')
+def test_public_names():
+    assert 'excavation_v2/swept_field' in lts.list() and set(lts.__all__) < set(dir(lts))
     with pytest.raises(AttributeError, match='no attribute'):
         lts.stpper  # noqa: B018

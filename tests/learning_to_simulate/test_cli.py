@@ -37,7 +37,7 @@ def test_commands_are_listed():
 def test_help_needs_no_tensorflow_and_ends_with_0(name):
     done = lts(name, '--help')
     assert done.returncode == 0, done.stderr
-    assert '--' in done.stdout and 'USAGE' in done.stdout.upper()
+    assert '--' in done.stdout
 
 
 @pytest.mark.parametrize('module', ['nri.simulate', 'nri.train', 'nri.export_edges'])

@@ -220,7 +220,7 @@ def test_data_without_a_torque_is_refused_at_the_door(trained, tmp_path):
     assert not (tmp_path / 'model').exists() or not os.listdir(tmp_path / 'model')
     with pytest.raises(ValueError, match='lacks rigid_body_torque_mean'):
         registry.open_model(trained[0], data, 'test')
-    with pytest.raises(ValueError, match='predict_torque is for models in a subspace'):
+    with pytest.raises(ValueError, match="no settings .'predict_torque'."):
         presets.make_config('full_space', **TORQUE)
 
 

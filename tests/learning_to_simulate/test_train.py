@@ -179,8 +179,9 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
         registry.open_model(str(tmp_path), data, 'test', {})
-    with pytest.raises(ValueError, match='contradicts the model'):
-        registry.open_model(trained, data, 'test', {'noise_std': 0.1})
+    for field, message in (('noise_std', 'contradicts the model'), ('members', 'is no setting')):
+        with pytest.raises(ValueError, match=message):
+            registry.open_model(trained, data, 'test', {field: 0.1})
     refit = synthetic.write_dataset(tmp_path / 'refit')
     metadata = files.read_json(f'{refit}/metadata.json')
     files.write_json(f'{refit}/metadata.json', metadata | {'pca': {'digest': 'f' * 64}})
