@@ -9,15 +9,15 @@ import learning_to_simulate as lts
 
 def main(folder: str = '.'):
     """Writes `dig.npz` and `dig.png` into a folder; returns both rollouts."""
-    model = lts.load('excavation')
+    model = lts.load('excavation_v2/swept_field')
     path = np.tile(model.starts.pose[0], (150, 1))
     path[:, :3] += np.arange(150)[:, None] * np.array([-0.05, -0.02, 0.0]) / 60
     rollout = model.rollout(path)
     print(f'own path: {rollout.status} {rollout.reason}, force at the end {rollout.force[-1]} N')
     rollout.save(f'{folder}/dig.npz')
     rollout.render(f'{folder}/dig.png')
-    recorded = model.rollout(lts.Dataset('excavation').test[0])
-    print(f'recorded run: {recorded.status}, {len(recorded.modes)} frames')
+    recorded = model.rollout(lts.Dataset('excavation_v2').test[0])
+    print(f'recorded run: {recorded.status}, {len(recorded.force)} frames')
     return rollout, recorded
 
 

@@ -7,38 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import command, presets, registry
+from learning_to_simulate import command, presets, registry, shipped
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
-
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-# What a name of a dataset alone means: the first of these that ships with it.
-DEFAULT_MODELS = 'swept_field', 'pcg'
-
-
-def _found(name: str, kind: str, marker: str, deeper: Sequence[str] = ()) -> str:
-    """A folder that is given by its path, or by its name among those that ship.
-
-    Args:
-      name: path or name.
-      kind: folder of those that ship.
-      marker: the file that says that a folder is one.
-      deeper: what is looked for in a folder of that name, in this order.
-
-    Raises:
-      FileNotFoundError: neither; the message lists what ships.
-    """
-    name = os.fspath(name)
-    shipped = os.path.join(ROOT, kind)
-    inside = [os.path.join(shipped, name, folder) for folder in deeper]
-    for path in (name, os.path.join(ROOT, name), os.path.join(shipped, name), *inside):
-        if os.path.isfile(os.path.join(path, marker)):
-            return path
-    names = sorted(
-        os.path.relpath(folder, shipped) for folder, _, held in os.walk(shipped) if marker in held
-    )
-    have = f'shipped are {", ".join(names)}' if names else f'none ships with this copy ({shipped})'
-    raise FileNotFoundError(f'{name}: no folder with a {marker}; {have}')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +78,7 @@ class Dataset:
     """
 
     def __init__(self, path: str):
-        self.path = _found(path, 'datasets', 'metadata.json')
+        self.path = shipped.find(path, 'datasets')
         self.metadata = dataset.read_metadata(self.path)
         self.train, self.valid, self.test = (Split(self.path, name) for name in dataset.SPLITS)
 
@@ -150,7 +121,7 @@ class TrainedModel:
 
     Attributes:
       path: its folder.
-      model: `checkpoints.Model`, or what another method has.
+      model: `subspace_model.Model`, or what another method has.
 
     Raises:
       FileNotFoundError, ValueError: no model there, or a damaged one.
@@ -274,13 +245,13 @@ class TrainedModel:
         """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
         from learning_to_simulate.live.soil import Decoder
 
-        if self._method.on_particles:
-            return None
         space = Dataset(split.folder).subspace
         if space is None:  # records alone
             has_own = self._method.steps and not self.scene.bodies
             space = self.subspace if has_own else None
             return None if space is None else Decoder(space, self.scene.up_axis)
+        if space.n_modes < self.scene.n_modes:  # a model on particles
+            return None
         return Decoder(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):
@@ -333,16 +304,7 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(find_model(name))
-
-
-def find_model(name: str) -> str:
-    """The folder of a model, named as for `load`, without a look inside.
-
-    Raises:
-      FileNotFoundError: no such model; the message lists those that ship.
-    """
-    return _found(name, 'models', 'config.json', DEFAULT_MODELS)
+    return TrainedModel(shipped.find(name, 'models'))
 
 
 def preset(name: str, **fields):

@@ -1,130 +1,95 @@
 """Model folders: what a trained model is, on disk.
 
-  config.json    the whole `TrainConfig`, scene, statistics, edges, data digest, package versions
+  config.json    the settings, scene, statistics, edges, data digest, package versions
   weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
                  no code, no pickle
   start.npz, subspace.npz   what the model needs to run without its dataset (`live.starts`)
   ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
-A folder that ships with the project holds no checkpoints.
+A folder that ships with the project holds no checkpoints. What is here is the same for models of
+all methods.
 """
 
 import dataclasses
 import hashlib
 import importlib.metadata
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
-import tensorflow as tf
 
-from learning_to_simulate import known_shapes, model_config, registry
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.connectivity_utils import build
-from learning_to_simulate.subspace.learned_simulator import Layout, LearnedSimulator, SimulatorState
-from learning_to_simulate.subspace.rigid_body import KnownMotion
-from learning_to_simulate.tool import path_memory
-from pca_tools import files
-from pca_tools.subspace import Subspace
+from learning_to_simulate import known_shapes
+from learning_to_simulate.scene import Scene, is_int, require
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
+START_FILE, SUBSPACE_FILE = 'start.npz', 'subspace.npz'
 SCHEMA_VERSION = 1
+NUM_PARTICLE_TYPES = 9  # of the published type embedding
+# What a field of a damaged or foreign file raises where it is read.
+WRONG_FIELD = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
+# May lie in a folder that has no config.json yet: the lock, and what a training leaves that was
+# killed while it wrote the folder's first files.
+_FIRST = (folder_lock.LOCK_NAME, START_FILE, SUBSPACE_FILE)
 
 
-@dataclasses.dataclass
-class Model:
-    """A simulator with what is needed to run it on graphs of any number of rigid particles.
+def read_config(path: str) -> dict:
+    """Reads and checks config.json.
 
-    Attributes:
-      simulator: the network with its scene, config and statistics.
-      mode_mask: bool [r, r] of the mode -> mode edges, completed by Algorithm 2; else None.
-      loaded_mask: bool [V, V] from an edge file, used as it is; else None.
-      edge_source: where the edges come from; None if the model folder does not say.
+    Raises:
+      FileNotFoundError: if the folder holds no model.
+      ValueError: if the file is of another kind or version.
     """
-
-    simulator: LearnedSimulator
-    mode_mask: np.ndarray | None
-    loaded_mask: np.ndarray | None
-    edge_source: str | None = None
-
-    def __post_init__(self):
-        self._layouts = {}
-
-    def layout(self, n_rigid: int) -> Layout:
-        """The graph for R rigid particles, built once.
-
-        Raises:
-          ValueError: if the model's edges do not fit graphs of that size.
-        """
-        if n_rigid not in self._layouts:
-            s = self.simulator
-            s.check_size(n_rigid)
-            adjacency = build(
-                s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
-            )
-            self._layouts[n_rigid] = Layout(adjacency, n_rigid, s.scene, s.statistics, s.config)
-        return self._layouts[n_rigid]
-
-    def edge_counts(self) -> dict[str, int]:
-        """Number of edges of every graph that was built, by its R."""
-        return {str(n): layout.n_edge for n, layout in self._layouts.items()}
-
-    def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
-        """Takes another list of mode -> mode edges; graphs are built anew.
-
-        Args:
-          mode_mask: bool [r, r], entry [receiver, sender].
-          source: where it comes from.
-        """
-        self.mode_mask, self.edge_source = mode_mask, source
-        sizes, self._layouts = list(self._layouts), {}
-        for n_rigid in sizes:
-            self.layout(n_rigid)
-
-    def fitting_subspace(self, subspace: Subspace) -> Subspace:
-        """The modes of a dataset's subspace that the model predicts: all, or the first ones.
-
-        Raises:
-          ValueError: the subspace has other modes or particles than the model's.
-        """
-        scene, first = self.simulator.scene, self.simulator.config.modes
-        if first and subspace.n_modes > first:
-            subspace = dataclasses.replace(subspace, components=subspace.components[:, :first])
-        found, wanted = (subspace.n_modes, subspace.n_soil), (scene.n_modes, scene.n_soil)
-        if found[0] != wanted[0] or wanted[1] not in (None, found[1]):
-            raise ValueError(
-                f'the subspace has {found[0]} modes of {found[1]} particles, the model was trained '
-                f'on {wanted[0]} modes of {wanted[1]}'
-            )
-        return subspace
-
-    def create_variables(self, n_rigid: int):
-        """Makes all variables by running one frame of zeros; their values follow TensorFlow's
-        seed, which whoever trains sets. Setting it throws all kernels away, so loading does not."""
-        s, layout = self.simulator, self.layout(n_rigid)
-        state = SimulatorState(
-            tf.zeros([1, layout.n_node, s.dim]),
-            tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),
+    name = os.path.join(path, CONFIG_FILE)
+    if not os.path.isfile(name):
+        raise FileNotFoundError(
+            f'{path}: holds no model (no {CONFIG_FILE}); train one with --mode=train '
+            f'--model_path={path}'
         )
-        body = tf.zeros([1, n_rigid, s.dim])
-        known = KnownMotion(body, body)
-        if layout.memory is not None:
-            start = tf.zeros([1, s.scene.n_modes, s.dim])
-            known = KnownMotion(body, body, tf.zeros([1, path_memory.WIDTH]), start)
-        s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
+    values = files.read_json(name)
+    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
+        raise ValueError(f'{name}: not a model config of schema version {SCHEMA_VERSION}')
+    return values
 
 
-def save_config(path: str, model: Model, n_rigid: int, data: dict, files_beside=None) -> None:
+def settings_and_scene(values: dict, settings: type) -> tuple:
+    """The checked settings, scene and particle types of any model's `config.json`.
+
+    Args:
+      values: the JSON object.
+      settings: class of the settings.
+
+    Raises:
+      one of `WRONG_FIELD`: a field is missing, unknown or wrong.
+    """
+    config, scene = settings(**values['config']), Scene.from_json(values['scene'])
+    modes = getattr(config, 'modes', 0)
+    require(modes in (0, scene.n_modes), 'modes', modes)
+    types = values['particle_types']
+    require(
+        isinstance(types, list)
+        and len(types) == 2
+        and all(is_int(t, 0, NUM_PARTICLE_TYPES - 1) for t in types),
+        'particle_types',
+        types,
+    )
+    return config, scene, tuple(types)
+
+
+def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -> None:
     """Writes config.json.
 
     Args:
       path: model folder.
-      model: the model.
+      model: with `simulator`, masks of its edges and `edge_counts()`.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
       files_beside: name -> sha256 of what else the model needs (`live.starts`); None where it
         has nothing of that kind.
     """
+    import tensorflow as tf
+
     s = model.simulator
     files.write_json(
         os.path.join(path, CONFIG_FILE),
@@ -160,7 +125,7 @@ def _weights(simulator):
     }
 
 
-def save_weights(path: str, simulator: LearnedSimulator) -> None:
+def save_weights(path: str, simulator) -> None:
     """Writes weights.npz whole or not at all.
 
     Args:
@@ -176,45 +141,6 @@ def save_weights(path: str, simulator: LearnedSimulator) -> None:
     if bad:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
     files.write_npz(os.path.join(path, WEIGHTS_FILE), **dict(zip(names, values, strict=True)))
-
-
-def read_config(path: str) -> dict:
-    """Reads and checks config.json.
-
-    Raises:
-      FileNotFoundError: if the folder holds no model.
-      ValueError: if the file is of another kind or version.
-    """
-    name = os.path.join(path, CONFIG_FILE)
-    if not os.path.isfile(name):
-        raise FileNotFoundError(
-            f'{path}: holds no model (no {CONFIG_FILE}); train one with --mode=train '
-            f'--model_path={path}'
-        )
-    values = files.read_json(name)
-    if not isinstance(values, dict) or values.get('schema_version') != SCHEMA_VERSION:
-        raise ValueError(f'{name}: not a model config of schema version {SCHEMA_VERSION}')
-    return values
-
-
-def load_model(path: str) -> Model:
-    """Loads a model for evaluation from config.json and weights.npz.
-
-    Raises:
-      FileNotFoundError, ValueError: no model there, or weights that are not those of the config;
-        no variable is made that the weights do not hold.
-    """
-    parts = model_config.parse(read_config(path), os.path.join(path, CONFIG_FILE))
-
-    def make():
-        simulator = registry.get(parts.config.model).make_simulator(
-            parts.scene, parts.config, parts.statistics, parts.particle_types
-        )
-        model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
-        model.create_variables(parts.n_rigid)
-        return model
-
-    return filled(path, make)
 
 
 def filled(path: str, make: Callable):
@@ -290,16 +216,13 @@ def refuse_contradictions(model_path, config, overrides):
     """Raises ValueError if an override {field: value} is not what the model's config, or scene,
     says."""
     for field, value in overrides.items():
+        if not hasattr(config, field):
+            raise ValueError(f'{field}={value} is no setting of the model in {model_path}')
         if value != getattr(config, field):
             raise ValueError(
                 f'--{field}={value} contradicts the model in {model_path}, which has '
                 f'{getattr(config, field)}: leave the flag out'
             )
-
-
-def subspace_digest(metadata):
-    """Which modes the records are scores of; None for folders that do not state it."""
-    return metadata.get('pca', {}).get('digest')
 
 
 def check_dataset(model_path, model, data_path, metadata):
@@ -339,3 +262,66 @@ def check_dataset(model_path, model, data_path, metadata):
             raise ValueError(
                 f'{data_path}/metadata.json {has} {key}, unlike the data of {model_path}'
             )
+
+
+def subspace_digest(metadata):
+    """Which modes the records are scores of; None for folders that do not state it."""
+    return metadata.get('pca', {}).get('digest')
+
+
+def data_digests(folder: str) -> dict[str, str]:
+    """File -> sha256 of what a dataset folder trains on."""
+    paths = {'metadata.json': os.path.join(folder, 'metadata.json')}
+    paths['train.tfrecord'] = dataset.split_path(folder, 'train')
+    return {n: files.sha256_of_file(path) for n, path in paths.items() if os.path.exists(path)}
+
+
+def data_record(data_path: str, metadata: dict) -> dict:
+    """Where training data came from, for `config.json`: the path as it was given, and digests."""
+    return {
+        'path': data_path,
+        'sha256': data_digests(data_path),
+        'subspace': subspace_digest(metadata),
+    }
+
+
+def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()) -> bool:
+    """Whether a folder holds a model already, which must then be one of these parts.
+
+    Args:
+      path: model folder; it exists.
+      parts: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
+      own_files: further names that a killed training may leave before its `config.json`.
+
+    Raises:
+      ValueError: a folder of something else, or of another model; nothing was written.
+    """
+    if not os.path.exists(os.path.join(path, CONFIG_FILE)):
+        ours = {*_FIRST, *own_files}
+        strangers = {n for n in os.listdir(path) if n not in ours and not n.endswith('.tmp')}
+        if strangers:
+            raise ValueError(
+                f'{path}: not empty and not a model folder (holds {sorted(strangers)[:3]}); '
+                f'nothing was written'
+            )
+        return False
+    stored = read_config(path)
+    for part, values in parts.items():
+        old = stored.get(part)
+        old = old if isinstance(old, dict) else {}
+        differing = [
+            k for k, v in values.items() if k != 'path' and _plain(old.get(k)) != _plain(v)
+        ]
+        if differing:
+            listed = ', '.join(
+                f'{k}: {old.get(k)!r} there, {values[k]!r} now' for k in sorted(differing)
+            )
+            raise ValueError(
+                f'{path}: holds a model of another {part} ({listed}); nothing was written, give '
+                f'another --model_path'
+            )
+    return True
+
+
+def _plain(value):
+    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value

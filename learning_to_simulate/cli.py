@@ -13,6 +13,7 @@ from learning_to_simulate._version import __version__
 
 # Name -> module, flags that the name stands for, and what it does.
 COMMANDS = {
+    'list': ('learning_to_simulate.shipped', [], 'names of the models that ship'),
     'train': ('learning_to_simulate.train', [], 'trains a model, or goes on with its training'),
     'evaluate': (
         'learning_to_simulate.train',
@@ -25,22 +26,15 @@ COMMANDS = {
     'export': (
         'learning_to_simulate.export',
         [],
-        'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
-    ),
-    'export-page': (
-        'learning_to_simulate.native.web_page',
-        [],
-        'writes a page that needs no server: the model as WebAssembly',
+        'writes a SavedModel, LiteRT or ONNX model, a C project, an FMU or a page',
     ),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
-    'record': ('mpm.record', [], 'makes the data of record, all runs in order'),
     'import': ('pca_tools.import_data', [], "raw runs from other projects' data"),
     'export-data': ('pca_tools.export_data', [], 'a dataset or rollouts in their formats'),
     'convert': ('pca_tools.convert', [], 'raw runs -> dataset with its subspace'),
     'append': ('pca_tools.append', [], 'adds raw runs to a dataset, in its subspace'),
     'inspect': ('pca_tools.inspect', [], 'what is in a dataset, and what is wrong with it'),
     'modes': ('pca_tools.plot_modes', [], 'draws a subspace: energy, errors, modes'),
-    'report': ('reports', [], 'runs a report by its name; without one, lists them'),
 }
 
 

@@ -5,46 +5,13 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-from absl import app, flags, logging
+from pca_tools.command import HELP as HELP
+from pca_tools.command import start as start
 
 _WRAPPED = ('sklearn', 'matplotlib')  # loaded by Keras
-HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
-
-
-def start(run: Callable, n_argument: int = 0) -> None:
-    """Runs a command as the main program; its flags are defined already.
-
-    A question for help ends with exit code 0. `ValueError` and `OSError` end in one line that
-    begins with `error:`, with exit code 1; so does an argument that is no flag.
-
-    Args:
-      run: called with the values of the flags, and, where it takes arguments, a list of these; what
-        it returns is the exit code.
-      n_argument: how many arguments that are no flags it takes at most.
-    """
-
-    def main(argv):
-        if len(argv) > n_argument + 1:
-            sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
-        if not flags.FLAGS['verbosity'].present:  # TensorFlow tells of every checkpoint it writes
-            logging.set_verbosity(logging.WARNING)
-        try:
-            return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
-        except (ValueError, OSError) as error:
-            from pca_tools import files  # loads numpy, and help does not wait for it
-
-            logging.debug('stack', exc_info=True)
-            sys.exit(f'error: {files.printable(error)}')
-
-    asked = any(argument.split('=')[0] in HELP for argument in sys.argv[1:])
-    try:
-        app.run(main)
-    except SystemExit as done:
-        if asked and done.code == 1:  # absl's code for help that was printed
-            sys.exit(0)
-        raise
+_TRUTHS = {'true': True, '1': True, 'false': False, '0': False}
 
 
 def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
@@ -61,6 +28,30 @@ def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
     found = dict(item.partition('=')[::2] for item in items)
     if '' in found or '' in found.values() or len(found) < len(items):
         raise ValueError(f'--{flag}={",".join(items)}: NAME={what} was expected, each name once')
+    return found
+
+
+def settings(items: list[str], types: dict[str, type]) -> dict:
+    """Name -> value of what a repeated flag `--set` gives.
+
+    Args:
+      items: NAME=VALUE each.
+      types: name -> type of every setting there is.
+
+    Raises:
+      ValueError: an unknown name, one that is given twice, or a value of another type.
+    """
+    found: dict = {}
+    for item in items:
+        name, equals, text = item.partition('=')
+        if not equals or name not in types or name in found:
+            reason = 'is given twice' if name in found else 'NAME=VALUE was expected'
+            raise ValueError(f'--set={item}: {reason}; names are {", ".join(types)}')
+        kind = types[name]
+        try:
+            found[name] = _TRUTHS[text.lower()] if kind is bool else kind(text)
+        except (KeyError, ValueError) as error:
+            raise ValueError(f'--set={item}: must be of type {kind.__name__}') from error
     return found
 
 

@@ -1,4 +1,4 @@
-"""`TrainConfig`: everything that decides what a trained simulator is, in parts.
+"""Settings: everything that decides what a trained simulator is, in parts.
 
 Each part is a frozen value that checks itself; the whole is all of them at once. So names are flat
 on command lines and in `config.json`, and what needs one part only, takes that part. The whole is
@@ -7,13 +7,13 @@ stored beside the weights, so that no flag can change their meaning.
 
 import dataclasses
 
-from learning_to_simulate import registry
+from learning_to_simulate.scene import MAX_MODES, MAX_RIGID
 
 INPUT_SEQUENCE_LENGTH = 6  # H, as in Sanchez-Gonzalez et al. 2020
 LARGEST = 2**62
-# No body of the project has more than 20 particles; a damaged number must not ask for the memory
-# of a graph of millions.
-MAX_RIGID, MAX_MODES = 1000, 10_000
+GRAPH_NETWORK = 'gns'
+STYLES = ('ours', 'published')
+MODELS = (GRAPH_NETWORK, 'mlp', 'mixer_se', 'mixer_scse')  # of a `TrainConfig`
 
 
 def number(default, low=-LARGEST, high=LARGEST):
@@ -60,13 +60,11 @@ class Nodes(Settings):
         height of the kept ones must be that of all.
       modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
         and count in every error; 0 keeps all.
-      soil_particles: about how many soil particles the full-space model keeps; else 0.
     """
 
     rigid_particles: int = number(10, 0, MAX_RIGID)
     rigid_stride: int = number(1, 1, MAX_RIGID)
     modes: int = number(0, 0, MAX_MODES)
-    soil_particles: int = 0
 
     @property
     def nodes(self) -> dict[str, int]:
@@ -82,15 +80,14 @@ class Edges(Settings):
       adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
         where there is one, else ranked by correlation); 'correlation' (always ranked);
         'random' (by lot, from the seed); the edge file that was loaded; 'none' for a model without
-        a graph, and for full_space, whose radius graph is made in every step.
+        a graph.
       mode_edges: mode -> mode edges that are kept when they are ranked by correlation or drawn.
-      surface_height: m; a rigid particle above it has no edges in that frame (`tool_depth`); 0 for
-        edges that last.
+      surface_height: m; a rigid particle above it has no edges in that frame; 0 for edges that
+        last.
       gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
         hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
-      gate_steps: after so many steps the gates close for good and the edge list is fixed.
-      gate_keep: how many edges are then kept, the most probable ones; 0 keeps those more likely
-        open than not.
+      gate_steps: after so many steps the gates close for good; edges that are more likely open
+        than not stay.
     """
 
     adjacency: str = 'algorithm2'
@@ -98,7 +95,6 @@ class Edges(Settings):
     surface_height: float = 0.0
     gate_weight: float = number(0.0, 0)
     gate_steps: int = number(1000, 1)
-    gate_keep: int = number(0, 0, MAX_MODES**2)
 
     def rules(self):
         """Raises where edges are both learned and given."""
@@ -114,9 +110,13 @@ class Inputs(Settings):
     """What a node sees, and what of it is predicted.
 
     Attributes:
-      conditioned: per-mode and per-edge statistics, position inputs, node embeddings and mean
-        aggregation; otherwise the published inputs with dataset-wide statistics and sum
-        aggregation. Code asks for one of its meanings, which are properties.
+      style: 'ours' or 'published' (Haeri & Skonieczny 2021, Usmani & Skonieczny 2023). Published
+        models see velocities and particle types alone, scaled by the statistics of the whole
+        dataset, edges in connectivity radii; they sum messages, weigh all errors alike and clip no
+        gradient. Ours scale every node class and pair of classes by its own statistics, see
+        positions, accelerations, the given motion of the coming frame and an embedding of each
+        mode; they take the mean of messages, weigh an error by its share of the motion, count
+        the force of a run in units of its own, show none clear of the soil, and clip gradients.
       velocity_inputs: how many of the H - 1 last velocities are inputs.
       rate_scaled: velocities in and displacements out are counted per displacement of the body in
         the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
@@ -134,7 +134,7 @@ class Inputs(Settings):
         it, of one body.
     """
 
-    conditioned: bool = True
+    style: str = 'ours'
     velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
     rate_scaled: bool = True
     predict_driven_body: bool = False
@@ -151,62 +151,20 @@ class Inputs(Settings):
                 f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need '
                 f'path_inputs: a place and soil without a state follow from the path alone'
             )
-        if self.path_inputs and not self.conditioned:
-            raise ValueError('path_inputs needs conditioned: the published inputs have no path')
+        if self.style not in STYLES:
+            raise ValueError(f'style is {self.style!r}, must be one of {", ".join(STYLES)}')
+        if self.path_inputs and self.is_published:
+            raise ValueError('path_inputs needs the style ours: the published inputs have no path')
         if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
             raise ValueError(
                 'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
                 'with the rate'
             )
 
-    # What `conditioned` stands for, by meaning: code asks for these.
-
     @property
-    def statistics_by_class(self) -> bool:
-        """Whether inputs and targets are scaled by each node class's own statistics, and edges by
-        those of each pair; else by the dataset's, and edges by the connectivity radius."""
-        return self.conditioned
-
-    @property
-    def position_inputs(self) -> bool:
-        """Whether positions, accelerations and the height of a driven body are inputs."""
-        return self.conditioned
-
-    @property
-    def coming_motion_input(self) -> bool:
-        """Whether the given motion of the coming frame is an input."""
-        return self.conditioned
-
-    @property
-    def embedding_by_class(self) -> bool:
-        """Whether every mode has an embedding of its own; else every particle type."""
-        return self.conditioned
-
-    @property
-    def contact_gate(self) -> bool:
-        """Whether a body shows no force where it is clear of the soil, if training runs are."""
-        return self.conditioned
-
-    @property
-    def mean_aggregation(self) -> bool:
-        """Whether a node takes the mean of its messages; else their sum, as published."""
-        return self.conditioned
-
-    @property
-    def loss_by_motion(self) -> bool:
-        """Whether an error counts by its share of the loudest component's motion."""
-        return self.conditioned
-
-    @property
-    def relative_force_loss(self) -> bool:
-        """Whether the force error of a run is counted in units of the run's own force, and that of
-        the torque in units of its own torque."""
-        return self.conditioned
-
-    @property
-    def clip_norm(self) -> float | None:
-        """Largest norm of the gradient of all weights; None for any."""
-        return 1.0 if self.conditioned else None
+    def is_published(self) -> bool:
+        """Whether inputs, aggregation and loss are the published ones; see `style`."""
+        return self.style == 'published'
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -215,8 +173,6 @@ class Network(Settings):
 
     Attributes:
       latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
-      zero_decoder: the decoder starts from zero, so that training starts from the mean prediction:
-        constant velocity in order 2.
       weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
         none.
       seed: of weights, batches and noise.
@@ -225,7 +181,6 @@ class Network(Settings):
     latent_size: int = number(64, 1, 4096)
     hidden_layers: int = number(2, 1, 32)
     message_passing_steps: int = number(1, 1, 100)
-    zero_decoder: bool = False
     weight_average: float = number(0.998, 0, 1)
     seed: int = 0
 
@@ -237,12 +192,11 @@ class Network(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SingleSteps(Settings):
-    """The first stage of training: single steps from noisy histories.
+    """How training goes; its first stage: single steps from noisy histories.
 
     Attributes:
-      batch_size, num_steps: of this stage.
-      copies: so many shifted or mirrored copies of each training run are trained on as well
-        (`symmetric_copies`), in both stages.
+      batch_size: of this stage.
+      num_steps: of both stages.
       noise_std: random-walk noise of the last input step, m/frame or a fraction.
       noise_relative: whether the noise is a fraction of each node's own velocity scale.
       learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
@@ -250,8 +204,7 @@ class SingleSteps(Settings):
     """
 
     batch_size: int = number(16, 1, 100_000)
-    num_steps: int = number(3000, 0)
-    copies: int = number(0, 0, 100)
+    num_steps: int = number(5000, 0)
     noise_std: float = number(0.5, 0)
     noise_relative: bool = True
     learning_rate: float = 1e-3
@@ -261,42 +214,50 @@ class SingleSteps(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Unrolled(Settings):
-    """The second stage of training: N steps, with gradients through the rollout.
+    """The second stage of training: rollouts of N frames without noise, and gradients through them.
 
     Attributes:
-      unroll_length, unroll_steps, unroll_batch_size: N, steps and batch of this stage.
-      unroll_noise: its noise, as a share of `noise_std`.
-      unroll_learning_rate: rate that it starts from.
+      unroll_length, unroll_batch_size: N, and batch of this stage.
+      unroll_steps: the last so many of `num_steps`.
     """
 
     unroll_length: int = number(16, 2, 10_000)
     unroll_steps: int = number(2000, 0)
     unroll_batch_size: int = number(8, 1, 100_000)
-    unroll_noise: float = 0.0
-    unroll_learning_rate: float = 3e-4
+
+    def rules(self):
+        """Raises where the second stage is longer than both."""
+        if self.unroll_steps > self.num_steps:
+            raise ValueError(
+                f'unroll_steps is {self.unroll_steps}, more than all {self.num_steps} num_steps'
+            )
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
-    """Everything that decides what a model is and how it is trained.
+    """Everything that decides what a model in the subspace is and how it is trained.
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
+      model: one of `MODELS`.
+      copies: so many shifted or mirrored copies of each training run are trained on as well
+        (`symmetric_copies`), in both stages.
     """
 
     preset: str
-    model: str = 'gns'
+    model: str = GRAPH_NETWORK
+    copies: int = number(0, 0, 100)
 
     def rules(self):
-        """Raises where parts do not fit each other or the method."""
-        method = registry.get(self.model)
-        if (self.adjacency == 'none') == method.has_graph:
+        """Raises where parts do not fit each other or the network."""
+        if self.model not in MODELS:
+            raise ValueError(f'model is {self.model!r}, must be one of {", ".join(MODELS)}')
+        if (self.adjacency == 'none') == self.has_graph:
             raise ValueError(
                 f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
                 f'others take none'
             )
-        if self.surface_height and not method.has_graph:
+        if self.surface_height and not self.has_graph:
             raise ValueError(
                 f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
                 f'edges between modes and body'
@@ -306,30 +267,50 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
                 f'state_inputs is False with model {self.model!r}: only the MLP does without, '
                 f'edges and mixers are made of the state'
             )
-        if (self.soil_particles > 0) != method.on_particles:
-            raise ValueError(
-                f'soil_particles is {self.soil_particles} with model {self.model!r}: full_space '
-                f'needs some, the others take 0'
-            )
-        if method.on_particles and self.unroll_steps:
-            raise ValueError(
-                f'unroll_steps is {self.unroll_steps}, but {self.model} is trained in single '
-                f'steps: 0'
-            )
-        if method.on_particles and self.predict_torque:
-            raise ValueError(f'predict_torque is for models in a subspace, not for {self.model}')
-        if method.on_particles and (self.modes or self.rigid_stride > 1):
-            raise ValueError(
-                f'{self.model} has no modes and takes the whole body: modes 0, rigid_stride 1'
-            )
-        if self.gate_weight > 0 and self.gate_steps >= self.num_steps:
+        if self.gate_weight > 0 and self.gate_steps >= self.single_steps:
             raise ValueError(
                 f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
-                f'single-step stage of {self.num_steps} steps'
+                f'single-step stage of {self.single_steps} steps'
             )
+
+    @property
+    def single_steps(self) -> int:
+        """Training steps of the first stage."""
+        return self.num_steps - self.unroll_steps
+
+    @property
+    def has_graph(self) -> bool:
+        """Whether the network takes edges."""
+        return self.model == GRAPH_NETWORK
 
     @property
     def has_lasting_graph(self) -> bool:
         """Whether the model is a graph network with the same edges in every frame: only then
         rollouts are specialised for them."""
-        return registry.get(self.model).has_graph and not self.surface_height
+        return self.has_graph and not self.surface_height
+
+
+@dataclasses.dataclass(frozen=True)
+class FullSpaceConfig(SingleSteps, Network):
+    """What a graph network on thinned particles is and how it is trained.
+
+    Attributes:
+      preset: name of the preset the config started from.
+      model: full_space.
+      soil_particles: about how many soil particles are kept.
+      velocity_inputs: how many of the H - 1 last velocities are inputs.
+      rate_scaled: as of `Inputs`.
+      mode_order: 2 predicts the acceleration of the soil, 1 its displacement.
+    """
+
+    preset: str
+    model: str = 'full_space'
+    soil_particles: int = number(400, 1)
+    velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
+    rate_scaled: bool = True
+    mode_order: int = number(1, 1, 2)
+
+    @property
+    def single_steps(self) -> int:
+        """All training steps are single ones."""
+        return self.num_steps

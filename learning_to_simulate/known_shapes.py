@@ -9,8 +9,6 @@ import collections
 import contextlib
 from collections.abc import Iterable, Iterator
 
-import tensorflow as tf
-
 
 @contextlib.contextmanager
 def only(shapes: Iterable[tuple[int, ...]], source: str) -> Iterator[None]:
@@ -23,6 +21,8 @@ def only(shapes: Iterable[tuple[int, ...]], source: str) -> Iterator[None]:
     Raises:
       ValueError: a variable of another shape was asked for, or one too many; it is not made.
     """
+    import tensorflow as tf  # what lists the methods imports this, and waits for none
+
     left = collections.Counter(map(tuple, shapes))
 
     def make(next_creator, **options):

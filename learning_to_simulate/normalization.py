@@ -1,8 +1,8 @@
 """Statistics of a training set, and the affine maps that the network's inputs and outputs go
 through.
 
-Two families. *Dataset-wide* (published): one mean and standard deviation per axis from
-`metadata.json`, edge displacement divided by the connectivity radius. *Conditioned*: every node
+Two families. *Published*, dataset-wide: one mean and standard deviation per axis from
+`metadata.json`, edge displacement divided by the connectivity radius. *Ours*: every node
 class (the rigid body, each mode) has its own statistics per axis, and every pair of classes its own
 displacement statistics; mode scores reach 18 while their steps are 1e-5..1e-2, so one scale for all
 hides most modes from the network.
@@ -14,13 +14,14 @@ import numpy as np
 
 from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.scene import RigidMotion, Scene, require
 
 # A quieter axis than this share of the class's loudest one counts as still: the lateral motion of a
 # symmetric body is exactly zero, and dividing by its round-off would feed noise to the network.
 STD_FLOOR = 1e-3
 # A spread below this share of a force's size is the rounding of float32 records.
 FORCE_ROUNDING = 1e-6
+MAX_PLACES = 10_000  # of the surface that a contact is read from
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,11 +35,11 @@ class Statistics:
       velocity_mean, velocity_std, acceleration_mean, acceleration_std: [1 + r, D], per frame.
       displacement_mean, displacement_std: [1 + r, 1 + r, D], sender minus receiver, [receiver,
         sender].
-      force_mean, force_std: [D], N; None without a force. Conditioned: one scale for all axes,
+      force_mean, force_std: [D], N; None without a force. Ours: one scale for all axes,
         since the lateral force is noise.
       torque_mean, torque_std: [D], N m, likewise; None where the torque is not predicted.
       context_mean, context_std: [C]; None without a context.
-      log_context_mean, log_context_std: [C] of the logarithm, a second input of conditioned models
+      log_context_mean, log_context_std: [C] of the logarithm, a second input of our models
         (loads and gravities span decades); None unless all values are positive.
       target_mean, target_std: [1 + r, D] of what a node of the class predicts, per frame.
       height_std, height_velocity_std: [1] of the body's height, m, and its change per frame; only
@@ -98,6 +99,64 @@ class Statistics:
         return cls(
             **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
         )
+
+    def check(self, scene: Scene, predict_torque: bool = False) -> None:
+        """Raises ValueError where an array is missing, of another shape, infinite or not of use.
+
+        Args:
+          scene: that the model is of.
+          predict_torque: whether the model predicts it.
+        """
+        classes, context = scene.n_modes + 1, len(scene.context_names)
+        dim = self.origin.shape[-1] if self.origin.ndim else 0
+        require(dim in (2, 3), 'statistics.origin of shape', self.origin.shape)
+        force = dim  # of one body, or of all together, or of each
+        if scene.bodies and self.force_mean is not None and self.force_mean.size > dim:
+            force = dim * len(scene.bodies)
+        shapes = {
+            'displacement_mean': (classes, classes, dim),
+            'displacement_std': (classes, classes, dim),
+            'force_mean': (force,), 'force_std': (force,),
+            'torque_mean': (dim,), 'torque_std': (dim,),
+            'height_std': (1,), 'height_velocity_std': (1,), 'path': (5,), 'contact': (2,),
+            'body_speed': (1,), 'context_mean': (context,), 'context_std': (context,),
+            'log_context_mean': (context,), 'log_context_std': (context,),
+            'position_range': (2, classes, dim), 'given_range': (2, dim),
+            'given_velocity_range': (2, dim),
+            'body_extent_range': (2, dim), 'body_speed_range': (2, 1),
+            'context_range': (2, context),
+        }  # fmt: skip
+        if self.surface is not None:
+            places = self.surface.shape[0] if self.surface.ndim else 0
+            require(0 < places <= MAX_PLACES, 'places of statistics.surface', places)
+            shapes['surface'] = (places, 2 + scene.n_modes * dim)
+        contact, surface = self.contact is not None, self.surface is not None
+        require(contact == surface, 'presence of statistics.contact', contact)
+        if contact:
+            axis = float(self.contact.flat[0]) if self.contact.size else None
+            ways = set(range(dim)) - {scene.up_axis}
+            require(axis in ways, 'axis of statistics.contact', axis)
+            prescribed = scene.rigid_motion == RigidMotion.PRESCRIBED and not scene.bodies
+            require(prescribed and scene.has_force, 'statistics.contact of the scene', scene.name)
+        for field in dataclasses.fields(self):
+            value, name = getattr(self, field.name), f'statistics.{field.name}'
+            if value is None:
+                require(type(None) in getattr(field.type, '__args__', ()), field.name, None)
+                continue
+            expected = shapes.get(field.name, (classes, dim))
+            require(value.shape == expected, f'{name} of shape', value.shape)
+            require(bool(np.isfinite(value).all()), name, 'not finite')
+            if name.endswith('_std') or field.name == 'body_speed':
+                require(bool((value > 0).all()), name, 'not positive')
+            if name.endswith('_range'):
+                require(bool((value[0] <= value[1]).all()), name, 'upside down')
+        has_load = scene.has_force and not scene.bodies
+        require(has_load or not predict_torque, 'predict_torque', predict_torque)
+        wanted = {'force': scene.has_force, 'torque': predict_torque, 'context': bool(context)}
+        for name, present in wanted.items():
+            for end in ('mean', 'std'):
+                value, field = getattr(self, f'{name}_{end}'), f'statistics.{name}_{end}'
+                require((value is not None) == present, f'presence of {field}', value)
 
 
 def _floored(std, largest=None):
@@ -168,23 +227,23 @@ def compute_statistics(
         else _floored(context.std(axis=0), context.std(axis=0)),
     }
     # Loads and gravities span decades: a network sees both x and log x of a positive context.
-    logarithm = config.statistics_by_class and context is not None and (context > 0).all()
+    logarithm = not config.is_published and context is not None and (context > 0).all()
     for name, function in (('mean', np.mean), ('std', np.std)):
         values[f'log_context_{name}'] = function(np.log(context), axis=0) if logarithm else None
     if logarithm:
         values['log_context_std'] = _floored(values['log_context_std'], values['log_context_std'])
     values |= (
-        _by_node_class(positions, velocities, origin, r)
-        if config.statistics_by_class
-        else _dataset_wide(metadata, scene, config, origin)
+        _dataset_wide(metadata, scene, config, origin)
+        if config.is_published
+        else _by_node_class(positions, velocities, origin, r)
     )
     for name, load in loads.items():
         if load is None:
             moments = None, None
-        elif config.statistics_by_class:
-            moments = load.mean(axis=0), np.full(load.shape[1], _load_spread(load))
-        else:
+        elif config.is_published:
             moments = _load_wide(name, load, metadata, scene)
+        else:
+            moments = load.mean(axis=0), np.full(load.shape[1], _load_spread(load))
         values |= dict(zip((f'{name}_mean', f'{name}_std'), moments, strict=True))
     ranges = training_ranges(positions, contexts, scene)
     targets = _targets(values, _places(positions, r), heights, scene, config)
@@ -278,7 +337,7 @@ def _height_std(heights, order):
 
 
 def _by_node_class(positions, velocities, origin, r):
-    """Conditioned family: statistics of each node class and each pair of classes."""
+    """Our family: statistics of each node class and each pair of classes."""
     velocity_classes = _by_class(velocities, r)
     acceleration_classes = _by_class([np.diff(v, axis=1) for v in velocities], r)
     displacement_mean, displacement_std = _displacements(positions, origin, r)
@@ -322,7 +381,7 @@ def _targets(values, places, heights, scene, config):
         target[f'target_{name}'] = np.concatenate(
             [by_order[config.rigid_order][:1], by_order[config.mode_order][1:]]
         )
-    if heights is not None and config.statistics_by_class:
+    if heights is not None and not config.is_published:
         # The body's height moves far less than the particles of a turning wheel do.
         change = np.concatenate(
             [np.diff(h, n=config.rigid_order, axis=1).reshape(-1, 1) for h in heights]

@@ -4,14 +4,14 @@ A preset is a frozen config; flags override single fields.
 """
 
 import dataclasses
+from typing import Any
 
-from learning_to_simulate import registry
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
-
-__all__ = ['INPUT_SEQUENCE_LENGTH', 'PRESETS', 'TrainConfig', 'make_config', 'preset_of_model']
+from learning_to_simulate.baselines import settings as open_loop_settings
+from learning_to_simulate.config import GRAPH_NETWORK, FullSpaceConfig, TrainConfig
+from learning_to_simulate.swept_field import settings as swept_field_settings
 
 _PUBLISHED = {
-    'conditioned': False,
+    'style': 'published',
     'rigid_particles': 0,
     'velocity_inputs': 5,
     'rate_scaled': False,
@@ -31,7 +31,7 @@ _PUBLISHED = {
 # A network that takes the whole state at once: the training of `pcg` without its graph.
 _WHOLE_STATE = {'adjacency': 'none', 'mode_edges': 0}
 
-PRESETS = {
+_OF_NETWORKS = {
     # Haeri & Skonieczny 2021: full graph with self-edges, dataset-wide statistics, noise 6.7e-4.
     'fcg_original': TrainConfig(
         'fcg_original',
@@ -42,7 +42,7 @@ PRESETS = {
     ),
     # Usmani & Skonieczny 2023: partial graph (their Algorithm 2), noise 6.7e-6.
     'pcg_thesis': TrainConfig('pcg_thesis', noise_std=6.7e-6, num_steps=20_000, **_PUBLISHED),
-    # This project's default: partial graph, conditioned inputs, displacement outputs, unrolled
+    # This project's default: partial graph, own inputs, displacement outputs, unrolled
     # training.
     'pcg': TrainConfig('pcg'),
     # Holden et al. 2019: a plain MLP on the subspace state.
@@ -77,21 +77,19 @@ PRESETS = {
     # and thousands of edges. Displacements per displacement of the body, and noise of twice the
     # spread of the one velocity that is an input: with accelerations, five velocities and little
     # noise it learns to go on as before, so that soil which rests rests for ever.
-    'full_space': TrainConfig(
+    'full_space': FullSpaceConfig(
         'full_space',
-        model='full_space',
-        soil_particles=400,
-        rigid_particles=0,
         noise_std=2.0,
         latent_size=32,
         message_passing_steps=3,
         batch_size=2,
         num_steps=5000,
-        unroll_steps=0,
         decay_steps=2500.0,
-        **_WHOLE_STATE,
     ),
 }
+PRESETS: dict[str, Any] = (
+    _OF_NETWORKS | swept_field_settings.PRESETS | open_loop_settings.PRESETS
+)
 
 
 def preset_of_model(model: str | None) -> str:
@@ -101,12 +99,21 @@ def preset_of_model(model: str | None) -> str:
     Raises:
       ValueError: unknown model.
     """
-    model = model or 'gns'
-    return registry.get(model).default_preset or model
+    name = 'pcg' if model in (None, GRAPH_NETWORK) else model
+    if name not in PRESETS or PRESETS[name].model != (model or GRAPH_NETWORK):
+        models = dict.fromkeys(preset.model for preset in PRESETS.values())
+        raise ValueError(f'unknown model {model!r}; there are {", ".join(models)}')
+    return name
+
+
+def setting_types() -> dict[str, type]:
+    """Name of a setting -> its type, of all methods: names that are shared are of one type."""
+    classes = dict.fromkeys(map(type, PRESETS.values()))
+    return {f.name: f.type for kind in classes for f in dataclasses.fields(kind)}
 
 
 def make_config(preset: str, **overrides):
-    """The config of a preset with single fields replaced; None means 'not given'.
+    """The settings of a preset with single fields replaced; None means 'not given'.
 
     Returns:
       a `TrainConfig`, or the settings of the preset's method.
@@ -115,15 +122,20 @@ def make_config(preset: str, **overrides):
       ValueError: unknown preset, model or field, a model that the preset is none of, or a value
         outside its range.
     """
-    known = registry.all_presets()
-    if preset not in known:
-        raise ValueError(f'unknown preset {preset!r}; there are {", ".join(known)}')
-    fields = {f.name for f in dataclasses.fields(known[preset])}
+    if preset not in PRESETS:
+        raise ValueError(f'unknown preset {preset!r}; there are {", ".join(PRESETS)}')
+    fields = {f.name for f in dataclasses.fields(PRESETS[preset])}
     if unknown := set(overrides) - fields:
-        raise ValueError(f'unknown config fields {sorted(unknown)}')
+        raise ValueError(
+            f'preset {preset!r} has no settings {sorted(unknown)}; '
+            f'it has {", ".join(sorted(fields))}'
+        )
     model = overrides.get('model')
-    if model is not None and type(known[preset_of_model(model)]) is not type(known[preset]):
-        raise ValueError(f'preset {preset!r} is one of {known[preset].model!r}, not of {model!r}')
-    return dataclasses.replace(
-        known[preset], **{k: v for k, v in overrides.items() if v is not None}
-    )
+    if model is not None and type(PRESETS[preset_of_model(model)]) is not type(PRESETS[preset]):
+        raise ValueError(f'preset {preset!r} is one of {PRESETS[preset].model!r}, not of {model!r}')
+    given = {k: v for k, v in overrides.items() if v is not None}
+    whole = PRESETS[preset]
+    if 'num_steps' in given and 'unroll_steps' in fields - given.keys():
+        # A shorter or longer training has both stages in the proportion of the preset.
+        given['unroll_steps'] = round(given['num_steps'] * whole.unroll_steps / whole.num_steps)
+    return dataclasses.replace(whole, **given)

@@ -6,15 +6,14 @@ needed: a look at the list loads no TensorFlow. The module of its `code` has thr
   train(data_path, model_path, config, options: TrainOptions) -> dict
       See `train` below. Leaves a model folder: `config.json` with `schema_version` and, under
       `config`, the settings with the method's name as `model`.
-  open_model(model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True)
-        -> OpenedModel
+  open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel
       A trained model with the runs of a split; refuses overrides {field: value} that contradict
       the model, and data that it does not fit.
   load(model_path) -> model
       The model alone.
 
-Its settings are a frozen dataclass with the fields `preset` and `model`; its presets lie in
-`PRESETS` of the module `settings`. Fields of all settings are flags of `train`.
+Its settings are a frozen dataclass with the fields `preset` and `model`; `presets` lists those of
+all methods.
 """
 
 import dataclasses
@@ -22,7 +21,7 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-from learning_to_simulate import command
+from learning_to_simulate import checkpoints, command
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,45 +31,23 @@ class Method:
     Attributes:
       about: one line for `--help`.
       code: module with `train`, `open_model` and `load`.
-      settings: module with its `PRESETS`.
-      network: 'module:callable' that makes its simulator of (scene, config, statistics, particle
-        types), for methods whose code is `subspace.method`.
-      has_graph: whether it takes edges between modes and body (`adjacency`).
-      on_particles: whether its nodes are soil particles and not modes.
       live: module of its engine for live use; None: that of models in the subspace.
-      default_preset: where only the method is named; None: the preset of its own name.
     """
 
     about: str
     code: str
-    settings: str = 'learning_to_simulate.presets'
-    network: str | None = None
-    has_graph: bool = False
-    on_particles: bool = False
     live: str | None = None
-    default_preset: str | None = None
 
     @property
     def steps(self) -> bool:
         """Whether its models start from a bed at rest and take poses, live or as whole paths."""
-        return bool(self.network or self.live)
+        return self.code == _SUBSPACE or self.live is not None
 
     def load_code(self) -> ModuleType:
         """The module with its functions; TensorFlow is imported without its start-up lines."""
         command.import_tensorflow()
         return importlib.import_module(self.code)
 
-    def make_simulator(self, scene, config, statistics, particle_types=(0, 6)):
-        """A simulator in the subspace with fresh weights; arguments as of `LearnedSimulator`.
-
-        Raises:
-          ValueError: a method that has none.
-        """
-        if self.network is None:
-            raise ValueError(f'model {config.model!r} is not one of a subspace')
-        module, name = self.network.split(':')
-        make = getattr(importlib.import_module(module), name)
-        return make(scene, config, statistics, particle_types)
 
 
 @dataclasses.dataclass
@@ -116,50 +93,37 @@ def refuse_raw_path(raw_path: str | None) -> None:
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'
-_MIXER = 'learning_to_simulate.subspace.mixer_model'
-_OPEN_LOOP: dict[str, Any] = {
-    'code': 'learning_to_simulate.baselines.method',
-    'settings': 'learning_to_simulate.baselines.settings',
-}
+_OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
     'gns': Method(
         'graph network on modes and body (Usmani & Skonieczny 2023)',
         _SUBSPACE,
-        network='learning_to_simulate.subspace.learned_simulator:LearnedSimulator',
-        has_graph=True,
-        default_preset='pcg',
     ),
     'mlp': Method(
         'plain MLP on the subspace state (Holden et al. 2019)',
         _SUBSPACE,
-        network='learning_to_simulate.subspace.mlp_model:simulator',
     ),
     'mixer_se': Method(
         'Motion-Mixer with squeeze-and-excitation (Bouazizi et al. 2022)',
         _SUBSPACE,
-        network=f'{_MIXER}:simulator_with_se',
     ),
-    'mixer_scse': Method(
-        'Motion-Mixer with scSE', _SUBSPACE, network=f'{_MIXER}:simulator_with_scse'
-    ),
+    'mixer_scse': Method('Motion-Mixer with scSE', _SUBSPACE),
     'full_space': Method(
         'radius graph on thinned particles (Sanchez-Gonzalez et al. 2020)',
         'learning_to_simulate.full_space.method',
-        on_particles=True,
     ),
     'swept_field': Method(
         'neural field over what the tool has swept: no modes, no time stepping',
         'learning_to_simulate.swept_field.method',
-        'learning_to_simulate.swept_field.settings',
         live='learning_to_simulate.swept_field.engine',
     ),
-    'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', **_OPEN_LOOP),
+    'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
     'earthmoving': Method(
         "a blade's force by the equation of earthmoving (Reece 1965, McKyes 1985): a baseline",
-        **_OPEN_LOOP,
+        _OPEN_LOOP,
     ),
     'bekker_wong_janosi': Method(
-        "a wheel's sinkage and force as in the Soil Contact Model: a baseline", **_OPEN_LOOP
+        "a wheel's sinkage and force as in the Soil Contact Model: a baseline", _OPEN_LOOP
     ),
 }
 
@@ -175,28 +139,13 @@ def get(name: str) -> Method:
     return METHODS[name]
 
 
-def all_presets() -> dict[str, Any]:
-    """Name -> settings of every preset of every method."""
-    modules = dict.fromkeys(method.settings for method in METHODS.values())
-    return {k: v for m in modules for k, v in importlib.import_module(m).PRESETS.items()}
-
-
-def setting_fields() -> dict[str, tuple[Any, type]]:
-    """Name of a setting -> its type and the class that has it, of all methods; for flags.
-
-    Where two methods have a setting of one name, it must be of one type.
-    """
-    classes = dict.fromkeys(type(preset) for preset in all_presets().values())
-    return {f.name: (f.type, kind) for kind in classes for f in dataclasses.fields(kind)}
-
-
 def train(data_path: str, model_path: str, config, **options) -> dict:
     """Trains the method of `config` to its end, or goes on with a training, or finds it done.
 
     Args:
       data_path: dataset folder with a train split; valid, where there is one, is rolled out.
       model_path: model folder, made if absent; locked while the training runs.
-      config: settings of one of `all_presets`.
+      config: settings, as of `presets.make_config`.
       **options: of `TrainOptions`.
 
     Returns:
@@ -224,9 +173,6 @@ def of_folder(model_path: str) -> Method:
     Raises:
       FileNotFoundError, ValueError: no model there, or one of a method that does not exist.
     """
-    command.import_tensorflow()
-    from learning_to_simulate import checkpoints
-
     config = checkpoints.read_config(model_path).get('config')
     name = config.get('model', 'gns') if isinstance(config, dict) else None
     if name not in METHODS:

@@ -6,6 +6,11 @@ variable, no operation and no edge. Nothing in the package asks for the name of 
 
 import dataclasses
 import enum
+import math
+
+# No body of the project has more than 20 particles; a damaged number must not ask for the memory
+# of a graph of millions.
+MAX_RIGID, MAX_MODES = 1000, 10_000
 
 
 class RigidMotion(enum.StrEnum):
@@ -131,7 +136,7 @@ class Scene:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
                 'Networks on modes (pcg, mlp) learn on them, roll out recorded runs, step '
-                'by particles (live.stepping.Stepper) and are exported as SavedModel or LiteRT'
+                'by particles (live.stepper.Stepper) and are exported as SavedModel or LiteRT'
             )
 
     def to_json(self) -> dict:
@@ -140,8 +145,12 @@ class Scene:
 
     @classmethod
     def from_json(cls, values: dict) -> 'Scene':
-        """Rebuilds a scene from `to_json`."""
-        return cls(
+        """Rebuilds a scene from `to_json`.
+
+        Raises:
+          KeyError, TypeError, ValueError: a field is missing, unknown or wrong.
+        """
+        scene = cls(
             **values
             | {
                 'rigid_motion': RigidMotion(values['rigid_motion']),
@@ -150,3 +159,38 @@ class Scene:
                 'bodies': tuple(map(tuple, values.get('bodies', ()))),
             }
         )
+        scene.check()
+        return scene
+
+    def check(self) -> None:
+        """Raises ValueError where a field is of another type or outside its range."""
+        radius = self.connectivity_radius
+        require(isinstance(self.name, str), 'scene.name', self.name)
+        require(is_int(self.n_modes, 1, MAX_MODES), 'scene.n_modes', self.n_modes)
+        require(isinstance(self.rigid_motion, RigidMotion), 'rigid_motion', self.rigid_motion)
+        require(isinstance(self.has_force, bool), 'scene.has_force', self.has_force)
+        require(self.n_soil is None or is_int(self.n_soil, 1, 2**31), 'scene.n_soil', self.n_soil)
+        require(_is_positive(self.dt), 'scene.dt', self.dt)
+        require(is_int(self.up_axis, 0, 2), 'scene.up_axis', self.up_axis)
+        require(_is_positive(radius), 'scene.connectivity_radius', radius)
+        require(all(isinstance(n, str) for n in self.context_names), 'context_names', '...')
+        for name, count in self.bodies:
+            require(isinstance(name, str) and is_int(count, 1, MAX_RIGID), 'body', (name, count))
+        for edge in self.rigid_edges:
+            require(len(edge) == 2 and all(is_int(e, 0, MAX_RIGID) for e in edge), 'edge', edge)
+
+
+def require(condition, name: str, value) -> None:
+    """Raises ValueError that says what the value of a name is, unless the condition holds."""
+    if not condition:
+        raise ValueError(f'{name} is {value!r}')
+
+
+def is_int(value, low: int, high: int) -> bool:
+    """Whether a value of a JSON file is a whole number in [low, high]."""
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_positive(value):
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and math.isfinite(value) and value > 0

@@ -20,17 +20,19 @@ Examples:
   python -m learning_to_simulate.train --adjacency=edges.json --data_path=... --model_path=...
   python -m learning_to_simulate.train --rigid_motion=driven --data_path=Wheel_PCA --model_path=...
 
-Model flags that are not given take the preset's value; in the other modes they are read from the
-model and a flag that contradicts them is refused.
-"""
+  # a setting without a flag of its own, by name; or all of them from a file
+  python -m learning_to_simulate.train --set=hidden_layers=3 --data_path=... --model_path=...
+  python -m learning_to_simulate.train --config=settings.json --data_path=... --model_path=...
 
-import inspect
-import re
+Settings that are not given take the preset's value; in the other modes they are read from the
+model, and one that contradicts them is refused.
+"""
 
 import tqdm
 from absl import flags
 
-from learning_to_simulate import command, presets, registry
+from learning_to_simulate import checkpoints, command, presets, registry
+from pca_tools import files
 
 _MODE = flags.DEFINE_enum(
     'mode', 'train', ['train', 'eval', 'eval_rollout'], 'Train, or evaluate a trained model.'
@@ -50,29 +52,10 @@ _RAW_PATH = flags.DEFINE_string(
 _OUTPUT_PATH = flags.DEFINE_string(
     'output_path', None, 'Folder for rollouts and metrics.json (eval_rollout).'
 )
-_PRESET = flags.DEFINE_string(
-    'preset',
-    None,
-    f'One of {", ".join(registry.all_presets())}; default: the one of --model, else pcg.',
-)
-_MODEL = flags.DEFINE_string(
-    'model',
-    None,
-    "Method; overrides the preset's: "
-    + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
-)
-_ADJACENCY = flags.DEFINE_string(
-    'adjacency',
-    None,
-    'edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
-)
 _RIGID_MOTION = flags.DEFINE_string(
     'rigid_motion',
     None,
     "Overrides the scene's: prescribed, driven (height predicted) or predicted.",
-)
-_RIGID_CORRECTION = flags.DEFINE_bool(
-    'rigid_correction', True, 'Keep predicted bodies rigid in rollouts.'
 )
 _SAVE_EVERY = flags.DEFINE_integer(
     'save_every', None, 'Steps between checkpoints; default: a tenth of all steps.', 1
@@ -84,67 +67,88 @@ _TAKE_OVER_LOCK = flags.DEFINE_bool(
 )
 flags.DEFINE_integer('num_threads', None, 'CPU threads of TensorFlow; default: its own choice.', 1)
 
-
-def _meanings(settings: type) -> dict[str, str]:
-    """Field -> what the docstrings of a class of settings and of its parts say of it."""
-    found = {}
-    for part in settings.__mro__:
-        text = (inspect.cleandoc(part.__doc__ or '')).split('Attributes:')[-1]
-        for names, meaning in re.findall(r'^  ([\w, ]+): (.*(?:\n    .*)*)', text, re.M):
-            found |= {name: ' '.join(meaning.split()) for name in names.split(', ')}
-    return found
-
-
-# Flags that override single fields of the preset's config; DeepMind's spelling where it has one.
-_FIELD_FLAGS = {'message_passing_steps': 'mssg'}
-for _field, (_type, _settings) in registry.setting_fields().items():
-    if _field in ('preset', 'model', 'adjacency'):
-        continue
-    _define = {
-        int: flags.DEFINE_integer,
-        float: flags.DEFINE_float,
-        bool: flags.DEFINE_bool,
-        str: flags.DEFINE_string,
-    }[_type]
-    _FIELD_FLAGS.setdefault(_field, _field)
-    _meaning = _meanings(_settings).get(_field, 'see the settings')
-    _define(_FIELD_FLAGS[_field], None, f"{_meaning} (default: the preset's)")
+# Settings of the model. Those that are set often have a flag of their name.
+_PRESET = flags.DEFINE_string(
+    'preset',
+    None,
+    f'One of {", ".join(presets.PRESETS)}; default: the one of --model, else pcg.',
+)
+_CONFIG = flags.DEFINE_string(
+    'config', None, 'JSON file of settings {name: value}, or the config.json of a model.'
+)
+_SET = flags.DEFINE_multi_string(
+    'set',
+    [],
+    'NAME=VALUE of any setting; may be given again. config.py says what each means: '
+    + ', '.join(f'{name} ({kind.__name__})' for name, kind in presets.setting_types().items()),
+)
+_FLAGS = [
+    flags.DEFINE_string(
+        'model',
+        None,
+        "Method; overrides the preset's: "
+        + '; '.join(f'{name}, {method.about}' for name, method in registry.METHODS.items()),
+    ),
+    flags.DEFINE_string(
+        'adjacency',
+        None,
+        'Edges: edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
+    ),
+    flags.DEFINE_integer('mode_edges', None, 'Edges between modes that are kept when ranked.'),
+    flags.DEFINE_float('gate_weight', None, 'Above 0, edges are learned at this price.'),
+    flags.DEFINE_integer('modes', None, 'The first so many modes are nodes; 0: all.'),
+    flags.DEFINE_integer('rigid_particles', None, 'Lowest particles of a blade that are nodes.'),
+    flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
+    flags.DEFINE_integer('members', None, 'Networks of a swept field that are averaged.'),
+    flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
+    flags.DEFINE_integer('batch_size', None, 'Windows of a batch.'),
+    flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
+    flags.DEFINE_integer('seed', None, 'Of weights, batches and noise.'),
+]
 
 
 def _overrides() -> dict:
-    """Config fields that the command line gives."""
-    given = {field: flags.FLAGS[flag].value for field, flag in _FIELD_FLAGS.items()}
-    given |= {'model': _MODEL.value, 'adjacency': _ADJACENCY.value}
-    return {k: v for k, v in given.items() if v is not None}
+    """Settings that the command line gives: by a file, by --set, by a flag of their own.
+
+    Raises:
+      ValueError: a setting that does not exist, is given twice, or is of another type.
+    """
+    found = {}
+    if _CONFIG.value:
+        values = files.read_json(_CONFIG.value)
+        values = values.get('config', values) if isinstance(values, dict) else None
+        if not isinstance(values, dict) or not values.keys() <= presets.setting_types().keys():
+            raise ValueError(f'{_CONFIG.value}: not a JSON object of settings {{name: value}}')
+        found = values
+    given = command.settings(_SET.value, presets.setting_types())
+    for flag in _FLAGS:
+        if flag.value is not None:
+            if flag.name in given:
+                raise ValueError(f'{flag.name} is given by --{flag.name} and by --set')
+            given[flag.name] = flag.value
+    found |= given
+    if _PRESET.value:
+        found['preset'] = _PRESET.value
+    return found
 
 
 def _open(overrides) -> registry.OpenedModel:
     """The trained model and the runs of the split."""
-    from learning_to_simulate import checkpoints
-
-    preset, motion = _PRESET.value, _RIGID_MOTION.value
     opened = registry.open_model(
-        _MODEL_PATH.value,
-        _DATA_PATH.value,
-        _EVAL_SPLIT.value,
-        overrides if preset is None else overrides | {'preset': preset},
-        raw_path=_RAW_PATH.value,
-        rigid_correction=_RIGID_CORRECTION.value,
+        _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides, raw_path=_RAW_PATH.value
     )
-    if motion is not None:
-        scene = opened.model.simulator.scene
-        checkpoints.refuse_contradictions(_MODEL_PATH.value, scene, {'rigid_motion': motion})
+    if _RIGID_MOTION.value is not None:
+        motion = {'rigid_motion': _RIGID_MOTION.value}
+        checkpoints.refuse_contradictions(_MODEL_PATH.value, opened.model.simulator.scene, motion)
     return opened
 
 
 def _train(overrides):
-    config = presets.make_config(
-        _PRESET.value or presets.preset_of_model(_MODEL.value), **overrides
-    )
+    preset = overrides.pop('preset', None) or presets.preset_of_model(overrides.get('model'))
     registry.train(
         _DATA_PATH.value,
         _MODEL_PATH.value,
-        config,
+        presets.make_config(preset, **overrides),
         rigid_motion=_RIGID_MOTION.value,
         save_every=_SAVE_EVERY.value,
         take_over_lock=_TAKE_OVER_LOCK.value,
@@ -160,7 +164,7 @@ def _evaluate_one_step(overrides):
 
 
 def _evaluate_rollouts(overrides):
-    from learning_to_simulate import checkpoints, evaluation
+    from learning_to_simulate import evaluation  # loads TensorFlow
 
     if not _OUTPUT_PATH.value:
         raise ValueError('--mode=eval_rollout needs --output_path')
@@ -182,12 +186,9 @@ def run(values) -> None:
     """Runs the chosen mode."""
     overrides = _overrides()
     command.import_tensorflow(values.num_threads)
-    if values.mode == 'train':
-        _train(overrides)
-    elif values.mode == 'eval':
-        _evaluate_one_step(overrides)
-    else:
-        _evaluate_rollouts(overrides)
+    {'train': _train, 'eval': _evaluate_one_step, 'eval_rollout': _evaluate_rollouts}[values.mode](
+        overrides
+    )
 
 
 if __name__ == '__main__':

@@ -9,13 +9,13 @@ import os
 
 from tqdm import tqdm
 
-from cluster import workers
 from mpm import packing, raw_run, run, scenes, versions
 from mpm.constitutive import make_soil
 from mpm.files import one_writer, remove_temporary
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
+from pca_tools import workers
 
 
 def generate(
@@ -40,7 +40,7 @@ def generate(
         settings: of all runs in the folder.
         num_processes: runs at a time.
         tool: `bodies.check_tool`, of all runs; None: what each run has.
-        where: see `cluster.workers`; '': processes of this machine.
+        where: see `pca_tools.workers`; '': processes of this machine.
         show_progress: whether to draw bars.
 
     Returns:
@@ -135,7 +135,7 @@ def _check_cases(scene, groups, settings, tool) -> None:
 
 
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
-    """Returns the cases that are not among the finished; refuses a path or tool of other content."""
+    """Returns the cases that are not finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
     todo = []
     for case in cases:
@@ -147,8 +147,8 @@ def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
         other = [key for key in ('path_sha256', 'tool') if asked.get(key) != done[name].get(key)]
         if other:
             raise ValueError(
-                f'{job.folder}: {raw_run.file_name(name)} was made with another {" and ".join(other)}; '
-                'name another folder'
+                f'{job.folder}: {raw_run.file_name(name)} was made with another '
+                f'{" and ".join(other)}; name another folder'
             )
     return todo
 

@@ -8,6 +8,8 @@ A body is drawn in the plane of travel and has a width across it. In the plane i
 - and, of a wheel, grousers: equal bars with round ends that stand out of the rim;
 - and, of a bucket, two side plates: a polygon that closes each end over some thickness.
 
+A point without a width is a ball.
+
 It is described upright in its own frame, whose origin is the reference point (the middle of a
 blade's lower edge, a wheel's axle); where it is and how it leans is its pose: x, y (m), angle (rad,
 counter-clockwise about +z), z (m) of its middle. Axes: x is the way of driving (towards -x), y is
@@ -152,12 +154,13 @@ def make_wheel(
     if count:
         if not (height > thickness / 2.0 > 0.0):
             raise ValueError(
-                f'grousers of height {height} m and thickness {thickness} m: the height must exceed '
-                'half the thickness, both must be positive'
+                f'grousers of height {height} m and thickness {thickness} m: the height must '
+                'exceed half the thickness, both must be positive'
             )
         if count * thickness > math.pi * diameter:
             raise ValueError(
-                f'{count} grousers {thickness} m thick overlap on a rim of {math.pi * diameter:.4g} m'
+                f'{count} grousers {thickness} m thick overlap on a rim of '
+                f'{math.pi * diameter:.4g} m'
             )
     angles = 2.0 * math.pi * np.arange(WHEEL_RING_POINTS) / WHEEL_RING_POINTS
     points = [
@@ -166,6 +169,11 @@ def make_wheel(
         for angle in angles
     ]
     return _body([(0.0, 0.0)], radius, width, friction, points, grousers)
+
+
+def make_ball(diameter: float, friction: float = BLADE_FRICTION) -> Body:
+    """Builds a ball; its middle is the reference point and the only sample point."""
+    return _body([(0.0, 0.0)], diameter / 2.0, 0.0, friction, [(0.0, 0.0, 0.0)])
 
 
 def wheel_edges() -> tuple:
@@ -200,8 +208,8 @@ def read_tool(path: str) -> dict:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline that
-            crosses itself; with the file.
+        ValueError: no JSON, an unknown or missing entry, a length outside its range, an outline
+            that crosses itself; with the file.
     """
     with open(path, encoding='utf-8') as file:
         try:
@@ -423,7 +431,10 @@ def extent_below(body: Body, poses: np.ndarray, height: float):
     for corners, radius in parts:
         for i in range(len(corners)):
             ends = [corners[i], corners[(i + 1) % len(corners)]]
-            px, py = ([a * cosine - b * sine for a, b in ends], [a * sine + b * cosine for a, b in ends])
+            px, py = (
+                [a * cosine - b * sine for a, b in ends],
+                [a * sine + b * cosine for a, b in ends],
+            )
             px, py = [x + p for p in px], [y + p - radius for p in py]
             # The share of the edge at which it leaves what is below the height.
             rise = py[1] - py[0]
@@ -431,7 +442,11 @@ def extent_below(body: Body, poses: np.ndarray, height: float):
                 share = np.where(rise != 0.0, (height - py[0]) / rise, 0.0)
             crossing = px[0] + np.clip(share, 0.0, 1.0) * (px[1] - px[0])
             crosses = (py[0] < height) != (py[1] < height)
-            for at, is_below in ((px[0], py[0] < height), (px[1], py[1] < height), (crossing, crosses)):
+            for at, is_below in (
+                (px[0], py[0] < height),
+                (px[1], py[1] < height),
+                (crossing, crosses),
+            ):
                 reach = radius
                 if len(corners) == 1:  # the chord of the circle at that height
                     depth = np.clip(height - (py[0] + radius), -radius, radius)
@@ -523,6 +538,11 @@ def signed_distance(body, sine, cosine, rx, ry, rz):
     Returns:
         (distance, nx, ny, nz).
     """
+    if body.half_width == 0.0:
+        norm = math.sqrt(rx * rx + ry * ry + rz * rz)
+        if norm > 0.0:
+            return norm - body.radius, rx / norm, ry / norm, rz / norm
+        return -body.radius, 0.0, 1.0, 0.0
     px, py = rx * cosine + ry * sine, ry * cosine - rx * sine
     plane, nx, ny = _from_outline(body.outline, px, py)
     plane -= body.radius

@@ -49,7 +49,7 @@ class ContactLaw(NamedTuple):
 
 
 def make_contact(soil: Soil, particle_volume: float, spacing: float) -> ContactLaw:
-    """Returns the contact of particles of a packed volume (m3), a spacing (m) apart in the plane."""
+    """Returns the contact of particles of a packed volume (m3), so far (m) apart in the plane."""
     modulus = soil.bulk_modulus + 4.0 * soil.shear_modulus / 3.0
     return ContactLaw(RADIUS * spacing, STIFFNESS * modulus * particle_volume / spacing**2)
 

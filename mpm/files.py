@@ -4,11 +4,11 @@ import zipfile
 
 import numpy as np
 
-from storage import archives
-from storage.folder_lock import locked as one_writer
-from storage.text_files import write_json
-from storage.whole_files import TEMPORARY, remove_temporary
-from storage.whole_files import write_file as write_whole
+from pca_tools.storage import archives
+from pca_tools.storage.folder_lock import locked as one_writer
+from pca_tools.storage.text_files import write_json
+from pca_tools.storage.whole_files import TEMPORARY, remove_temporary
+from pca_tools.storage.whole_files import write_file as write_whole
 
 __all__ = [
     'MAX_BYTES', 'TEMPORARY', 'one_writer', 'read_arrays', 'remove_temporary', 'write_arrays',

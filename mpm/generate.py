@@ -22,8 +22,10 @@ Examples:
     python -m mpm.generate --scene=wheel --cases=full --cluster=slurm:64 --output_path=/shared/raw
 
 A folder belongs to one scene and one packing; kinds that need another bin (beside, tools: twice as
-wide; trench: 2 m long) go into a folder inside, `wide` or `long`. A command that was interrupted goes on where it
-stopped when it is given again. All runs start from the same settled packing, which is made once and
+wide; trench: 2 m long) go into a folder inside, `wide` or `long`. A command that was interrupted
+goes on where it stopped when it is given again.
+
+All runs start from the same settled packing, which is made once and
 kept in the folder. All motions are checked against floor, walls and time step before the first run.
 `python -m mpm.record` makes the whole data of record.
 """

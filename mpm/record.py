@@ -222,7 +222,9 @@ def main(argv):
         if _OUTPUT_PATH.value is None:
             raise ValueError('give --output_path, or --list to see what would be made')
         expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
-        found = make(_PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection, _CLUSTER.value)
+        found = make(
+            _PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection, _CLUSTER.value
+        )
     except (ValueError, OSError, ModuleNotFoundError) as error:
         logging.error('%s', error)
         sys.exit(1)

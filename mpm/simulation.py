@@ -24,8 +24,8 @@ class Settings:
     Attributes:
         youngs_modulus: Pa.
         seed: of the packing's jitter.
-        friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what a
-            run would have; None: that.
+        friction_angle_deg, bulk_density, gravity: of the soil (deg, kg/m3, m/s2), in place of what
+            a run would have; None: that.
         tool_friction: Coulomb coefficient between tool and soil, likewise.
         exchange: s, between two exchanges of particles and grid.
         steps: per exchange; 0: from the CFL limit.
@@ -117,7 +117,9 @@ class Simulation:
         )
         self._intervals = round(1.0 / (FRAME_RATE * settings.exchange))
         if abs(self._intervals * settings.exchange * FRAME_RATE - 1.0) > 1e-9:
-            raise ValueError(f'a frame is no whole number of exchanges of {settings.exchange:.4g} s')
+            raise ValueError(
+                f'a frame is no whole number of exchanges of {settings.exchange:.4g} s'
+            )
         self.dt, self.steps = self._solver.dt, self._solver.steps * self._intervals
         stability.check_time_step(self.dt, soil, min(self.grid.dx, self.grid.dz))
         self._particles = packing.for_soil(particles, soil, gravity)
@@ -273,11 +275,9 @@ class Simulation:
             `deepest_cells`: of any particle below the surface, in cells (0: none is inside);
             `inside`: number of particles deeper than a quarter of a cell.
         """
-        if self._block is None:
-            positions = self._particles[:, :3]
-        else:  # what sleeps does not move, and is far from the body
-            positions = self._block.particles[:, :3]
-        depth = -bodies.signed_distances(self.drive.body, self.pose, positions)
+        # What sleeps does not move, and is far from the body.
+        rows = self._particles if self._block is None else self._block.particles
+        depth = -bodies.signed_distances(self.drive.body, self.pose, rows[:, :3])
         deepest = max(0.0, float(depth.max(initial=0.0)) / self.grid.dx)
         return {'deepest_cells': deepest, 'inside': int((depth > 0.25 * self.grid.dx).sum())}
 

@@ -1,8 +1,8 @@
 """Soil that rests is not stepped.
 
 A particle sleeps where nothing has moved for a while: it is neither near the body nor near soil
-that went faster than three thousandths of the body's speed lately. Nodes that sleeping soil touches do
-not move, so it is a rigid bed, with its stress kept, to the soil that is awake.
+that went faster than three thousandths of the body's speed lately. Nodes that sleeping soil touches
+do not move, so it is a rigid bed, with its stress kept, to the soil that is awake.
 """
 
 import numpy as np

@@ -75,7 +75,8 @@ def _splits_of_grid(name: str) -> dict[int, str]:
     scene, found = scenes.SCENES[name], {}
     if name == 'excavation':
         cases = [*scene.published, scene.demo_case]
-        for number, (depth, speed, motion) in enumerate(itertools.product(range(5), range(5), range(2))):
+        timings = itertools.product(range(5), range(5), range(2))
+        for number, (depth, speed, motion) in enumerate(timings):
             angle = (depth + 2 * speed + 3 * motion) % 5
             case = 1 + ((depth * 5 + speed) * 5 + angle) * 2 + motion
             if number % 5 != 4:

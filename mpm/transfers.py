@@ -98,8 +98,10 @@ def scatter(grid, base, strides, kept, at, affine):
 
 @numba.njit(inline='always', **JIT)
 def gather(grid, base, strides, kept, at):
-    """Returns three sums over the 27 nodes, w g (x_i - x_p) in cells along x, y and z, and sum w g; see
-    `scatter`. All are registers of four; the three times 4 / dx (4 / dz) are the columns of L_p, eq. (2).
+    """Returns sums over the 27 nodes: w g (x_i - x_p) in cells along x, y and z, and w g.
+
+    See `scatter`. All are registers of four; three times 4 / dx (4 / dz) are the columns of L_p,
+    eq. (2).
     """
     nothing = vectors.repeat(vectors.make(grid, 0.0, 0.0, 0.0, 0.0))
     total, total_i, total_j = nothing, nothing, nothing

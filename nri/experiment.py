@@ -12,7 +12,8 @@ from nri import data as nri_data
 from nri.config import NriConfig
 from nri.model import CONFIG_FILE, WEIGHTS_FILE, NriModel
 from nri.training import Trainer
-from pca_tools import files, folder_lock
+from pca_tools import files
+from pca_tools.storage import folder_lock
 
 HISTORY_FILE, METRICS_FILE = 'history.json', 'metrics.json'
 

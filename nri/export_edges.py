@@ -11,7 +11,7 @@ Examples:
   python -m learning_to_simulate.train --adjacency=/tmp/edges/edges.json --data_path=... \\
       --model_path=...
 
-Writes edges.json (schema in WORKSPACE.md), edges.npy (bool, [receiver, sender]) and edges.png
+Writes edges.json (schema in docs/data.md), edges.npy (bool, [receiver, sender]) and edges.png
 (senders x receivers). NRI knows no self-edges; `--self_edges` adds those of all nodes. They carry
 nothing that a node's own update does not see, so they are left out unless asked for. A graph
 without any edge, or with all of them, is not exported unless --allow_degenerate is given: it says
@@ -26,8 +26,9 @@ from absl import flags
 
 from learning_to_simulate import command, connectivity_utils
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.subspace import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
+from nri import edge_picture
 from pca_tools import dataset, files
 
 MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'

@@ -14,19 +14,17 @@ Examples:
 from __future__ import annotations
 
 import dataclasses
-import os
-import sys
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
-from pca_tools import convert, dataset, files, folder_lock, particles
+from pca_tools import command, convert, dataset, files, packing, particles
 from pca_tools.encode import EncodedRun, encode_runs, make_metadata, make_trajectory
 from pca_tools.metadata import PROJECTION_KEYS, SPLITS
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.splits import given_splits
+from pca_tools.storage import folder_lock
 
 
 def append(
@@ -84,10 +82,11 @@ def _append(
     added = encode_runs(runs, parts, space, space.n_modes, sample.indices, convert.progress_bar)
     together = {split: held.get(split, []) + added.get(split, []) for split in SPLITS}
     together = {split: numbered(part) for split, part in together.items() if part}
-    metadata = make_metadata(runs.world, together, space, 1, base)
+    metadata = make_metadata(runs.world, together, space, 1, base, base.get('packed', False))
     if files.check_manifest(data_path, ()) != listed:  # by `--overwrite`, which takes no lock
         raise ValueError(
-            f'{data_path}: was replaced while runs were added; what is there now is kept, call again'
+            f'{data_path}: was replaced while runs were added; what is there now is kept, call '
+            'again'
         )
     convert.write_dataset(data_path, together, space, sample.indices, metadata, overwrite=True)
     return metadata
@@ -158,12 +157,19 @@ def _is_record_of(
     if len(run.positions) != held.n_frames:
         return False
     made = make_trajectory(held.key, run, held.position[:, held.n_rigid :], scene)
-    soil = particles.unpack(*record.sample, sample.rest, sample.resolution)
+    soil = packing.unpack_steps(*record.sample, sample.rest, sample.resolution)
     apart = np.abs(run.positions[:: sample.frame_stride, sample.indices] - soil)
     # Stored to half a step; the other half is for float32.
-    return np.max(apart) < sample.resolution and all(
-        np.array_equal(getattr(made, field.name), getattr(held, field.name))
-        for field in dataclasses.fields(held)
+    # Packed records hold rigid particles as the pose puts them.
+    return (
+        np.max(apart) < sample.resolution
+        and made.position.shape == held.position.shape
+        and np.abs(made.position - held.position).max() < dataset.POSE_TOLERANCE
+        and all(
+            np.array_equal(getattr(made, field.name), getattr(held, field.name))
+            for field in dataclasses.fields(held)
+            if field.name != 'position'
+        )
     )
 
 
@@ -179,35 +185,21 @@ def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset that grows.', required=True)
-    flags.DEFINE_bool(
-        'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
-    )
-    flags.DEFINE_bool(
-        'match_particles',
-        False,
-        'Reorder the particles of every run: each goes with its nearest neighbour in frame 0.',
-    )
+    convert.define_check_flags()
     flags.DEFINE_bool(
         'take_over_lock', False, 'Also take the lock that a process of another machine left.'
     )
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values) -> None:
     """Runs the command."""
-    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    values = flags.FLAGS
-    try:
-        metadata = append(
-            values.raw_path, values.data_path, values.check_units,
-            values.match_particles, values.take_over_lock,
-        )  # fmt: skip
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    metadata = append(
+        values.raw_path, values.data_path, values.check_units, values.match_particles,
+        values.take_over_lock,
+    )  # fmt: skip
     print(convert.summary(metadata, values.data_path))
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main)

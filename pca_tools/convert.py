@@ -8,13 +8,13 @@ a folder beside the output, which takes its name at the very end: it is there wh
 Examples:
     python -m pca_tools.convert --raw_path=raw/excavation --output_path=datasets/Excavation
 
-    # more modes, the published centering, two cases kept for the test split
-    python -m pca_tools.convert --raw_path=raw/wheel --output_path=datasets/Wheel16 --modes=16 \\
-        --centering=scalar --hold_out=12,47
-
     # 24 modes of hundreds of runs: the subspace from every fourth frame
     python -m pca_tools.convert --raw_path=raw/driving --output_path=datasets/Driving \\
         --num_modes=24 --frame_stride=4
+
+    # the published centering, two cases kept for the test split
+    python -m pca_tools.convert --raw_path=raw/wheel --output_path=datasets/Wheel \\
+        --centering=scalar --hold_out=12,47
 
     # files of the raw folder were changed on purpose: let the manifest follow
     python -m pca_tools.convert --raw_path=raw/own --rehash
@@ -30,26 +30,22 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 from tqdm import tqdm
 
-from cluster import workers
-from pca_tools import dataset, files, folder_lock, particles, raw_writer, subspace
+from pca_tools import command, dataset, files, particles, raw_writer, subspace, workers
 from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
-from pca_tools.metadata import (
-    METADATA_NAME,
-    metadata_problems,
-)
+from pca_tools.metadata import METADATA_NAME, metadata_problems
 from pca_tools.raw_runs import RawRuns, SoilPositions
 from pca_tools.splits import given_splits, split_cases
 from pca_tools.statistics import mean_share
+from pca_tools.storage.folder_lock import LOCK_NAME
 
 DEFAULT_SPLIT = (0.8, 0.1, 0.1)
 # What must agree between raw runs and the dataset they are to fit; a scene may say more.
@@ -58,7 +54,7 @@ _SCENE_KEYS = (
 )  # fmt: skip
 # Flags that say how a subspace is made and its runs dealt: with --like both are there.
 _FLAGS_WITHOUT_LIKE = (
-    'modes', 'num_modes', 'centering', 'split', 'seed', 'hold_out', 'spread', 'frame_stride',
+    'num_modes', 'centering', 'split', 'seed', 'hold_out', 'frame_stride',
 )  # fmt: skip
 
 
@@ -71,7 +67,6 @@ def convert(
     split: Sequence[float] | None = None,
     seed: int = 0,
     hold_out: Sequence[int | str] = (),
-    spread: bool = False,
     frame_stride: int = 1,
     max_memory_mb: float = 1024.0,
     like: str | None = None,
@@ -79,6 +74,7 @@ def convert(
     check_units: bool = True,
     match_particles: bool = False,
     cluster: str | None = None,
+    packed: bool = True,
 ) -> dict[str, Any]:
     """Converts a folder of raw runs; arguments as the flags of the same names.
 
@@ -97,11 +93,17 @@ def convert(
     if match_particles:
         runs.match_particles(None if space is None else space.initial)
     runs.check(check_units, progress_bar)
+    if runs.scene['rigid_motion'] != 'none' and runs[0].pose is None and runs[0].body_pose is None:
+        warnings.warn(
+            f'{raw_path}: its runs have no `pose` [T, 7] of the body: models of modes can be '
+            'trained on them, the swept field cannot',
+            stacklevel=2,
+        )
     if base is not None:
         refuse_other_scene(like, base, runs)
         _refuse_trained_on(like, base, runs)
     if space is None:
-        parts = _deal(runs, split, seed, hold_out, spread)
+        parts = _deal(runs, split, seed, hold_out)
         with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
             wide = subspace.fit(
                 SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
@@ -114,7 +116,7 @@ def convert(
     parts = {name: part for name, part in parts.items() if part}
     sampled = particles.choose_particles(space.initial)
     encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
-    metadata = make_metadata(runs.world, encoded, space, frame_stride, base)
+    metadata = make_metadata(runs.world, encoded, space, frame_stride, base, packed)
     problems = metadata_problems(metadata)
     if problems:
         raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
@@ -127,7 +129,6 @@ def _deal(
     split: Sequence[float] | None,
     seed: int,
     hold_out: Sequence[int | str],
-    spread: bool,
 ) -> dict[str, list[int]]:
     """Returns split -> indices of runs: as asked for, as the runs say, or by the default shares."""
     if split is None:
@@ -135,7 +136,7 @@ def _deal(
         parts = given_splits(runs.cases, given, hold_out)
         if parts is not None:
             return parts
-    return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out, spread)
+    return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out)
 
 
 def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
@@ -158,7 +159,7 @@ def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
         return
     if not os.path.isdir(output_path):
         raise ValueError(f'{output_path}: is a file, a folder was expected')
-    held = set(os.listdir(output_path)) - {folder_lock.LOCK_NAME}  # of `append`
+    held = set(os.listdir(output_path)) - {LOCK_NAME}  # of `append`
     if not held:
         return
     if files.MANIFEST_NAME not in held or METADATA_NAME not in held:
@@ -249,7 +250,8 @@ def write_dataset(
         space.save(os.path.join(folder, SUBSPACE_NAME))
         for name, part in encoded.items():
             path = dataset.split_path(folder, name)
-            records = dataset.write_split(path, [run.trajectory for run in part])
+            runs = [run.trajectory for run in part]
+            records = dataset.write_split(path, runs, metadata.get('packed', False))
             listed[os.path.basename(path)] = {'records': records}
             path = particles.sample_path(folder, name)
             particles.write_sample(
@@ -267,13 +269,14 @@ def progress_bar(sequence, label: str):
 
 
 def summary(metadata: dict[str, Any], output_path: str) -> str:
-    """Returns the closing lines: counts, projection error and motion kept by split."""
+    """Returns the closing lines: counts, truncation error and motion kept by split."""
     lines = [
         f'{output_path}: scene {metadata["scene"]["name"]}, N = {metadata["n_soil"]}, '
         f'R = {metadata["particles_rigid"]}, r = {metadata["mode_number"]}, '
         f'T = {metadata["frames_stored"]}, centering {metadata["pca"]["centering"]}',
         'split    runs   truncated MSE [m^2]   RMS [mm]  farthest [mm]   motion kept',
     ]
+    floors = metadata['projection_floors']
     for name, values in metadata['projection_mse'].items():
         mse = float(np.mean(values))
         kept = mean_share(metadata['motion_kept'][name], metadata['motion_mse'][name])
@@ -281,115 +284,84 @@ def summary(metadata: dict[str, Any], output_path: str) -> str:
             f'{name:<8}{len(values):>5}{mse:>22.3e}{1e3 * mse**0.5:>11.3f}'
             f'{max(metadata["projection_max_mm"][name]):>15.2f}{100 * kept:>13.2f}%'
         )
-    floors = metadata['projection_floors']
     for name in metadata['projection_mse']:
         cells = ', '.join(
             f'{1e3 * mse**0.5:.3f} with {count}'
             for count, mse in zip(floors['modes'], floors[name])
         )
         lines.append(f'RMS [mm] that modes leave, {name}: {cells}')
-    n_bytes = [
-        entry['bytes']
-        for name, entry in files.read_json(os.path.join(output_path, files.MANIFEST_NAME))[
-            'files'
-        ].items()
-        if name.startswith('particles_')
-    ]
+    entries = files.read_json(os.path.join(output_path, files.MANIFEST_NAME))['files'].values()
+    n_bytes = sum(entry['bytes'] for entry in entries)
     n_runs = sum(map(len, metadata['projection_mse'].values()))
-    lines.append(f'particle sample: {1e-3 * sum(n_bytes) / n_runs:.1f} kB a run')
-    return '\n'.join(lines)
+    return '\n'.join([*lines, f'{n_runs} runs in {1e-6 * n_bytes:.1f} MB'])
 
 
 def define_flags() -> None:
     """Defines the flags; not at import, so that several commands can be imported together."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the new dataset.')
-    flags.DEFINE_integer('modes', 8, 'Number of modes r to keep.')
-    flags.DEFINE_alias('num_modes', 'modes')
+    flags.DEFINE_integer('num_modes', 8, 'Number of modes r to keep.')
     flags.DEFINE_enum(
-        'centering',
-        'configuration',
-        subspace.CENTERINGS,
+        'centering', 'configuration', subspace.CENTERINGS,
         'Subtracted before the PCA: the mean position of each particle, or one number.',
-    )
+    )  # fmt: skip
     flags.DEFINE_list(
-        'split',
-        None,
-        'Shares of train, valid and test. Default: as the runs themselves say, else 0.8,0.1,0.1.',
+        'split', None, 'Shares of train, valid, test; default: as the runs say, else 0.8,0.1,0.1.'
     )
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
-    flags.DEFINE_bool('spread', False, 'Draw valid and test evenly over the order of the cases.')
     flags.DEFINE_integer(
         'frame_stride', 1, 'Fit the subspace to every so many frames of a training run.'
     )
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(
-        'like',
-        None,
-        'Existing dataset whose subspace and statistics are used; all runs go to test.',
+        'like', None, 'Dataset whose subspace and statistics are used; all runs go to test.'
     )
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset at --output_path.')
+    flags.DEFINE_string(
+        'cluster', None, 'Sum up the covariance on workers: local:4, slurm:64, tcp://host:port.'
+    )
+    flags.DEFINE_bool(
+        'packed', True, "Records in a fifth of the bytes; --nopacked: for DeepMind's own reader."
+    )
+    flags.DEFINE_bool('rehash', False, 'First let the raw manifest follow its files.')
+    define_check_flags()
+
+
+def define_check_flags() -> None:
+    """Defines the flags that say how raw runs are read, here and in `pca_tools.append`."""
     flags.DEFINE_bool(
         'check_units', True, 'Refuse positions and dt that are implausible in metres and seconds.'
     )
-    flags.DEFINE_string(
-        'cluster',
-        None,
-        'Sum up the covariance on workers: local, local:4, slurm, slurm:64, tcp://host:port.',
-    )
     flags.DEFINE_bool(
-        'match_particles',
-        False,
+        'match_particles', False,
         'Reorder the particles of every run: each goes with its nearest neighbour in frame 0.',
-    )
-    flags.DEFINE_bool(
-        'rehash',
-        False,
-        'First let the manifest of --raw_path follow its files, which were changed on purpose.',
-    )
+    )  # fmt: skip
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values) -> None:
     """Runs the command."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    # TensorFlow only reads and writes records here; without its kernels its banner stays away too.
-    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
-    values = flags.FLAGS
     if not (values.output_path or values.rehash):
-        sys.exit('error: --output_path is missing: the folder of the new dataset')
+        raise ValueError('--output_path is missing: the folder of the new dataset')
     idle = [f'--{name}' for name in _FLAGS_WITHOUT_LIKE if values[name].present]
     if values.like and idle:
-        sys.exit(f'error: {", ".join(idle)} do not go with --like: subspace and splits are given')
-    try:
-        if values.rehash:
-            changed = raw_writer.rehash(values.raw_path)
-            print(f'{values.raw_path}: the manifest has new entries for {len(changed)} files')
-            if not values.output_path:
-                return
-        metadata = convert(
-            values.raw_path,
-            values.output_path,
-            modes=values.modes,
-            centering=values.centering,
-            split=values.split and [float(share) for share in values.split],
-            seed=values.seed,
-            hold_out=values.hold_out,
-            spread=values.spread,
-            frame_stride=values.frame_stride,
-            max_memory_mb=values.max_memory_mb,
-            like=values.like,
-            overwrite=values.overwrite,
-            check_units=values.check_units,
-            match_particles=values.match_particles,
-            cluster=values.cluster,
-        )
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+        raise ValueError(f'{", ".join(idle)} do not go with --like: subspace and splits are given')
+    if values.rehash:
+        changed = raw_writer.rehash(values.raw_path)
+        print(f'{values.raw_path}: the manifest has new entries for {len(changed)} files')
+        if not values.output_path:
+            return
+    metadata = convert(
+        values.raw_path, values.output_path, modes=values.num_modes, centering=values.centering,
+        split=values.split and [float(share) for share in values.split], seed=values.seed,
+        hold_out=values.hold_out, frame_stride=values.frame_stride,
+        max_memory_mb=values.max_memory_mb, like=values.like, overwrite=values.overwrite,
+        check_units=values.check_units, match_particles=values.match_particles,
+        cluster=values.cluster, packed=values.packed,
+    )  # fmt: skip
     print(summary(metadata, values.output_path))
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main)

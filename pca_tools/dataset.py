@@ -3,18 +3,24 @@
 One record is one run (formats of DeepMind's learning_to_simulate and of Subspace-Graph-Physics): R
 rigid particles first, then r modes of the soil subspace, each mode a node whose three coordinates
 are its x, y, z scores.
+
+Records are written in one of two forms. Plain ones have one buffer a frame, and DeepMind's reader
+takes them. Packed ones take a fifth of the bytes (`pca_tools.packing`): scores to within half a
+micrometre, particles of a rigid body as their places on the body, which its pose moves, and
+everything else bit for bit. Both are read alike.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from pca_tools import files, tfrecord_io
+from pca_tools import files, packing, rigid_fit, tfrecord_io
 from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, read_metadata
 
 __all__ = [
@@ -26,14 +32,17 @@ RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
 MODE_PARTICLE_ID = 6
 NUM_PARTICLE_TYPES = 9
-# Feature lists beside `position` -> values per frame; None: as many as the metadata says. Readers
-# of the published formats ignore those that they do not know (torque, rigid_pose).
+# Series beside `position` -> shape of a frame; None: as many as the scene has. Readers of the
+# published formats ignore those that they do not know.
 FRAME_SERIES = {
-    'step_context': None, 'force': DIM, 'torque': DIM, 'rigid_pose': 7,
-    'body_force': None, 'body_pose': None,
+    'step_context': (None,), 'force': (DIM,), 'torque': (DIM,), 'rigid_pose': (7,),
+    'body_force': (None, DIM), 'body_pose': (None, 7),
+    'target': (DIM,), 'external': (DIM,), 'subframe_force': (4, DIM),
 }  # fmt: skip
-# Values of each body in one frame.
-_OF_BODIES = {'body_force': DIM, 'body_pose': 7}
+# Scores are packed to within half of it, m; float32 resolves 2.4e-7 of scores near 3 m.
+SCORE_RESOLUTION = 1e-6
+# Largest distance (m) of a rigid particle from where the pose puts it for it to be left out.
+POSE_TOLERANCE = 2e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,6 +60,12 @@ class Trajectory:
         rigid_pose: float32 [T, 7], position (metres) and unit quaternion (w, x, y, z), or None.
         body_force: float32 [T, B, 3] on each of several bodies, newtons, or None.
         body_pose: float32 [T, B, 7] of each of several bodies, as `rigid_pose`, or None.
+        target: float32 [T, 3], place (m) along and up and angle (rad) that the actuators of a free
+            body pull towards, or None.
+        external: float32 [T, 3], force (N, N, N m) on the same three of a free body beside soil and
+            actuators, at the end of each frame, or None.
+        subframe_force: float32 [T, 4, 3], force on a free body in the quarters of each frame,
+            newtons, or None.
     """
 
     key: int
@@ -62,6 +77,9 @@ class Trajectory:
     rigid_pose: np.ndarray | None = None
     body_force: np.ndarray | None = None
     body_pose: np.ndarray | None = None
+    target: np.ndarray | None = None
+    external: np.ndarray | None = None
+    subframe_force: np.ndarray | None = None
 
     @property
     def n_rigid(self) -> int:
@@ -155,20 +173,72 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
             'of 8 (int64) was expected'
         )
     particle_type = np.frombuffer(record.particle_type, '<i8').astype(np.int64)
-    position = _stack_frames(
-        record.frames['position'], len(particle_type) * DIM, f'{where}: position'
-    )
-    series = {
-        name: _stack_frames(record.frames[name], width, f'{where}: {name}')
-        for name, width in FRAME_SERIES.items()
-        if name in record.frames
-    }
-    for name, width in _OF_BODIES.items():
+    if record.packed:
+        try:
+            series = _unpacked(record.packed, particle_type)
+        except ValueError as error:
+            raise ValueError(f'{where}: {error}') from error
+    else:
+        names = [name for name in ('position', *FRAME_SERIES) if name in record.frames]
+        widths = {'position': len(particle_type) * DIM}
+        widths |= {n: math.prod(s) for n, s in FRAME_SERIES.items() if None not in s}
+        series = {
+            name: _stack_frames(record.frames[name], widths.get(name), f'{where}: {name}')
+            for name in names
+        }
+    for name, shape in {'position': (None, DIM), **FRAME_SERIES}.items():
         if name in series:
-            if series[name].shape[1] % width:
-                raise ValueError(f'{where}: {name} has {series[name].shape[1]} values a frame')
-            series[name] = series[name].reshape(len(series[name]), -1, width)
-    return Trajectory(record.key, particle_type, position.reshape(len(position), -1, DIM), **series)
+            values = series[name]
+            if values.shape[1] % math.prod(filter(None, shape)):
+                raise ValueError(f'{where}: {name} has {values.shape[1]} values a frame')
+            series[name] = values.reshape(len(values), *(size or -1 for size in shape))
+    return Trajectory(record.key, particle_type, **series)
+
+
+def _unpacked(packed: dict[str, bytes], particle_type: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns name -> [T, values] of a packed record."""
+    series = {name: packing.unpack_series(packed[name]) for name in FRAME_SERIES if name in packed}
+    if 'scores' not in packed:
+        raise ValueError(f'holds no scores of modes, only {sorted(packed)}')
+    parts = [packing.unpack_positions(packed['scores'])]
+    if 'rigid_shape' in packed:
+        shape = packing.unpack_series(packed['rigid_shape']).reshape(-1, DIM)
+        pose = series.get('rigid_pose', np.empty((0, 0)))
+        if pose.shape[1] != 7:
+            raise ValueError('holds the shape of a body but no pose of it')
+        parts.insert(0, rigid_fit.placed(shape, pose).astype(np.float32))
+    elif 'rigid_position' in packed:
+        values = packing.unpack_series(packed['rigid_position'])
+        parts.insert(0, values.reshape(len(values), -1, DIM))
+    counts = [part.shape[:2] for part in parts]
+    if len({frames for frames, _ in counts}) > 1 or sum(n for _, n in counts) != len(particle_type):
+        raise ValueError(f'its (frames, nodes) {counts} do not fit {len(particle_type)} node types')
+    position = np.concatenate(parts, axis=1)
+    return {**series, 'position': position.reshape(len(position), -1)}
+
+
+def _packed(trajectory: Trajectory) -> dict[str, bytes]:
+    """Returns the series of a record, packed; the inverse of `_unpacked`."""
+    rigid, scores = np.split(trajectory.position, [trajectory.n_rigid], axis=1)
+    packed = {'scores': packing.pack_positions(scores, SCORE_RESOLUTION)}
+    if rigid.size:
+        pose = trajectory.rigid_pose
+        shape = None if pose is None else _rigid_shape(rigid, pose)
+        name, values = ('rigid_position', rigid) if shape is None else ('rigid_shape', shape[None])
+        packed[name] = packing.pack_series(values)
+    for name in FRAME_SERIES:
+        values = getattr(trajectory, name)
+        if values is not None:
+            packed[name] = packing.pack_series(values)
+    return packed
+
+
+def _rigid_shape(rigid: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
+    """Returns the places [R, 3] of rigid particles on their body, None if its pose does not give
+    them back in every frame."""
+    shape = rigid_fit.on_body(rigid[0], pose[0]).astype(np.float32)
+    apart = np.abs(rigid_fit.placed(shape, pose) - rigid).max()
+    return shape if apart < POSE_TOLERANCE else None
 
 
 def _stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
@@ -229,15 +299,20 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
             if len(values) != trajectory.n_frames:
                 problems.append(f'{name} has {len(values)} frames, position {trajectory.n_frames}')
             problems += _non_finite_problems(values, name)
-    for name in ('torque', 'rigid_pose', 'body_force', 'body_pose'):
+    for name in FRAME_SERIES.keys() - {'force', 'step_context'}:
         values = getattr(trajectory, name)
-        if values is None:
-            continue
-        width = FRAME_SERIES[name] or _OF_BODIES[name]
-        if len(values) != trajectory.n_frames or values.shape[-1] != width:
-            problems.append(f'{name} has shape {values.shape} for {trajectory.n_frames} frames')
-        problems += _non_finite_problems(values, name)
+        if values is not None:
+            if not _has_shape(values, trajectory.n_frames, FRAME_SERIES[name]):
+                problems.append(f'{name} has {values.shape} for {trajectory.n_frames} frames')
+            problems += _non_finite_problems(values, name)
     return problems + _non_finite_problems(trajectory.position, 'position')
+
+
+def _has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
+    """Whether a series has so many frames of a shape, where None is any number."""
+    return values.ndim == 1 + len(of_frame) and all(
+        wanted in (None, size) for wanted, size in zip((n_frames, *of_frame), values.shape)
+    )
 
 
 def _non_finite_problems(values: np.ndarray, name: str) -> list[str]:
@@ -251,12 +326,13 @@ def _non_finite_problems(values: np.ndarray, name: str) -> list[str]:
     return [f'{name} holds {len(bad)} NaN or infinite values, the first at {first}']
 
 
-def write_split(path: str, trajectories: Sequence[Trajectory]) -> int:
+def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
     """Writes runs as a TFRecord file, whole or not at all.
 
     Args:
         path: `<folder>/<split>.tfrecord`.
         trajectories: the runs, in file order.
+        packed: the form of the records, see above.
 
     Returns:
         The number of records.
@@ -265,33 +341,30 @@ def write_split(path: str, trajectories: Sequence[Trajectory]) -> int:
         ValueError: shapes that do not fit each other, or NaN.
         OSError: the file could not be written.
     """
-    return tfrecord_io.write_records(path, list(_records_of(path, trajectories)))
+    return tfrecord_io.write_records(path, list(_records_of(path, trajectories, packed)))
 
 
 def _records_of(
-    path: str, trajectories: Iterable[Trajectory]
+    path: str, trajectories: Iterable[Trajectory], packed: bool
 ) -> Iterable[tfrecord_io.SequenceRecord]:
     for index, trajectory in enumerate(trajectories):
         where = f'{path}: record {index}'
         nodes = len(trajectory.particle_type)
-        if trajectory.position.ndim != 3 or trajectory.position.shape[1:] != (nodes, DIM):
-            raise ValueError(
-                f'{where}: position has shape {trajectory.position.shape}, [T, {nodes}, {DIM}] '
-                'was expected'
-            )
         frames = {}
-        for name, width in {'position': None, **FRAME_SERIES}.items():
+        for name, shape in {'position': (nodes, DIM), **FRAME_SERIES}.items():
             values = getattr(trajectory, name)
             if values is None:
                 continue
-            if len(values) != trajectory.n_frames or (width and values.shape[1:] != (width,)):
+            if not _has_shape(values, trajectory.n_frames, shape):
                 raise ValueError(
-                    f'{where}: {name} has shape {values.shape} for {trajectory.n_frames} frames '
-                    f'of {width or DIM} values'
+                    f'{where}: {name} has shape {values.shape}, {trajectory.n_frames} frames of '
+                    f'{shape} were expected'
                 )
             problems = _non_finite_problems(values, name)
             if problems:
                 raise ValueError(f'{where}: {problems[0]}')
-            frames[name] = [frame.tobytes() for frame in np.ascontiguousarray(values, '<f4')]
+            if not packed:
+                frames[name] = [frame.tobytes() for frame in np.ascontiguousarray(values, '<f4')]
         types = np.ascontiguousarray(trajectory.particle_type, '<i8').tobytes()
-        yield tfrecord_io.SequenceRecord(int(trajectory.key), types, frames)
+        series = _packed(trajectory) if packed else {}
+        yield tfrecord_io.SequenceRecord(int(trajectory.key), types, frames, series)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools import dataset, matching, particles
+from pca_tools import dataset, matching, packing, particles
 from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.statistics import motion_statistics
@@ -75,13 +75,14 @@ def encode_runs(
         scores = space.encode(run.positions)
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
         sample = run.positions[:: particles.FRAME_STRIDE, sampled]
+        packed = packing.pack_steps(sample, space.initial[sampled], particles.RESOLUTION)
         encoded[name].append(
             EncodedRun(
                 make_trajectory(len(encoded[name]), run, kept_scores, runs.scene),
                 {'case': run.case, **run.parameters},
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
-                (particles.pack(sample, space.initial[sampled]), len(sample)),
+                (packed, len(sample)),
             )
         )
     return encoded
@@ -178,6 +179,9 @@ def make_trajectory(
         rigid_pose=run.pose,
         body_force=run.body_force,
         body_pose=run.body_pose,
+        target=run.target,
+        external=run.external,
+        subframe_force=run.subframe_force,
     )
 
 
@@ -187,6 +191,7 @@ def make_metadata(
     space: Subspace,
     frame_stride: int,
     base: dict[str, Any] | None,
+    packed: bool,
 ) -> dict[str, Any]:
     """Returns the metadata of a dataset.
 
@@ -197,6 +202,7 @@ def make_metadata(
         frame_stride: of the frames that it was fitted to.
         base: metadata of the dataset to fit in with, whose scene and statistics stay and whose
             bounds are widened by those of the new runs; None: statistics of train.
+        packed: form of the records, see `pca_tools.dataset`.
     """
     scene, bounds = world['scene'], world['bounds']
     if base is None:
@@ -213,6 +219,7 @@ def make_metadata(
         'schema_version': SCHEMA_VERSION,
         'scene': scene,
         'bounds': bounds,
+        **({'packed': True} if packed else {}),
         'sequence_length': n_frames - 1,
         'frames_stored': n_frames,
         # Only where the runs differ in length: sequence_length is then the longest.

@@ -24,9 +24,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
-from pca_tools import dataset, files
+from pca_tools import command, dataset, files
 from pca_tools.encode import SUBSPACE_NAME
 from pca_tools.formats import detect
 from pca_tools.formats.full_space import SOIL_TYPE, FullSpaceData, FullSpaceRun
@@ -204,24 +204,17 @@ def define_flags() -> None:
     flags.DEFINE_integer('particle_stride', 1, 'Every how many soil particles are exported.')
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values, arguments: Sequence[str]) -> None:
     """Runs the command."""
-    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
-    values = flags.FLAGS
-    if len(argv) != 2:
+    if not arguments:
         sys.exit('usage: python -m pca_tools.export_data DATASET --format=... --output_path=...')
-    try:
-        print(
-            export_data(
-                argv[1], values.output_path, values.format, raw_path=values.raw_path,
-                rollouts=values.rollouts, splits=values.splits,
-                particle_stride=values.particle_stride,
-            )
-        )  # fmt: skip
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    text = export_data(
+        arguments[0], values.output_path, values.format, raw_path=values.raw_path,
+        rollouts=values.rollouts, splits=values.splits, particle_stride=values.particle_stride,
+    )  # fmt: skip
+    print(text)
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main, 1)

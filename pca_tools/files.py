@@ -1,6 +1,7 @@
 """Files that are written whole or not at all, and read only when they are what they claim to be.
 
-Every writer goes through `write_atomically` and `write_folder_atomically` (`storage.whole_files`).
+Every writer goes through `write_atomically` and `write_folder_atomically`
+(`pca_tools.storage.whole_files`).
 A folder is finished when its `manifest.json`, written last, lists each file with its bytes and
 sha256.
 """
@@ -18,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from storage import archives, messages, text_files, whole_files
+from pca_tools.storage import archives, messages, text_files, whole_files
 
 write_atomically = whole_files.write_file
 write_folder_atomically = whole_files.write_folder

@@ -25,13 +25,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 from tqdm import tqdm
 
-from pca_tools import files, raw_writer
+from pca_tools import command, raw_writer
 from pca_tools.formats import authors, detect, full_space
-from pca_tools.metadata import RIGID_MOTIONS
-from pca_tools.raw_checks import AXES
+from pca_tools.metadata import AXES, RIGID_MOTIONS
 
 
 def import_data(
@@ -165,27 +164,22 @@ def define_flags() -> None:
     )
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values, arguments: Sequence[str]) -> None:
     """Runs the command."""
-    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')
-    values = flags.FLAGS
-    if len(argv) != 2:
+    if not arguments:
         sys.exit('usage: python -m pca_tools.import_data FOLDER --output_path=RAW')
-    try:
-        if values.output_path is None:
-            print(explain(argv[1], values.format))
-            return
-        text = import_data(
-            argv[1], values.output_path, format_name=values.format, dt=values.dt,
-            up_axis=values.up_axis, body=values.body, name=values.name,
-            length_scale=values.length_scale,
-            force_scale=values.force_scale, check_units=values.check_units,
-        )  # fmt: skip
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    if values.output_path is None:
+        print(explain(arguments[0], values.format))
+        return
+    text = import_data(
+        arguments[0], values.output_path, format_name=values.format, dt=values.dt,
+        up_axis=values.up_axis, body=values.body, name=values.name,
+        length_scale=values.length_scale, force_scale=values.force_scale,
+        check_units=values.check_units,
+    )  # fmt: skip
     print(text)
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main, 1)

@@ -1,5 +1,8 @@
 """`metadata.json` of a dataset folder: what it must hold and how it is checked.
 
+Raw runs are of a scene with bounds, too; both are checked here alike. Every check returns
+sentences, so that a person is told all of them at once.
+
 The keys are DeepMind's (learning_to_simulate) and the authors' (Subspace-Graph-Physics); ours come
 on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `pca`, `cases`,
 `projection_mse`.
@@ -7,9 +10,10 @@ on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `
 
 from __future__ import annotations
 
+import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pca_tools import files
@@ -18,6 +22,7 @@ METADATA_NAME = 'metadata.json'
 SCHEMA_VERSION = 1
 DIM = 3
 SPLITS = ('train', 'valid', 'test')
+AXES = ('x', 'y', 'z')
 # What the projection does to each record, see `pca_tools.convert.projection_details`.
 PROJECTION_KEYS = ('projection_mse', 'projection_max_mm', 'motion_mse', 'motion_kept')
 RIGID_MOTIONS = ('none', 'prescribed', 'driven', 'predicted')
@@ -84,52 +89,93 @@ def metadata_problems(metadata: Any) -> list[str]:
     if metadata['dim'] != DIM:
         problems.append(f'dim is {metadata["dim"]!r}, only {DIM} is supported')
     for key in ('dt', 'default_connectivity_radius'):
-        if not _is_number(metadata[key]) or metadata[key] <= 0:
+        if not is_number(metadata[key]) or metadata[key] <= 0:
             problems.append(f'{key} is {metadata[key]!r}, a positive number was expected')
-    for key, least in (
-        ('sequence_length', 1),
-        ('mode_number', 1),
-        ('particles_rigid', 0),
-        ('n_soil', 1),
-    ):
-        value = metadata.get(key, least)
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            problems.append(f'{key} is {value!r}, an integer of at least {least} was expected')
-    problems += _bounds_problems(metadata['bounds'])
-    for name, length in (
-        ('vel', DIM), ('acc', DIM), ('rigid_body_force', DIM), ('rigid_body_torque', DIM),
-        ('context', None),
-    ):  # fmt: skip
-        problems += _statistics_problems(metadata, name, length)
-    version = metadata.get('schema_version', SCHEMA_VERSION)
-    if version != SCHEMA_VERSION:
-        problems.append(f'schema_version is {version!r}, this program reads {SCHEMA_VERSION}')
+    for key in ('sequence_length', 'mode_number', 'n_soil', 'particles_rigid'):
+        least = int(key != 'particles_rigid')
+        if not is_index(metadata.get(key, least)) or metadata.get(key, least) < least:
+            problems.append(
+                f'{key} is {metadata[key]!r}, an integer of at least {least} was expected'
+            )
+    problems += bounds_problems(metadata['bounds'])
+    for name in ('vel', 'acc', 'rigid_body_force', 'rigid_body_torque', 'context'):
+        problems += _statistics_problems(metadata, name, None if name == 'context' else DIM)
+    if metadata.get('schema_version', SCHEMA_VERSION) != SCHEMA_VERSION:
+        problems.append(
+            f'schema_version is {metadata["schema_version"]!r}, this program reads {SCHEMA_VERSION}'
+        )
     problems += _record_problems(metadata)
     if 'scene' in metadata:
-        problems += _scene_problems(metadata)
+        problems += scene_problems(metadata['scene']) or _disagreements(metadata)
     return problems
 
 
-def _bounds_problems(bounds: Any) -> list[str]:
+def bounds_problems(bounds: Any) -> list[str]:
+    """Returns what is wrong with bounds, which must be [[low, high]] * 3 in metres."""
     if not isinstance(bounds, list) or len(bounds) != DIM:
-        return [f'bounds is {bounds!r}, {DIM} pairs [low, high] were expected']
+        return [f'bounds is {bounds!r}, {DIM} pairs [low, high] in metres were expected']
     for pair in bounds:
         if not _is_numbers(pair, 2) or pair[0] >= pair[1]:
             return [f'bounds has {pair!r}, a pair [low, high] with low < high was expected']
     return []
 
 
+def scene_problems(scene: Any) -> list[str]:
+    """Returns what is wrong with the scene of a dataset or of raw runs."""
+    if not isinstance(scene, dict):
+        return [f'scene is {scene!r}, an object was expected']
+    problems = []
+    for key, is_possible, expected in (
+        ('name', isinstance(scene.get('name', ''), str), 'a text'),
+        ('rigid_motion', scene.get('rigid_motion') in RIGID_MOTIONS, f'one of {RIGID_MOTIONS}'),
+        ('up_axis', is_index(scene.get('up_axis', 1)) and scene.get('up_axis', 1) < DIM,
+         '0 (x), 1 (y) or 2 (z)'),
+        ('context_names', _all_are(scene.get('context_names', []), lambda n: isinstance(n, str)),
+         'a list of texts'),
+        ('rigid_edges', _all_are(scene.get('rigid_edges', []), _is_edge),
+         'a list of pairs of rigid points'),
+        ('bodies', 'bodies' not in scene
+         or _all_are(scene['bodies'], _is_body) and len(scene['bodies']) > 1,
+         f'a list of two or more objects with name, rigid_motion (one of {RIGID_MOTIONS[1:]}) and '
+         'points'),
+    ):  # fmt: skip
+        if not is_possible:
+            problems.append(f'scene.{key} is {short(scene.get(key))}, {expected} was expected')
+    return problems
+
+
+def _disagreements(metadata: dict[str, Any]) -> list[str]:
+    """What a scene says that the other metadata do not."""
+    scene, problems = metadata['scene'], []
+    names, context = scene.get('context_names', []), metadata.get('context_mean', [])
+    if isinstance(context, list) and len(names) != len(context):
+        problems.append(
+            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
+        )
+    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
+        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
+    count = metadata.get('particles_rigid', math.inf)
+    beyond = [edge for edge in scene.get('rigid_edges', []) if max(edge) >= count]
+    if beyond:
+        problems.append(
+            f'scene.rigid_edges has {beyond[0]}, two of {count} rigid particles were expected'
+        )
+    return problems
+
+
 def _statistics_problems(metadata: dict[str, Any], name: str, length: int | None) -> list[str]:
     """Checks a pair `<name>_mean`, `<name>_std`; a pair that is absent as a whole is no problem."""
-    if f'{name}_mean' not in metadata and f'{name}_std' not in metadata:
+    held = {f'{name}_{kind}': metadata.get(f'{name}_{kind}') for kind in ('mean', 'std')}
+    if not held.keys() & metadata.keys():
         return []
-    mean, std = metadata.get(f'{name}_mean'), metadata.get(f'{name}_std')
-    problems = []
-    for key, value in ((f'{name}_mean', mean), (f'{name}_std', std)):
-        if not _is_numbers(value, length):
-            problems.append(f'{key} is {value!r}, {length or "finite"} numbers were expected')
+    problems = [
+        f'{key} is {value!r}, {length or "finite"} numbers were expected'
+        for key, value in held.items()
+        if not _is_numbers(value, length)
+    ]
     if problems:
         return problems
+    mean, std = held.values()
     if len(mean) != len(std):
         return [f'{name}_mean has {len(mean)} values but {name}_std has {len(std)}']
     if min(std, default=0.0) < 0:
@@ -144,8 +190,8 @@ def _record_problems(metadata: dict[str, Any]) -> list[str]:
         problems.append(f'pca is {metadata["pca"]!r}, an object was expected')
     for key in ('dataset_split', 'cases', 'frames_of_runs', *PROJECTION_KEYS):
         value = metadata.get(key, {})
-        if not isinstance(value, dict) or not all(
-            isinstance(part, list) for part in value.values()
+        if not isinstance(value, dict) or not _all_are(
+            list(value.values()), lambda part: isinstance(part, list)
         ):
             problems.append(f'{key} must be an object with one list for each split')
         elif key in PROJECTION_KEYS and not all(_is_numbers(part, None) for part in value.values()):
@@ -153,49 +199,8 @@ def _record_problems(metadata: dict[str, Any]) -> list[str]:
     return problems
 
 
-def _scene_problems(metadata: dict[str, Any]) -> list[str]:
-    scene = metadata['scene']
-    if not isinstance(scene, dict):
-        return [f'scene is {scene!r}, an object was expected']
-    problems = []
-    if scene.get('rigid_motion') not in RIGID_MOTIONS:
-        problems.append(
-            f'scene.rigid_motion is {scene.get("rigid_motion")!r}, one of {RIGID_MOTIONS} was '
-            'expected'
-        )
-    if not isinstance(scene.get('name', ''), str):
-        problems.append(f'scene.name is {scene["name"]!r}, a text was expected')
-    up_axis = scene.get('up_axis', 1)
-    if isinstance(up_axis, bool) or up_axis not in range(DIM) or not isinstance(up_axis, int):
-        problems.append(f'scene.up_axis is {up_axis!r}, one of 0, 1, 2 was expected')
-    names, edges = scene.get('context_names', []), scene.get('rigid_edges', [])
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        return [*problems, f'scene.context_names is {names!r}, a list of texts was expected']
-    if not isinstance(edges, list):
-        return [*problems, f'scene.rigid_edges is {edges!r}, a list of pairs was expected']
-    context = metadata.get('context_mean', [])
-    if isinstance(context, list) and len(names) != len(context):
-        problems.append(
-            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
-        )
-    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
-        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
-    count = metadata.get('particles_rigid')
-    for edge in edges:
-        if (
-            not _is_numbers(edge, 2)
-            or not all(isinstance(end, int) and end >= 0 for end in edge)
-            or (isinstance(count, int) and max(edge) >= count)
-        ):
-            problems.append(
-                f'scene.rigid_edges has {edge!r}, two of {count} rigid particles were expected'
-            )
-            break
-    return problems
-
-
-def _is_number(value: Any) -> bool:
-    # JSON has integers that no float can hold.
+def is_number(value: Any) -> bool:
+    """Whether a value of a JSON file is a finite number that a float can hold."""
     return (
         isinstance(value, (int, float))
         and not isinstance(value, bool)
@@ -203,9 +208,34 @@ def _is_number(value: Any) -> bool:
     )
 
 
+def is_index(value: Any) -> bool:
+    """Whether a value is a whole number of at least 0."""
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def short(value: Any) -> str:
+    """Returns a value as text that fits into a message."""
+    text = repr(value)
+    return text if len(text) < 200 else text[:197] + '...'
+
+
+def _all_are(values: Any, is_one: Callable[[Any], bool]) -> bool:
+    return isinstance(values, list) and all(map(is_one, values))
+
+
 def _is_numbers(value: Any, length: int | None) -> bool:
+    return _all_are(value, is_number) and (length is None or len(value) == length)
+
+
+def _is_edge(value: Any) -> bool:
+    return _all_are(value, is_index) and len(value) == 2
+
+
+def _is_body(value: Any) -> bool:
     return (
-        isinstance(value, list)
-        and all(_is_number(item) for item in value)
-        and (length is None or len(value) == length)
+        isinstance(value, dict)
+        and isinstance(value.get('name'), str)
+        and value.get('rigid_motion') in RIGID_MOTIONS[1:]
+        and is_index(value.get('points'))
+        and value['points'] > 0
     )

@@ -4,20 +4,18 @@ Records hold mode scores, which know nothing of what the subspace cuts off. So t
 can be judged on particles, and particle methods trained, the converter also keeps a fixed sample of
 the bed: P particles spread over it, every fourth frame, to within 0.02 mm.
 
-A run is stored as whole steps of `resolution` from the rest place, differenced along time, signs
-folded (0, -1, 1, -2 -> 0, 1, 2, 3), byte planes apart, LZMA: most particles rest most of the time,
-so nearly all bytes are 0. Runs are packed one by one and can be read one by one.
+A run is stored as whole steps of `resolution` from the rest place (`pca_tools.packing`): most
+particles rest most of the time, so nearly all bytes are 0. Runs can be read one by one.
 """
 
 from __future__ import annotations
 
-import lzma
 import os
 from collections.abc import Sequence
 
 import numpy as np
 
-from pca_tools import files
+from pca_tools import files, packing
 
 DIM = 3
 SAMPLE_SIZE = 600
@@ -25,9 +23,6 @@ FRAME_STRIDE = 4
 # Metres; positions are kept to half of it.
 RESOLUTION = 4e-5
 SEED = 0
-# Steps that a folded 32-bit difference can hold: 43 km.
-_MAX_STEPS = 2**30
-_LZMA = [{'id': lzma.FILTER_LZMA2, 'preset': 6 | lzma.PRESET_EXTREME}]
 _KINDS = {
     'indices': ('i', 1), 'rest': ('f', 2), 'frames': ('i', 1), 'offsets': ('i', 1),
     'data': ('u', 1), 'frame_stride': ('i', 0), 'resolution': ('f', 0),
@@ -72,51 +67,6 @@ def choose_particles(points: np.ndarray, count: int = SAMPLE_SIZE, seed: int = S
     return np.sort(np.int32(chosen))
 
 
-def pack(positions: np.ndarray, rest: np.ndarray, resolution: float = RESOLUTION) -> bytes:
-    """Packs the positions of one run.
-
-    Args:
-        positions: [F, P, 3] metres.
-        rest: [P, 3] metres; steps are counted from here.
-        resolution: of the steps, metres; `unpack` gives positions to within half of it.
-
-    Raises:
-        ValueError: a particle is farther from rest than a step count can hold.
-    """
-    offset = (np.asarray(positions, np.float64) - rest) / resolution
-    if not np.all(np.abs(offset) < _MAX_STEPS):
-        raise ValueError(
-            f'a particle is {np.abs(offset).max() * resolution:.3g} m from its rest place, which '
-            f'steps of {resolution} m cannot hold'
-        )
-    steps = np.rint(offset).astype(np.int32).transpose(2, 1, 0)  # axis, particle, frame
-    change = np.diff(steps, axis=-1, prepend=np.int32(0))
-    folded = ((change << 1) ^ (change >> 31)).astype('<u4')
-    planes = np.ascontiguousarray(folded.reshape(-1, 1).view(np.uint8).T)
-    return lzma.compress(planes.tobytes(), lzma.FORMAT_RAW, filters=_LZMA)
-
-
-def unpack(data: bytes, n_frames: int, rest: np.ndarray, resolution: float) -> np.ndarray:
-    """Unpacks one run; returns float64 [F, P, 3] metres.
-
-    Raises:
-        ValueError: the bytes are damaged or do not hold `n_frames` frames.
-    """
-    size = 4 * n_frames * rest.size
-    try:
-        decoder = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
-        planes = decoder.decompress(data, size + 1)
-    except lzma.LZMAError as error:
-        raise ValueError(f'packed particles are damaged ({error})') from error
-    if len(planes) != size:
-        raise ValueError(f'packed particles hold {len(planes)} bytes, {size} were expected')
-    planes = np.frombuffer(planes, np.uint8).reshape(4, -1)
-    folded = np.ascontiguousarray(planes.T).view('<u4').reshape(rest.shape[1], len(rest), n_frames)
-    change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
-    steps = np.cumsum(change, axis=-1, dtype=np.int64)
-    return rest + resolution * steps.transpose(2, 1, 0)
-
-
 def write_sample(
     path: str,
     packed: Sequence[tuple[bytes, int]],
@@ -129,7 +79,7 @@ def write_sample(
 
     Args:
         path: of the file.
-        packed: bytes of `pack` and number of frames F of each run.
+        packed: bytes of `packing.pack_steps` and number of frames F of each run.
         indices: int [P], which particles.
         rest: float64 [P, 3] that they were packed with.
         frame_stride: frames of the record from one kept frame to the next.
@@ -206,7 +156,7 @@ class ParticleSample(Sequence):
     def __getitem__(self, index: int) -> np.ndarray:
         data, n_frames = self.packed(index)
         try:
-            return unpack(data, n_frames, self.rest, self.resolution)
+            return packing.unpack_steps(data, n_frames, self.rest, self.resolution)
         except ValueError as error:
             raise ValueError(f'{self._path}: run {index}: {error}') from error
 

@@ -22,11 +22,10 @@ from collections.abc import Sequence
 import numpy as np
 from absl import app, flags
 from matplotlib.figure import Figure
-from sklearn import decomposition
 
 from pca_tools import dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
-from pca_tools.raw_checks import AXES
+from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import DIM, Subspace
 
@@ -140,6 +139,8 @@ def compare_reductions(
     Raises:
         ValueError: the raw folder has no training run or no held-out run of this subspace.
     """
+    from sklearn import decomposition  # seconds to load, and help does not wait for it
+
     training = [i for i, case in enumerate(runs.cases) if str(case) in space.runs]
     held_out = [i for i in range(len(runs)) if i not in training]
     if not training or not held_out:

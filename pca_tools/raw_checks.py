@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from pca_tools.matching import median_spacing
-from pca_tools.metadata import DIM, RIGID_MOTIONS
+from pca_tools.metadata import AXES, DIM, bounds_problems, is_number, scene_problems, short
 
-AXES = ('x', 'y', 'z')
 # Arrays with a first axis of frames -> number of axes, length of the last one (None: one value for
 # each of the scene's context_names).
 SERIES = {
@@ -29,6 +28,10 @@ SERIES = {
     # Of several bodies: [T, bodies, 3] and [T, bodies, 7].
     'body_force': (3, DIM),
     'body_pose': (3, 7),
+    # Of a body that is free: what pulls it, and its force in the quarters of a frame, [T, 4, 3].
+    'target': (2, DIM),
+    'external': (2, DIM),
+    'subframe_force': (3, DIM),
 }
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
@@ -59,18 +62,9 @@ def manifest_faults(manifest: Any) -> list[str]:
     if not isinstance(manifest, dict) or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys():
         return ['is not a manifest of raw runs (scene, dt, bounds, runs)']
     faults = []
-    if not _is_number(manifest['dt']) or manifest['dt'] <= 0:
+    if not is_number(manifest['dt']) or manifest['dt'] <= 0:
         faults.append(f'dt is {manifest["dt"]!r}, a positive number of seconds was expected')
-    bounds = manifest['bounds']
-    if (
-        not isinstance(bounds, list)
-        or len(bounds) != DIM
-        or not all(
-            isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair))
-            and pair[0] < pair[1] for pair in bounds
-        )
-    ):  # fmt: skip
-        faults.append(f'bounds is {bounds!r}, {DIM} pairs [low, high] in metres were expected')
+    faults += bounds_problems(manifest['bounds'])
     faults += _scene_faults(manifest['scene'])
     runs = manifest['runs']
     if not isinstance(runs, list):
@@ -81,46 +75,8 @@ def manifest_faults(manifest: Any) -> list[str]:
 
 
 def _scene_faults(scene: Any) -> list[str]:
-    if not isinstance(scene, dict):
-        return [f'scene is {scene!r}, an object was expected']
-    lacking = [key for key in SCENE_KEYS if key not in scene]
-    if lacking or scene['rigid_motion'] not in RIGID_MOTIONS:
-        return [
-            f'scene {scene!r} lacks {lacking} or has an unknown rigid_motion (one of '
-            f'{RIGID_MOTIONS})'
-        ]
-    faults = []
-    names, edges = scene['context_names'], scene['rigid_edges']
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        faults.append(f'context_names is {names!r}, a list of texts was expected')
-    if not isinstance(edges, list) or not all(
-        isinstance(edge, list) and len(edge) == 2 and all(_is_index(end) for end in edge)
-        for edge in edges
-    ):
-        faults.append('rigid_edges must be a list of pairs of rigid points')
-    if 'bodies' in scene and not _are_bodies(scene['bodies']):
-        faults.append(
-            f'bodies is {_short(scene["bodies"])}, a list of two or more objects with name, '
-            f'rigid_motion (one of {RIGID_MOTIONS[1:]}) and points was expected'
-        )
-    if 'up_axis' in scene and (not _is_index(scene['up_axis']) or scene['up_axis'] >= DIM):
-        faults.append(f'up_axis is {scene["up_axis"]!r}, one of 0 (x), 1 (y), 2 (z) was expected')
-    return faults
-
-
-def _are_bodies(bodies: Any) -> bool:
-    return (
-        isinstance(bodies, list)
-        and len(bodies) > 1
-        and all(
-            isinstance(body, dict)
-            and isinstance(body.get('name'), str)
-            and body.get('rigid_motion') in RIGID_MOTIONS[1:]
-            and _is_index(body.get('points'))
-            and body['points'] > 0
-            for body in bodies
-        )
-    )
+    lacking = [key for key in SCENE_KEYS if isinstance(scene, dict) and key not in scene]
+    return [f'scene {scene!r} lacks {lacking}'] if lacking else scene_problems(scene)
 
 
 def _entry_faults(runs: list[Any]) -> list[str]:
@@ -134,7 +90,7 @@ def _entry_faults(runs: list[Any]) -> list[str]:
             or not isinstance(entry['case'], (int, str))
         ):
             faults.append(
-                f'a run is listed as {_short(entry)}, not with {sorted(ENTRY_KEYS)}; '
+                f'a run is listed as {short(entry)}, not with {sorted(ENTRY_KEYS)}; '
                 '`python -m pca_tools.convert --rehash` fills in what follows from the files'
             )
     cases = [str(entry.get('case')) for entry in runs if isinstance(entry, dict)]
@@ -190,6 +146,9 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
             f'has {body.shape[1]} rigid points, its bodies '
             f'{ {b["name"]: b["points"] for b in bodies} }'
         )
+    quarters = arrays.get('subframe_force', np.empty((0, 4, 0)))
+    if quarters.ndim == 3 and quarters.shape[1] != 4:
+        faults.append(f'subframe_force has {quarters.shape[1]} parts of a frame, 4 were expected')
     for name in ('body_force', 'body_pose'):
         values = arrays.get(name, np.empty(0))
         if values.ndim == 3 and values.shape[1] != len(bodies):
@@ -330,7 +289,7 @@ def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int
         The axis or None, and what says so: the gravity vector; or that the soil lies at the bottom
         of the bounds, with free space above it, on that axis much more than on the others.
     """
-    if isinstance(gravity, list) and len(gravity) == DIM and all(map(_is_number, gravity)):
+    if isinstance(gravity, list) and len(gravity) == DIM and all(map(is_number, gravity)):
         if any(gravity):
             axis = int(np.argmax(np.abs(gravity)))
             return axis, f'gravity is {gravity}'
@@ -345,16 +304,3 @@ def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int
     if lean[axis] < _ASYMMETRY or lean[axis] - others.max() < _ASYMMETRY:
         return None, reason
     return axis, reason
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _is_index(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) < 200 else text[:197] + '...'

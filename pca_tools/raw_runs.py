@@ -1,4 +1,4 @@
-"""Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/raw_data.md`.
+"""Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/data.md`.
 
 The ground-truth solver writes them, and `pca_tools.write_raw` for data of any other origin. The
 folder is trusted no further than its manifest: bytes and sha256 are checked when a run is first
@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, matching, raw_checks
-from pca_tools.raw_checks import AXES, SERIES
+from pca_tools.metadata import AXES
+from pca_tools.raw_checks import SERIES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +39,7 @@ class RawRun:
         body_force: float32 [T, B, 3] on each of several bodies, newtons, or None; `force` is then
             their sum.
         body_pose: float32 [T, B, 7] of each of several bodies, or None.
+        target, external, subframe_force: of a free body, as of `pca_tools.dataset.Trajectory`.
     """
 
     case: int | str
@@ -51,6 +53,9 @@ class RawRun:
     step_context: np.ndarray | None = None
     body_force: np.ndarray | None = None
     body_pose: np.ndarray | None = None
+    target: np.ndarray | None = None
+    external: np.ndarray | None = None
+    subframe_force: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
@@ -128,7 +133,8 @@ class RawRuns(Sequence):
             self._shape = shape
         if shape != self._shape:
             raise ValueError(
-                f'{path}: has (particles, torque, pose) {shape}, the runs before it {self._shape}'
+                f'{path}: has (particles, torque, pose) {shape}, the runs before it {self._shape}; '
+                'a dataset is of one bin: runs of another one need a folder of their own'
             )
         if self._reference is None:
             return run

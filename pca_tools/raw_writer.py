@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, raw_checks
-from pca_tools.raw_checks import AXES, SERIES, faults_error
+from pca_tools.metadata import AXES
+from pca_tools.raw_checks import SERIES, faults_error
 
 _RUN_KEYS = (*SERIES, 'case', 'context', 'parameters', 'split', 'kind')
 # Bounds that are not given: the hull of soil and body, wider by this share of its size.
@@ -58,7 +59,8 @@ def write_raw(
         gravity: vector, m/s^2; only recorded.
         bodies: of several bodies, in the order of their points: `name`, `rigid_motion` and `points`
             (how many of R) of each. `rigid_edges` join points of one body; runs may then have
-            `body_force` [T, B, 3] and `body_pose` [T, B, 7], and `force` is the sum.
+            `body_force` [T, B, 3] and `body_pose` [T, B, 7], and `force` is the sum. Runs with a
+            free body may have `target` and `external` [T, 3] and `subframe_force` [T, 4, 3].
         check_units: refuse positions and dt that are implausible in metres and seconds.
 
     Raises:

@@ -104,6 +104,36 @@ def fit_rigid_motion(source: np.ndarray, target: np.ndarray) -> RigidMotion:
     return RigidMotion(rotation, target_mean - rotation @ source_mean, status, residual)
 
 
+def placed(shape: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Places points of a body: x = p + R(q) s, Euler-Rodrigues in quaternions.
+
+    Args:
+        shape: [R, 3] s, places on the upright body from its reference point, m.
+        poses: [T, 7] position p (m) and quaternion q (w, x, y, z).
+
+    Returns:
+        float64 [T, R, 3], m.
+    """
+    poses = np.asarray(poses, np.float64)
+    return poses[:, None, :3] + _turned(np.asarray(shape, np.float64)[None], poses[:, 3:])
+
+
+def on_body(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Returns where points [R, 3] (m) of a body with pose [7] lie on it: `placed` undone."""
+    pose = np.asarray(pose, np.float64)
+    back = pose[None, 3:] * [1.0, -1.0, -1.0, -1.0]
+    return _turned((np.asarray(points, np.float64) - pose[:3])[None], back)[0]
+
+
+def _turned(points: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """R(q) v = v + 2 w (u x v) + 2 u x (u x v) of q = (w, u), [T, R, 3]."""
+    norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    unit = (quaternions / np.where(norms > 0, norms, 1.0))[:, None]
+    w, u = unit[..., :1], unit[..., 1:]
+    across = np.cross(u, points)
+    return points + 2.0 * w * across + 2.0 * np.cross(u, across)
+
+
 def _epsilon(points: np.ndarray) -> float:
     """Returns the relative rounding of the given numbers: that of float32 for float32 input."""
     dtype = np.asarray(points).dtype

@@ -64,7 +64,6 @@ def split_cases(
     fractions: Sequence[float],
     seed: int,
     hold_out: Sequence[int | str] = (),
-    spread: bool = False,
 ) -> dict[str, list[int]]:
     """Deals cases to the splits by seed, without replacement.
 
@@ -74,9 +73,6 @@ def split_cases(
             case.
         seed: of the draw.
         hold_out: ids that go to test whatever the draw says; they count towards its share.
-        spread: draw valid and test evenly over the order of the cases instead of by a plain
-            shuffle. Case ids count through nested loops over the parameters, so neighbours are
-            alike, and a few cases then still cover the grid.
 
     Returns:
         split -> indices into `cases`, ascending.
@@ -87,8 +83,7 @@ def split_cases(
     if len(fractions) != len(SPLITS) or min(fractions) < 0 or abs(sum(fractions) - 1.0) > 1e-6:
         raise ValueError(f'split {list(fractions)} must be {len(SPLITS)} shares that sum to 1')
     held = _known_ids(hold_out, cases)
-    rng = np.random.default_rng(seed)
-    shuffled = rng.permutation(len(cases)).tolist()
+    shuffled = np.random.default_rng(seed).permutation(len(cases)).tolist()
     forced = [index for index in shuffled if str(cases[index]) in held]
     free = [index for index in shuffled if str(cases[index]) not in held]
     sizes = {
@@ -102,28 +97,11 @@ def split_cases(
             f'{list(fractions)}; let the solver make more, or use --like to put them into '
             'an existing subspace'
         )
-    if spread:
-        free = _strata_first(sorted(free), n_test, n_valid, rng)
     return {
         'train': sorted(free[n_test + n_valid :]),
         'valid': sorted(free[n_test : n_test + n_valid]),
         'test': sorted(forced + free[:n_test]),
     }
-
-
-def _strata_first(
-    free: list[int], n_test: int, n_valid: int, rng: np.random.Generator
-) -> list[int]:
-    """Returns `free` with one draw from each of n_test + n_valid equal strata in front."""
-    count = n_test + n_valid
-    if not count:
-        return free
-    drawn = [int(rng.choice(stratum)) for stratum in np.array_split(free, count)]
-    # Test takes every (count / n_test)-th stratum, valid the others.
-    is_test = np.diff(np.arange(count + 1) * n_test // count).astype(bool)
-    test = [index for index, chosen in zip(drawn, is_test) if chosen]
-    valid = [index for index, chosen in zip(drawn, is_test) if not chosen]
-    return test + valid + [index for index in free if index not in drawn]
 
 
 def spread_over(count: int, limit: int) -> list[int]:

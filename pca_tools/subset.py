@@ -15,13 +15,12 @@ Examples:
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from absl import app, flags
+from absl import flags
 
-from pca_tools import convert, files, particles
+from pca_tools import command, convert, particles
 from pca_tools.append import numbered, read_encoded
 from pca_tools.encode import make_metadata
 from pca_tools.metadata import SPLITS
@@ -103,7 +102,7 @@ def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) 
 def _write(data_path, output_path, parts, base, space, overwrite):
     """Writes encoded runs with what they share; returns the metadata."""
     world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
-    metadata = make_metadata(world, parts, space, 1, base)
+    metadata = make_metadata(world, parts, space, 1, base, base.get('packed', False))
     indices = particles.read_sample(data_path, next(iter(base['cases']))).indices
     convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
     return metadata
@@ -158,25 +157,15 @@ def define_flags() -> None:
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values) -> None:
     """Runs the command."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    values = flags.FLAGS
-    try:
-        metadata = subset(
-            values.data_path,
-            values.output_path,
-            values.train_runs,
-            kinds_of(values.kinds),
-            values.overwrite,
-            values.every_split,
-        )
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    metadata = subset(
+        values.data_path, values.output_path, values.train_runs, kinds_of(values.kinds),
+        values.overwrite, values.every_split,
+    )  # fmt: skip
     print(convert.summary(metadata, values.output_path))
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main)

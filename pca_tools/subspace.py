@@ -250,7 +250,7 @@ def fit(
         names: names of the runs, for messages and the record; default 0, 1, ...
         progress: wraps a pass over the runs, called with the sequence and a label (for a progress
             bar).
-        crew: `cluster.workers.Workers` that sum up the covariance, in parts; runs must then have
+        crew: `pca_tools.workers.Workers` that sum up the covariance, in parts; runs must then have
             `part` (as `pca_tools.raw_runs.SoilPositions` has). The same subspace to round-off.
         spare_modes: further modes to keep where the data have them, to measure what they would
             bring; `Subspace.truncated` drops them.

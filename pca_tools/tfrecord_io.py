@@ -23,6 +23,7 @@ from pca_tools import files
 MAX_RECORD_BYTES = 2**30
 _HEADER_BYTES = 12
 _FOOTER_BYTES = 4
+_PACKED = 'packed/'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,11 +34,14 @@ class SequenceRecord:
         key: int64 context feature `key`.
         particle_type: bytes of the context feature `particle_type` (little-endian int64).
         frames: feature name -> one bytes value per frame (little-endian float32).
+        packed: series name -> bytes of `pca_tools.packing`, in place of frames; context features
+            of the names `packed/<name>`.
     """
 
     key: int
     particle_type: bytes
     frames: dict[str, list[bytes]]
+    packed: dict[str, bytes] = dataclasses.field(default_factory=dict)
 
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
@@ -147,9 +151,14 @@ def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
                 raise ValueError(f'{where}: {name} frame {index} has no single bytes value')
             values.append(feature.bytes_list.value[0])
         frames[name] = values
-    if 'position' not in frames:
+    packed = {
+        name.removeprefix(_PACKED): feature.bytes_list.value[0]
+        for name, feature in example.context.feature.items()
+        if name.startswith(_PACKED) and len(feature.bytes_list.value) == 1
+    }
+    if 'position' not in frames and not packed:
         raise ValueError(f'{where}: has no feature list "position", only {sorted(frames)}')
-    return SequenceRecord(keys[0] if keys else 0, types[0], frames)
+    return SequenceRecord(keys[0] if keys else 0, types[0], frames, packed)
 
 
 def serialise_sequence_example(record: SequenceRecord) -> bytes:
@@ -158,6 +167,8 @@ def serialise_sequence_example(record: SequenceRecord) -> bytes:
     example = tf.train.SequenceExample()
     example.context.feature['key'].int64_list.value.append(record.key)
     example.context.feature['particle_type'].bytes_list.value.append(record.particle_type)
+    for name, data in record.packed.items():
+        example.context.feature[_PACKED + name].bytes_list.value.append(data)
     for name, values in record.frames.items():
         features = example.feature_lists.feature_list[name].feature
         for value in values:

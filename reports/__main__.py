@@ -16,7 +16,6 @@ REPORTS = {
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
-    'nri_stiffness': ('edges.nri_stiffness', 'springs up to the limit of the integrator'),
     'stability': ('stability', 'long, stopped and altered rollouts, as experiments'),
     'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'fuzz': ('attacks.report', 'damaged and forged files to every reader'),

@@ -41,8 +41,8 @@ def of_rollouts(path: str) -> str:
 
 def of_training(data_path: str, steps: int = 3) -> str:
     """Digest of the weights after some steps of both training stages."""
-    unrolled = {'unroll_length': 3, 'unroll_steps': steps, 'unroll_noise': 0.5}
-    config = presets.make_config('pcg', latent_size=16, num_steps=steps, **unrolled)
+    unrolled = {'unroll_length': 3, 'unroll_steps': steps}
+    config = presets.make_config('pcg', latent_size=16, num_steps=2 * steps, **unrolled)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     model = method.make_model(data_path, metadata, groups, config)

@@ -19,30 +19,40 @@ PACKAGES = (
     'pca_tools',
     'reports',
     'run_scripts',
-    'storage',
-    'cluster',
 )
 MAX_LINES = 800
 UNPICKLERS = ('legacy_pickles.py',)  # the restricted reader of the authors' arrays
 
 # Folder -> project modules it may import beside its own. Only `run_scripts` may import all.
 MAY_IMPORT = {
-    'storage': (),
-    'cluster': ('storage',),
-    'mpm': ('cluster', 'storage'),
-    'pca_tools': ('storage', 'cluster'),
-    'learning_to_simulate': ('pca_tools', 'storage.markdown'),
+    'mpm': ('pca_tools.storage', 'pca_tools.workers'),
+    'pca_tools': (),
+    'learning_to_simulate': ('pca_tools',),
     'nri': (
         'pca_tools',
         'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.subspace.edge_picture',
         'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
-    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools', 'storage', 'cluster'),
+    'reports': ('learning_to_simulate', 'mpm', 'nri', 'pca_tools'),
 }
+# The main package from the ground up: a module imports those of its own line and of lines above,
+# inside functions too. The longest name that fits says which line a module is on.
+LAYERS = (
+    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
+     'soil_truth', 'rendering', 'shipped'),
+    ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
+     'checkpoints', 'registry'),
+    ('tool',),
+    ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
+    ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
+    ('export', 'export_c'),
+    ('api', 'train', 'live.roll_out_path'),
+    ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
+)  # fmt: skip
+CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.
 MUST_NOT_NAME = {
     'mpm': ('tensorflow', 'sonnet', 'graph_nets', 'sklearn'),
@@ -56,9 +66,9 @@ ONLY_IN = {
     'dill': (),
     'joblib': (),
     'cloudpickle': (),
-    'distributed': ('cluster/workers.py',),
-    'dask': ('cluster/workers.py',),
-    'dask_jobqueue': ('cluster/workers.py',),
+    'distributed': ('pca_tools/workers.py',),
+    'dask': ('pca_tools/workers.py',),
+    'dask_jobqueue': ('pca_tools/workers.py',),
     'h5py': ('pca_tools/formats/lagrangebench.py',),
     'vtk': ('pca_tools/formats/vtp_files.py',),
 }
@@ -66,14 +76,22 @@ ONLY_IN = {
 # they are installed, so a look at what is loaded afterwards would blame the wrong one.)
 IMPORTS_WITHOUT = [
     (
-        ('storage.whole_files', 'storage.folder_lock', 'storage.parent', 'storage.messages'),
-        ('numpy', 'pca_tools', 'mpm'),
+        (
+            'pca_tools.storage.whole_files',
+            'pca_tools.storage.folder_lock',
+            'pca_tools.storage.parent',
+            'pca_tools.storage.messages',
+        ),
+        ('numpy', 'mpm'),
     ),
     (
         ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
         ('tensorflow', 'matplotlib'),
     ),
-    (('mpm.run', 'mpm.scenes', 'mpm.solver'), ('tensorflow', 'sklearn', 'pca_tools')),
+    (
+        ('mpm.run', 'mpm.scenes', 'mpm.solver'),
+        ('tensorflow', 'sklearn', 'pca_tools.files', 'pca_tools.subspace', 'pca_tools.convert'),
+    ),
     (
         ('learning_to_simulate.subspace.learned_simulator', 'learning_to_simulate.rollout'),
         ('matplotlib', 'imageio_ffmpeg', 'sklearn', 'numba', 'mpm', 'nri'),
@@ -113,7 +131,6 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/native/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
-    'reports/edges/test_nri_scripts.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip
@@ -168,6 +185,47 @@ def test_imports_follow_the_arrows(path):
             if not any(path.as_posix().startswith(place) for place in places):
                 wrong.append(f'{path}:{line} imports {name}; only {places} may')
     assert not wrong, '\n'.join(wrong)
+
+
+def own_imports():
+    """Module of the main package -> those of it that it imports, without the package's name."""
+    files = [path for path in package_files() if path.parts[0] == 'learning_to_simulate']
+    names = {'.'.join(p.with_suffix('').parts[1:]).removesuffix('.__init__'): p for p in files}
+    found = {}
+    for name, path in names.items():
+        found[name] = set()
+        for imported, _ in imported_names(path):
+            parts = imported.split('.')[1:] if is_within(imported, 'learning_to_simulate') else []
+            while parts and '.'.join(parts) not in names:
+                parts.pop()
+            found[name] |= {'.'.join(parts)} - {name, ''}
+    return found
+
+
+def layer_of(module):
+    fits = [(len(n), i) for i, line in enumerate(LAYERS) for n in line if is_within(module, n)]
+    assert fits, f'learning_to_simulate.{module} is on no line of LAYERS'
+    return max(fits)[1]
+
+
+def test_no_arrow_of_the_main_package_climbs():
+    imports = own_imports()
+    assert 'config' in imports['presets'] and 'evaluation' in imports['train']  # it sees
+    climbs = {
+        (name, other)
+        for name in imports.keys() - {'__init__'}
+        for other in imports[name]
+        if layer_of(other) > layer_of(name)
+    }
+    assert climbs == CLIMBS.keys(), 'LAYERS says who lies above whom'
+
+
+def test_no_circle_in_the_main_package():
+    """Modules that import none of the rest are taken away until none is left."""
+    left = own_imports()
+    while free := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in free}
+    assert not left, f'these import each other: {sorted(left)}'
 
 
 def test_tests_mirror_the_sources():

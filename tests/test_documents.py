@@ -1,5 +1,9 @@
-"""The documents: numbers are those of their records, links lead somewhere, the site builds."""
+"""The documents: tables are those of their JSON, links lead somewhere, commands exist, the site
+builds."""
 
+import dataclasses
+import functools
+import importlib.util
 import pathlib
 import re
 import shutil
@@ -9,44 +13,18 @@ import sys
 import pytest
 import yaml
 
-from pca_tools import files
+from learning_to_simulate import cli, presets
+from reports import __main__ as reports
 from reports import documents
-from reports.edges import edge_ablation_report
-from reports.stability import cases
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 NAMES = documents.names()
-# Written whole by a report: how, again, from the record beside them.
-WHOLE = {
-    f'docs/edges/{name}.md': (
-        lambda path: edge_ablation_report.table(files.read_json(str(path.with_suffix('.json'))))
-    )
-    for name in ('excavation', 'excavation_long', 'wheel')
-}
-# Written whole by reports that are no longer here; they stand as they were at the tag evidence-0.2.
-FROZEN = {f'docs/error_vs_runtime/{scene}/table.md' for scene in ('excavation', 'wheel')}
-# Written whole, of records that lie elsewhere or are made new by a long report: tables in them are
-# compared where they have a record, or carry the command.
-BY_COMMAND = {'docs/paper_tables.md', 'docs/stability/stability.md'}
-OWN_RECORDS = ('mpm/', 'tests/', 'CHANGELOG')  # of the solver: by `mpm.verify` and the tests
+# Figures of the solver and of tests: held by `mpm.verify` and the tests themselves.
+OWN_FIGURES = ('mpm/', 'tests/')
 
 
-@pytest.mark.parametrize('name', NAMES)
-def test_tables_are_what_their_json_says(name):
-    text = (ROOT / name).read_text(encoding='utf-8')
-    assert documents.render(text) == text, f'{name}: run `python -m reports documents`'
-
-
-@pytest.mark.parametrize('name', WHOLE)
-def test_files_of_a_report_are_what_its_json_says(name):
-    path = ROOT / name
-    assert path.read_text(encoding='utf-8').strip() == WHOLE[name](path).strip()
-
-
-def test_stability_table_is_what_its_json_says():
-    rows = files.read_json(str(ROOT / 'docs/stability/stability.json'))['rows']
-    table = cases.markdown([cases.Case(**row) for row in rows])
-    assert table in (ROOT / 'docs/stability/stability.md').read_text(encoding='utf-8')
+def text_of(name):
+    return (ROOT / name).read_text(encoding='utf-8')
 
 
 def unnamed_tables(text):
@@ -60,50 +38,66 @@ def unnamed_tables(text):
                 yield table[0]
 
 
-@pytest.mark.parametrize(
-    'name',
-    [n for n in NAMES if n not in {*WHOLE, *FROZEN, *BY_COMMAND} and not n.startswith(OWN_RECORDS)],
-)
-def test_tables_with_measured_numbers_name_their_record(name):
-    assert not list(unnamed_tables((ROOT / name).read_text(encoding='utf-8')))
+@pytest.mark.parametrize('name', NAMES)
+def test_tables_are_what_their_json_says_and_links_lead_somewhere(name):
+    text = text_of(name)
+    assert documents.render(text) == text, f'{name}: run `python -m reports documents`'
+    if not name.startswith(OWN_FIGURES):
+        assert not list(unnamed_tables(text))
+    for target, anchor in re.findall(r'\]\(([^)#\s]*)(#[\w-]+)?\)', text):
+        path = (ROOT / name).parent / target if target else ROOT / name
+        if target.startswith(('http', 'mailto:')):
+            continue
+        assert path.exists(), f'{name}: {target} is not there'
+        if anchor and not name.startswith(OWN_FIGURES):
+            heads = re.findall(r'^#+ (.*)$', path.read_text(encoding='utf-8'), re.M)
+            made = {re.sub(r'[^\w -]', '', head).lower().replace(' ', '-') for head in heads}
+            assert anchor[1:] in made, f'{name}: {target} has no heading {anchor}'
 
 
 def test_the_guard_sees_what_it_guards():
     assert list(unnamed_tables('text\n\n| a |\n|---|\n| 1.5 |\n')) == ['| a |']
     assert not list(unnamed_tables('<!-- no record: why -->\n| a |\n|---|\n| 1.5 |\n'))
-    text = '<!-- table: reports.markdown:table a -->\n| a |\n|---|\n'
     with pytest.raises(ValueError, match=r'<!-- table: reports.markdown:table a -->'):
-        documents.render(text)
-    named = '<!-- table: reports.protocol.tables:facts docs/protocol/wheel.json -->'
-    text = f'{named}\n| wrong |\n\nafter\n'
-    made = documents.render(text)
+        documents.render('<!-- table: reports.markdown:table a -->\n| a |\n|---|\n')
+    named = '<!-- table: reports.protocol.tables:shipped docs/protocol/wheel_v2.json -->'
+    made = documents.render(f'{named}\n| wrong |\n\nafter\n')
     assert 'wrong' not in made and made.endswith(' |\n\nafter\n')
     assert documents.render(made) == made
 
 
+@functools.cache
+def known_flags():
+    """Names of all flags that the sources define."""
+    names = {'help'} | {f.name for c in presets.PRESETS.values() for f in dataclasses.fields(c)}
+    for path in ROOT.glob('[!.]*/**/*.py'):
+        names |= set(re.findall(r"DEFINE_\w+\(\s*'(\w+)'", path.read_text(encoding='utf-8')))
+    return names | {f'no{name}' for name in names}
+
+
 @pytest.mark.parametrize('name', NAMES)
-def test_links_and_pictures_are_there(name):
-    path = ROOT / name
-    for target in re.findall(r'\]\(([^)#\s]+)[^)]*\)', path.read_text(encoding='utf-8')):
-        if not target.startswith(('http', 'mailto:')):
-            assert (path.parent / target).exists(), f'{name}: {target} is not there'
+def test_commands_and_flags_exist(name):
+    blocks = re.findall(r'^```(\w*)\n(.*?)^```$', text_of(name), re.S | re.M)
+    lines = [
+        line.partition('#')[0]
+        for language, block in blocks
+        for line in block.replace('\\\n', ' ').splitlines()
+        if not language and re.search(r'^lts |^python -m (?!venv)|run_scripts', line)
+    ]
+    for line in lines:
+        for program in re.findall(r'^lts ([a-z]\S*)', line):
+            assert program in cli.COMMANDS, f'no command lts {program}'
+        for module, report in re.findall(r'python -m (\S+)(?: ([a-z]\w*))?', line):
+            assert importlib.util.find_spec(module), f'no module {module}'
+            assert module != 'reports' or report in {'', *reports.REPORTS}, f'no report {report}'
+        assert not set(re.findall(r'--(\w+)', line)) - known_flags(), line
+    assert lines or name not in ('README.md', 'docs/guide.md', 'docs/data.md')
 
 
-def pages(entries):
-    for entry in entries:
-        values = entry.values() if isinstance(entry, dict) else [entry]
-        for value in values:
-            yield from pages(value) if isinstance(value, list) else [value]
-
-
-def test_every_page_of_the_site_is_there_and_every_guide_is_in_it():
-    site = yaml.safe_load((ROOT / 'mkdocs.yml').read_text(encoding='utf-8'))
-    listed = list(pages(site['nav']))
-    assert all((ROOT / 'docs' / page).is_file() for page in listed)
-    assert {path.name for path in (ROOT / 'docs').glob('*.md')} <= set(listed)
-
-
-def test_the_site_is_built_without_warnings(tmp_path):
+def test_the_site_holds_every_page_and_is_built_without_warnings(tmp_path):
+    site = yaml.safe_load(text_of('mkdocs.yml'))
+    listed = {page for entry in site['nav'] for page in entry.values()}
+    assert listed == {path.name for path in (ROOT / 'docs').glob('*.md')}
     pytest.importorskip('zensical')
     # Copies: the site is built beside the file that a link of `mkdocs.yml` would lead to.
     shutil.copytree(ROOT / 'docs', tmp_path / 'docs')
@@ -114,9 +108,3 @@ def test_the_site_is_built_without_warnings(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert (tmp_path / 'build/site/index.html').is_file()
-
-
-def test_the_citation_is_whole():
-    cited = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
-    assert {'cff-version', 'message', 'title', 'authors'} <= cited.keys()
-    assert len(cited['references']) == 3

@@ -16,7 +16,6 @@ from learning_to_simulate import (
     checkpoints,
     evaluation,
     metrics,
-    model_config,
     normalization,
     presets,
     reading_utils,
@@ -33,8 +32,8 @@ from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.tool import bed
 from learning_to_simulate.tool.axes import Axes
-from learning_to_simulate.training import model_folder
-from pca_tools import dataset, files, folder_lock
+from pca_tools import dataset, files
+from pca_tools.storage import folder_lock
 
 _UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
 _FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}
@@ -122,10 +121,10 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
         def progress(choices):
             return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
+        few_runs = {'leave_one_out': True, 'kernels': tuple(path_ridge.KERNELS), 'n_best': 10}
         return path_ridge.PathRidge.fit(
             train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
-            leave_one_out=config.leave_one_out, kernels=config.ridge_kernels.split(','),
-            n_best=config.best_choices,
+            **(few_runs if config.leave_one_out else {}),
         )  # fmt: skip
     if not scene.has_force:
         raise ValueError(f'{config.model} is a formula of the force, which {data_path} lacks')
@@ -151,10 +150,10 @@ def train(data_path, model_path, config, options) -> dict:
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
     scene = reading_utils.read_scene(data_path, metadata, groups, options.rigid_motion)
-    data = model_folder.data_record(data_path, metadata)
+    data = checkpoints.data_record(data_path, metadata)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     with folder_lock.locked(model_path, options.take_over_lock):
-        if not model_folder.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
+        if not checkpoints.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
@@ -220,7 +219,7 @@ def load(model_path: str) -> OpenLoopModel:
             method = _FORMULAS[config.model].from_json(values, scene, axes)
     except FileNotFoundError:
         raise
-    except model_config.WRONG_FIELD as error:
+    except checkpoints.WRONG_FIELD as error:
         raise ValueError(
             f'{model_path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong '
             f'({error!r})'
@@ -228,9 +227,7 @@ def load(model_path: str) -> OpenLoopModel:
     return OpenLoopModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
 
 
-def open_model(
-    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
-) -> OpenedModel:
+def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A fitted method with the runs of a split; see `registry`."""
     registry.refuse_raw_path(raw_path)
     model = load(model_path)

@@ -402,7 +402,7 @@ class PathRidge:
           progress: wraps the list of choices, e.g. `tqdm.tqdm`.
           leave_one_out: train on the valid runs, too, and choose by the error on each run of a fit
             to all others. Errors on valid are then errors of training.
-          kernels: names of `kernel_ridge.KERNELS`.
+          kernels: names of `KERNELS`.
           n_best: so many of the best choices with each kernel, fitted, are averaged.
 
         Raises:
@@ -495,10 +495,7 @@ class PathRidge:
             scene = Scene.from_json(about['scene'])
             regressions = {}
             for name, values in about['outputs'].items():
-                # Before there could be several, an output was no list and its arrays had no number.
-                each = {f'{name}/': values} if isinstance(values, dict) else {
-                    f'{name}/{i}/': of_one for i, of_one in enumerate(values)
-                }  # fmt: skip
+                each = {f'{name}/{i}/': of_one for i, of_one in enumerate(values)}
                 if not each:
                     raise ValueError(f'no regression of {name}')
                 regressions[name] = [_loaded(v, arrays, prefix) for prefix, v in each.items()]

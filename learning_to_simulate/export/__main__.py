@@ -1,4 +1,4 @@
-"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project or as an FMU.
+"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project, an FMU or a page.
 
 Examples:
   python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
@@ -8,13 +8,17 @@ Examples:
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
-  # the two networks of a swept field; see docs/swept_field.md
+  # the two networks of a swept field; see docs/native.md
   python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
       --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
 
-  # C99 source, or an FMU of FMI 2.0; see docs/c_and_fmu.md
+  # C99 source, or an FMU of FMI 2.0; see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
+
+  # one HTML file with the C library as WebAssembly inside, which needs no server
+  python -m learning_to_simulate.export --format=page --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=soil.html
 """
 
 from absl import flags
@@ -48,8 +52,11 @@ def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', FORMATS + native.FORMATS, 'What to write.')
+    flags.DEFINE_string(
+        'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
+    )
+    formats = [*FORMATS, *native.FORMATS, 'page']
+    flags.DEFINE_enum('format', 'savedmodel', formats, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer(
         'n_particles', None, 'Particles of a swept field; default: all of its bed.', 1
@@ -62,6 +69,11 @@ def run(values) -> None:
     Raises:
       ValueError: see `export` and `native.exporting`.
     """
+    if values.format == 'page':
+        from learning_to_simulate.native import web_page
+
+        web_page.run(values)
+        return
     if values.format in native.FORMATS:
         _write_c(values)
         return

@@ -1,6 +1,6 @@
 """The two networks of a swept field as exported functions: `load` and `soil`.
 
-Both are functions of one frame of the tool's path (`tool_path.Frame`: bins and scalars) and hold
+Both are functions of one frame of the tool's path (`tool.swept.Frame`: bins and scalars) and hold
 no state. In Python a stepper computes the frames (`frame.modes.frame`); outside of it the C project
 and the FMU hold the whole field, the state of its tool included.
 """
@@ -57,12 +57,12 @@ class FieldNetworks:
         if not 1 <= self.n_particles <= n_rest:
             raise ValueError(f'n_particles is {n_particles}, must lie in [1, {n_rest}]')
         self.variables = field.network.trainable_variables
-        reader = EpisodeReader(data_path, dataset.read_metadata(data_path), field.beds, field.tool)
+        metadata = dataset.read_metadata(data_path)
+        reader = EpisodeReader(data_path, metadata, field.beds, field.tool)
         (episode,) = reader.read('test', limit=1)
         _, frames = field.frames(episode.ground, episode.pose, field.scene.dt)
-        chosen = splits.spread_over(len(frames.scalars), COMPARED_FRAMES)
+        self._frames = frames.at(splits.spread_over(len(frames.scalars), COMPARED_FRAMES))
         rest = field.axes.points(field.rest[splits.spread_over(n_rest, self.n_particles)])
-        self._frames = frames.at(chosen)
         self._rest = (rest - episode.ground.origin).astype(np.float32)
         self._concrete: dict[str, dict] = {}
 

@@ -1,23 +1,29 @@
-"""Training and evaluation of the full-space baseline on disk; see the package."""
+"""Training, rollouts and evaluation of the full-space baseline on disk; see the package."""
 
 import dataclasses
 import os
+import resource
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, model_config, reading_utils
+from learning_to_simulate import checkpoints, evaluation, reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import FullSpaceConfig
 from learning_to_simulate.full_space import data_parallel, runs
-from learning_to_simulate.full_space.rollout import ParticleEvaluator
 from learning_to_simulate.full_space.simulator import (
     ParticleSimulator,
     ParticleStatistics,
     compute_statistics,
+    history_of,
     typical_radius,
 )
 from learning_to_simulate.full_space.training import ParticleTrainer
 from learning_to_simulate.registry import OpenedModel
+from learning_to_simulate.rollout import Rollout
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.training import loop
 from pca_tools import dataset, files
 
@@ -106,10 +112,10 @@ def load(path: str) -> ParticleModel:
     """
     values = checkpoints.read_config(path)
     try:
-        config, scene, types = model_config.config_and_scene(values)
+        config, scene, types = checkpoints.settings_and_scene(values, FullSpaceConfig)
         statistics = ParticleStatistics.from_json(values['statistics'])
         statistics.check(scene)
-    except model_config.WRONG_FIELD as error:
+    except checkpoints.WRONG_FIELD as error:
         raise ValueError(
             f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
         ) from error
@@ -122,9 +128,7 @@ def load(path: str) -> ParticleModel:
     return checkpoints.filled(path, make)
 
 
-def open_model(
-    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
-) -> OpenedModel:
+def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A trained model with the runs of a split; see `registry`.
 
     Raises:
@@ -160,3 +164,55 @@ def open_model(
         ParticleEvaluator(model, metadata),
         lambda: ParticleTrainer(model, [group]).one_step_errors(),
     )
+
+
+class ParticleEvaluator:
+    """As `evaluation.Evaluator`; the rows of the model also hold the mean number of edges, and the
+    peak memory of the process so far (`peak_memory_mb`).
+
+    Args:
+      model: `method.ParticleModel`.
+      metadata: of the dataset where particles are decoded from it, else {}: nothing is cut off.
+    """
+
+    def __init__(self, model, metadata):
+        self._model, self._metadata, self._edges = model, metadata, {}
+
+    def roll_out(self, group) -> Rollout:
+        """Rolls out the one run of a group from its first H frames; stops where it blows up."""
+        simulator = self._model.simulator
+        n, n_frame = group.n_rigid, group.position.shape[1]
+        position, velocity = history_of(group, 0, H - 1)
+        simulator.step(position, velocity, np.zeros((n, 3)), group.context_at(H, 0), n)  # warm-up
+        positions = np.full((1, n_frame - H, *position.shape), np.nan)
+        forces = (
+            np.full((1, n_frame - H, 3), np.nan, np.float32) if group.force is not None else None
+        )
+        edges, judgement = [], Judgement(RolloutStatus.OK)
+        start = time.perf_counter()
+        for k in range(n_frame - H):
+            body = group.position[0, H + k, :n] - group.position[0, H + k - 1, :n]
+            displacement, force, n_edge = simulator.step(
+                position, velocity, body, group.context_at(H + k, 0), n
+            )
+            position = position + displacement
+            velocity = np.concatenate([velocity[1:], displacement[None]])
+            if not (np.isfinite(position).all() and (force is None or np.isfinite(force).all())):
+                judgement = Judgement(RolloutStatus.NON_FINITE, H + k, -1, 'not a number')
+                break
+            positions[0, k] = position
+            if forces is not None:
+                forces[0, k] = force
+            edges.append(n_edge)
+        self._edges[int(group.record[0])] = float(np.mean(edges)) if edges else 0.0
+        return Rollout(positions, forces, [judgement], time.perf_counter() - start)
+
+    def run(self, groups, split: str, progress=iter):
+        """As `Evaluator.run`, with edges and memory in the metrics."""
+        results = evaluation.roll_out_all(self.roll_out, groups, progress)
+        summary = evaluation.summarise(results, self._model, self._metadata, split)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        for row in summary['runs']['model']:
+            row |= {'edges': round(self._edges[row['record']]), 'peak_memory_mb': peak}
+        summary['mean']['model']['peak_memory_mb'] = peak
+        return results, summary | {'particles': self._model.simulator.scene.n_soil}

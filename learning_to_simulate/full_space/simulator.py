@@ -1,4 +1,8 @@
-"""`ParticleSimulator`: one frame of thinned soil; features on the host, network in TensorFlow."""
+"""`ParticleSimulator`: one frame of thinned soil; features on the host, network in TensorFlow.
+
+The network is that of `graph_network` with the edges as tensors: messages are summed by receiver,
+since a dense incidence matrix of thousands of edges would not pay.
+"""
 
 import dataclasses
 
@@ -9,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.full_space.network import ParticleNetwork
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
 
@@ -182,7 +185,7 @@ class ParticleSimulator(snt.Module):
         )
 
     def create_variables(self):
-        """Makes all variables; as `checkpoints.Model.create_variables`."""
+        """Makes all variables; as `subspace_model.Model.create_variables`."""
         s = self.scene
         width = self.dim * (self.config.velocity_inputs + 3) + 2 + len(s.context_names)
         self._network(
@@ -288,3 +291,49 @@ def history_of(group, run: int, end: int):
     """Position [V, D] of frame `end` of a run and the velocities [H - 1, V, D] up to it."""
     frames = group.position[run, end - INPUT_SEQUENCE_LENGTH + 1 : end + 1]
     return frames[-1], np.diff(frames, axis=0)
+
+
+def _mlp(width, hidden_layers, name):
+    layers = snt.nets.MLP([width] * (hidden_layers + 1), name=name)
+    return snt.Sequential([layers, snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)])
+
+
+class ParticleNetwork(snt.Module):
+    """Encoder, M residual interaction networks, node decoder (Sanchez-Gonzalez et al. 2020).
+
+    Args:
+      latent_size: L.
+      hidden_layers: ReLU layers per MLP.
+      message_passing_steps: M.
+      output_size: values per node.
+    """
+
+    def __init__(self, latent_size, hidden_layers, message_passing_steps, output_size, name=None):
+        super().__init__(name=name)
+        self._encode_nodes = _mlp(latent_size, hidden_layers, 'encode_nodes')
+        self._encode_edges = _mlp(latent_size, hidden_layers, 'encode_edges')
+        self._edge_models, self._node_models = (
+            [_mlp(latent_size, hidden_layers, f'{kind}_{m}') for m in range(message_passing_steps)]
+            for kind in ('edges', 'nodes')
+        )
+        self._decode = snt.nets.MLP([latent_size] * hidden_layers + [output_size], name='decode')
+
+    def __call__(self, nodes, edges, senders, receivers):
+        """Runs the network on one graph, or on several side by side.
+
+        Args:
+          nodes: float32 [V, F].
+          edges: float32 [E, G].
+          senders, receivers: int32 [E].
+
+        Returns:
+          float32 [V, output_size].
+        """
+        nodes, edges = self._encode_nodes(nodes), self._encode_edges(edges)
+        for edge_model, node_model in zip(self._edge_models, self._node_models, strict=True):
+            ends = [edges, tf.gather(nodes, receivers), tf.gather(nodes, senders)]
+            messages = edge_model(tf.concat(ends, axis=-1))
+            received = tf.math.unsorted_segment_sum(messages, receivers, tf.shape(nodes)[0])
+            nodes += node_model(tf.concat([received, nodes], axis=-1))
+            edges += messages
+        return self._decode(nodes)

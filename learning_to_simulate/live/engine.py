@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, loads
+from learning_to_simulate import loads
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
@@ -19,6 +19,7 @@ from learning_to_simulate.live.soil import Decoder, ModesSoil
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, Ranges, worse
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
 from learning_to_simulate.tool import path_memory
@@ -52,7 +53,7 @@ class SubspaceEngine:
     """Frames of a model in a subspace.
 
     Args:
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       starts: `starts.Starts` of the model folder; None where only recorded frames are begun from.
       subspace: turns modes into particles; None if particles are never asked for.
       n_rigid: R of the first run; None for that of the first start.
@@ -223,12 +224,12 @@ class TfStep:
     """Frames by TensorFlow, compiled once.
 
     Args:
-      model: `checkpoints.Model`; its variables are read anew in every frame.
+      model: `subspace_model.Model`; its variables are read anew in every frame.
       n_rigid: R, rigid particles that are nodes.
       rigid_correction: whether a predicted body is kept rigid.
     """
 
-    def __init__(self, model: checkpoints.Model, n_rigid: int, rigid_correction: bool = True):
+    def __init__(self, model: subspace_model.Model, n_rigid: int, rigid_correction: bool = True):
         self._simulator, self._layout = model.simulator, model.layout(n_rigid)
         self._scene = scene = model.simulator.scene
         self._correct = rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED

@@ -10,11 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.evaluation import total_force
+from learning_to_simulate.evaluation import soil_of_run, torque_of, total_force
 from learning_to_simulate.live import poses
+from learning_to_simulate.live.soil import ModesSoil
 from learning_to_simulate.live.starts import Start
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.soil_truth import PARTICLES, SoilTruth
 from pca_tools import dataset, files
 
 
@@ -37,6 +39,8 @@ class SoilRollout:
       name: for files and titles.
       torque: float32 [T', 3] about the body's reference point, N m, where the model predicts one.
       true_torque: float64 [H + T', 3] of a recorded run, where there is a `torque`; else None.
+      soil_truth: `soil_truth.SoilTruth` of a recorded run, else None.
+      sampled: float64 [F, P, 3], m: the predicted particles that it is compared with.
     """
 
     history: np.ndarray
@@ -51,6 +55,8 @@ class SoilRollout:
     name: str = 'rollout'
     torque: np.ndarray | None = None
     true_torque: np.ndarray | None = None
+    soil_truth: SoilTruth | None = None
+    sampled: np.ndarray | None = None
 
     def __repr__(self) -> str:
         reason = f' ({self.reason})' if self.reason else ''
@@ -70,6 +76,11 @@ class SoilRollout:
         return self.judgement.reason
 
     @property
+    def soil_mm(self) -> float | None:
+        """The error of soil of a recorded run, mm (see `soil_truth`); None of a path."""
+        return None if self.soil_truth is None else self.soil_truth.soil_mm(self.sampled)
+
+    @property
     def time(self) -> np.ndarray:
         """float64 [T'], s after the start."""
         return self.scene.dt * np.arange(1, len(self) + 1)
@@ -84,9 +95,10 @@ class SoilRollout:
         return np.stack([soil.modes for soil in self.soils])
 
     @property
-    def subspace(self):
-        """Of the modes, or None."""
-        return self.soils[0].subspace if len(self.soils) else None
+    def has_particles(self) -> bool:
+        """Whether there are particles: a model in a subspace needs that subspace."""
+        soil = self.soils[0]
+        return not isinstance(soil, ModesSoil) or soil.subspace is not None
 
     def particles(self, frame: int | None = None) -> np.ndarray:
         """float32 [N, 3] of a frame, or [T', N, 3] of all, m.
@@ -147,6 +159,10 @@ class SoilRollout:
             if true_force is not None:
                 arrays['initial_forces'] = true_force[:H].astype(np.float32)
                 arrays['ground_truth_forces'] = true_force[H:].astype(np.float32)
+        if self.soil_truth is not None and self.soil_truth.space == PARTICLES:
+            arrays['predicted_particles'] = self.sampled.astype(np.float32)
+            arrays['particle_frames'] = self.soil_truth.frames
+            arrays['particle_indices'] = self.soil_truth.indices
         files.write_npz(path, **arrays)
 
     def render(self, path: str, **options) -> None:
@@ -160,10 +176,8 @@ class SoilRollout:
           ValueError: another ending, or a package for pictures is missing (pip install .[viz]).
         """
         from learning_to_simulate import render_rollout
-        from learning_to_simulate.rendering import rollout_frames
 
-        target, kind = render_rollout.target_and_format(path)
-        render_rollout.render_frames(rollout_frames.of_rollout(self), target, [kind], **options)
+        render_rollout.draw(self, path, **options)
 
 
 def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollout:
@@ -239,7 +253,8 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
     predicted = group.all_particles(np.concatenate([history[None], rollout.position], axis=1))[0]
     n_body = true.shape[1] - scene.n_modes - group.n_left_modes
     modes = slice(n_body, n_body + scene.n_modes)
-    torque = getattr(rollout, 'torque', None)
+    torque = torque_of(rollout)
+    soil_truth, sampled = soil_of_run(group, rollout, scene)
     bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
     return SoilRollout(
         history=history,
@@ -256,8 +271,10 @@ def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
             None if group.force is None else total_force(group.force[0]),
         ),
         name=name,
-        torque=None if torque is None else torque[0],
-        true_torque=None if torque is None else group.torque[0],
+        torque=torque,
+        true_torque=None if torque is None or group.torque is None else group.torque[0],
+        soil_truth=soil_truth,
+        sampled=sampled,
     )
 
 

@@ -24,7 +24,7 @@ from pca_tools import dataset, files, rigid_fit
 from pca_tools.metadata import SPLITS
 from pca_tools.subspace import Subspace
 
-START_FILE, SUBSPACE_FILE = 'start.npz', 'subspace.npz'
+START_FILE, SUBSPACE_FILE = checkpoints.START_FILE, checkpoints.SUBSPACE_FILE
 # Two records start alike where no coordinate differs by more than this, m: float32 scores of
 # several metres round to 5e-7.
 SAME_START_M = 1e-5
@@ -54,6 +54,9 @@ class Starts:
 
     def __len__(self) -> int:
         return len(self.cases)
+
+    def __repr__(self) -> str:
+        return f'<{len(self)} starts: pose, body, modes, context and case of each>'
 
     def index(self, case: int | None) -> int:
         """The start of a case of the dataset; for None, the first on a bed that no run before has
@@ -187,14 +190,14 @@ def read(model_path: str) -> tuple[Starts, Subspace | None]:
     """The starts and the subspace of a self-contained model folder.
 
     Raises:
-      FileNotFoundError: the folder was made before models were self-contained.
+      FileNotFoundError: the folder holds no starts.
       ValueError: a file is damaged or is not the one of this model.
     """
     stored = checkpoints.read_config(model_path).get('files')
     if not isinstance(stored, dict) or START_FILE not in stored:
         raise FileNotFoundError(
-            f'{model_path}: holds no {START_FILE}, it was trained before models carried their '
-            f'start; train it again'
+            f'{model_path}: holds no {START_FILE}: poses and beds to start from come with a '
+            f'training; train the model again'
         )
     for name in (START_FILE, SUBSPACE_FILE):
         path = os.path.join(model_path, name)

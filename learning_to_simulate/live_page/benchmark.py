@@ -17,7 +17,7 @@ from absl import flags
 
 from learning_to_simulate import command
 from pca_tools import files
-from storage import markdown
+from pca_tools.storage import markdown
 
 WARM_UP = 1.0  # s
 

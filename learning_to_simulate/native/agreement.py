@@ -15,6 +15,7 @@ import tempfile
 
 import numpy as np
 from absl import flags
+from storage import markdown
 
 from learning_to_simulate import checkpoints, command, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
@@ -28,7 +29,6 @@ from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.swept_field.engine import FieldEngine
 from learning_to_simulate.swept_field.network import ACROSS
 from pca_tools import dataset, files, splits
-from storage import markdown
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
 # to 5e-6. Where all of the body's motion is predicted, a rounding of its velocity lasts, and
@@ -101,7 +101,7 @@ def play(soil: CSubspace, model, space, group, limit: int | None = None) -> dict
 
     Args:
       soil: in C, of R rigid particles.
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       space: its `Subspace`, or None.
       group: one-run `RunGroup` of bodies of that size.
       limit: frames; None for all.

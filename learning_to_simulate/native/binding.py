@@ -248,7 +248,7 @@ class CSubspace(CInstance):
     def of(
         cls, model, n_rigid: int, subspace=None, rigid_correction=True, starts=(), kernel='best'
     ) -> 'CSubspace':
-        """Of a `checkpoints.Model`, with its weights as they are now.
+        """Of a `subspace_model.Model`, with its weights as they are now.
 
         Args:
           model, n_rigid, subspace, rigid_correction, starts: of `model_data.values`.

@@ -21,7 +21,7 @@ def of(model, starts=None, subspace=None, kind: str = BEST, n_rigid: int | None 
     """The engine of a model.
 
     Args:
-      model: `checkpoints.Model`, or what a swept field is opened as.
+      model: `subspace_model.Model`, or what a swept field is opened as.
       starts, subspace: of its model folder (`live.starts.read`).
       kind: 'best', 'c' or 'tensorflow'.
       n_rigid: R of the first run, where there are no starts.
@@ -55,7 +55,7 @@ class CStep:
     """A step of `SubspaceEngine` by the C library: the same frames as `live.engine.TfStep`.
 
     Args:
-      model: `checkpoints.Model`; its weights are taken as they are now.
+      model: `subspace_model.Model`; its weights are taken as they are now.
       n_rigid: R, rigid particles that are nodes.
 
     Raises:

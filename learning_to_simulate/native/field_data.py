@@ -11,7 +11,7 @@ from learning_to_simulate.native import c_values, field_blade, field_wheel, fold
 from learning_to_simulate.swept_field import engine
 from learning_to_simulate.swept_field import field as field_lib
 from learning_to_simulate.swept_field.calibration import CONDITIONS, LEAST_SPEED
-from learning_to_simulate.swept_field.network import ACROSS
+from learning_to_simulate.swept_field.network import ACROSS, LOAD_HIDDEN
 from learning_to_simulate.tool import Wheel, blade, inputs
 
 
@@ -83,7 +83,7 @@ def values(field, starts=None, subspace=None) -> dict:
         'n_soil_hidden': len(soil) - 2,
         'n_load_hidden': len(load) - 2,
         'latent': field.config.latent_size,
-        'load_latent': field.config.force_latent_size,
+        'load_latent': LOAD_HIDDEN[0],
         'soil_first': [fold.dense(part) for part in own_weights],
         'soil_hidden': _layers(soil[1:-1]),
         'soil_last': _layers(soil[-1:]),
@@ -142,11 +142,13 @@ def _bit(name, known):
 
 def _table(table: inputs.Table, tool) -> dict:
     """`lts_field_table` of a table."""
-    ops, rows = [], []
+    c, ops, rows = library.constants(), [], []
     for row in table.rows:
+        if inputs.depth(row.operand) > (limit := c['LTS_FIELD_STACK']):
+            raise ValueError(f'{row.operand!r} needs more than the {limit} values of the C form')
         for offset in row.at or (0.0,):
             program = [_op(*step, offset, tool) for step in inputs.program(row.operand)]
-            squash = library.constants()[f'LTS_SQUASH_{row.squash.upper()}']
+            squash = c[f'LTS_SQUASH_{row.squash.upper()}']
             rows.append(
                 {'first': len(ops), 'count': len(program), 'squash': squash, 'shift': row.shift,
                  'scale': row.scale}

@@ -58,7 +58,7 @@ def values(
     """The fields of `lts_model` for graphs of R rigid particles.
 
     Args:
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       n_rigid: R.
       subspace: that turns modes into particles, or None.
       rigid_correction: whether a predicted body is kept rigid.
@@ -84,7 +84,7 @@ def values(
         'up_axis': scene.up_axis,
         'has_force': int(scene.has_force),
         'is_graph': int(config.model == 'gns'),
-        'position_inputs': int(config.position_inputs),
+        'position_inputs': int(not config.is_published),
         'knows_next': int(simulator.knows_next_frame),
         'rate_scaled': int(simulator.rate_scaled),
         'correction': int(rigid_correction and scene.rigid_motion == RigidMotion.PREDICTED),
@@ -92,7 +92,7 @@ def values(
         'mode_order': config.mode_order,
         'rigid_order': config.rigid_order,
         'has_log_context': int(s.log_context_mean is not None),
-        'has_height': int(scene.rigid_motion == RigidMotion.DRIVEN and config.position_inputs),
+        'has_height': int(scene.rigid_motion == RigidMotion.DRIVEN and not config.is_published),
         'has_surface': int(bool(config.surface_height)),
         'dt': scene.dt,
         'surface': config.surface_height,

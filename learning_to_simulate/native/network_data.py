@@ -76,7 +76,7 @@ class _Graph:
             'edge_scale': 1.0 / layout.edge_std[edges],
             'edge_shift': layout.edge_shift[edges],
             'node_bias': np.pad(bias, ((0, 0), (0, -bias.shape[1] % 16))),
-            'mean_aggregation': int(config.mean_aggregation),
+            'mean_aggregation': int(not config.is_published),
             'n_decoder_hidden': len(self._decoder) - 2,
             'node_first': fold.dense(first),
             'edge_first': fold.dense(*self._edge_encoder.first),

@@ -7,6 +7,7 @@ import numpy as np
 from learning_to_simulate import checkpoints
 from learning_to_simulate.live import poses
 from learning_to_simulate.live import starts as live_starts
+from learning_to_simulate.subspace import subspace_model
 from pca_tools.dataset import read_metadata
 from pca_tools.subspace import Subspace
 
@@ -15,7 +16,7 @@ def read_model(model_path: str, data_path: str, n_rigid: int | None = None):
     """A model with what belongs to it.
 
     Args:
-      model_path: of `checkpoints.load_model`.
+      model_path: of `subspace_model.load`.
       data_path: its dataset folder.
       n_rigid: R; default: that of the model's first training run.
 
@@ -25,7 +26,7 @@ def read_model(model_path: str, data_path: str, n_rigid: int | None = None):
     Raises:
       FileNotFoundError, ValueError: no model or dataset there, or they do not belong together.
     """
-    model = checkpoints.load_model(model_path)
+    model = subspace_model.load(model_path)
     metadata = read_metadata(data_path)
     checkpoints.check_dataset(model_path, model, data_path, metadata)
     path = os.path.join(data_path, 'subspace.npz')

@@ -139,12 +139,12 @@ def run(values) -> None:
     if shutil.which('clang') is None or sysroot() is None:
         raise ValueError(f'clang for WebAssembly is not there: {MISSING}')
     command.import_tensorflow()
-    from learning_to_simulate import api
+    from learning_to_simulate import api, shipped
     from learning_to_simulate.live_page import recorded
     from learning_to_simulate.live_page.session import Session
     from learning_to_simulate.native import model_data, starts
 
-    path = api.find_model(values.model_path)
+    path = shipped.find(values.model_path, 'models')
     trained, n_rigid, subspace, found = starts.read_model(path, values.data_path)
     model = api.load(path)
     os.makedirs(folder, exist_ok=True)

@@ -81,13 +81,16 @@ class Contact:
           modes: [B, r, D] offsets of the modes from their origin, m.
           total, least: sum and minimum over axes, of numpy or TensorFlow.
         """
+        # s_p = h_p + sum over modes and axes of w_p x: the surface at place p, linear in the modes.
         heights = self.heights + total(modes[..., None] * self.weights, axis=(-3, -2))
+        # min over particles b and places p of y_b - s_p + SLOPE |u_b - p|.
         apart = abs(body[..., self.axis, None] - self.places)
         above = body[..., self.up, None] - heights[:, None] + np.float32(SLOPE) * apart
         return least(above, axis=(-2, -1))
 
     def share(self, body, modes):
         """Tensor [B] in [0, 1], of a force; arguments are tensors as of `clearance`."""
+        # 1 up to `clear`, then down to 0 along RAMP.
         clearance = self.clearance(body, modes, tf.reduce_sum, tf.reduce_min)
         end = np.float32(self.clear + RAMP)
         return tf.clip_by_value((end - clearance) / np.float32(RAMP), 0.0, 1.0)
@@ -120,6 +123,7 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
     heights = np.stack([surface.heights(x) for x in rows])
     if np.isnan(heights).any():  # a frame without soil where the bodies are
         return None
+    # Ridge regression of the heights on the modes: (X^T X + lambda n I) W = X^T Y.
     x, y = (inputs - mean) / std, heights - heights.mean(axis=0)
     found = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ y) / std[:, None]
     reader = Contact(

@@ -56,6 +56,7 @@ class EdgeGates(tf.Module):
         uniform = tf.random.stateless_uniform([n_graph, self.n_modes, self.n_modes], seed)
         # The draw includes 0, whose logarithm does not exist; 2^-24 is below all others.
         uniform = tf.maximum(uniform, 2.0**-24)
+        # s = sigmoid((logit(u) + log alpha) / beta), z = clip(s (HIGH - LOW) + LOW, 0, 1).
         logit = tf.math.log(uniform) - tf.math.log1p(-uniform) + self.log_alpha
         return tf.clip_by_value(tf.sigmoid(logit / TEMPERATURE) * (HIGH - LOW) + LOW, 0.0, 1.0)
 
@@ -77,27 +78,27 @@ class EdgeGates(tf.Module):
         Returns:
           the dict with the new `loss`, and the expected share of `open_gates`.
         """
+        # Price lambda t / t_end times the mean of P(z > 0): it rises while the gates are learned.
         share = tf.reduce_mean(self.open_probability())
         price = config.gate_weight * tf.cast(step, tf.float32) / config.gate_steps
         return values | {'loss': values['loss'] + price * share, 'open_gates': share}
 
     def edge_list(self, config, data_path: str) -> EdgeList:
-        """The list that the gates stand for: those of `gate_keep`, or those more likely open.
+        """The list that the gates stand for: the edges that are more likely open than not.
 
         Args:
           config: `TrainConfig` of the simulator that they were learned with.
           data_path: dataset folder.
         """
         probabilities = self.open_probability().numpy().astype(np.float64)
-        wish = {'keep': config.gate_keep} if config.gate_keep else {'threshold': OPEN_THRESHOLD}
-        mask = edge_lists.select(probabilities, **wish)
+        mask = edge_lists.select(probabilities, threshold=OPEN_THRESHOLD)
         settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
         return EdgeList(
             mask=mask,
             node_names=edge_lists.mode_names(self.n_modes),
             probabilities=probabilities,
             method='gates',
-            threshold=wish.get('threshold'),
+            threshold=OPEN_THRESHOLD,
             digests={'model': hashlib.sha256(settings.encode()).hexdigest()}
             | edge_lists.data_digests(data_path),
             # Training has no one to ask: it says so and goes on.

@@ -1,6 +1,6 @@
 """`EdgeList`: edges between named nodes, found by a method, in a file: `edges.json`.
 
-One schema for every method (Neural Relational Inference, learned gates, correlation); WORKSPACE.md
+One schema for every method (Neural Relational Inference, learned gates, correlation); docs/data.md
 explains its fields. A list belongs to the subspace it was found in: names and digests are held
 against the dataset before an edge is used.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import connectivity_utils, presets
+from learning_to_simulate import connectivity_utils
 from learning_to_simulate.connectivity_utils import Adjacency
 from pca_tools import files
 
@@ -303,7 +303,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
     shipped = os.path.join(data_path, FILE_NAME)
     name = kind
     if kind == 'algorithm2' and os.path.exists(shipped):
-        usual = presets.PRESETS[config.preset].mode_edges
+        usual = type(config).mode_edges
         if config.mode_edges != usual:
             raise ValueError(
                 f'mode_edges is {config.mode_edges}, but {shipped} gives the edges: add '

@@ -108,7 +108,7 @@ def _has_state(simulator):
 
 
 def _has_positions(simulator):
-    return simulator.config.position_inputs and simulator.config.state_inputs
+    return simulator.config.state_inputs and not simulator.config.is_published
 
 
 TABLE = (
@@ -128,7 +128,7 @@ TABLE = (
     Feature('coming', RIGID, lambda s: s.knows_next_frame, lambda s: s.dim, _coming),
     Feature(
         'height', RIGID,
-        lambda s: s.config.position_inputs and s.scene.rigid_motion == RigidMotion.DRIVEN,
+        lambda s: s.scene.rigid_motion == RigidMotion.DRIVEN and not s.config.is_published,
         lambda s: INPUT_SEQUENCE_LENGTH, _height,
     ),
     Feature(

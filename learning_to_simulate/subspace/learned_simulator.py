@@ -13,14 +13,14 @@ import tensorflow as tf
 
 from learning_to_simulate import loads, normalization
 from learning_to_simulate.body_height import up_vector
+from learning_to_simulate.checkpoints import NUM_PARTICLE_TYPES
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.subspace import features, graph_network, tool_depth
+from learning_to_simulate.subspace import features, graph_network
 from learning_to_simulate.subspace.contact import Contact
 from learning_to_simulate.tool.path_memory import PathMemory
 
-NUM_PARTICLE_TYPES = 9
 RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
 
 
@@ -99,11 +99,11 @@ class Layout:
             moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
         self.moving = moving
         self.loss_weight = moving.copy()
-        if config.loss_by_motion and config.mode_order == 0:
+        if not config.is_published and config.mode_order == 0:
             # Places: an error counts as it does in the particles.
             weight = (s.target_std[1:] / s.target_std[1:].max()) ** 2
             self.loss_weight[n_rigid:] *= weight.astype(np.float32)
-        elif config.loss_by_motion:
+        elif not config.is_published:
             # Quiet components cost less: an error counts by its share of the loudest component's
             # motion. Lateral scores are mostly noise, and equal weights would spend the network on
             # them.
@@ -144,12 +144,12 @@ class LearnedSimulator(snt.Module):
             config.hidden_layers,
             config.message_passing_steps,
             output_size=self.dim + self.load_size,
-            mean_aggregation=config.mean_aggregation,
+            mean_aggregation=not config.is_published,
         )
         n_embedding = (
-            scene.n_modes + max(len(scene.bodies), 1)
-            if config.embedding_by_class
-            else NUM_PARTICLE_TYPES
+            NUM_PARTICLE_TYPES
+            if config.is_published
+            else scene.n_modes + max(len(scene.bodies), 1)
         )
         initial = tf.random.stateless_normal(
             [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
@@ -167,16 +167,12 @@ class LearnedSimulator(snt.Module):
     @property
     def knows_next_frame(self) -> bool:
         """Whether the coming frame of the body is an input; not in the published presets."""
-        return self.config.coming_motion_input and self.scene.rigid_motion.is_known
+        return self.scene.rigid_motion.is_known and not self.config.is_published
 
     @property
     def rate_scaled(self) -> bool:
         """Whether motion is counted per displacement of the body, which must be known for it."""
         return self.config.rate_scaled and self.scene.rigid_motion.is_known
-
-    def zero_decoder(self):
-        """Makes the untrained model predict the training mean: constant velocity in order 2."""
-        self._network.zero_decoder()
 
     def features(self, state: SimulatorState, known, context, layout: Layout):
         """Network inputs.
@@ -195,6 +191,8 @@ class LearnedSimulator(snt.Module):
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
             state.offset, layout.receivers, axis=1
         )
+        # e_ij = ((x_j - x_i) - mean_ij) / std_ij of sender j and receiver i, by their classes, and
+        # |e_ij|. The origins of the positions are constant: they are in `edge_shift`.
         displacement = ends / layout.edge_std + layout.edge_shift
         # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
         length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
@@ -203,7 +201,7 @@ class LearnedSimulator(snt.Module):
     def node_embedding(self, layout: Layout):
         """What tells the nodes apart, [V, 16]: a learned row per class, or per published type."""
         classes = layout.embedded
-        if not self.config.embedding_by_class:
+        if self.config.is_published:
             classes = np.where(layout.node_class == 0, *self.particle_types)
         return tf.gather(self._embedding, classes)
 
@@ -236,10 +234,29 @@ class LearnedSimulator(snt.Module):
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and loads [B, F] or None."""
         nodes, edges = self.features(state, known, context, layout)
-        gates = tool_depth.edge_gates(self, state, layout)
+        gates = self._edge_gates(state, layout)
         decoded = self._network(nodes, edges, layout.senders, layout.receivers, gates)
         load = tf.reduce_mean(decoded[..., self.dim :], axis=1) if self.scene.has_force else None
         return decoded[..., : self.dim], load
+
+    def _edge_gates(self, state, layout):
+        """Weights of the messages in the frame after `state`, float32 [B or 1, E] in [0, 1]; None
+        where all edges last.
+
+        A rigid particle above the ground has no edges: the dynamic graph that Usmani & Skonieczny
+        2023 (4.1) propose. Compiled graphs have fixed shapes, so absent edges are computed and
+        weighted by 0: it changes what is predicted, and saves nothing.
+        """
+        surface = self.config.surface_height
+        if not surface:
+            return layout.edge_gates
+        n, up = layout.n_rigid, self.scene.up_axis
+        height = state.offset[:, :n, up] + tf.cast(layout.origin[:n, up], state.offset.dtype)
+        in_soil = tf.cast(height <= np.float32(surface), tf.float32)
+        present = tf.pad(in_soil, [[0, 0], [0, layout.n_node - n]], constant_values=1.0)
+        ends = (tf.gather(present, index, axis=1) for index in (layout.senders, layout.receivers))
+        gates = tf.multiply(*ends)
+        return gates if layout.edge_gates is None else gates * layout.edge_gates
 
     def rate(self, known):
         """Displacement of the body in the coming frame over its mean in training, [B, 1, 1].
@@ -248,6 +265,7 @@ class LearnedSimulator(snt.Module):
         """
         if not self.rate_scaled:
             return tf.ones([1, 1, 1])
+        # q = sqrt(mean over the R particles of |v|^2) / its mean in training, at least RATE_FLOOR.
         speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
             self.statistics.body_speed[0]
         )
@@ -260,6 +278,7 @@ class LearnedSimulator(snt.Module):
         Sanchez-Gonzalez et al. 2020. Where places are predicted, `next_velocity` is what leads from
         the offset of `state`, noise and all, to the true one.
         """
+        # y = ((v' - v_base) / q - mean) / std: the inverse of what `step` does with a prediction.
         target = self._of_height(next_velocity, layout) - self._base_velocity(state, known, layout)
         return (target / self.rate(known) - layout.target_mean) / layout.target_std
 
@@ -290,6 +309,7 @@ class LearnedSimulator(snt.Module):
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
         history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
         if load is not None:
+            # F = std y + mean, times the share in [0, 1] that a body may show so far from the soil.
             load = load * self.load_std + self.load_mean
             if layout.contact is not None:
                 n = layout.n_rigid
@@ -301,6 +321,8 @@ class LearnedSimulator(snt.Module):
         """The velocity that the prediction is added to: none (order 1), the last one (order 2), or
         what leads back to the start of the run (order 0)."""
         last = self._of_height(state.velocity[:, :, -1], layout)
+        # Order 2: v' = v + a, with the last velocity. Order 1: v' itself. Order 0: x' = x_0 + y, so
+        # v' = (x_0 - x) + y with the start x_0 of the run.
         order = np.where(layout.node_class == 0, self.config.rigid_order, self.config.mode_order)
         base = last * (order == 2).astype(np.float32)[:, None]
         if self.config.mode_order:
@@ -322,6 +344,7 @@ class LearnedSimulator(snt.Module):
         """Overwrites the given part of the rigid motion."""
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = up_vector(self.dim, self.scene.up_axis)
+            # Given without its height: the mean of the particles so far, and the predicted change.
             height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
             change = velocity[:, :1]
             body_offset = known.offset + (height + change) * up

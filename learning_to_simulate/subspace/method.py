@@ -1,6 +1,6 @@
 """Methods on the scores of the modes: data, model, training and evaluation on disk.
 
-The `code` of gns, the MLP and the mixers in `registry`; which network they are, is the registry's.
+The `code` of gns, the MLP and the mixers in `registry`; `subspace_model` makes their networks.
 """
 
 import dataclasses
@@ -10,11 +10,11 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
-from learning_to_simulate.checkpoints import load_model as load
 from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
+from learning_to_simulate.subspace.subspace_model import Model, load, make_simulator
 from learning_to_simulate.tool import bed
 from learning_to_simulate.tool.path_memory import PathMemory
 from pca_tools import dataset
@@ -23,7 +23,7 @@ from pca_tools.subspace import Subspace
 __all__ = ['load', 'make_model', 'open_model', 'train']
 
 
-def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkpoints.Model:
+def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     """A fresh model for the training runs of a dataset, its variables created.
 
     Args:
@@ -60,20 +60,16 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> checkp
         statistics = dataclasses.replace(
             statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
         )
-    if config.contact_gate:
+    if not config.is_published:
         statistics = _with_contact(statistics, data_path, groups, scene)
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
-    simulator = registry.get(config.model).make_simulator(
-        scene, config, statistics, (int(types[0]), int(types[-1]))
-    )
-    model = checkpoints.Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
+    simulator = make_simulator(scene, config, statistics, (int(types[0]), int(types[-1])))
+    model = Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
     for group in groups:
         model.layout(group.n_rigid)
     tf.random.set_seed(config.seed)
     model.create_variables(groups[0].n_rigid)
-    if config.zero_decoder:
-        simulator.zero_decoder()
     return model
 
 
@@ -130,7 +126,7 @@ def train(data_path, model_path, config, options) -> dict:
     """Trains to the end of both stages, or resumes; see `registry.train`."""
     # A model that is only run waits neither for Keras nor for the rest of training.
     from learning_to_simulate.subspace.trainer import Trainer
-    from learning_to_simulate.training import loop, model_folder
+    from learning_to_simulate.training import loop
 
     registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
@@ -149,7 +145,7 @@ def train(data_path, model_path, config, options) -> dict:
         evaluator=evaluation.Evaluator(model, metadata),
         valid=valid,
         n_rigid=groups[0].n_rigid,
-        data=model_folder.data_record(data_path, metadata),
+        data=checkpoints.data_record(data_path, metadata),
         title=f'{config.preset} on {data_path}: {sum(len(g.position) for g in groups)} runs, '
         f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
         f'{weights} weights; edges: {model.edge_source}',
@@ -173,9 +169,7 @@ def _close_gates(training, data_path, model_path):
     return text + (f'; the graph is {edges.degenerate}' if edges.degenerate else '')
 
 
-def open_model(
-    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
-) -> OpenedModel:
+def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A trained model with the runs of a split; see `registry`.
 
     Raises:
@@ -206,8 +200,7 @@ def open_model(
         evaluation.Evaluator(
             model,
             metadata,
-            rigid_correction,
-            Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
+            more=Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
         ),
         one_step_errors,
     )

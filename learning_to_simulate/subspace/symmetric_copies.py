@@ -54,6 +54,7 @@ def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> 
     outside = (origin[:, axis] < low[axis] - spacing) | (origin[:, axis] > high[axis] + spacing)
     weight[outside] = 0.0
     moved = sum(weight[:, k, None] * space.components[nearest[:, k]] for k in range(NEIGHBOURS))
+    # W^T S W of the modes W and the interpolation S, without the [N, N] matrix.
     return Shift(float(distance), bool(is_mirrored), space.components.T @ moved)
 
 
@@ -104,6 +105,7 @@ def _shifted(group, shift, rest, axis, across, middle):
     n = group.n_rigid
     body = group.position[:, :, :n].copy()
     body[..., axis] += shift.distance
+    # Scores count from the resting bed: s' = rest + M (s - rest).
     modes = np.einsum('qr,strd->stqd', shift.matrix, group.position[:, :, n:] - rest)
     force, torque = (None if x is None else x.copy() for x in (group.force, group.torque))
     if shift.is_mirrored:

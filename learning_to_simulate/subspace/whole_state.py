@@ -1,15 +1,21 @@
-"""`WholeStateSimulator`: one frame from a network that takes the whole state at once, no graph.
+"""`WholeStateSimulator`: one frame from a network that takes the whole state at once, no graph: the
+MLP and the Motion-Mixers.
 
 Features, normalisation, integration, losses, noise, training and rollouts are those of
 `LearnedSimulator`; there are no edges and no node embeddings, because the place of a value in the
 input says whose it is. Such a network fits one number of rigid particles.
 """
 
+import functools
+
+import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import features
 from learning_to_simulate.subspace.learned_simulator import LearnedSimulator
+
+REDUCTION = 4  # of the channels in the squeeze; Hu et al. take 16 of hundreds of channels
 
 
 class WholeStateSimulator(LearnedSimulator):
@@ -17,9 +23,9 @@ class WholeStateSimulator(LearnedSimulator):
 
     Args:
       make_network: called with (config, output size) it makes a module with
-        `network(history, state) -> [B, output size]` and `zero_decoder()`, where `history` is
-        float32 [B, velocity_inputs, V D], the normalised velocities, oldest first, and `state` is
-        float32 [B, F], everything else that is known of the coming frame.
+        `network(history, state) -> [B, output size]`, where `history` is float32
+        [B, velocity_inputs, V D], the normalised velocities, oldest first, and `state` is float32
+        [B, F], everything else that is known of the coming frame.
       others: as `LearnedSimulator`.
     """
 
@@ -87,3 +93,132 @@ class WholeStateSimulator(LearnedSimulator):
         """The body's one row for all its particles; zeros where its motion is given."""
         shape = [body.shape[0], n_rigid, self.dim]
         return tf.broadcast_to(body, shape) if body.shape[1] else tf.zeros(shape)
+
+
+class StateMLP(snt.Module):
+    """`hidden_layers` ReLU layers of `latent_size`, LayerNorm, and a linear output.
+
+    After Holden et al. 2019 (Subspace Neural Physics, SCA): the scores of all modes, their
+    velocities and the motion of the body go in, the next displacement of all modes and the force
+    come out.
+
+    Args:
+      config: `TrainConfig`.
+      output_size: values of the output.
+    """
+
+    def __init__(self, config, output_size, name='state_mlp'):
+        super().__init__(name=name)
+        self._hidden = snt.nets.MLP(
+            [config.latent_size] * config.hidden_layers, activate_final=True, name='hidden'
+        )
+        self._norm = snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)
+        self._output = snt.Linear(output_size, name='output')
+
+    def __call__(self, history, state):
+        """Maps velocities [B, T, V D] and the rest of the state [B, F] to [B, output_size]."""
+        flat = tf.reshape(history, [history.shape[0], -1])
+        hidden = self._hidden(tf.concat([flat, state], axis=-1))
+        return self._output(self._norm(hidden))
+
+
+class Excitation(snt.Module):
+    """Gates in (0, 1) on a sequence [B, T, C] of T frames of C channels.
+
+    Channels: sigmoid(W2 relu(W1 mean over frames)), one gate per channel (Hu et al. 2018, eq. 2-4).
+    Frames: sigmoid(w . x_t), one gate per frame; the two gated sequences are added (Roy et al.
+    2018, eq. 3).
+
+    Args:
+      n_channel: C.
+      of_frames: whether frames are gated as well.
+    """
+
+    def __init__(self, n_channel, of_frames, name='excitation'):
+        super().__init__(name=name)
+        self._squeeze = snt.Linear(max(n_channel // REDUCTION, 1), name='squeeze')
+        self._excite = snt.Linear(n_channel, name='excite')
+        self._frame = snt.Linear(1, name='frame') if of_frames else None
+
+    def __call__(self, x):
+        """Returns the gated sequence [B, T, C]."""
+        # g_c = sigmoid(W2 relu(W1 mean_t x)); x_tc g_c, and with frames + x_tc sigmoid(w . x_t).
+        squeezed = tf.nn.relu(self._squeeze(tf.reduce_mean(x, axis=1, keepdims=True)))
+        gated = x * tf.sigmoid(self._excite(squeezed))
+        return gated if self._frame is None else gated + x * tf.sigmoid(self._frame(x))
+
+
+class _Block(snt.Module):
+    """One mixing step over space and one over time."""
+
+    def __init__(self, n_frame, n_channel, hidden_layers, of_frames, name):
+        super().__init__(name=name)
+        self._parts = []
+        for size, axis in ((n_channel, 'space'), (n_frame, 'time')):
+            self._parts.append(
+                (
+                    snt.LayerNorm(-1, create_scale=True, create_offset=True, name=f'norm_{axis}'),
+                    snt.nets.MLP(
+                        [n_channel] * hidden_layers + [size], activation=tf.nn.gelu, name=axis
+                    ),
+                    Excitation(n_channel, of_frames, name=f'excitation_{axis}'),
+                )
+            )
+
+    def __call__(self, x):
+        (norm, mix, excite), (norm_time, mix_time, excite_time) = self._parts
+        # Over channels: x += E(MLP(LN(x))); over frames: the same of the transposed sequence.
+        x += excite(mix(norm(x)))
+        mixed = tf.transpose(mix_time(tf.transpose(norm_time(x), [0, 2, 1])), [0, 2, 1])
+        return x + excite_time(mixed)
+
+
+class MotionMixer(snt.Module):
+    """Embedding of the frames, `message_passing_steps` blocks, and a linear output of all frames.
+
+    After Bouazizi et al. 2022 (MotionMixer, IJCAI), whose poses of joints are here the velocities
+    of modes and rigid particles. A block mixes the channels of every frame, then the frames of
+    every channel, each with a residual and an excitation: of the channels alone
+    (squeeze-and-excitation, Hu et al. 2018), or of channels and frames at once (scSE, Roy et al.
+    2018). What is known of the coming frame and has no history (positions, motion of the body,
+    context) is one more frame.
+
+    Args:
+      config: `TrainConfig`; `latent_size` channels, `hidden_layers` per mixing.
+      output_size: values of the output.
+      of_frames: scSE instead of SE.
+    """
+
+    def __init__(self, config, output_size, of_frames, name='motion_mixer'):
+        super().__init__(name=name)
+        n_frame, size = config.velocity_inputs + 1, config.latent_size
+        self._size = size
+        self._embed_history = snt.Linear(size, name='embed_history')
+        self._embed_state = snt.Linear(size, name='embed_state')
+        self._blocks = [
+            _Block(n_frame, size, config.hidden_layers, of_frames, name=f'block_{m}')
+            for m in range(config.message_passing_steps)
+        ]
+        self._norm = snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)
+        self._output = snt.Linear(output_size, name='output')
+
+    def __call__(self, history, state):
+        """Maps velocities [B, T, V D] and the rest of the state [B, F] to [B, output_size]."""
+        frames = [self._embed_history(history), self._embed_state(state)[:, None]]
+        x = tf.concat(frames, axis=1)
+        for block in self._blocks:
+            x = block(x)
+        x = self._norm(x)
+        return self._output(tf.reshape(x, [x.shape[0], -1]))
+
+
+# `TrainConfig.model` -> called with the arguments of `LearnedSimulator`, makes a simulator.
+SIMULATORS = {
+    'mlp': functools.partial(WholeStateSimulator, StateMLP),
+    'mixer_se': functools.partial(
+        WholeStateSimulator, functools.partial(MotionMixer, of_frames=False)
+    ),
+    'mixer_scse': functools.partial(
+        WholeStateSimulator, functools.partial(MotionMixer, of_frames=True)
+    ),
+}

@@ -12,7 +12,7 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, known_shapes
-from learning_to_simulate.live import soil
+from learning_to_simulate.live import poses, soil
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.swept_field.calibration import Ranges, conditions
 from learning_to_simulate.swept_field.network import FieldNetwork
@@ -122,7 +122,7 @@ class SweptField:
         if isinstance(given, bed.HeightMap):
             points = bed.stretched(given, self.rest, self.axes, self.spacing)
         elif given is not None:
-            points = bed.numbers('bed', given, (None, 3))
+            points = poses.numbers('bed', given, (None, 3))
             if not len(points):
                 raise ValueError('a bed of no particles')
             kept = self.kept_spacing * (len(self.rest) / len(points)) ** (1 / 3)

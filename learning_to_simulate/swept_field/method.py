@@ -14,8 +14,8 @@ from learning_to_simulate.swept_field import field as field_lib
 from learning_to_simulate.swept_field import training
 from learning_to_simulate.swept_field.episodes import EpisodeReader
 from learning_to_simulate.swept_field.evaluation import FieldEvaluator, model_of
-from learning_to_simulate.training import model_folder
-from pca_tools import dataset, files, folder_lock, particles, splits
+from pca_tools import dataset, files, particles, splits
+from pca_tools.storage import folder_lock
 
 METRICS = 'metrics.json'
 
@@ -32,11 +32,11 @@ def train(data_path, model_path, config, options) -> dict:
             'path, its particles are those of the dataset'
         )
     metadata = dataset.read_metadata(data_path)
-    data = model_folder.data_record(data_path, metadata)
+    data = checkpoints.data_record(data_path, metadata)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     own = METRICS, checkpoints.WEIGHTS_FILE
     with folder_lock.locked(model_path, options.take_over_lock):
-        if not model_folder.holds_model(model_path, parts, own):
+        if not checkpoints.holds_model(model_path, parts, own):
             valid = _valid_runs(data_path, metadata)
             field, facts = training.fit(config, data_path, metadata)
             if valid:
@@ -94,9 +94,7 @@ def load(model_path: str):
     return model_of(field, mean)
 
 
-def open_model(
-    model_path, data_path, split, overrides=None, raw_path=None, rigid_correction=True
-) -> OpenedModel:
+def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A trained field with the runs of a split; see `registry`."""
     if raw_path:
         raise ValueError('--raw_path is for --model=full_space only')

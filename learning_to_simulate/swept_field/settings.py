@@ -11,14 +11,12 @@ class SweptFieldConfig(Settings):
 
     Attributes:
       preset: name of the preset the config started from.
-      model: the method, a name of `methods.registry`.
+      model: the method, a name of `registry`.
       members: networks that are trained together from different first weights; their mean predicts,
         their spread says how sure it is.
       latent_size, hidden_layers: of the network of the particles.
-      force_latent_size: of that of the force, which has two hidden layers.
       num_steps: of training.
       batch_size: frames of a batch.
-      particles_per_frame: drawn of each frame's sample.
       learning_rate: the first one; it ends at 0 along a cosine.
       train_runs: so many runs spread over train are used, 0: all (for learning curves).
       start_every: frames between the starts of further episodes in the middle of runs; 0: none.
@@ -33,10 +31,8 @@ class SweptFieldConfig(Settings):
     members: int = number(3, 1, 100)
     latent_size: int = number(128, 1, 4096)
     hidden_layers: int = number(3, 1, 100)
-    force_latent_size: int = number(64, 1, 4096)
     num_steps: int = number(6000, 1)
     batch_size: int = number(96, 1)
-    particles_per_frame: int = number(48, 1)
     learning_rate: float = 3e-3
     train_runs: int = number(0, 0)
     start_every: int = number(100, 0)

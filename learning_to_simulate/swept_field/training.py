@@ -1,11 +1,12 @@
 """Training of both networks: particles drawn from frames of episodes, and all frames for the force.
 
 Every draw is a function of (seed, step). Runs count alike in the loss, whether much or little soil
-moves in them, so that each is learned to about the same share of its motion: with the error e of a
-particle's displacement in frame t of run r, its weight 1 / max(rms motion of r, LEAST_MOTION), and
-1 / (n p) for the probability p with which it was drawn of n,
+moves in them, so that each is learned to about the same share of its motion. With the errors e of
+displacements and of loads, D = `tool.displacement`, and the probability p with which a particle was
+drawn of n (numbers of docs/swept_field.md),
 
-  loss = mean over frames and drawn particles of w_r |e / D|^2 / (n p), summed over members     (1)
+  L_soil = sum over members of the mean of |e / D|^2 / (n p) / max(rms motion, LEAST_MOTION)   (16)
+  L_load = sum over members of the mean of |e|^2 `Tool.target_weights`                         (17)
 """
 
 import numpy as np
@@ -14,6 +15,7 @@ import tqdm
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.swept_field import episodes as episodes_lib
+from learning_to_simulate.swept_field.calibration import CONDITIONS
 from learning_to_simulate.swept_field.field import GRIDS, SweptField
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool import bed, for_scene
@@ -28,6 +30,7 @@ LEAST_MOTION = 0.003
 MOVED = 0.001
 MOVER_SHARE = 0.85
 LOAD_BATCH = 1024
+PARTICLES = 48  # drawn of the sample of each frame of a batch
 CLIP_NORM = 1.0
 _SOIL_STREAM, _LOAD_STREAM, _PARTICLE_STREAM = 1, 2, 3
 
@@ -104,11 +107,10 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
     facts = Trainer(field.network, config, TrainingData(episodes, frames, field)).run()
-    every = stacked(frames)
-    field.ranges = {
-        name: [float(every.scalars[:, i].min()), float(every.scalars[:, i].max())]
-        for i, name in enumerate(field.tool.scalars)
-    }
+    dt = field.scene.dt
+    field.ranges = ranges_of(
+        field, np.concatenate([field.judged(e.path, f, dt) for e, f in zip(episodes, frames)])
+    )
     facts |= {
         'episodes': len(episodes),
         'runs': len({e.record for e in episodes}),
@@ -118,6 +120,17 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
         **left_out(field, episodes, frames),
     }
     return field, facts
+
+
+def ranges_of(field, values) -> dict[str, list[float]]:
+    """Ranges of scalars and conditions [T, J] of training; those of `CONDITIONS` are at least what
+    is usual."""
+    names = (*field.tool.scalars, *CONDITIONS)
+    low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    ranges = dict(zip(names, map(list, zip(low, high)), strict=True))
+    for name, (least, most) in CONDITIONS.items():
+        ranges[name] = [min(ranges[name][0], least), max(ranges[name][1], most)]
+    return ranges
 
 
 def left_out(field, episodes, frames) -> dict[str, float]:
@@ -203,9 +216,7 @@ class Trainer:
         return {'loss_soil': float(soil), 'loss_force': float(load)}
 
     def _train_step(self, seed, bins, scalars, rest, moved, logits, weight, *loads):
-        drawn = tf.random.stateless_categorical(
-            logits, self._config.particles_per_frame, seed, dtype=tf.int32
-        )
+        drawn = tf.random.stateless_categorical(logits, PARTICLES, seed, dtype=tf.int32)
         rest, moved, weight = (tf.gather(x, drawn, batch_dims=1) for x in (rest, moved, weight))
         seen, share, load, load_weight = loads
         losses = []

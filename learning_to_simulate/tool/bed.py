@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.tool.swept import Bed, SweptGrid
 from pca_tools import subspace
@@ -166,10 +165,12 @@ def stretched(bed: HeightMap, rest, axes: Axes, spacing: float) -> np.ndarray:
     Raises:
       ValueError: not a map; heights that are not above the floor of the bed.
     """
-    places, heights = (numbers(n, x, (None,)) for n, x in zip(HeightMap._fields, bed))
-    if len(places) != len(heights) or len(places) < 2:
+    places, heights = (np.asarray(x, np.float64) for x in bed)
+    if not (np.isfinite(places).all() and np.isfinite(heights).all()):
+        raise ValueError('a height map holds NaN or infinite places or heights')
+    if places.ndim != 1 or places.shape != heights.shape or len(places) < 2:
         raise ValueError(
-            f'a height map has {len(places)} places and {len(heights)} heights: two rows of one '
+            f'a height map has places {places.shape} and heights {heights.shape}: two rows of one '
             f'length of at least 2 were expected'
         )
     points = axes.points(rest)

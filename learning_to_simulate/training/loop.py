@@ -1,10 +1,12 @@
 """One training run on disk, whatever is trained: claim the folder, resume, step, save.
 
-What is trained comes as a `Training` from a method of `methods.registry`; this loop knows none.
+What is trained comes as a `Training` from a method of `registry`; this loop knows none.
 """
 
 import dataclasses
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,9 +17,8 @@ import tqdm
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.registry import TrainOptions
-from learning_to_simulate.training import model_folder, training_state
-from learning_to_simulate.training.stop_signals import StopSignals
-from pca_tools import folder_lock
+from learning_to_simulate.training import training_state
+from pca_tools.storage import folder_lock
 
 LOG_EVERY = 50  # steps between looks at the losses
 
@@ -88,14 +89,12 @@ def open_model_path(path: str, training: Training) -> None:
         'scene': model.simulator.scene.to_json(),
         'data': training.data,
     }
-    fields = dataclasses.fields(model.simulator.config)
-    defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
-    if not model_folder.holds_model(path, fresh, defaults=defaults):
+    if not checkpoints.holds_model(path, fresh):
         written = training.write_files(path) if training.write_files else None
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
     stored = checkpoints.read_config(path)
-    if not model.simulator.config.gate_weight:  # learned edges change on the way, by themselves
+    if not training.close_gates:  # learned edges change on the way, by themselves
         masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
         for name, mask in masks.items():
             if stored[name] != (None if mask is None else mask.astype(int).tolist()):
@@ -190,10 +189,11 @@ def _refuse_non_finite(losses, end, trainer, model_path):
 def _log_rollout(summary, step, bar):
     # A rollout that blew up has no number (null in metrics.json); training goes on and says so.
     mean = {k: float('nan') if v is None else v for k, v in summary['mean']['model'].items()}
-    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)
-    ratio = summary['soil_mse_over_best_trivial'] or float('nan')
-    text = f'step {step + 1}: valid rollout soil MSE {mean["soil_mse"] * 1e4:.4g}e-4 m2'
-    text += f' (x {ratio:.3g} of the best trivial)'
+    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)  # DeepMind's, of modes
+    tf.summary.scalar('soil_error_mm', mean['soil_mm'], step=step)
+    still = summary['mean']['stay_still']['soil_mm']
+    text = f'step {step + 1}: valid rollout soil error {mean["soil_mm"]:.4g} mm'
+    text += f' {summary["soil_error"]} (persistence {still:.4g})'
     if 'force_relative_l2' in mean:
         tf.summary.scalar('force_error_mse', mean['force_rmse'] ** 2, step=step)
         text += f', force rel. L2 {mean["force_relative_l2"]:.3g}'
@@ -201,3 +201,38 @@ def _log_rollout(summary, step, bar):
         tf.summary.scalar('torque_error_mse', mean['torque_rmse'] ** 2, step=step)
         text += f', torque rel. L2 {mean["torque_relative_l2"]:.3g}'
     bar.write(text)
+
+
+class StopSignals:
+    """Notes the first SIGINT or SIGTERM inside a `with` block; a second one acts as usual.
+
+    Outside of the main thread, where Python cannot handle signals, nothing is noted.
+
+    Attributes:
+      number: the signal that came, or None.
+    """
+
+    def __init__(self):
+        self.number = None
+        self._before = {}
+
+    @property
+    def exit_code(self) -> int:
+        """What a shell expects of a program that a signal ended: 130 for Ctrl-C, 143 for
+        SIGTERM."""
+        return 128 + self.number
+
+    def __enter__(self) -> 'StopSignals':
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_):
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}
+
+    def _note(self, number, _):
+        self.number = number
+        self.__exit__()

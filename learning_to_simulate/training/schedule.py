@@ -10,12 +10,14 @@ from learning_to_simulate.config import TrainConfig
 
 command.import_keras()
 
+UNROLLED_RATE = 3e-4  # the unrolled stage starts from it
+
 
 class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
     """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
     stage.
 
-    The unrolled stage starts from a fraction of the first rate and decays to the floor by a cosine.
+    The unrolled stage starts from `UNROLLED_RATE` and decays to the floor by a cosine.
     """
 
     def __init__(self, config: TrainConfig):
@@ -24,15 +26,17 @@ class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
     def __call__(self, step):
         c = self._config
         step = tf.cast(step, tf.float32)
+        # First stage: floor + (rate - floor) 0.1^(step / decay_steps).
         single = (c.learning_rate - c.learning_rate_floor) * 0.1 ** (
             step / c.decay_steps
         ) + c.learning_rate_floor
-        progress = tf.clip_by_value((step - c.num_steps) / max(c.unroll_steps, 1), 0.0, 1.0)
-        start = c.unroll_learning_rate
-        unrolled = c.learning_rate_floor + (start - c.learning_rate_floor) * 0.5 * (
+        # Second: floor + (UNROLLED_RATE - floor) (1 + cos(pi progress)) / 2.
+        first = c.single_steps
+        progress = tf.clip_by_value((step - first) / max(c.num_steps - first, 1), 0.0, 1.0)
+        unrolled = c.learning_rate_floor + (UNROLLED_RATE - c.learning_rate_floor) * 0.5 * (
             1.0 + tf.cos(np.pi * progress)
         )
-        return tf.where(step < c.num_steps, single, unrolled)
+        return tf.where(step < first, single, unrolled)
 
     def get_config(self):
         """Keras asks for it; the config is stored beside the checkpoint instead."""

@@ -54,7 +54,8 @@ def check_drive(drive: Drive, box: Bin, frames: int, steps_per_frame: int) -> No
         )
         if drive.machine is not None and drive.machine.is_free[1]:
             # Where a free tool goes is seen when it is simulated; the target may lie in the soil.
-            poses[:, 1] = np.maximum(poses[:, 1], box.surface - bodies.lowest(drive.body, poses[:, 2]))
+            touching = box.surface - bodies.lowest(drive.body, poses[:, 2])
+            poses[:, 1] = np.maximum(poses[:, 1], touching)
     _check_room(drive.body, poses, times, box)
     stability.check_body_motion(poses, drive.body.reach, dt, box.dx, 0.0)
 

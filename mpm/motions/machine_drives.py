@@ -2,8 +2,9 @@
 
 press: pushed straight down at changing speeds, held, unloaded by a little or lifted out, and pushed
     down again, deeper or beside; on a path.
-free: 5 to 200 kg are set down on the soil (their weight grows over 0.4 s), settle, and are dragged;
-    the height is free, in some runs the way along or the lean as well, held by springs.
+free: a blade is set down on the soil under its weight, which grows over 0.4 s, and settles; 5 to
+    20 kg are then dragged, up to 200 kg stay where they are. The height is free, in some runs the
+    way along or the lean as well, held by springs.
 actuated: x and y are free and pulled along the path of an operator by springs with dampers (1e4 to
     2e5 N/m, 10 to 100 kg); where the soil is too strong, the blade lags behind or stalls.
 """
@@ -19,6 +20,8 @@ from mpm.motions.levels import Levels
 
 KINDS = ('press', 'free', 'actuated')
 MASSES = (5.0, 200.0)  # kg, set down
+# kg, dragged: nothing holds the height, and 30 kg dig themselves in by 10 cm on 0.3 m.
+DRAGGED_MASSES, DRAGGED_LEAN, DRAGGED_FACTOR = (5.0, 20.0), 30.0, 1.25
 ACTUATED_MASSES = (10.0, 100.0)  # kg
 STIFFNESS = (1.0e4, 2.0e5)  # N/m
 PRESS_SPEEDS = (0.005, 0.16)  # m/s
@@ -107,13 +110,14 @@ def _press(rng, box, body):
 
 
 def _set_down(rng, box, body):
-    lean = float(rng.choice([0.0, rng.uniform(0.0, 45.0)]))
-    mass = math.exp(rng.uniform(*np.log(MASSES)))
+    is_dragged = rng.random() < 0.7
+    lean = float(rng.choice([0.0, rng.uniform(0.0, DRAGGED_LEAN if is_dragged else 45.0)]))
+    mass = math.exp(rng.uniform(*np.log(DRAGGED_MASSES if is_dragged else MASSES)))
     theta = -math.radians(lean)
     base = box.surface - float(bodies.lowest(body, np.array(theta)))
     x = rng.uniform(0.6, 0.78)
     settles = rng.uniform(1.2, 2.5)
-    speed = rng.uniform(0.03, 0.12) if rng.random() < 0.8 else 0.0
+    speed = rng.uniform(0.03, 0.12) if is_dragged else 0.0
     halts = rng.uniform(settles + 1.0, _DURATION)
     travel = Levels(
         np.array([0.0, settles, settles + 0.4, halts, halts + 0.4]),
@@ -121,7 +125,8 @@ def _set_down(rng, box, body):
     )
     grows = Levels(np.array([0.05, 0.05 + GROWTH]), np.array([0.0, 1.0]))
     # A load on top, that changes once.
-    changed = rng.uniform(0.4, 1.8) if rng.random() < 0.5 else 1.0
+    most = DRAGGED_FACTOR if is_dragged else max(1.0, min(1.8, MASSES[1] / mass))
+    changed = rng.uniform(0.4, most) if rng.random() < 0.5 else 1.0
     when = rng.uniform(0.5, _DURATION - 0.5)
     factor = Levels(np.array([when, when + 0.2]), np.array([1.0, changed]))
     is_free = [False, True, False]

@@ -12,8 +12,8 @@ disturbed: any of the above on a bed that an earlier pass has cut. That pass is 
     use does; the blade rests above the soil at its frame 0.
 halts: a smooth path that halts two to four times within one frame and goes on within one, as a
     lever that is let go or a mouse does it.
-beside: in a bin twice as wide, a path at a lateral offset of 0 to 1.5 widths from an earlier pass of
-    another depth, or between two of them.
+beside: in a bin twice as wide, a path at a lateral offset of 0 to 1.5 widths from an earlier pass
+    of another depth, or between two of them.
 soils: any of the first five, in soil of another friction angle, and in some of another density or
     under another gravity.
 tools: any of the first five, in the wide bin, with a blade of another width and height or a bucket.
@@ -37,6 +37,7 @@ MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 MAX_LEAN, BUCKET_LEAN = 45.0, bodies.MAX_LEAN_DEG
+BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
 # Soil that is squeezed against a wall answers with ten times the force of the open field. So much
 # stays free in front of the blade, for its heap, and behind it wherever its back pushes soil (as it
@@ -157,7 +158,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     is_bucket = rng.random() < _BUCKET_SHARE
     leans = (25.0, BUCKET_LEAN) if is_bucket else (0.0, MAX_LEAN)
     if tool is not None and len(tool['outline']) > 2:
-        leans = (-5.0, 25.0)  # a bucket has its own angle of attack
+        leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
     if kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:
@@ -221,7 +222,7 @@ def _offsets(rng, width) -> list:
     aside = rng.uniform(0.0, FARTHEST) * width * rng.choice([-1.0, 1.0])
     if rng.random() < 0.75:
         return [0.0, float(aside)]
-    other = -math.copysign(rng.uniform(0.3, FARTHEST) * width, aside)
+    other = math.copysign(rng.uniform(0.3, FARTHEST) * width, aside)
     return [0.0, float(aside + other), float(aside)]
 
 
@@ -325,7 +326,8 @@ def _trench(rng, story) -> float:
     length = rng.uniform(*TRENCH)
 
     def way():
-        return float(Levels(np.array(story.times), np.array(story.speeds)).integral([story.time])[0])
+        speed = Levels(np.array(story.times), np.array(story.speeds))
+        return float(speed.integral([story.time])[0])
 
     while way() < length - 0.1:
         story.go(rng.uniform(0.8, 1.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.07))

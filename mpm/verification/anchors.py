@@ -1,18 +1,25 @@
-"""Measured beside published: single wheels over slip.
+"""Measured beside published: wheels over slip, a ball that is dropped, the authors' records.
 
     python -m mpm.verification.anchors --json=mpm/verification/anchors.json \\
         --picture=mpm/verification/anchors.png
 
 Nothing is tuned. Soil is cohesionless here; the sand of Ding et al. has 0.25 kPa. Each run is kept
-in the JSON when it is made; the same command goes on with those that are absent (a minute of one
-core each).
+in the JSON when it is made; the same command goes on with those that are absent (one to two minutes
+of one core each).
 
-Sources: Ding et al. (2011), J. Terramechanics 48, 27; Wang, Han (2016), as digitised in public
-(roverdevkit, MIT): drawbar pull (N), sinkage (mm), torque (N m) of a wheel over slip.
+Sources:
+  wheels: Ding et al. (2011), J. Terramechanics 48, 27; Wang, Han (2016), as digitised in public
+    (roverdevkit, MIT): drawbar pull (N), sinkage (mm), torque (N m) of a wheel over slip.
+  ball: Uehara, Ambroso, Ojha, Durian (2003), Phys. Rev. Lett. 90, 194301: the depth d that a ball
+    reaches when it falls through H = h + d onto dry grains,
+    d = 0.14 / mu (rho_ball / rho)^(1/2) diameter^(2/3) H^(1/3), mu the tangent of the repose angle.
+  records: mean drafts (N) of frames 1 to 60 of five cases of Subspace-Graph-Physics (Usmani 2023).
 """
 
 import dataclasses
+import itertools
 import json
+import math
 import os
 import sys
 import time
@@ -25,24 +32,29 @@ from mpm import bodies, packing, run, scenes
 from mpm.constitutive import make_soil
 from mpm.files import write_json
 from mpm.motions import catalogue
-from mpm.motions.drive import Drive
-from mpm.motions.grid import REST_FRAMES, WHEEL_START_X, under_load
+from mpm.motions.drive import Drive, Machine
+from mpm.motions.grid import REST_FRAMES, under_load
 from mpm.simulation import Settings
+from mpm.solver import EXCHANGE
+from mpm.verification import convergence
 from mpm.versions import SOLVER_VERSION
-
-_JSON = flags.DEFINE_string(
-    'json', os.path.join('outputs', 'anchors.json'), 'Where runs are kept.'
-)
-_PICTURE = flags.DEFINE_string('picture', None, 'Picture: drawbar, sinkage, torque over slip.')
+from pca_tools.storage import markdown
 
 RIM_SPEED = 0.04  # m/s
-FRAMES = 240
-STEADY = 120  # the frames that are averaged, the last ones
+FRAMES = 150
+STEADY = 60  # the frames that are averaged, the last ones
+# The wheel scene's cells in a larger bin: 45 mm beside the widest wheel, 75 mm of soil.
+BIN = scenes.sampled(
+    (0.5, 0.075, 20 * scenes.WHEEL.bin.dz), 0.5 / 120, scenes.WHEEL.bin.dz, 1, 0.25,
+    ((0.0, 0.8), (0.0, 0.6), (0.0, 0.6)),
+)  # fmt: skip
+RUN_SLIPS = (0.1, 0.3, 0.5, 0.6)  # of the published ones, those that are run
+START_X = scenes.CORNER + 0.32
 
 
 @dataclasses.dataclass(frozen=True)
 class Wheel:
-    """A published wheel: its tool, load (N), soil, and slip -> drawbar N, sinkage mm, torque N m."""
+    """A published wheel: tool, load (N), soil; slip -> drawbar N, sinkage mm, torque N m."""
 
     tool: dict
     load: float
@@ -74,6 +86,75 @@ WHEELS = {
 }  # fmt: skip
 
 
+DROPS = (0.05, 0.1, 0.2)  # m, from the lowest point of the ball to the bed
+BALL_DIAMETER, BALL_DENSITY = 0.05, 2200.0  # m, kg/m3
+BALL_BIN = scenes.sampled((0.3, 0.12, 0.3), 0.005, 0.005, 1, 0.3, ((0.0, 0.5),) * 3)
+BALL_FRAMES = 30
+RECORDS = {186: 135.0, 78: 65.0, 146: 109.0, 22: 19.6, 188: 152.0}  # N
+RECORD_FRAMES = 60
+PLANE_STRAIN_DEG = math.degrees(math.atan(math.sin(math.radians(scenes.EXCAVATION_FRICTION_DEG))))
+PHYSICS = {  # what the records are compared with
+    'as it is': Settings(),
+    'mu_s = sin(phi)': Settings(friction_angle_deg=PLANE_STRAIN_DEG),
+    'E = 15 MPa': Settings(youngs_modulus=15e6),
+}
+STIFF_CASES = (186, 22)  # ten times the stiffness takes three times as long
+
+
+def ball_depth(drop: float, friction_deg: float, density: float) -> float:
+    """Returns the published depth (m) of the ball that is dropped from a height (m)."""
+    scale = 0.14 / math.tan(math.radians(friction_deg)) * math.sqrt(BALL_DENSITY / density)
+    depth = 0.0
+    for _ in range(100):  # d on both sides: H = h + d
+        depth = scale * BALL_DIAMETER ** (2.0 / 3.0) * (drop + depth) ** (1.0 / 3.0)
+    return depth
+
+
+def dropped(drop: float) -> dict:
+    """Returns how deep (mm) a ball goes that falls onto the bed, and the published depth."""
+    ground = scenes.Ground()
+    body = bodies.make_ball(BALL_DIAMETER)
+    mass = BALL_DENSITY * math.pi * BALL_DIAMETER**3 / 6.0
+    box = BALL_BIN
+    # It touches grains half a spacing above the surface.
+    place = [scenes.CORNER + box.size[0] / 2, box.surface + body.radius + 0.002, 0.0, box.z_middle]
+
+    def force(times):
+        return np.tile([0.0, -mass * ground.gravity, 0.0], (len(times), 1))
+
+    drive = Drive(
+        body, lambda t: np.tile(place, (len(t), 1)), Machine((False, True, False), mass, force)
+    )
+    scene = dataclasses.replace(scenes.EXCAVATION, bin=box)
+    motion = catalogue.Motion('ball', drive, {}, BALL_FRAMES, ground)
+    started = time.process_time()
+    particles, _ = packing.settle(box, make_soil(1.5e6, scenes.PACKING_MU_S), 0)
+    # Soil below a ball of 2 m/s would cross a cell between the usual exchanges.
+    simulation = run.make_simulation(scene, motion, particles, Settings(exchange=EXCHANGE / 2))
+    simulation.free.state[1, 1] = -math.sqrt(2.0 * ground.gravity * drop)
+    lowest = []
+    for _ in range(BALL_FRAMES):
+        simulation.frame()
+        lowest.append(simulation.pose[1] - body.radius)
+    published = ball_depth(drop, ground.friction_angle_deg, ground.bulk_density)
+    return {
+        'depth_mm': round(1e3 * (box.surface - min(lowest)), 3),
+        'published_mm': round(1e3 * published, 3),
+        'speed_at_end_m_s': round(float(simulation.free.state[1, 1]), 5),
+        'cpu_s': round(time.process_time() - started, 1),
+    }
+
+
+def draft(case: int, settings: Settings) -> dict:
+    """Returns the mean draft (N) of a published case over the first frames."""
+    started = time.process_time()
+    force, _ = convergence.drive(scenes.EXCAVATION, case, RECORD_FRAMES, settings)
+    return {
+        'draft_N': round(float(force[:, 0].mean()), 2),
+        'cpu_s': round(time.process_time() - started, 1),
+    }
+
+
 def drive_of(wheel: Wheel, slip: float) -> Drive:
     """Returns the drive of a wheel at a slip, its height free under the load."""
     body = bodies.tool_body(bodies.check_tool(wheel.tool))
@@ -83,10 +164,10 @@ def drive_of(wheel: Wheel, slip: float) -> Drive:
         driven = np.maximum(np.asarray(times, np.float64), 0.0)
         return np.stack(
             [
-                WHEEL_START_X - travel * driven,
+                START_X - travel * driven,
                 np.zeros_like(driven),
                 RIM_SPEED / body.radius * driven,
-                np.full_like(driven, scenes.WHEEL.bin.z_middle),
+                np.full_like(driven, BIN.z_middle),
             ],
             axis=1,
         )
@@ -95,11 +176,12 @@ def drive_of(wheel: Wheel, slip: float) -> Drive:
     return Drive(body, pose, machine, rest=REST_FRAMES)
 
 
-def measured(wheel: Wheel, slip: float, particles: np.ndarray) -> dict:
+def measured(wheel: Wheel, slip: float) -> dict:
     """Returns drawbar (N), sinkage (mm) and torque (N m) of a wheel at a slip, steady means."""
-    scene, settings = scenes.WHEEL, Settings()
+    scene, settings = dataclasses.replace(scenes.WHEEL, bin=BIN), Settings()
     motion = catalogue.Motion('anchor', drive_of(wheel, slip), {}, FRAMES, wheel.ground)
     started = time.process_time()
+    particles = convergence.packed(BIN, settings.youngs_modulus)
     simulation = run.make_simulation(scene, motion, particles, settings)
     rows = []
     for _ in tqdm(range(FRAMES), leave=False):
@@ -116,20 +198,42 @@ def measured(wheel: Wheel, slip: float, particles: np.ndarray) -> dict:
     }
 
 
-def table(path: str) -> str:
-    """Returns measured beside published as Markdown."""
-    lines = [
-        '| wheel | slip | drawbar N | published | sinkage mm | published | torque N m | published |',
-        '|---|---|---|---|---|---|---|---|',
-    ]
-    for name, runs in _read(path).items():
+def wheel_table(path: str) -> str:
+    """Returns the wheels, measured beside published, as Markdown."""
+    rows = []
+    for name, runs in _read(path)['wheels'].items():
         wheel = WHEELS[name]
         for slip, *published in zip(wheel.slips, wheel.drawbar, wheel.sinkage, wheel.torque):
             if found := runs.get(str(slip)):
                 ours = found['drawbar_N'], found['sinkage_mm'], found['torque_N_m']
-                cells = ' | '.join(f'{a:.1f} | {b:g}' for a, b in zip(ours, published))
-                lines.append(f'| {name} | {slip:g} | {cells} |')
-    return '\n'.join(lines)
+                pairs = [(f'{a:.1f}', f'{b:g}') for a, b in zip(ours, published)]
+                rows.append((name, f'{slip:g}', *itertools.chain(*pairs)))
+    return markdown.table(
+        (
+            'wheel',
+            'slip',
+            'drawbar N',
+            'published',
+            'sinkage mm',
+            'published',
+            'torque N m',
+            'published',
+        ),
+        rows,
+    )
+
+
+def other_table(path: str) -> str:
+    """Returns the ball's depth and the drafts of the records as Markdown."""
+    content, rows = _read(path), []
+    for drop, found in content['balls'].items():
+        name = f'ball dropped by {1e3 * float(drop):g} mm: depth, mm'
+        rows.append((name, f'{found["depth_mm"]:.1f}', f'{found["published_mm"]:.1f}'))
+    for physics, runs in content['records'].items():
+        for case, found in runs.items():
+            name = f'case {case}, {physics}: draft, N'
+            rows.append((name, f'{found["draft_N"]:.0f}', f'{RECORDS[int(case)]:g}'))
+    return markdown.table(('what', 'this solver', 'published'), rows)
 
 
 def draw(path: str, output: str) -> None:
@@ -140,13 +244,21 @@ def draw(path: str, output: str) -> None:
     from matplotlib import pyplot
 
     figure, rows = pyplot.subplots(1, 3, figsize=(11, 3.8), layout='constrained')
-    names = ('drawbar', 'drawbar_N', 'N'), ('sinkage', 'sinkage_mm', 'mm'), ('torque', 'torque_N_m', 'N m')
+    names = (
+        ('drawbar', 'drawbar_N', 'N'),
+        ('sinkage', 'sinkage_mm', 'mm'),
+        ('torque', 'torque_N_m', 'N m'),
+    )
     for axes, (what, key, unit) in zip(rows, names):
-        for number, (name, runs) in enumerate(_read(path).items()):
+        for number, (name, runs) in enumerate(_read(path)['wheels'].items()):
             wheel, colour = WHEELS[name], f'C{number}'
-            axes.plot(wheel.slips, getattr(wheel, what), 'o--', color=colour, label=f'{name}, published')
+            axes.plot(
+                wheel.slips, getattr(wheel, what), 'o--', color=colour, label=f'{name}, published'
+            )
             slips = [slip for slip in wheel.slips if str(slip) in runs]
-            axes.plot(slips, [runs[str(s)][key] for s in slips], 's-', color=colour, label='this solver')
+            axes.plot(
+                slips, [runs[str(s)][key] for s in slips], 's-', color=colour, label='this solver'
+            )
         axes.set_xlabel('slip')
         axes.set_ylabel(f'{what}, {unit}')
     rows[0].legend(fontsize=7)
@@ -154,37 +266,57 @@ def draw(path: str, output: str) -> None:
 
 
 def _read(path) -> dict:
-    if not os.path.exists(path):
-        return {}
-    with open(path, encoding='utf-8') as file:
-        content = json.load(file)
+    content = {'solver_version': SOLVER_VERSION}
+    if os.path.exists(path):
+        with open(path, encoding='utf-8') as file:
+            content = json.load(file)
     if content.get('solver_version') != SOLVER_VERSION:
         raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another')
-    return content['wheels']
+    return {'wheels': {}, 'balls': {}, 'records': {}} | content
+
+
+def make(path: str) -> None:
+    """Makes the runs that a file does not hold yet, and writes it after each."""
+    content = _read(path)
+    os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
+
+    def add(runs, key, function, *args):
+        if str(key) not in runs:
+            runs[str(key)] = function(*args)
+            print(key, runs[str(key)], flush=True)
+            write_json(path, content)
+
+    for drop in DROPS:
+        add(content['balls'], drop, dropped, drop)
+    for name, wheel in WHEELS.items():
+        runs = content['wheels'].setdefault(name, {})
+        for slip in wheel.slips:
+            if slip in RUN_SLIPS:
+                add(runs, slip, measured, wheel, slip)
+    for physics, settings in PHYSICS.items():
+        runs = content['records'].setdefault(physics, {})
+        for case in STIFF_CASES if settings.youngs_modulus > 2e6 else RECORDS:
+            add(runs, case, draft, case, settings)
+
+
+def define_flags():
+    flags.DEFINE_string('json', os.path.join('outputs', 'anchors.json'), 'Where runs are kept.')
+    flags.DEFINE_string('picture', None, 'Picture: drawbar, sinkage, torque over slip.')
 
 
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = _JSON.value
     try:
-        content = _read(path)
-        os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-        particles, _ = packing.settle(scenes.WHEEL.bin, make_soil(1.5e6, scenes.PACKING_MU_S), 0)
-        for name, wheel in WHEELS.items():
-            for slip in wheel.slips:
-                if str(slip) in content.setdefault(name, {}):
-                    continue
-                content[name][str(slip)] = measured(wheel, slip, particles)
-                print(name, slip, content[name][str(slip)], flush=True)
-                write_json(path, {'solver_version': SOLVER_VERSION, 'wheels': content})
-        print(table(path))
-        if _PICTURE.value:
-            draw(path, _PICTURE.value)
+        make(flags.FLAGS.json)
+        print(wheel_table(flags.FLAGS.json), other_table(flags.FLAGS.json), sep='\n\n')
+        if flags.FLAGS.picture:
+            draw(flags.FLAGS.json, flags.FLAGS.picture)
     except (ValueError, OSError) as error:
         logging.error('%s', error)
         sys.exit(1)
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)

@@ -26,30 +26,30 @@ from tqdm import tqdm
 
 from mpm import packing, run, scenes
 from mpm.constitutive import make_soil
-from mpm.files import write_json
+from mpm.motions import catalogue
 from mpm.simulation import Settings
 from mpm.verification.density import moved_density
 from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
-
-_JSON = flags.DEFINE_string(
-    'json', os.path.join('outputs', 'ladder.json'), 'Where runs are kept; those there are not made.'
-)
-_PICTURE = flags.DEFINE_string('picture', None, 'Picture of the draft over the cells.')
-_CASES = flags.DEFINE_list('cases', None, 'Only these: excavation:186,wheel:122.')
-_VARIANTS = flags.DEFINE_list('variants', None, 'Only these (see VARIANTS).')
+from pca_tools.storage import markdown
+from pca_tools.storage.text_files import write_text
 
 MEAN = 5  # frames, of a mean force
-# Case -> frames that are simulated and the first that counts.
+# Case -> frames that are simulated, the first that counts, and the axis of the force that matters:
+# along x, or upwards for tools that are pressed or leave the soil in between.
 CASES = {
-    'excavation:186': (80, 20),
-    'excavation:22': (80, 20),
-    'excavation:lift_0003': (160, 20),
-    'excavation:press_0000': (100, 15),
-    'excavation:reverse_0002': (160, 20),
-    'wheel:122': (80, 20),
-    'wheel:slip_0000': (80, 20),
+    'excavation:186': (80, 20, 0),
+    'excavation:22': (80, 20, 0),
+    'excavation:lift_0003': (160, 20, 0),
+    'excavation:press_0000': (100, 15, 1),
+    'excavation:reverse_0002': (160, 20, 1),
+    'excavation:beside_0002': (80, 20, 0),
+    'excavation:tools_0004': (80, 20, 0),  # a bucket with side plates
+    'wheel:122': (80, 20, 0),
+    'wheel:slip_0000': (80, 20, 0),
 }
+# In the wide bin only these two are affordable.
+WIDE, WIDE_VARIANTS = ('excavation:beside_0002', 'excavation:tools_0004'), ('base', 'cubic')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,14 +91,16 @@ def measured(name: str, variant: Variant) -> dict:
     """Simulates a case on the grid of a variant.
 
     Returns:
-        `force` (N) and `surface` (m) over time and place, the density of moved soil over the bed's,
-        the cell, the reach of the contact (m) and the CPU time (s).
+        `force` (N), means over `MEAN` frames from the first that counts on, [K, 3]; `surface`, in
+        hundredths of a millimetre, [x, z]; the density of moved soil over the bed's, the cell and
+        the reach of the contact (m), and the CPU time (s).
     """
     scene_name, case = name.split(':')
     case = int(case) if case.isdecimal() else case
     scene = scenes.scene_named(scene_name)
+    scene = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
     scene = dataclasses.replace(scene, bin=box_of(scene.bin, variant))
-    frames, _ = CASES[name]
+    frames, first, _ = CASES[name]
     settings = Settings(exchange=1.0 / (scenes.FRAME_RATE * variant.exchanges))
     motion = run.prepared(scene, case, settings)
     particles, _ = packing.settle(scene.bin, make_soil(1.5e6, scenes.PACKING_MU_S), 0)
@@ -108,13 +110,11 @@ def measured(name: str, variant: Variant) -> dict:
     if variant.reach is not None:
         radius = variant.reach * solver.law.radius
         solver.law = solver.law._replace(radius=radius)
-    force = [
-        simulation.frame()[0] for _ in tqdm(range(motion.drive.lead_in + frames), leave=False)
-    ]
+    force = [simulation.frame()[0] for _ in tqdm(range(motion.drive.lead_in + frames), leave=False)]
     start, end = particles[:, :3], simulation.positions()
     return {
-        'force': np.round(force[motion.drive.lead_in :], 3).tolist(),
-        'surface': np.round(surface(end, scene.bin), 6).tolist(),
+        'force': np.round(means_of(force[motion.drive.lead_in + first :]), 2).tolist(),
+        'surface': np.round(1e5 * surface(end, scene.bin)).astype(int).tolist(),
         'density': moved_density(start, end, simulation),
         'cell_m': [float(side) for side in simulation.grid.cell],
         'reach_m': float(solver.law.radius),
@@ -122,25 +122,30 @@ def measured(name: str, variant: Variant) -> dict:
     }
 
 
-def compared(found: dict, reference: dict, first: int) -> dict:
+def means_of(force) -> np.ndarray:
+    """Returns means [K, 3] over `MEAN` frames of a force [T, 3]; what is left over is dropped."""
+    count = len(force) // MEAN
+    return np.array(force)[: count * MEAN].reshape(count, MEAN, 3).mean(axis=1)
+
+
+def compared(found: dict, reference: dict) -> dict:
     """Returns what a run differs by from a reference.
 
     Returns:
-        Mean draft and vertical force (N) from the frame `first` on, their ratio to the reference's,
-        the relative L2 difference of means over five frames, and of the surface in mm RMS.
+        Mean draft and vertical force (N); the difference of both means over the length of the
+        reference's mean force; the relative L2 difference of means over five frames; that of the
+        surface in mm RMS.
     """
-    force, other = (np.array(run['force'])[first:] for run in (found, reference))
-    rows = len(force) // MEAN * MEAN
-    means, others = (f[:rows].reshape(-1, MEAN, 3).mean(axis=1) for f in (force, other))
+    force, other = np.array(found['force']), np.array(reference['force'])
+    change = (force.mean(axis=0) - other.mean(axis=0)) / np.linalg.norm(other.mean(axis=0))
     apart = np.array(found['surface']) - np.array(reference['surface'])
     return {
         'draft_N': float(force[:, 0].mean()),
         'vertical_N': float(force[:, 1].mean()),
-        'draft_ratio': float(force[:, 0].mean() / other[:, 0].mean()),
-        'vertical_ratio': float(force[:, 1].mean() / other[:, 1].mean()),
-        'force_5_frames': float(np.linalg.norm(means - others) / np.linalg.norm(others)),
-        'surface_mm': 1e3 * float(np.sqrt((apart**2).mean())),
-        'density': found['density'],
+        'draft_change': float(change[0]),
+        'vertical_change': float(change[1]),
+        'force_5_frames': float(np.linalg.norm(force - other) / np.linalg.norm(other)),
+        'surface_mm': 1e-2 * float(np.sqrt((apart**2).mean())),
     }
 
 
@@ -160,37 +165,75 @@ def limit(cells: np.ndarray, drafts: np.ndarray) -> tuple[float, float]:
 
 def table(path: str) -> str:
     """Returns the stored ladder as Markdown, each variant beside `cubic`."""
-    content = _read(path)
-    lines = [
-        '| case | variant | cells mm | reach mm | draft N | of cubic | vertical N | force, 5 frames '
-        '| surface mm | density | CPU s |',
-        '|---|---|---|---|---|---|---|---|---|---|---|',
-    ]
-    for name, runs in content.items():
-        reference = runs.get('cubic') or runs.get('base')
-        if reference is None:
+    rows = []
+    for name, runs in _read(path).items():
+        if 'cubic' not in runs:
             continue
         for variant, found in runs.items():
-            row = compared(found, reference, CASES[name][1])
+            row = compared(found, runs['cubic'])
             cell = ' x '.join(f'{1e3 * side:.3g}' for side in found['cell_m'][1:])
-            density = '-' if row['density'] is None else f'{row["density"]:.3f}'
-            lines.append(
-                f'| {name} | {variant} | {cell} | {1e3 * found["reach_m"]:.2f} '
-                f'| {row["draft_N"]:.1f} | {row["draft_ratio"]:.3f} | {row["vertical_N"]:.1f} '
-                f'| {row["force_5_frames"]:.3f} | {row["surface_mm"]:.2f} | {density} '
-                f'| {found["cpu_s"]:.0f} |'
+            density = '' if found['density'] is None else f'{found["density"]:.3f}'
+            rows.append(
+                (name, variant, cell, f'{1e3 * found["reach_m"]:.2f}')
+                + (f'{row["draft_N"]:.0f}', f'{row["draft_change"]:+.1%}')
+                + (f'{row["vertical_N"]:.0f}', f'{row["vertical_change"]:+.1%}')
+                + (f'{row["force_5_frames"]:.3f}', f'{row["surface_mm"]:.2f}', density)
+                + (f'{found["cpu_s"]:.0f}',)
             )
-        cells, drafts = _over_cells(runs, CASES[name][1])
+    header = (
+        'case', 'variant', 'cells mm', 'reach mm', 'draft N', 'of the force', 'vertical N',
+        'of the force', 'five frames', 'surface mm', 'density', 'CPU s',
+    )  # fmt: skip
+    return markdown.table(header, rows)
+
+
+def summary(path: str) -> str:
+    """Returns the ladder as Markdown, a row for each variant: medians and worst over the cases."""
+    rows = []
+    for scene, what in (('excavation', 'blade'), ('wheel', 'wheel')):
+        for variant in VARIANTS:
+            found = [
+                compared(runs[variant], runs['cubic'])
+                for name, runs in _read(path).items()
+                if name.startswith(scene) and variant in runs and 'cubic' in runs
+            ]
+            if not found or variant == 'cubic':
+                continue
+            cells = [f'{len(found)}']
+            for key, form in (
+                ('draft_change', '{:+.0%}'),
+                ('vertical_change', '{:+.0%}'),
+                ('force_5_frames', '{:.3f}'),
+                ('surface_mm', '{:.2f}'),
+            ):
+                values = np.array([row[key] for row in found])
+                worst = values[np.abs(values).argmax()]
+                cells.append(f'{form.format(np.median(values))} ({form.format(worst)})')
+            rows.append((f'{what}, {variant}', *cells))
+    header = ('variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm')
+    return markdown.table(header, rows)
+
+
+def limits(path: str) -> str:
+    """Returns, as Markdown, how far the ground truth is from the limit of fine cells."""
+    rows = []
+    for name, runs in _read(path).items():
+        cells, forces = _over_cells(name, runs)
         if len(cells) >= 3:
-            value, error = limit(cells, drafts)
-            lines.append(f'| {name} | limit of fine cells | 0 | | {value:.0f} +- {error:.0f} |||||||')
-    return '\n'.join(lines)
+            value, error = limit(cells, forces)
+            base = np.mean(runs['base']['force'], axis=0)[CASES[name][2]]
+            what = ('along x', 'upwards')[CASES[name][2]]
+            ratio = f'{base / value - 1.0:+.0%}'
+            rows.append((name, what, f'{base:.0f}', f'{value:.0f} +- {error:.0f}', ratio))
+    header = ('case', 'force', 'ground truth, N', 'limit, N', 'ground truth over it')
+    return markdown.table(header, rows)
 
 
-def _over_cells(runs, first):
+def _over_cells(name, runs):
+    """Cells (m) and mean forces (N) of the variants that differ in the cells alone."""
     names = [n for n in ('cells_0.75', 'base', 'cells_1.5', 'cells_2') if n in runs]
     cells = np.array([runs[n]['cell_m'][0] for n in names])
-    return cells, np.array([np.array(runs[n]['force'])[first:, 0].mean() for n in names])
+    return cells, np.array([np.mean(runs[n]['force'], axis=0)[CASES[name][2]] for n in names])
 
 
 def draw(path: str, output: str) -> None:
@@ -202,21 +245,24 @@ def draw(path: str, output: str) -> None:
 
     figure, axes = pyplot.subplots(figsize=(7, 4.5), layout='constrained')
     for name, runs in _read(path).items():
-        cells, drafts = _over_cells(runs, CASES[name][1])
-        if len(cells) < 2:
+        cells, forces = _over_cells(name, runs)
+        if len(cells) < 3:
             continue
-        at = runs['base']['cell_m'][0]
-        base = drafts[list(cells).index(at)]
-        (line,) = axes.plot(cells / at, drafts / base, 'o-', label=name)
+        axis, at = CASES[name][2], runs['base']['cell_m'][0]
+        base = np.mean(runs['base']['force'], axis=0)[axis]
+        label = f'{name}, {("along x", "upwards")[axis]}'
+        (line,) = axes.plot(cells / at, forces / base, 'o-', label=label)
         if 'cubic' in runs:
-            cubic = np.array(runs['cubic']['force'])[CASES[name][1] :, 0].mean()
+            cubic = np.mean(runs['cubic']['force'], axis=0)[axis]
             axes.plot([1.0], [cubic / base], 'x', color=line.get_color())
-        if len(cells) >= 3:
-            value, error = limit(cells, drafts)
-            axes.errorbar([0.0], [value / base], abs(error / base), fmt='s', color=line.get_color())
+        value, error = limit(cells, forces)
+        axes.errorbar([0.0], [value / base], abs(error / base), fmt='s', color=line.get_color())
     axes.set_xlabel('cell size over that of the ground truth')
-    axes.set_ylabel('mean force along x over that of the ground truth')
-    axes.set_title('Squares: extrapolated limit. Crosses: cubic cells.', fontsize=10, loc='left')
+    axes.set_ylabel('mean force over that of the ground truth')
+    axes.set_title(
+        'Mean force over the size of the cells (squares: extrapolated; crosses: cubic cells)',
+        fontsize=11, loc='left',
+    )  # fmt: skip
     axes.legend(fontsize=8)
     figure.savefig(output, dpi=120)
 
@@ -231,27 +277,52 @@ def _read(path) -> dict:
     return content['cases']
 
 
+def _write(path, content) -> None:
+    # A line for each run: a number a line would make 50 thousand.
+    cases = ',\n'.join(
+        json.dumps(name) + ': {\n' + ',\n'.join(
+            f'{json.dumps(variant)}: {json.dumps(found, separators=(",", ":"))}'
+            for variant, found in runs.items()
+        ) + '\n}'
+        for name, runs in content.items()
+    )  # fmt: skip
+    head = f'{{"solver_version": {json.dumps(SOLVER_VERSION)}, "cases": {{'
+    write_text(path, f'{head}\n{cases}\n}}}}\n')
+
+
+def define_flags():
+    flags.DEFINE_string(
+        'json',
+        os.path.join('outputs', 'ladder.json'),
+        'Where runs are kept; those there are not made.',
+    )
+    flags.DEFINE_string('picture', None, 'Picture of the draft over the cells.')
+    flags.DEFINE_list('cases', None, 'Only these: excavation:186,wheel:122.')
+    flags.DEFINE_list('variants', None, 'Only these (see VARIANTS).')
+
+
 def main(argv):
     if len(argv) > 1:
         raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = _JSON.value
+    path = flags.FLAGS.json
     try:
         content = _read(path)
         os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-        for variant in _VARIANTS.value or VARIANTS:
-            for name in _CASES.value or CASES:
-                if variant in content.setdefault(name, {}):
-                    continue
-                content[name][variant] = measured(name, VARIANTS[variant])
-                print(f'{name} {variant}: {content[name][variant]["cpu_s"]} s', flush=True)
-                write_json(path, {'solver_version': SOLVER_VERSION, 'cases': content})
-        print(table(path))
-        if _PICTURE.value:
-            draw(path, _PICTURE.value)
+        for variant in flags.FLAGS.variants or VARIANTS:
+            for name in flags.FLAGS.cases or CASES:
+                is_asked = variant in WIDE_VARIANTS or name not in WIDE
+                if is_asked and variant not in content.setdefault(name, {}):
+                    content[name][variant] = measured(name, VARIANTS[variant])
+                    print(f'{name} {variant}: {content[name][variant]["cpu_s"]} s', flush=True)
+                    _write(path, content)
+        print(table(path), limits(path), sep='\n\n')
+        if flags.FLAGS.picture:
+            draw(path, flags.FLAGS.picture)
     except (ValueError, OSError, KeyError) as error:
         logging.error('%s', error)
         sys.exit(1)
 
 
 if __name__ == '__main__':
+    define_flags()
     app.run(main)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 from mpm.files import write_json
 from mpm.versions import SOLVER_VERSION
-from storage import markdown
+from pca_tools.storage import markdown
 
 
 @dataclass(frozen=True)

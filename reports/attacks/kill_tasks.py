@@ -151,7 +151,7 @@ def _save(path, count, seed):
     rng = np.random.default_rng(seed)
     nodes = rng.normal(size=(1, FRAMES, R + MODES, 3))
     group = types.SimpleNamespace(
-        position=nodes, force=rng.normal(size=(1, FRAMES, 3)), context=None,
+        position=nodes, force=rng.normal(size=(1, FRAMES, 3)), context=None, source=None,
         all_particles=lambda position, as_recorded=False: position,
         all_particle_types=lambda: np.zeros(R + MODES, np.int64),
     )  # fmt: skip

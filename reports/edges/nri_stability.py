@@ -4,9 +4,8 @@ Examples:
     python -m reports nri_stability --data_path=datasets/excavation \\
         --work_path=/tmp/nri_excavation --output_path=docs/edges/excavation_nri.json
 
-Resumes where it was stopped; pictures of the graphs (.png) and of the losses (_loss.png) lie beside
-the JSON. The JSON holds P(edge) of every
-seed, mean over the training runs, and is what `reports edges --nri_path` takes.
+Resumes where it was stopped; a picture of the graphs lies beside the JSON, which holds P(edge) of
+every seed, mean over the training runs, and is what `reports edges --nri_path` takes.
 """
 
 import itertools
@@ -14,15 +13,14 @@ import os
 
 import numpy as np
 from absl import flags
-from matplotlib import figure
 
-from cluster import workers
-from learning_to_simulate.subspace import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
+from nri import edge_picture
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
-from pca_tools import files
-from reports import command, isolated, record
+from pca_tools import files, workers
+from reports import command, isolated, markdown, record
 
 SETTINGS = (
     'nodes', 'modes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate',
@@ -126,13 +124,49 @@ def compare(rows: list[dict], threshold: float) -> dict:
     }
 
 
-def draw(path: str, result: dict) -> None:
-    """P(edge) of every seed and their mean, senders x receivers.
+def agreement(*paths: str) -> str:
+    """How far the seeds of NRI agree: a row for each stored result."""
+    header = ('', 'epochs', 'hidden', 'test loss of the seeds', 'edges in the seeds',
+              'Jaccard (by chance)', 'same answer (by chance)', 'correlation of P(edge)',
+              'in all seeds', 'in any seed')  # fmt: skip
+    lines = []
+    for path in paths:
+        result = files.read_json(path)
+        found, settings = result['compared'], result['settings']
+        beside_chance = [
+            f'{markdown.cell(found[key]["mean"])} ({markdown.cell(found[f"{key}_by_chance"])})'
+            for key in ('jaccard', 'agreement')
+        ]
+        lines.append(
+            (os.path.basename(path).removesuffix('_nri.json'), settings['epochs'],
+             settings['hidden'], markdown.span([row['test_loss'] for row in result['seeds']]),
+             markdown.span([row['edges'] for row in result['seeds']]), *beside_chance,
+             found['correlation']['mean'], found['in_all_seeds'], found['in_any_seed'])
+        )  # fmt: skip
+    return markdown.table(header, lines)
 
-    Args:
-      path: PNG file.
-      result: what the JSON holds.
-    """
+
+def lists(*paths: str) -> str:
+    """What lists of edges between the same modes hold, and how far each agrees with the others."""
+    masks = [edge_lists.read(path).mask for path in paths]
+    lines = []
+    for path, mask in zip(paths, masks, strict=True):
+        shared = [
+            float((mask & other).sum() / (mask | other).sum())
+            for other in masks
+            if other is not mask and (mask | other).any()
+        ]
+        # Modes are counted from 1 in texts.
+        pairs = ', '.join(f'{j + 1} to {i + 1}' for i, j in np.argwhere(mask))
+        name = os.path.basename(path).removesuffix('.json').replace('_', ' ')
+        own = int(np.trace(mask))
+        lines.append((name, int(mask.sum()) - own, own, pairs, markdown.span(shared)))
+    header = ('list', 'edges', 'self-edges', 'sender to receiver', 'Jaccard with the others')
+    return markdown.table(header, lines)
+
+
+def draw(path: str, result: dict) -> None:
+    """Draws P(edge) of every seed and their mean, senders x receivers, as PNG."""
     rows = result['seeds']
     drawn, axes = edge_picture.new_figure(len(rows) + 1)
     p = matrices(rows)
@@ -141,30 +175,6 @@ def draw(path: str, result: dict) -> None:
         edge_picture.show_matrix(axis, matrix, rows[0]['node_names'])
         axis.set_title(title, fontsize=10)
     edge_picture.save(path, drawn)
-
-
-def draw_losses(path: str, result: dict) -> None:
-    """Loss on valid after each epoch, of every seed.
-
-    Args:
-      path: PNG file.
-      result: what the JSON holds.
-    """
-    drawn = figure.Figure(figsize=(7.5, 3.6), layout='constrained')
-    axes = drawn.subplots()
-    for row in result['seeds']:
-        epochs = range(1, len(row['valid_losses']) + 1)
-        axes.plot(epochs, row['valid_losses'], label=f'seed {row["seed"]}')
-    axes.axvline(
-        result['settings']['decay_start'] + 1,
-        color='0.6',
-        linestyle='--',
-        label='rate halved from here',
-    )
-    axes.set(xlabel='epochs', ylabel='loss on valid (negative evidence bound)')
-    axes.grid(alpha=0.3)
-    drawn.legend(loc='outside right center', frameon=False, fontsize='small')
-    files.write_atomically(path, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 
 def define_flags() -> None:
@@ -211,7 +221,6 @@ def main(v, _) -> None:
     files.write_json(v.output_path, result)
     stem = os.path.splitext(v.output_path)[0]
     draw(f'{stem}.png', result)
-    draw_losses(f'{stem}_loss.png', result)
     for name, value in result['compared'].items():
         print(f'{name:22s} {value}')
 

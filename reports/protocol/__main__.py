@@ -15,7 +15,7 @@ Examples:
     python -m reports.protocol --data_path=datasets/excavation_v2 --work_path=/tmp/protocol \\
         --train='swept_field,mlp --modes=8,pcg --modes=8' --output_path=docs/protocol
 
-    # the same on 8 processes, or on a cluster (docs/cluster.md)
+    # the same on 8 processes, or on a cluster (docs/guide.md)
     python -m reports.protocol --train=mlp --num_seeds=5 --work_path=/shared/protocol \\
         --output_path=docs/protocol --cluster=local:8
 

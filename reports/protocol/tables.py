@@ -2,8 +2,8 @@
 
 from pca_tools import files
 from reports import markdown
-from reports.protocol import curve, driven_runs, over_runs, reliability
-from reports.protocol.over_runs import ALL, QUIET_MM
+from reports.protocol import curve, driven_runs, over_runs
+from reports.protocol.over_runs import ALL
 
 
 def _span(figure, digits=3):
@@ -61,67 +61,6 @@ def kind_table(document: dict, split: str, quantity: str) -> str:
     return markdown.table(header, rows)
 
 
-def horizon_table(document: dict, split: str) -> str:
-    """Median error after given times, and runs that pass the spacing of the particles."""
-    rows = []
-    names = None
-    for method in document['methods']:
-        figures = document['horizons'][split].get(method['name'])
-        if not figures:
-            continue
-        names = names or list(figures['median_mm'])
-        first = figures['first_beyond_spacing_s']
-        rows.append(
-            [
-                _about(method),
-                *(_span(figures['median_mm'][n]) for n in names),
-                _span(figures['runs_beyond_spacing']),
-                '' if first is None else f'{first:.2f}',
-            ]
-        )
-    titles = [n if n == 'end' else f'{n} s' for n in names or []]
-    return markdown.table(['method', *titles, 'runs beyond spacing', 'first, s'], rows)
-
-
-def run_table(document: dict, split: str, quantity: str) -> str:
-    """The error of every run: methods as columns, each at its median seed on valid."""
-    methods = [
-        (m, m['seeds'][m['median_seed']]['runs'][split])
-        for m in document['methods']
-        if any(quantity in run for run in m['seeds'][m['median_seed']]['runs'][split])
-    ]
-    header = ['run', 'kind', 'motion, mm', 'truncation, mm', *(m['name'] for m, _ in methods)]
-    rows = []
-    for i, run in enumerate(document['runs'][split]):
-        quiet = ' (quiet)' if run['motion_mm'] < QUIET_MM else ''
-        rows.append(
-            [f'{run["case"]}{quiet}', run['kind'], run['motion_mm'], run['truncation_mm']]
-            + [errors[i].get(quantity) for _, errors in methods]
-        )
-    return markdown.table(header, rows)
-
-
-def reliability_table(document: dict) -> str:
-    """Mean bound and error of a frame, how many frames of test keep their bound, and of how many
-    runs 95 % of them."""
-    rows = []
-    for method in document['methods']:
-        known = method.get('reliability') or {}
-        cells = [
-            known[quantity][key] if quantity in known else None
-            for quantity in reliability.UNITS
-            for key in ('error', 'bound', 'within', 'runs_within')
-        ]
-        if known:
-            rows.append([_shown(method), *cells])
-    titles = [
-        f'{quantity}: {title}'
-        for quantity, unit in reliability.UNITS.items()
-        for title in (f'error, {unit}', f'bound, {unit}', 'frames within', 'runs within')
-    ]
-    return markdown.table(['method', *titles], rows)
-
-
 def training_table(document: dict) -> str:
     """Of every training whose checkpoints were judged on valid: its steps, and the mean error over
     the last quarter of them over that of the quarter before. '' where there is none."""
@@ -135,48 +74,67 @@ def training_table(document: dict) -> str:
     return markdown.table(header, rows) if rows else ''
 
 
-def facts_table(document: dict) -> str:
-    """What the judged data are, split by split."""
+# Tables of pages (`reports.documents`), of stored documents.
+
+TITLES = {
+    'soil_mm': 'soil, mm',
+    'force_l2': 'force, rel. L2',
+    'height_mm': 'height, mm',
+    'torque_l2': 'torque, rel. L2',
+    'pitch_l2': 'torque in the plane of travel, rel. L2',
+}
+# What ships of the judged methods: its name in the documents, its folder, what it is made for.
+SHIPPED = {
+    'swept_field': ('swept_field', 'recommended'),
+    'mlp_driven': ('mlp_driven', 'all particles in 0.3 ms, in the subspace'),
+    'pcg, 8 modes': ('pcg', 'graph network, to compare with'),
+}
+
+
+def means(path: str, split: str, *quantities: str) -> str:
+    """Mean errors over all runs of a split: methods by quantities, (smallest to largest) over
+    seeds."""
+    document = files.read_json(path)
+    figures = document['summary'][split][ALL]
     rows = []
-    for split, runs in document['runs'].items():
-        kinds = [run['kind'] for run in runs]
-        counted = ', '.join(f'{kinds.count(kind)} {kind}' for kind in sorted(set(kinds)))
-        quiet = [str(run['case']) for run in runs if run['motion_mm'] < QUIET_MM]
-        rows.append([split, counted, ', '.join(quiet), document['data']['truth']])
-    return markdown.table(['split', 'runs', 'quiet cases', 'truth'], rows)
+    for method in document['methods']:
+        found = [figures[q].get(method['name']) for q in quantities]
+        if any(found):
+            rows.append([_shown(method), *(f and _span(f['mean']) for f in found)])
+    return markdown.table(['method', *(TITLES[q] for q in quantities)], rows)
 
 
-# The same of stored documents, for the tables of pages (`reports.documents`).
+def of_method(path: str, split: str, name: str, *quantities: str) -> str:
+    """Mean errors of one method by kind of run, beside soil that stays as it is and a force that is
+    held, and on how many runs the method is better in the first quantity."""
+    summary = files.read_json(path)['summary'][split]
+    columns = [(q, n) for q in quantities for n in (name, 'persistence') if n in summary[ALL][q]]
+    rows = []
+    for kind in (*sorted(summary.keys() - {ALL}), ALL):
+        cells = (_span(summary[kind][q][n]['mean']) for q, n in columns)
+        first = summary[kind][quantities[0]][name]
+        wins = _span(first['wins']['persistence'])
+        rows.append([kind, *cells, f'{wins} of {first["runs"]}'])
+    titles = (TITLES[q] if n == name else n for q, n in columns)
+    return markdown.table(['runs', *titles, 'better than persistence'], rows)
 
 
-def facts(path: str) -> str:
-    """`facts_table` of a stored document."""
-    return facts_table(files.read_json(path))
-
-
-def quantity(path: str, split: str, name: str, kind: str = ALL) -> str:
-    """`quantity_table` of a stored document."""
-    return quantity_table(files.read_json(path), split, name, kind)
-
-
-def by_kind(path: str, split: str, name: str) -> str:
-    """`kind_table` of a stored document."""
-    return kind_table(files.read_json(path), split, name)
-
-
-def bounds(path: str) -> str:
-    """`reliability_table` of a stored document."""
-    return reliability_table(files.read_json(path))
-
-
-def horizons(path: str, split: str) -> str:
-    """`horizon_table` of a stored document."""
-    return horizon_table(files.read_json(path), split)
-
-
-def runs(path: str, split: str, name: str) -> str:
-    """`run_table` of a stored document."""
-    return run_table(files.read_json(path), split, name)
+def shipped(*paths: str) -> str:
+    """The shipped models with their mean errors on test, beside persistence."""
+    rows = []
+    for path in paths:
+        document = files.read_json(path)
+        scene = document['data']['path'].rstrip('/').rpartition('/')[2]
+        figures = document['summary']['test'][ALL]
+        spans = {
+            name: [_span(figures[q][name]['mean']) for q in ('soil_mm', 'force_l2')]
+            for name in figures['soil_mm'].keys() & figures['force_l2'].keys()
+        }
+        for name, (folder, purpose) in SHIPPED.items():
+            if name in spans:
+                rows.append((f'`{scene}/{folder}`', purpose, *spans[name]))
+        rows.append((f'*{scene}: persistence*', 'soil and force stay', *spans['persistence']))
+    return markdown.table(('model', 'for', TITLES['soil_mm'], TITLES['force_l2']), rows)
 
 
 def sizes(*paths: str) -> str:
@@ -204,10 +162,4 @@ def complete(document: dict) -> dict:
         for method in document['methods']
     ]
     document = document | {'methods': methods}
-    return document | {
-        'summary': over_runs.summarise(document),
-        'horizons': {
-            split: {m['name']: h for m in methods if (h := over_runs.horizons(document, split, m))}
-            for split in document['runs']
-        },
-    }
+    return document | {'summary': over_runs.summarise(document)}

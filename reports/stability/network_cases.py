@@ -34,7 +34,7 @@ class CastNetwork:
             config.hidden_layers,
             config.message_passing_steps,
             output_size=simulator.dim * (2 if simulator.scene.has_force else 1),
-            mean_aggregation=config.mean_aggregation,
+            mean_aggregation=not config.is_published,
         )
         self(nodes, edges, *ends)
         weights = {v.name: v for v in simulator._network.trainable_variables}

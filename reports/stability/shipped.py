@@ -5,10 +5,11 @@ import os
 
 import numpy as np
 
-from learning_to_simulate import checkpoints, loads, metrics, reading_utils, registry
+from learning_to_simulate import loads, metrics, reading_utils, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
+from learning_to_simulate.subspace import subspace_model
 from reports.record import ROOT
 
 SCENES = ('excavation', 'wheel')
@@ -22,14 +23,14 @@ class Shipped:
     Attributes:
       scene: name of the scene.
       preset: name of the preset.
-      model: `checkpoints.Model`.
+      model: `subspace_model.Model`.
       metadata: of the dataset.
       group: the test runs, one `RunGroup`.
     """
 
     scene: str
     preset: str
-    model: checkpoints.Model
+    model: subspace_model.Model
     metadata: dict
     group: reading_utils.RunGroup
 

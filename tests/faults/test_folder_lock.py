@@ -10,12 +10,12 @@ import sys
 
 import pytest
 
-from pca_tools import folder_lock
+from pca_tools.storage import folder_lock
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 HOLDER = """
 import sys, time
-from pca_tools import folder_lock
+from pca_tools.storage import folder_lock
 with folder_lock.locked(sys.argv[1]):
     print('held', flush=True)
     time.sleep(600)
@@ -96,7 +96,7 @@ def test_of_many_at_once_one_wins(tmp_path):
     (folder / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
     code = """
 import os, sys, time
-from pca_tools import folder_lock
+from pca_tools.storage import folder_lock
 folder, refused = sys.argv[1:]
 children = []
 for number in range(8):

@@ -23,7 +23,7 @@ from learning_to_simulate.subspace import trainer as trainer_module
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
 from pca_tools import dataset, files
-from storage import whole_files
+from pca_tools.storage import whole_files
 from tests.learning_to_simulate import synthetic
 
 TINY = {'latent_size': 4, 'num_steps': 12, 'unroll_steps': 0, 'mode_edges': 5}

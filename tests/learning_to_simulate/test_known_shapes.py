@@ -6,6 +6,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, known_shapes
+from learning_to_simulate.subspace import subspace_model
 from nri import model as nri_model
 from tests.learning_to_simulate import models
 from tests.nri import small
@@ -46,25 +47,25 @@ def folder(tmp_path):
     ids=str,
 )
 def test_no_variable_is_made_that_the_weights_do_not_hold(folder, made, forged):
-    whole = sum(v.shape.num_elements() for v in checkpoints.load_model(str(folder)).simulator
+    whole = sum(v.shape.num_elements() for v in subspace_model.load(str(folder)).simulator
                 .trainable_variables)  # fmt: skip
     made.clear()
     change(folder, 'config', **forged)
     with pytest.raises(ValueError, match='weights.npz: not the weights of config.json'):
-        checkpoints.load_model(str(folder))
+        subspace_model.load(str(folder))
     assert sum(tf.TensorShape(shape).num_elements() for shape in made) <= whole
 
 
 def test_loading_leaves_the_random_numbers_of_the_caller_alone(folder, monkeypatch):
     """Setting TensorFlow's seed also throws all its kernels away: half of the time of a load."""
     monkeypatch.setattr(tf.random, 'set_seed', lambda seed: pytest.fail(f'seed {seed} was set'))
-    checkpoints.load_model(str(folder))
+    subspace_model.load(str(folder))
 
 
 def test_other_methods_are_held_to_their_weights_too(folder, made):
     change(folder, 'config', model='mlp', adjacency='none')
     with pytest.raises(ValueError, match='weights.npz'):
-        checkpoints.load_model(str(folder))
+        subspace_model.load(str(folder))
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,10 @@ import time
 
 import numpy as np
 import pytest
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
+from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
@@ -61,7 +63,7 @@ def test_rollout_command_writes_results_that_agree(data, trained, tmp_path):
         f'--model_path={trained}', f'--output_path={out}',
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert 'constant_velocity' in done.stdout and 'ms/step' in done.stdout
+    assert 'constant velocity' in done.stdout and 'ms per frame' in done.stdout
     summary = json.loads((out / 'metrics.json').read_text())
     errors = []
     for i, (row, size) in enumerate(zip(summary['runs']['model'], (4, 6), strict=True)):
@@ -84,7 +86,7 @@ def test_killed_training_resumes_to_the_same_weights(data, trained, tmp_path):
     """SIGKILL after a checkpoint, then the same command again: bit-equal to the run without a
     kill."""
     path = tmp_path / 'killed'
-    flags = [f'--{k}={v}' for k, v in SHORT.items()]
+    flags = [f'--set={k}={v}' for k, v in SHORT.items()]
     args = (f'--data_path={data}', f'--model_path={path}', '--save_every=12', *flags)
     process = subprocess.Popen(
         command(*args), cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE
@@ -100,6 +102,18 @@ def test_killed_training_resumes_to_the_same_weights(data, trained, tmp_path):
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))
     for name in straight:
         np.testing.assert_array_equal(weights[name], straight[name])
+
+
+def test_the_averages_are_what_is_saved(trained):
+    """And not the weights that the last step left, which the checkpoint holds beside them."""
+    weights = files.read_npz(f'{trained}/{checkpoints.WEIGHTS_FILE}')
+    checkpoint = tf.train.load_checkpoint(f'{trained}/ckpt-{SHORT["num_steps"]}')
+    for i, value in enumerate(weights.values()):
+        average = checkpoint.get_tensor(f'averages/{i}/.ATTRIBUTES/VARIABLE_VALUE')
+        np.testing.assert_array_equal(value, average)
+    last = checkpoint.get_tensor('simulator/_embedding/.ATTRIBUTES/VARIABLE_VALUE')
+    (stored,) = (v for k, v in weights.items() if 'embedding' in k)
+    assert np.abs(stored - last).max() > 0
 
 
 def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained, tmp_path):
@@ -120,7 +134,7 @@ def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained,
 def test_exported_weights_are_not_mistaken_for_a_training_state(data, trained, tmp_path):
     for name in (checkpoints.CONFIG_FILE, checkpoints.WEIGHTS_FILE):
         shutil.copy(f'{trained}/{name}', tmp_path)
-    checkpoints.load_model(str(tmp_path))
+    subspace_model.load(str(tmp_path))
     with pytest.raises(ValueError, match='without training state'):
         registry.train(data, str(tmp_path), presets.make_config('pcg', **SHORT))
 
@@ -165,8 +179,9 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
         registry.open_model(str(tmp_path), data, 'test', {})
-    with pytest.raises(ValueError, match='contradicts the model'):
-        registry.open_model(trained, data, 'test', {'noise_std': 0.1})
+    for field, message in (('noise_std', 'contradicts the model'), ('members', 'is no setting')):
+        with pytest.raises(ValueError, match=message):
+            registry.open_model(trained, data, 'test', {field: 0.1})
     refit = synthetic.write_dataset(tmp_path / 'refit')
     metadata = files.read_json(f'{refit}/metadata.json')
     files.write_json(f'{refit}/metadata.json', metadata | {'pca': {'digest': 'f' * 64}})
@@ -217,7 +232,15 @@ def test_damaged_weights_are_refused(trained, tmp_path, damage):
         del values[name]
     files.write_npz(str(tmp_path / checkpoints.WEIGHTS_FILE), **values)
     with pytest.raises(ValueError, match='not finite' if damage == 'nan' else 'not the weights'):
-        checkpoints.load_model(str(tmp_path))
+        subspace_model.load(str(tmp_path))
+
+
+def test_number_of_steps_is_that_of_both_stages():
+    config = presets.make_config('pcg', num_steps=300)
+    assert (config.single_steps, config.unroll_steps) == (180, 120)
+    assert presets.make_config('pcg', num_steps=300, unroll_steps=50).single_steps == 250
+    with pytest.raises(ValueError, match='unroll_steps is 50, more than all 30'):
+        presets.make_config('pcg', num_steps=30, unroll_steps=50)
 
 
 def test_impossible_settings_are_refused():
@@ -244,4 +267,4 @@ def test_validation_rollout_that_blows_up_does_not_stop_training(data, tmp_path,
     config = presets.make_config('pcg', **SHORT | {'num_steps': 3, 'unroll_steps': 0})
     summary = registry.train(data, str(tmp_path / 'model'), config, save_every=3)
     assert summary['mean']['model']['soil_mse'] is None
-    checkpoints.load_model(str(tmp_path / 'model'))
+    subspace_model.load(str(tmp_path / 'model'))

@@ -80,17 +80,25 @@ def test_sign_is_that_of_the_shape(name):
 def test_distance_outside_is_the_nearest_point_of_the_shape(name):
     """Against a dense cloud of points inside: exact to the spacing of the cloud."""
     body = BODIES[name]
-    reach = body.reach + STEP
+    reach, half = body.reach + STEP, body.half_width
     rng = np.random.default_rng(1)
     axis = np.arange(-reach, reach, 2 * STEP)
-    high = np.arange(-body.half_width, body.half_width + 1e-9, 2 * body.half_width / 40)
-    grid = np.stack(np.meshgrid(axis, axis, high, indexing='ij'), axis=-1).reshape(-1, 3)
-    tree = cKDTree(grid[is_inside(body, grid)])
-    points = rng.uniform(-1.0, 1.0, (400, 3)) * [reach + 0.05, reach + 0.05, body.half_width + 0.05]
+    plane = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    # A prism, and other prisms at its ends.
+    middle, end = (
+        plane[is_inside(body, np.column_stack([plane, np.full(len(plane), z)]))] for z in (0, half)
+    )
+    side = 2 * half / 40
+    cloud = [
+        np.column_stack([layer, np.full(len(layer), z)])
+        for z in np.linspace(-half, half, 41)
+        for layer in [end if abs(z) >= half - body.plate_thickness else middle]
+    ]
+    tree = cKDTree(np.concatenate(cloud))
+    points = rng.uniform(-1.0, 1.0, (400, 3)) * [reach + 0.05, reach + 0.05, half + 0.05]
     found = signed(body, points)
     outside = found[:, 0] > 0.01
     gap = tree.query(points[outside])[0]
-    side = 2 * body.half_width / 40
     assert np.abs(found[outside, 0] - gap).max() < math.hypot(2 * STEP * 1.5, side)
     assert (gap > found[outside, 0] - 1e-9).all()  # no point of the shape is nearer
 
@@ -102,9 +110,12 @@ def test_normal_is_the_gradient(name):
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [0.3, 0.3, body.half_width + 0.04]
     found = signed(body, points)
     step = 1e-6
-    slope = np.stack(
-        [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
-    ) / step
+    slope = (
+        np.stack(
+            [signed(body, points + step * unit)[:, 0] - found[:, 0] for unit in np.eye(3)], axis=1
+        )
+        / step
+    )
     smooth = np.abs(np.linalg.norm(slope, axis=1) - 1.0) < 1e-3  # not where two parts meet
     assert smooth.mean() > 0.95
     np.testing.assert_allclose(slope[smooth], found[smooth, 1:], atol=2e-3)
@@ -123,7 +134,7 @@ def test_leaning_body_is_the_upright_one_turned():
 @pytest.mark.parametrize('name', BODIES)
 def test_lowest_point_and_extent_are_those_of_the_cloud(name):
     body = BODIES[name]
-    axis = np.arange(-body.reach, body.reach, 1e-3)
+    axis = np.arange(-body.reach, body.reach, 2e-3)
     grid = np.stack(np.meshgrid(axis, axis, [0.0, body.half_width]), axis=-1).reshape(-1, 3)
     cloud = grid[is_inside(body, grid)][:, :2]
     for angle in (0.0, -0.6, 0.3):
@@ -132,12 +143,12 @@ def test_lowest_point_and_extent_are_those_of_the_cloud(name):
         )
         low = bodies.lowest(body, np.array([angle]))[0]
         # A wheel with grousers is taken for a circle about their ends.
-        slack = 2e-3 + (0.01 if body.grousers else 0.0)
+        slack = 4e-3 + (0.01 if body.grousers else 0.0)
         assert turned[:, 1].min() == pytest.approx(low, abs=slack)
         height = low + 0.05
         x_low, x_high, y_low = bodies.extent_below(body, np.array([[0, 0, angle, 0.0]]), height)
         below = turned[turned[:, 1] < height, 0]
-        assert x_low[0] < below.min() + 1.5e-3 and x_high[0] > below.max() - 1.5e-3
+        assert x_low[0] < below.min() + 3e-3 and x_high[0] > below.max() - 3e-3
         assert y_low[0] == low
 
 
@@ -207,6 +218,7 @@ def test_a_tool_is_read_from_its_file(tmp_path):
         ({'outline': [[0, 0], [0, float('nan')]]}, r'list of \[x, y\]'),
         ({'outline': 'blade'}, r'list of \[x, y\]'),
         ({'width': -1}, 'width must be a number'),
+        ({'width': 457}, 'width must be a number from 0.0001 to 2, got 457'),
         ({'colour': 'red'}, r"unknown entries \['colour'\]"),
         ({'outline': SQUARE, 'side_plates': {'thickness': 0.2}}, 'thicker than the tool is wide'),
         ({'friction': 9}, 'friction must be'),

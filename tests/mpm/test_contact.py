@@ -184,13 +184,8 @@ def angular_momentum(experiment, about):
     return experiment.mass * (np.cross(x, v) + turn).sum(axis=0)
 
 
-@pytest.mark.parametrize(('friction', 'limit'), [(0.0, 1e-3), (0.3, 0.01)])
-def test_body_takes_the_moment_that_the_soil_loses(friction, limit):
-    """A blade tips into weightless soil: angular momentum about its edge.
-
-    Measured 5e-4 without friction (weights are frozen while nodes and body move: half of it at half
-    the speed), 5e-3 with it: soil is dragged at the particle, the body at its surface.
-    """
+def tipped(friction, rate):
+    """A blade tips by 9 degrees into weightless soil: the share of its moment not accounted for."""
     room = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (0, 0, 0), 1, 0.5, ())
     block = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (30, 8, 60), 1, 0.5, ())
     experiment = experiments.Experiment(room, block, make_soil(1.5e6, 0.76), lift=0.15)
@@ -200,15 +195,26 @@ def test_body_takes_the_moment_that_the_soil_loses(friction, limit):
 
     def pose(times):
         still = 0 * times
-        return np.stack([still + edge[0], still + edge[1], 8.0 * times, still + edge[2]], axis=1)
+        return np.stack([still + edge[0], still + edge[1], rate * times, still + edge[2]], axis=1)
 
     blade = bodies.make_blade()._replace(friction=friction)
-    experiment.advance(0.02, 0.0, blade, pose)
+    experiment.advance(0.16 / rate, 0.0, blade, pose)
     impulse = experiment.impulse
-    assert impulse[0] > 1.0
+    assert impulse[0] > 0.1
     np.testing.assert_allclose(experiment.momentum(), -impulse[:3], atol=1e-12)
     unbalanced = angular_momentum(experiment, edge) + impulse[3:]
-    assert np.linalg.norm(unbalanced) < limit * np.linalg.norm(impulse[3:])
+    return np.linalg.norm(unbalanced) / np.linalg.norm(impulse[3:])
+
+
+def test_body_takes_the_moment_that_the_soil_loses():
+    """Angular momentum about the edge; weights are frozen while nodes and body move.
+
+    Measured at 8 and 4 rad/s: 1.7e-3 and 0.8e-3 without friction (version 4 exchanged twice as
+    often and had 5e-4), and 5e-3 with it: soil is dragged at the particle, the body at its surface.
+    """
+    fast, slow = tipped(0.0, 8.0), tipped(0.0, 4.0)
+    assert fast < 2.5e-3 and slow < 0.6 * fast
+    assert tipped(0.3, 8.0) < 0.01
 
 
 def test_contact_alone_creates_no_energy():

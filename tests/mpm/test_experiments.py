@@ -23,11 +23,12 @@ def test_block_without_gravity_stays_at_rest(soil):
     assert np.abs(experiment.particles[:, :3] - start).max() == 0.0
 
 
-def test_settled_soil_carries_its_weight(coarse_excavation, excavation_packing, soil):
-    figures = experiments.settled_soil(coarse_excavation.bin, excavation_packing[0], soil)
-    assert figures['reaction_over_weight'] == pytest.approx(1.0, abs=0.02)
-    # Six cells deep only; the full resolution is held to 2 % by `mpm.verify`.
-    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, abs=0.03)
+def test_settled_soil_carries_its_weight(soil):
+    """On the wheel's own cells: measured 0.9999 and 0.9977; damping without gravity has 0.980."""
+    box = scenes.WHEEL.bin
+    figures = experiments.settled_soil(box, packing.settle(box, soil, 0)[0], soil)
+    assert figures['reaction_over_weight'] == pytest.approx(1.0, abs=2e-3)
+    assert figures['stress_over_rho_g_h'] == pytest.approx(1.0, abs=5e-3)
 
 
 def test_stress_of_soil_is_read_above_the_lowest_cell_and_within_it(coarse_excavation, soil):
@@ -118,23 +119,33 @@ def test_blade_pushes_soil_and_is_resisted(coarse_excavation, excavation_packing
     before = simulation.positions().copy()
     force = frames(simulation, 60)
     moved = simulation.positions() - before
-    # Measured 790 N: on cells of 27 mm soil resists twice as much as on those of the scene.
+    # Measured 742 N: on cells of 40 mm soil resists three times as much as on those of the scene.
     assert force[20:, 0].min() > 10.0 and force[20:, 0].mean() < 1200.0
-    # No side is preferred: the lateral force is small beside the draft.
-    assert abs(force[:, 2].mean()) < 0.02 * force[:, 0].mean()
     assert moved[:, 0].min() < -0.02
     # Far from the blade nothing has moved.
     far = before[:, 0] < scenes.CORNER + 0.2
     assert np.abs(moved[far]).max() < 2e-3
 
 
+def test_no_side_is_preferred(coarse_excavation, excavation_packing):
+    """A bed seen in a mirror gives the load seen in the mirror: z, yz and zx change their sign."""
+    rows = excavation_packing[0].copy()
+    rows[:, 2] = 2.0 * coarse_excavation.bin.z_middle - rows[:, 2]
+    rows[:, columns.S + 4 : columns.S + 6] *= -1.0
+    loads = []
+    for packed in (excavation_packing, (rows,)):
+        simulation = simulate(coarse_excavation, 186, packed, single=False)
+        loads.append([np.concatenate(simulation.frame()) for _ in range(30)])
+    here, mirrored = np.array(loads)
+    assert np.abs(here[:, 2]).max() > 1.0  # the grains lie as they lie
+    np.testing.assert_allclose(mirrored, here * [1, 1, -1, -1, -1, 1], atol=1e-8)
+
+
 def test_smaller_steps_give_the_same_force(coarse_excavation, excavation_packing, soil):
     """The smoothing belongs to the interval of exchange, not to the step."""
     draft = []
     for factor in (1, 2):
-        simulation = simulate(
-            coarse_excavation, 186, excavation_packing, steps=2 * factor
-        )
+        simulation = simulate(coarse_excavation, 186, excavation_packing, steps=2 * factor)
         draft.append(frames(simulation, 40)[10:, 0].mean())
     # Measured 0.1 %; APIC in every step: 10 %.
     assert draft[1] == pytest.approx(draft[0], rel=0.005)
@@ -146,8 +157,9 @@ def test_no_soil_lies_in_the_blade(coarse_excavation, excavation_packing, soil, 
     for _ in range(60):
         simulation.frame()
         found = simulation.penetration()
-        # Measured 0 and 0.005 cells: pressed in by the half particle spacing that contact has.
-        assert found['inside'] == 0 and found['deepest_cells'] < 0.05
+        # Pressed in by some of the half spacing that contact has, 0.4 cells: measured 0 and 0.104
+        # (0.005 in version 4, which had more particles a cell).
+        assert found['inside'] == 0 and found['deepest_cells'] < 0.15
 
 
 def test_penetration_is_that_of_the_deepest_particle(coarse_excavation, excavation_packing, soil):

@@ -14,8 +14,6 @@ from nri import data as nri_data
 from nri import experiment, export_edges
 from nri.config import NriConfig
 from nri.model import NriModel, load_model
-from pca_tools import files
-from reports.edges import nri_stability
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -159,51 +157,6 @@ def test_renumbered_nodes_have_renumbered_edges(data, model_path):
     np.testing.assert_allclose(renumbered, expected, atol=1e-5)  # float32: 1e-7 seen
 
 
-def row(matrix, seed=0):
-    matrix = np.array(matrix, float)
-    np.fill_diagonal(matrix, np.nan)
-    rows = [[None if np.isnan(x) else x for x in r] for r in matrix.tolist()]
-    names = list(edge_lists.mode_names(len(matrix)))
-    return {'seed': seed, 'node_names': names, 'probabilities': rows}
-
-
-def test_comparison_of_seeds_against_hand_counts():
-    """Edges {01, 02} and {01, 12} of 6 pairs: one in both, three in either, four said alike."""
-    a, b = np.zeros((3, 3)), np.zeros((3, 3))
-    a[0, 1] = a[0, 2] = b[0, 1] = b[1, 2] = 1.0
-    result = nri_stability.compare([row(a), row(b), row(a)], 0.6)
-    third = result['jaccard']
-    assert third['min'] == pytest.approx(1 / 3) and third['max'] == 1.0
-    assert third['mean'] == pytest.approx((1 / 3 + 1 + 1 / 3) / 3)
-    assert result['agreement']['min'] == pytest.approx(4 / 6)
-    assert (result['in_all_seeds'], result['in_any_seed']) == (1, 3)
-    # Two unrelated graphs of density 1/3: (1/9) / (5/9) and 1/9 + 4/9.
-    assert result['jaccard_by_chance'] == pytest.approx(1 / 5)
-    assert result['agreement_by_chance'] == pytest.approx(5 / 9)
-    empty = nri_stability.compare([row(np.zeros((3, 3)))] * 2, 0.6)
-    assert empty['jaccard'] is None and empty['correlation'] is None
-
-
-def test_stability_in_miniature(data, tmp_path, monkeypatch):
-    config = NriConfig(**TINY, seed=1)
-    rows = [nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)] * 2
-    again = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
-    assert again['probabilities'] == rows[0]['probabilities']
-    compared = nri_stability.compare(rows, 0.6)
-    assert compared['agreement']['mean'] == 1.0
-    nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': rows})
-    assert (tmp_path / 'a.png').stat().st_size > 1000
-    lines = []
-    monkeypatch.setattr(
-        'matplotlib.axes.Axes.plot', lambda axes, x, y, label: lines.append((list(x), y, label))
-    )
-    result = {'seeds': rows[:1], 'settings': {'decay_start': config.decay_start}}
-    nri_stability.draw_losses(str(tmp_path / 'b.png'), result)
-    history = files.read_json(str(tmp_path / 'seed_1' / 'history.json'))
-    losses = [round(epoch['loss'], 3) for epoch in history]
-    assert lines == [(list(range(1, len(losses) + 1)), losses, 'seed 1')]
-
-
 def test_kipfs_data_have_no_body_to_complete(model_path, tmp_path):
     shutil.copytree(model_path, tmp_path / 'm')
     edges = edge_lists.EdgeList(
@@ -212,15 +165,3 @@ def test_kipfs_data_have_no_body_to_complete(model_path, tmp_path):
     )  # fmt: skip
     assert export_edges.completed(edges, str(tmp_path)) is None
     assert connectivity_utils.fully_connected(2).n_edge == 4
-
-
-def test_shipped_list_is_that_of_the_seed_with_the_least_loss():
-    """It is stored beside the posterior of all seeds, from which it follows."""
-    folder = pathlib.Path(__file__).resolve().parents[2] / 'docs' / 'edges'
-    held = files.read_json(str(folder / 'excavation_v2_nri.json'))
-    best = min(held['seeds'], key=lambda seed: min(seed['valid_losses']))
-    edges = edge_lists.read(str(folder / 'excavation_v2_nri' / 'edges.json'))
-    probabilities = nri_stability.matrices([best])[0]
-    np.testing.assert_array_equal(edges.probabilities, probabilities)
-    np.testing.assert_array_equal(edges.mask, np.nan_to_num(probabilities) > edges.threshold)
-    assert edges.digests['model'] == best['weights'] and edges.n_edge == best['edges']

@@ -34,9 +34,9 @@ def excavation(raw_excavation, tmp_path_factory):
 
 @pytest.fixture(scope='session')
 def wheel(raw_wheel, tmp_path_factory):
-    """Dataset of the wheel runs, centering `scalar`. Not to be changed."""
+    """Dataset of the wheel runs, centering `scalar`, plain records. Not to be changed."""
     folder = str(tmp_path_factory.mktemp('dataset') / 'wheel')
-    convert.convert(raw_wheel, folder, centering='scalar')
+    convert.convert(raw_wheel, folder, centering='scalar', packed=False)
     return folder
 
 

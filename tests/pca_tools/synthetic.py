@@ -44,15 +44,20 @@ def make_run(name, case, frames=24):
     moved = np.maximum.accumulate(reach * surface, axis=0) * travel[:, None]
     positions = soil + moved[..., None] * [0.6, 0.3, 0.0]
     positions[..., 2] += 0.2 * moved * (soil[:, 2] - 0.5)
+    pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (frames, 1))
     if name == 'wheel':
         turn = 0.03 * np.arange(frames)[:, None] + np.pi / 4 * np.arange(8)
         ring = np.stack([0.15 * np.cos(turn), 0.15 * np.sin(turn), np.zeros_like(turn)], -1)
         body = np.concatenate([ring + [0, 0, 0.44], ring + [0, 0, 0.56]], axis=1)
         body += np.stack([front, 0.55 - 0.1 * travel, np.zeros(frames)], -1)[:, None]
+        half = 0.015 * np.arange(frames)
+        pose[:, :3] = np.stack([front, 0.55 - 0.1 * travel, np.full(frames, 0.5)], -1)
+        pose[:, 3], pose[:, 6] = np.cos(half), np.sin(half)
     else:
         side, up = np.meshgrid(np.linspace(0.35, 0.65, 4), np.linspace(0.3, 0.7, 5), indexing='ij')
         face = np.stack([np.zeros(20), up.ravel(), side.ravel()], -1)
         body = face + np.stack([front, -depth * np.ones(frames), np.zeros(frames)], -1)[:, None]
+        pose[:, 0], pose[:, 1] = front, -depth
     force = np.stack([50 + 900 * travel, 20 + 300 * travel, rng.normal(0, 0.5, frames)], -1)
     context = {'gravity': 9.81, 'friction_angle_deg': 30.0 + case, 'load': 100.0 + 7 * case}
     parameters = {
@@ -65,6 +70,7 @@ def make_run(name, case, frames=24):
         'positions': positions.astype(np.float32),
         'rigid_positions': body.astype(np.float32),
         'force': force.astype(np.float32),
+        'pose': pose.astype(np.float32),
         'parameters': np.array(json.dumps(parameters)),
     }
 

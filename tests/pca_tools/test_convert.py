@@ -21,24 +21,15 @@ def raw_of(folder, case):
     return np.load(f'{folder}/run_{case:03d}.npz')
 
 
-@pytest.mark.parametrize('spread', [False, True])
 @pytest.mark.parametrize('count, sizes', [(200, (160, 20, 20)), (40, (32, 4, 4)), (5, (3, 1, 1))])
-def test_split_deals_every_case_once(count, sizes, spread):
+def test_split_deals_every_case_once(count, sizes):
     cases = [f'case {index}' for index in range(count)]
-    parts = split_cases(cases, (0.8, 0.1, 0.1), seed=3, spread=spread)
+    parts = split_cases(cases, (0.8, 0.1, 0.1), seed=3)
     assert tuple(len(parts[name]) for name in SPLITS) == sizes
     assert sorted(sum(parts.values(), [])) == list(range(count))
-    assert split_cases(cases, (0.8, 0.1, 0.1), seed=3, spread=spread) == parts
+    assert split_cases(cases, (0.8, 0.1, 0.1), seed=3) == parts
     if count > 10:
-        assert split_cases(cases, (0.8, 0.1, 0.1), seed=4, spread=spread) != parts
-
-
-def test_spread_splits_cover_the_order_of_the_cases():
-    for seed in range(20):
-        parts = split_cases(range(40), (0.8, 0.1, 0.1), seed, spread=True)
-        # one of each in every quarter of the cases
-        for name in ('valid', 'test'):
-            assert [index // 10 for index in parts[name]] == [0, 1, 2, 3]
+        assert split_cases(cases, (0.8, 0.1, 0.1), seed=4) != parts
 
 
 def test_held_out_cases_are_tested():
@@ -76,7 +67,9 @@ def test_records_hold_the_raw_runs(excavation, raw_excavation):
             raw = raw_of(raw_excavation, case)
             assert run.key == index
             assert run.particle_type.tolist() == [3] * 20 + [6] * 8
-            np.testing.assert_array_equal(run.position[:, :20], raw['rigid_positions'])
+            # the pose puts them there
+            np.testing.assert_allclose(run.position[:, :20], raw['rigid_positions'], atol=2e-7)
+            np.testing.assert_array_equal(run.rigid_pose, raw['pose'])
             np.testing.assert_array_equal(run.force, raw['force'])
             # twin: the definition, one frame and axis at a time
             frame, axis = 7, 1
@@ -116,7 +109,7 @@ def test_statistics_leave_out_kinematic_nodes(excavation):
     metadata = dataset.read_metadata(excavation)
     modes = np.stack([run.position[:, 20:] for run in dataset.read_split(excavation, 'train')])
     steps = np.diff(modes.astype(np.float64), axis=1).reshape(-1, 3)
-    np.testing.assert_allclose(metadata['vel_std'], steps.std(0), rtol=1e-9)
+    np.testing.assert_allclose(metadata['vel_std'], steps.std(0), rtol=1e-5)  # packed scores
 
 
 def test_subspace_knows_only_training_runs(excavation, raw_excavation):
@@ -223,7 +216,7 @@ def no_context(current, arrays):
     'change, text',
     [
         (nan_at(4, 9, 17), 'run_004.npz: positions holds 1 NaN .* frame 9, point 17'),
-        (fewer_particles, r'run_003.npz: has .* \(100, False, False\), the runs before'),
+        (fewer_particles, r'run_003.npz: has .* \(100, False, True\), the runs before'),
         (shuffled_particles, 'case 3: its particles start .*not the same order'),
         (no_force, r"run_00..npz: lacks the arrays \['force'\]"),
         (short_force, r'force has shape \(23, 3\), float32 for 24 frames'),
@@ -272,7 +265,7 @@ def test_raw_folder_against_its_manifest(tmp_path):
 def test_command_line(raw_excavation, tmp_path):
     output = str(tmp_path / 'out')
     arguments = ['pca_tools.convert', f'--raw_path={raw_excavation}', f'--output_path={output}']
-    done = run_command(*arguments, '--hold_out=3,4', '--modes=6')
+    done = run_command(*arguments, '--hold_out=3,4', '--num_modes=6')
     assert done.returncode == 0, done.stderr
     assert f'{output}: scene excavation, N = 140, R = 20, r = 6, T = 24' in done.stdout
     assert dataset.read_metadata(output)['dataset_split']['test'] == [3, 4]
@@ -285,7 +278,7 @@ def test_command_line(raw_excavation, tmp_path):
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
-        (['--hold_out', '3', '5', '7'], "unknown arguments: ['5', '7']"),
+        (['--hold_out', '3', '5', '7'], "unexpected arguments ['5', '7']"),
         (['--like=there', '--num_modes=4', '--split=1,0,0'], '--num_modes, --split do not go'),
         (['--like=there', '--hold_out=3', '--seed=1'], '--seed, --hold_out do not go with --like'),
     ],
@@ -308,12 +301,13 @@ def test_output_that_cannot_be_made_is_refused_before_the_work(raw_excavation, t
 
 def test_help_shows_the_examples():
     done = run_command('pca_tools.convert', '--help')
+    assert done.returncode == 0
     assert 'python -m pca_tools.convert --raw_path=' in done.stdout
     assert '--centering: <configuration|scalar>' in done.stdout
 
 
 def test_maths_is_free_of_tensorflow():
-    modules = ('files', 'metadata', 'subspace', 'rigid_fit', 'dataset', 'convert', 'inspection')
+    modules = ('files', 'metadata', 'subspace', 'rigid_fit', 'dataset', 'convert', 'inspect')
     imports = ', '.join(f'pca_tools.{name}' for name in modules)
     code = f'import {imports}, sys; sys.exit("tensorflow" in sys.modules)'
     done = subprocess.run(

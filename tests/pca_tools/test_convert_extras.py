@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from pca_tools import convert, dataset
+from pca_tools import append, convert, dataset, subset
+from pca_tools.inspect import inspect_folder
 from pca_tools.metadata import SPLITS
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic
@@ -138,3 +139,73 @@ def test_case_numbers_count_anew_in_each_kind(excavation, tmp_path):
     raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', [known], change=driven)
     metadata = convert.convert(raw, str(tmp_path / 'new'), like=excavation)
     assert metadata['cases']['test'][0]['kind'] == 'smooth'
+
+
+def machine_run(case, arrays):
+    """Gives case 2 a free body, cases 3 and 4 longer runs; all name their split and their soil."""
+    rng = np.random.default_rng(case)
+    parameters = json.loads(str(arrays['parameters']))
+    parameters |= {'split': {2: 'valid', 5: 'test'}.get(case, 'train'), 'kind': 'smooth'}
+    parameters |= {'tool': {'width_m': 0.3}, 'bulk_density_kg_m3': 1600.0 + case}
+    if case == 2:
+        parameters |= {'kind': 'pressed', 'machine': {'mass_kg': [20.0, 20.0, 1.0]}}
+        for name, shape in (('target', (3,)), ('external', (3,)), ('subframe_force', (4, 3))):
+            arrays[name] = rng.normal(size=(24, *shape)).astype(np.float32)
+    if case in (3, 4):
+        for name in ('positions', 'rigid_positions', 'force', 'pose'):
+            arrays[name] = np.concatenate([arrays[name], arrays[name][:: -case]])
+    arrays['torque'] = rng.normal(size=arrays['force'].shape).astype(np.float32)
+    arrays['parameters'] = np.array(json.dumps(parameters))
+
+
+@pytest.mark.parametrize('packed', [True, False])
+def test_free_bodies_and_runs_of_other_lengths_go_in_and_out(tmp_path, packed):
+    raw, more = (
+        synthetic.write_raw_folder(str(tmp_path / name), 'excavation', cases, change=machine_run)
+        for name, cases in (('raw', range(1, 5)), ('more', (5, 6)))
+    )
+    grown, few = str(tmp_path / 'grown'), str(tmp_path / 'few')
+    convert.convert(raw, grown, modes=4, packed=packed)
+    append.append(more, grown)
+    metadata = subset.subset(grown, few, train_runs=3)
+    assert metadata['dataset_split'] == {'train': [1, 4, 6], 'valid': [2], 'test': [5]}
+    assert metadata['frames_of_runs'] == {'train': [24, 30, 24], 'valid': [24], 'test': [24]}
+    assert metadata['cases']['valid'][0]['machine'] == {'mass_kg': [20.0, 20.0, 1.0]}
+    assert metadata['cases']['train'][1]['bulk_density_kg_m3'] == 1604.0
+    for folder in (grown, few):
+        for split in SPLITS:
+            cases = dataset.read_metadata(folder)['dataset_split'][split]
+            for case, run in zip(cases, dataset.read_split(folder, split), strict=True):
+                arrays = raw_of(more if case > 4 else raw, case)
+                assert run.n_frames == len(arrays['positions'])
+                rigid = run.position[:, : run.n_rigid]
+                np.testing.assert_allclose(rigid, arrays['rigid_positions'], atol=2e-7)
+                for name in dataset.FRAME_SERIES:
+                    key, values = name.removeprefix('rigid_'), getattr(run, name)
+                    if key in arrays:
+                        np.testing.assert_array_equal(values, arrays[key])
+                    else:
+                        assert values is None
+        assert not inspect_folder(folder).failed
+    assert metadata.get('packed', False) is packed
+
+
+def test_bad_series_of_a_free_body_are_named(tmp_path):
+    def five_parts(case, arrays):
+        arrays['subframe_force'] = np.zeros((24, 5, 3), np.float32)
+
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', [1], change=five_parts)
+    with pytest.raises(ValueError, match='subframe_force has 5 parts of a frame, 4'):
+        convert.convert(raw, str(tmp_path / 'out'))
+
+
+def test_conversion_says_what_cannot_be_trained_without_a_pose(tmp_path):
+    def without(case, arrays):
+        del arrays['pose']
+
+    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(5), change=without)
+    with pytest.warns(UserWarning, match='no `pose` .* the swept field cannot'):
+        convert.convert(raw, str(tmp_path / 'out'), modes=3)
+    first = dataset.read_metadata(str(tmp_path / 'out'))['dataset_split']['train'][0]
+    run = dataset.read_split(str(tmp_path / 'out'), 'train')[0]
+    np.testing.assert_array_equal(run.position[:, :20], raw_of(raw, first)['rigid_positions'])

@@ -336,7 +336,7 @@ def test_the_authors_folder_becomes_a_dataset(original, tmp_path):
 
 def test_runs_of_different_lengths_only_go_where_they_fit(tmp_path):
     def change(case, arrays):
-        for name in ('positions', 'rigid_positions', 'force'):
+        for name in ('positions', 'rigid_positions', 'force', 'pose'):
             arrays[name] = arrays[name][: 20 + case]
 
     raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', range(4), change=change)

@@ -8,10 +8,8 @@ import shutil
 import numpy as np
 import pytest
 
-from pca_tools import convert, dataset, files, subset
-from pca_tools.inspect import initial_share, motion_shares, report
-from pca_tools.inspection import inspect_folder
-from pca_tools.inspection.findings import Level
+from pca_tools import convert, dataset, files, particles, subset
+from pca_tools.inspect import Level, inspect_folder, report
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic
@@ -56,8 +54,22 @@ def test_good_datasets_pass(name, request):
     inspection = inspect_folder(request.getfixturevalue(name))
     assert not inspection.failed, inspection.findings
     text = report(inspection)
-    assert f'scene {name}' in text and '<- kept' in text and 'motion energy kept, test' in text
+    assert f'scene {name}' in text and '<- kept' in text and 'motion energy kept' in text
     assert len(inspection.runs) == 12 and inspection.n_soil == 140
+
+
+def test_runs_that_the_modes_do_not_hold_are_named(copy):
+    held = files.read_json(f'{copy}/metadata.json')
+    assert 'these runs do something' not in texts(copy, Level.WARN)
+    errors = held['projection_mse']
+    usual = np.mean(errors['train'])
+    errors['test'][0] = 30.0**2 * usual
+    change_metadata(copy, projection_mse=errors)
+    case, far = held['dataset_split']['test'][0], 1e3 * 30.0 * usual**0.5
+    assert f'far more of case {case} of test ({far:.3g} mm): these runs' in texts(copy, Level.WARN)
+    errors['train'][0] = 31.0**2 * usual  # training has seen as much
+    change_metadata(copy, projection_mse=errors)
+    assert 'these runs do something' not in texts(copy, Level.WARN)
 
 
 def test_authors_folders_pass_with_their_defects_named(original):
@@ -228,7 +240,7 @@ def test_missing_split_and_foreign_metadata(copy):
     assert inspection.failed and 'lacks bounds' in report(inspection)
 
 
-def test_trivial_errors_and_motion_shares_against_particles(excavation, raw_excavation):
+def test_trivial_errors_against_particles(excavation, raw_excavation):
     """In the subspace, squared score errors / (3 N) are mean squared particle errors."""
     metadata = dataset.read_metadata(excavation)
     space = Subspace.load(f'{excavation}/subspace.npz')
@@ -243,21 +255,6 @@ def test_trivial_errors_and_motion_shares_against_particles(excavation, raw_exca
         constant.append(np.mean((straight - particles[frame]) ** 2))
     assert found['stay_still'] == pytest.approx(np.mean(still), rel=1e-9)
     assert found['constant_velocity'] == pytest.approx(np.mean(constant), rel=1e-9)
-    shares = motion_shares([run])
-    assert shares.sum() == pytest.approx(1)
-    moved = run.position[:, 20:].astype(np.float64) - run.position[0, 20:]
-    assert shares[0] == pytest.approx(np.sum(moved[:, 0] ** 2) / np.sum(moved**2))
-
-
-def test_share_of_the_energy_before_anything_moves():
-    def run(start):
-        position = np.zeros((4, 5, 3), np.float32)
-        position[:, 4, 0] = start + np.array([0, 1, 2, 3])
-        return dataset.Trajectory(0, np.array([3, 3, 3, 6, 6]), position)
-
-    # scores s + (0 1 2 3) for s = -2 and 2: variance 4 between the starts, 1.25 within each run
-    assert initial_share([run(-2.0), run(2.0)]) == pytest.approx(4 / 5.25)
-    assert initial_share([run(1.0), run(1.0)]) == 0.0
 
 
 def test_trivial_errors_of_the_authors_records(original):
@@ -268,3 +265,36 @@ def test_trivial_errors_of_the_authors_records(original):
         for run in dataset.read_split(original, 'valid')
     ]
     assert np.mean(errors) == pytest.approx(expected, rel=5e-3)
+
+
+def of_kind(case, arrays):
+    parameters = json.loads(str(arrays['parameters']))
+    parameters['kind'] = 'grid' if case % 3 else 'lift'
+    arrays['parameters'] = np.array(json.dumps(parameters))
+
+
+def test_report_by_kind(tmp_path):
+    raw = synthetic.write_raw_folder(
+        str(tmp_path / 'raw'), 'excavation', range(1, 13), change=of_kind
+    )
+    metadata = convert.convert(raw, str(tmp_path / 'out'))
+    text = report(inspect_folder(str(tmp_path / 'out')))
+    rows = [line.split() for line in text.splitlines()]
+    train = [case['kind'] for case in metadata['cases']['train']]
+    lift = next(row for row in rows if row[:1] == ['lift'] and '%)' in row)
+    assert lift[1] == str(train.count('lift'))
+    floors = next(i for i, row in enumerate(rows) if row[:3] == ['RMS', 'that', 'modes'])
+    assert rows[floors][-4:] == ['8', '16', '24', '48']
+    assert 'particle samples (140 particles, every 4 frames, to 0.02 mm)' in text
+
+
+def test_sample_of_other_runs_is_an_error(excavation, tmp_path):
+    folder = shutil.copytree(excavation, tmp_path / 'copy')
+    shutil.copy(folder / 'particles_test.npz', folder / 'particles_train.npz')
+    listed = {name: {} for name in os.listdir(folder) if name != 'manifest.json'}
+    files.write_manifest(str(folder), listed)
+    found = [finding.text for finding in inspect_folder(str(folder)).findings]
+    assert any('particles_train.npz: holds other runs than train.tfrecord' in t for t in found)
+    (folder / 'particles_train.npz').write_bytes(b'PK')
+    assert inspect_folder(str(folder)).failed
+    assert len(particles.read_sample(excavation, 'train')) == 10

@@ -12,7 +12,7 @@ import pytest
 
 from learning_to_simulate.scene import Scene
 from pca_tools import convert, dataset, files, raw_writer, write_raw
-from pca_tools.inspection import inspect_folder
+from pca_tools.inspect import inspect_folder
 from pca_tools.matching import match_particles
 from pca_tools.raw_runs import RawRuns
 from tests.pca_tools import synthetic
@@ -33,7 +33,7 @@ def own_runs(count=5, frames=20, scale=1.0, axes=(0, 1, 2), **extra):
 
 
 def test_script_of_the_page_becomes_a_dataset(tmp_path):
-    page = (REPOSITORY / 'docs' / 'raw_data.md').read_text(encoding='utf-8')
+    page = (REPOSITORY / 'docs' / 'data.md').read_text(encoding='utf-8')
     (script,) = re.findall(r'```python\n(.*?)```', page, flags=re.DOTALL)
     assert len(script.strip().splitlines()) <= 21
     environment = os.environ | {'PYTHONPATH': str(REPOSITORY)}

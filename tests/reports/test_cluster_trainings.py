@@ -10,13 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from cluster import workers
-from pca_tools import files
+from pca_tools import files, workers
 from reports.protocol import rollouts
 from tests.learning_to_simulate import synthetic
 
 FLAGS = ['--preset=pcg', '--latent_size=4', '--mode_edges=5', '--num_steps=3000', '--save_every=50',
-         '--unroll_steps=0', '--num_threads=1']  # fmt: skip
+         '--set=unroll_steps=0', '--num_threads=1']  # fmt: skip
 
 
 def kill_the_worker_of(model, killed):

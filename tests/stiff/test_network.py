@@ -106,7 +106,7 @@ def test_order_of_rigid_particles_does_not_matter(tmp_path, preset, motion):
 def test_published_inputs_know_no_place(tmp_path):
     """Velocities and displacements only: the same shift of all nodes changes nothing.
 
-    Not so in conditioned models: a mode's score is an input, and a shift of the scene in space is
+    Not so in models of our style: a mode's score is an input, and a shift of the scene in space is
     not a shift of scores, so translation is no symmetry of the subspace.
     """
     model, (group,), _ = models.make(tmp_path, preset='fcg_original', motion='predicted')

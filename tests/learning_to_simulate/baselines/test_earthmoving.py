@@ -103,7 +103,7 @@ def test_a_wide_smooth_upright_wall_bears_rankines_passive_pressure():
 
 def test_the_edge_lies_where_the_solvers_blade_has_it():
     """`bodies.make_blade` counts its points from the middle of the edge."""
-    points = bodies.make_blade(0.0).points
+    points = bodies.make_blade(friction=0.0).points
     geometry = BladeGeometry()
     row = points[points[:, 1] < points[:, 1].min() + 0.01].mean(axis=0)
     assert (geometry.along, geometry.behind) == pytest.approx((-row[1], -row[0]), abs=1e-4)

@@ -15,8 +15,9 @@ from pca_tools import convert, files
 from tests.pca_tools import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[4]
-FLAGS = ['--model=full_space', '--soil_particles=60', '--latent_size=8', '--num_threads=1',
-         '--mssg=2', '--num_steps=6', '--batch_size=4', '--save_every=3']  # fmt: skip
+FLAGS = ['--model=full_space', '--set=soil_particles=60', '--latent_size=8', '--num_threads=1',
+         '--set=message_passing_steps=2', '--num_steps=6', '--batch_size=4',
+         '--save_every=3']  # fmt: skip
 
 
 def command(data, model):

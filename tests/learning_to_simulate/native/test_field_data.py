@@ -10,6 +10,8 @@ from learning_to_simulate.native.binding import KERNELS, CField, KernelLacks
 from learning_to_simulate.swept_field import calibration
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool.bed import HeightMap
+from learning_to_simulate.tool.blade import Blade
+from learning_to_simulate.tool.inputs import Row, Table
 from tests.learning_to_simulate.swept_field import small_world as world
 
 pytestmark = pytest.mark.skipif(
@@ -195,9 +197,17 @@ def test_height_map_and_what_c_alone_refuses(field):
         CField.of(field).step(poses[0])
 
 
-def test_other_inputs_are_refused_by_name(field, monkeypatch):
-    monkeypatch.setattr(field.network, 'sizes', (60, 78))
-    with pytest.raises(ValueError, match='take 60 and 78 inputs, the C form'):
+@pytest.mark.parametrize(
+    'operand, message',
+    [
+        ('tip ** 3', 'has no place in an operand'),
+        ('height + (' * 8 + 'tip' + ')' * 8, 'more than the 8 values'),
+    ],
+)
+def test_inputs_that_c_cannot_read_are_refused(field, monkeypatch, operand, message):
+    table = Table((Row(operand),))
+    monkeypatch.setattr(Blade, 'tables', Blade.tables.__class__(Blade.tables.own, table, table))
+    with pytest.raises(ValueError, match=message):
         field_data.values(field)
 
 

@@ -78,7 +78,7 @@ def test_the_page_of_the_documents_is_of_the_shipped_model():
     text = (ROOT / SHOWN).read_text(encoding='utf-8')
     digest = re.search(r'digest ([0-9a-f]{12})\.', text)
     assert digest[1] == files.sha256_of_file('models/excavation/pcg/weights.npz')[:12], (
-        f'{SHOWN} is of another model; again: lts export-page '
+        f'{SHOWN} is of another model; again: lts export --format=page '
         f'--model_path=models/excavation/pcg --data_path=datasets/excavation --output_path={SHOWN}'
     )
 

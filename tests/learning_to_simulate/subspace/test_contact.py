@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import model_config
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact
@@ -112,4 +111,4 @@ def test_damaged_statistics_are_refused(tmp_path):
     ):
         damaged = Statistics.from_json(values | {name: wrong})
         with pytest.raises(ValueError, match=message):
-            model_config._check_statistics(damaged, s.scene)
+            damaged.check(s.scene)

@@ -9,8 +9,14 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, presets, registry
-from learning_to_simulate.subspace import edge_lists
-from learning_to_simulate.subspace.edge_gates import HIGH, LOW, TEMPERATURE, EdgeGates
+from learning_to_simulate.subspace import edge_lists, subspace_model
+from learning_to_simulate.subspace.edge_gates import (
+    HIGH,
+    LOW,
+    OPEN_THRESHOLD,
+    TEMPERATURE,
+    EdgeGates,
+)
 from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import training_state
 from pca_tools import files
@@ -18,7 +24,7 @@ from tests.learning_to_simulate import models, synthetic
 
 SEED = tf.constant([0, 1])
 SHORT = {'latent_size': 8, 'num_steps': 24, 'unroll_steps': 0}
-GATED = SHORT | {'gate_weight': 0.5, 'gate_steps': 14, 'gate_keep': 5}
+GATED = SHORT | {'gate_weight': 0.5, 'gate_steps': 14}
 
 
 @pytest.fixture(scope='module')
@@ -31,10 +37,18 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def trained(data, tmp_path_factory):
-    """A model whose edges were learned in this process. Not to be changed."""
+    """A model whose edges were learned in this process, from gates of which five are open. Not to
+    be changed."""
     path = str(tmp_path_factory.mktemp('model') / 'gated')
+    plain = EdgeGates.__init__
+
+    def with_five(self, n_modes):
+        plain(self, n_modes)
+        self.log_alpha.assign(np.where(np.arange(9).reshape(3, 3) % 2, -3.0, 3.0))
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_state, 'KEPT', 3)
+        patch.setattr(EdgeGates, '__init__', with_five)
         registry.train(data, path, presets.make_config('pcg', **GATED), save_every=10)
     return path
 
@@ -143,9 +157,9 @@ def test_training_without_gates_has_no_trace_of_them(tmp_path):
 
 def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
     edges = edge_lists.read(f'{trained}/edges.json')
-    assert edges.method == 'gates' and edges.n_edge == 5 and edges.threshold is None
+    assert edges.method == 'gates' and edges.n_edge == 5 and edges.threshold == OPEN_THRESHOLD
     edges.check_data(data)
-    model = checkpoints.load_model(trained)
+    model = subspace_model.load(trained)
     np.testing.assert_array_equal(model.mode_mask, edges.mask)
     assert model.edge_source == 'learned gates'
     assert model.layout(4).n_edge == 4 * synthetic.N_MODES + 5
@@ -196,7 +210,6 @@ def test_impossible_settings_are_refused():
         ('gates must close', {'gate_steps': 30, 'num_steps': 30}),
         ('leave one of them out', {'adjacency': 'fully_connected'}),
         ('gate_steps is 0', {'gate_steps': 0}),
-        ('gate_keep is -1', {'gate_keep': -1}),
         ('gate_weight is -1', {'gate_weight': -1.0}),
     ):
         with pytest.raises(ValueError, match=message):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import evaluation, model_config, reading_utils, rollout
+from learning_to_simulate import evaluation, reading_utils, rollout
 from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
@@ -159,13 +159,13 @@ def test_what_knows_one_body_says_so(made, tmp_path):
 def test_damaged_numbers_of_bodies_are_refused(made):
     model, _ = made
     scene, statistics = model.simulator.scene, model.simulator.statistics
-    model_config._check_scene(scene)
-    model_config._check_statistics(statistics, scene)
+    scene.check()
+    statistics.check(scene)
     with pytest.raises(ValueError, match='body'):
-        model_config._check_scene(dataclasses.replace(scene, bodies=(('blade', -1),)))
+        dataclasses.replace(scene, bodies=(('blade', -1),)).check()
     wrong = dataclasses.replace(statistics, force_mean=np.zeros(5), force_std=np.ones(5))
     with pytest.raises(ValueError, match='force_mean'):
-        model_config._check_statistics(wrong, scene)
+        wrong.check(scene)
 
 
 def test_the_protocol_judges_the_force_on_each(tmp_path):
@@ -173,7 +173,7 @@ def test_the_protocol_judges_the_force_on_each(tmp_path):
     folder = write(str(tmp_path / 'data'))
     synthetic.write_subspace(folder)
     reader = TruthReader(folder)
-    truth = next(reader.read('test'))
+    truth = next(reader.runs('test'))
     run = dataset.read_split(folder, 'test')[0]
     np.testing.assert_allclose(truth.force, run.body_force[H:].reshape(-1, 6), rtol=1e-6)
     train = dataset.read_split(folder, 'train')

@@ -15,22 +15,23 @@ from learning_to_simulate.subspace.learned_simulator import (
     initial_state,
 )
 from learning_to_simulate.subspace.trainer import Trainer
+from learning_to_simulate.training.schedule import UNROLLED_RATE
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.twins.training_twin import H, TrainingTwin
 
 SMALL = {
     'latent_size': 4, 'hidden_layers': 1, 'batch_size': 3, 'unroll_batch_size': 2, 'mode_edges': 4,
-    'unroll_length': 3, 'noise_std': 0.5, 'unroll_noise': 0.5, 'weight_average': 0.9,
+    'unroll_length': 3, 'noise_std': 0.5, 'weight_average': 0.9,
     'unroll_steps': 3,
 }  # fmt: skip
 SECOND_ORDER = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 2}
 CASES = {
     'single step': {'num_steps': 5},
     'single step, second order': {'num_steps': 5} | SECOND_ORDER,
-    'unrolled': {'num_steps': 0},
-    'unrolled, second order': {'num_steps': 0} | SECOND_ORDER,
+    'unrolled': {'num_steps': 3},
+    'unrolled, second order': {'num_steps': 3} | SECOND_ORDER,
     'single step, torque': {'num_steps': 5, 'predict_torque': True},
-    'unrolled, torque': {'num_steps': 0, 'predict_torque': True},
+    'unrolled, torque': {'num_steps': 3, 'predict_torque': True},
 }
 
 
@@ -48,10 +49,10 @@ class Case:
             variable.assign(variable + rng.normal(0, 0.2, variable.shape))
         self._start = [v.numpy() for v in self._variables]
         self.twin = twin = TrainingTwin(self.model, self.groups[0])
-        unrolled = not overrides['num_steps']
+        unrolled = not self.model.simulator.config.single_steps
         loss = twin.unrolled_loss if unrolled else twin.single_loss
         config = self.model.simulator.config
-        self.rate = config.unroll_learning_rate if unrolled else config.learning_rate
+        self.rate = UNROLLED_RATE if unrolled else config.learning_rate
         self.loss = loss(twin.named(twin.weights), 0)
         self.gradient = twin.gradient(loss, 0)
 

@@ -82,9 +82,8 @@ def make_field(members=2, seed=0, **config) -> SweptField:
     """A field with random weights, large enough to move soil and wheel visibly."""
     scene = Scene('small', 4, RigidMotion.DRIVEN, (), True, NAMES, 10, DT)
     settings = SweptFieldConfig(
-        'swept_field', members=members, latent_size=8, hidden_layers=2, force_latent_size=8,
-        seed=seed, **config,
-    )  # fmt: skip
+        'swept_field', members=members, latent_size=8, hidden_layers=2, seed=seed, **config
+    )
     field = SweptField(settings, scene, AXES, GRID, WHEEL, bed_points(), SPACING, SPACING)
     for part in (field.network.soil, field.network.load):
         weight, bias = part.layers[-1]

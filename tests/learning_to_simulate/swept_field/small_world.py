@@ -61,9 +61,8 @@ def make_field(members=3, seed=0, **config) -> SweptField:
     """A field with random weights, large enough to move soil visibly."""
     scene = Scene('small', 4, RigidMotion.PRESCRIBED, (), True, (), 10, DT)
     settings = SweptFieldConfig(
-        'swept_field', members=members, latent_size=8, hidden_layers=2, force_latent_size=8,
-        seed=seed, **config,
-    )  # fmt: skip
+        'swept_field', members=members, latent_size=8, hidden_layers=2, seed=seed, **config
+    )
     field = SweptField(settings, scene, AXES, GRID, BLADE, bed_points(), SPACING, SPACING)
     for part in (field.network.soil, field.network.load):
         weight, bias = part.layers[-1]

@@ -21,8 +21,8 @@ from tests.learning_to_simulate.swept_field import small_wheel
 from tests.learning_to_simulate.swept_field import small_world as world
 
 SMALL = {
-    'members': 2, 'latent_size': 16, 'hidden_layers': 2, 'force_latent_size': 16,
-    'num_steps': 250, 'batch_size': 32, 'particles_per_frame': 32, 'start_every': 40,
+    'members': 2, 'latent_size': 16, 'hidden_layers': 2,
+    'num_steps': 250, 'batch_size': 32, 'start_every': 40,
 }  # fmt: skip
 
 
@@ -70,15 +70,17 @@ def test_rollouts_are_written_as_the_protocol_reads_them(data_path, model_path, 
     sample = particles.read_sample(data_path, 'test')
     frames = np.arange(8, 61, 4)
     truth = sample[0][frames // 4]
-    predicted = prediction.particles(frames, np.asarray(sample.indices))
+    predicted = prediction.own['predicted_particles'].astype(float)
+    np.testing.assert_array_equal(prediction.own['particle_frames'], frames)
     error = 1e3 * np.sqrt(((predicted - truth) ** 2).mean())
     assert error == pytest.approx(summary['field'][0]['soil_mm'], rel=1e-3)
+    assert error == pytest.approx(summary['runs']['model'][0]['soil_mm'], rel=1e-3)
     run = dataset.read_split(data_path, 'test')[0]
     for found, recorded in ((prediction.force, run.force), (prediction.torque, run.torque)):
         relative = np.linalg.norm(found - recorded[6:]) / np.linalg.norm(recorded[6:])
         assert relative < 0.6
     # The modes in the file, for pictures, are those of the particles.
-    assert summary['mean']['model']['soil_rms_mm'] < summary['mean']['stay_still']['soil_rms_mm']
+    assert summary['mean']['model']['soil_mm'] < summary['mean']['stay_still']['soil_mm']
 
 
 def test_a_second_call_finds_it_done_and_other_settings_are_refused(data_path, model_path):

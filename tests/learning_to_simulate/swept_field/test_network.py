@@ -31,7 +31,7 @@ def seen(request):
     world, tool, kind = WORLDS[request.param]
     plane = world.path()
     rest = world.AXES.points(world.bed_points()) - [plane[0, 0, 0], world.SURFACE, 0.0]
-    rest = rest[np.abs(rest[:, 0]) < 0.3][::61].astype(np.float32)
+    rest = rest[np.abs(rest[:, 0]) < 0.3][::23].astype(np.float32)
 
     def at(bins, name, place):
         channel = bins[:, tool.channels.index(name)].astype(float)
@@ -77,7 +77,7 @@ def test_inputs_and_gates_are_those_of_the_twin(seen):
         np.testing.assert_allclose(force, wanted, atol=3e-3, rtol=2e-3)
         assert (own.shape[1], len(force)) == given.sizes
         gates.append(gate)
-    assert not gates[0].any() and gates[-1].max() > 0.9 and gates[-1].min() == 0
+    assert not gates[0].any() and gates[-1].max() > 0.8 and gates[-1].min() == 0
 
 
 def test_a_blade_touches_soil_where_its_network_may_say_anything():

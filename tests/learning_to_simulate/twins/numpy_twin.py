@@ -73,19 +73,19 @@ class Twin:
             k = self._class(i)
             v = velocity[-c.velocity_inputs :, i] / rate
             row = [((v - s.velocity_mean[k]) / s.velocity_std[k]).ravel()]
-            if c.conditioned:
+            if c.style == 'ours':
                 row.append((history[-1, i] - s.origin[k]) / s.position_std[k])
                 if c.velocity_inputs > 1:
                     a = np.diff(v, axis=0)
                     row.append(((a - s.acceleration_mean[k]) / s.acceleration_std[k]).ravel())
             if self.rated:
                 row.append([np.log(rate), rate])
-            if c.conditioned and self.scene.rigid_motion in ('prescribed', 'driven'):
+            if c.style == 'ours' and self.scene.rigid_motion in ('prescribed', 'driven'):
                 known = np.zeros(3)
                 if k == 0:
                     known = (shape_change[i] / rate - s.velocity_mean[0]) / s.velocity_std[0]
                 row.append(known)
-            if c.conditioned and driven:
+            if c.style == 'ours' and driven:
                 height = np.zeros(H)
                 if k == 0:
                     height[0] = (body_now[:, up] - s.origin[0, up]).mean() / s.height_std[0]
@@ -93,11 +93,11 @@ class Twin:
                 row.append(height)
             table = self.weights['learned_simulator/embedding']
             row.append(
-                table[self._row(i)] if c.conditioned else table[self.types[0 if k == 0 else 1]]
+                table[self._row(i)] if c.style == 'ours' else table[self.types[0 if k == 0 else 1]]
             )
             if context is not None:
                 row.append((context - s.context_mean) / s.context_std)
-                if c.conditioned:
+                if c.style == 'ours':
                     row.append((np.log(context) - s.log_context_mean) / s.log_context_std)
             nodes.append(np.concatenate(row))
         edges = []
@@ -140,7 +140,7 @@ class Twin:
                 arriving = [messages[k] for k, (_, r) in enumerate(self.edges) if r == i]
                 if arriving:
                     total = np.sum(arriving, axis=0)
-                    received[i] = total / len(arriving) if self.config.conditioned else total
+                    received[i] = total / len(arriving) if self.config.style == 'ours' else total
             update = self._mlp(block + 'node_block/', np.concatenate([received, n], -1))
             n, e = n + update, e + messages
         return self._mlp(p, n, 'decoder')

@@ -1,7 +1,7 @@
 """A whole training step once more in numpy and float64: windows, noise, features, network, target,
 loss, gradient by finite differences, clipping, Adam and the moving average.
 
-For a prescribed body in conditioned models without a context, one message-passing step. It shares
+For a prescribed body in models of our style without a context, one message-passing step. It shares
 with the package the stored statistics, the weights, the list of edges and the random numbers that a
 seed gives; what is done with them is written from the equations.
 """
@@ -177,7 +177,7 @@ class TrainingTwin:
         c, s, size = self.config, self.s, self.config.unroll_batch_size
         count = c.unroll_length
         position, load, run = self.windows(step, count, size)
-        now, velocity = self._noisy(position, self.noise(step, size, c.unroll_noise))
+        now, velocity = position[:, H - 1], np.diff(position[:, :H], axis=1)
         quiet, load_weight = self._weights_of_loss(run)
         k, motion, load_error = self.node_class, 0.0, 0.0
         for frame in range(count):

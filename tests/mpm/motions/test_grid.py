@@ -60,10 +60,10 @@ def test_bodies_stay_within_the_bounds(scene):
     for case in range(1, scene.case_count + 1):
         drive = grid.make_drive(scene, scene.parameters(case))
         poses = drive.pose(times)
-        for x, y, theta in poses[[0, 80, 160, 240, 320]]:
-            if drive.load is not None:
-                y = scene.bin.surface + drive.body.radius
-            points = bodies.sample_points(drive.body, x, y, theta)
+        for pose in poses[[0, 80, 160, 240, 320]]:
+            if drive.machine is not None:
+                pose[1] = scene.bin.surface + drive.body.radius
+            points = bodies.sample_points(drive.body, pose)
             assert (points > low + scene.bin.dx).all() and (points < high - scene.bin.dx).all()
 
 
@@ -78,7 +78,7 @@ def test_pose_rests_before_time_zero(scene):
 def test_blade_leans_back_by_its_angle():
     parameters = scenes.EXCAVATION.parameters(1) | {'angle_deg': 30.8}
     drive = grid.make_drive(scenes.EXCAVATION, parameters)
-    rows = bodies.sample_points(drive.body, *drive.pose(np.zeros(1))[0]).reshape(4, 5, 3)
+    rows = bodies.sample_points(drive.body, drive.pose(np.zeros(1))[0]).reshape(4, 5, 3)
     rise = rows[-1, 0] - rows[0, 0]
     assert np.degrees(np.arctan2(rise[0], rise[1])) == pytest.approx(30.8)
     with pytest.raises(ValueError, match='60.0'):

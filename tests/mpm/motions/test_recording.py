@@ -25,7 +25,8 @@ def test_path_goes_through_its_rows_and_rests_outside(tmp_path):
     path = write(tmp_path, *(','.join(map(str, row)) for row in rows))
     drive, parameters, seconds = drive_of(path, blade_width=0.30)
     rows = np.array(rows)
-    expected = np.column_stack([rows[:, 1:3], np.radians(rows[:, 3])])
+    middle = np.full(len(rows), scenes.EXCAVATION.bin.z_middle)
+    expected = np.column_stack([rows[:, 1:3], np.radians(rows[:, 3]), middle])
     poses = drive.pose(np.array([0.0, 0.5, 1.5]))  # the first row is the run's time 0
     np.testing.assert_allclose(poses, expected, atol=1e-12)
     np.testing.assert_array_equal(drive.pose(np.array([-1.0, 9.0])), drive.pose([0.0, 1.5]))
@@ -66,13 +67,14 @@ def test_load_of_the_wheel(tmp_path):
     header = HEADER + ',load_N'
     path = write(tmp_path, '0,0.38,0,0,150', '2,0.35,0,60,200', header=header)
     drive, parameters, _ = drive_of(path, scenes.WHEEL)
-    np.testing.assert_allclose(
-        drive.load(np.array([-1.0, 0.0, 1.0, 2.0, 9.0])), [150, 150, 175, 200, 200]
-    )
+    times = np.array([-1.0, 0.0, 1.0, 2.0, 9.0])
+    expected = np.outer([150, 150, 175, 200, 200], [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(drive.machine.force(times), expected)
+    assert drive.machine.is_free == (False, True, False)
     demo = scenes.WHEEL.parameters(scenes.WHEEL.demo_case)
     assert parameters['diameter_m'] == demo['diameter_m'] == 2 * drive.body.radius
     drive, _, _ = drive_of(write(tmp_path, '0,0.38,0,0', '2,0.35,0,60'), scenes.WHEEL)
-    assert drive.load(np.zeros(1))[0] == scenes.wheel_load(demo)
+    assert drive.machine.force(np.zeros(1))[0, 1] == -scenes.wheel_load(demo)
 
 
 GOOD = ('0,0.8,0.3,0', '0.1,0.79,0.3,0')

@@ -65,9 +65,8 @@ def test_cheap_rows_pass(tmp_path):
     assert len(table.entries) == 2 and not table.failed
 
 
-def test_readme_counts_the_checks_that_fail():
-    readme = (ROOT / 'mpm' / 'README.md').read_text(encoding='utf-8')
-    table = Table(str(ROOT / 'docs' / 'solver' / 'verify.json'))
-    count = sum(len(entry['checks']) for entry in table.entries.values())
-    assert f'**{len(table.failed)} of {count} fail**' in readme
-    assert list(table.entries) == list(verify.rows_of('raw')), 'rows as the command orders them'
+def test_record_holds_rows_that_the_command_makes():
+    """The README shows the record as it is (`tests/test_documents.py`)."""
+    made = list(verify.rows_of('raw'))
+    kept = Table(str(ROOT / 'mpm' / 'verification' / 'verify.json')).entries
+    assert list(kept) == [name for name in made if name in kept]

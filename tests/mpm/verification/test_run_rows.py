@@ -30,7 +30,8 @@ def made_up(case):
     force = np.zeros((scenes.FRAMES, 3), dtype=np.float32)
     force[:, 0] = np.arange(scenes.FRAMES)
     parameters = scenes.EXCAVATION.parameters(case)
-    return run.RawRun(np.zeros((1, 1, 3)), np.zeros((1, 1, 3)), force, parameters)
+    none = np.zeros((1, 1, 3))
+    return run.RawRun(none, none, force, parameters, torque=force, pose=np.zeros((1, 7)))
 
 
 @pytest.mark.parametrize('case', run_rows.SAW_TOOTH_CASES)

@@ -1,4 +1,4 @@
-"""Figures of the stored protocol follow from the errors of its runs, and the page shows them."""
+"""Figures of the stored protocol follow from the errors of its runs."""
 
 import json
 import pathlib
@@ -38,9 +38,17 @@ def test_figures_follow_from_the_errors_of_the_runs(path):
                 assert len(seed['runs'][split]) == len(runs)
 
 
-def test_the_page_shows_every_stored_scene():
-    text = (ROOT / 'docs' / 'protocol.md').read_text(encoding='utf-8')
-    assert STORED
-    for path in STORED:
-        for quantity in json.loads(path.read_text(encoding='utf-8'))['summary']['test']['all']:
-            assert f'tables:quantity docs/protocol/{path.name} test {quantity} -->' in text
+@pytest.mark.parametrize('path', STORED, ids=lambda path: path.name)
+def test_tables_of_the_pages_hold_the_means_over_runs(path):
+    document = json.loads(path.read_text(encoding='utf-8'))
+    (method,) = (m for m in document['methods'] if m['name'] == 'swept_field')
+    runs, errors = document['runs']['test'], method['seeds'][0]['runs']['test']
+    soil = [e['soil_mm'] for run, e in zip(runs, errors, strict=True) if run['motion_mm'] >= 1]
+    force = [e['force_l2'] for e in errors]
+    means = f'| {sum(soil) / len(soil):.3g} | {sum(force) / len(force):.3g} |'
+    assert f'swept_field {means}' in tables.means(str(path), 'test', 'soil_mm', 'force_l2')
+    assert f'| recommended {means}' in tables.shipped(str(path))
+    by_kind = tables.of_method(str(path), 'test', 'swept_field', 'force_l2', 'soil_mm')
+    assert {line.split(' | ')[0][2:] for line in by_kind.splitlines()[2:]} == {
+        'all', *(run['kind'] for run in runs)
+    }  # fmt: skip

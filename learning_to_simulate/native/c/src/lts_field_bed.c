@@ -1,4 +1,4 @@
-/* The bed that a tool begins on: its surface from particles, twin of `resting_bed.py`. */
+/* The bed that a tool begins on: its surface from particles, twin of `tool/bed.py`. */
 #include <math.h>
 #include <string.h>
 

@@ -19,7 +19,7 @@ typedef struct {
   double origin, level, end, floor, width; /* u of the tool's first place; m */
 } lts_field_ground;
 
-/* What is given of a wheel so far; twin of `wheel_path.DriveState`. */
+/* What is given of a wheel so far; twin of `wheel.DriveState`. */
 typedef struct {
   double radius, width, gravity, friction;     /* m, m/s2; tan of the friction angle */
   double first_height, first_turned, first_load; /* of its first pose: m, rad, N */

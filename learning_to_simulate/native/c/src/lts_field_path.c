@@ -1,4 +1,4 @@
-/* What a blade has swept so far: twin of `swept_features.py` and `tool_path.py`, for one tool; and what a
+/* What a blade has swept so far: twin of `tool/swept.py` and `tool/blade.py`, for one tool; and what a
  * wheel shares with it. */
 #include <math.h>
 #include <string.h>

@@ -1,4 +1,4 @@
-/* What a driven wheel has done so far, and the rut it leaves: twin of `wheel_path.py`, for one wheel. */
+/* What a driven wheel has done so far, and the rut it leaves: twin of `tool/wheel.py`, for one wheel. */
 #include <math.h>
 #include <string.h>
 
@@ -106,7 +106,7 @@ void lts_field_wheel_sink(lts_field *soil, const double from[2], double height) 
   }
 }
 
-/* In the order of `wheel_path.SCALARS`. */
+/* In the order of `wheel.SCALARS`. */
 void lts_field_wheel_see(lts_field *soil) {
   const lts_field_model *m = soil->model;
   const lts_field_head *h = soil->head;

@@ -1,0 +1,196 @@
+"""`Model`: a simulator in the subspace with its edges, and how one is read from its folder."""
+
+import dataclasses
+import os
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
+from learning_to_simulate.connectivity_utils import build
+from learning_to_simulate.normalization import Statistics
+from learning_to_simulate.scene import MAX_RIGID, Scene, is_int, require
+from learning_to_simulate.subspace import whole_state
+from learning_to_simulate.subspace.learned_simulator import (
+    Layout,
+    LearnedSimulator,
+    SimulatorState,
+)
+from learning_to_simulate.subspace.rigid_body import KnownMotion
+from learning_to_simulate.tool import path_memory
+from pca_tools.subspace import Subspace
+
+# `TrainConfig.model` -> what makes its simulator of (scene, config, statistics, particle types).
+SIMULATORS = {'gns': LearnedSimulator} | whole_state.SIMULATORS
+
+
+@dataclasses.dataclass
+class Model:
+    """A simulator with what is needed to run it on graphs of any number of rigid particles.
+
+    Attributes:
+      simulator: the network with its scene, config and statistics.
+      mode_mask: bool [r, r] of the mode -> mode edges, completed by Algorithm 2; else None.
+      loaded_mask: bool [V, V] from an edge file, used as it is; else None.
+      edge_source: where the edges come from; None if the model folder does not say.
+    """
+
+    simulator: LearnedSimulator
+    mode_mask: np.ndarray | None
+    loaded_mask: np.ndarray | None
+    edge_source: str | None = None
+
+    def __post_init__(self):
+        self._layouts = {}
+
+    def layout(self, n_rigid: int) -> Layout:
+        """The graph for R rigid particles, built once.
+
+        Raises:
+          ValueError: if the model's edges do not fit graphs of that size.
+        """
+        if n_rigid not in self._layouts:
+            s = self.simulator
+            s.check_size(n_rigid)
+            adjacency = build(
+                s.config.adjacency, s.scene, n_rigid, self.mode_mask, self.loaded_mask
+            )
+            self._layouts[n_rigid] = Layout(adjacency, n_rigid, s.scene, s.statistics, s.config)
+        return self._layouts[n_rigid]
+
+    def edge_counts(self) -> dict[str, int]:
+        """Number of edges of every graph that was built, by its R."""
+        return {str(n): layout.n_edge for n, layout in self._layouts.items()}
+
+    def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
+        """Takes another list of mode -> mode edges; graphs are built anew.
+
+        Args:
+          mode_mask: bool [r, r], entry [receiver, sender].
+          source: where it comes from.
+        """
+        self.mode_mask, self.edge_source = mode_mask, source
+        sizes, self._layouts = list(self._layouts), {}
+        for n_rigid in sizes:
+            self.layout(n_rigid)
+
+    def fitting_subspace(self, subspace: Subspace) -> Subspace:
+        """The modes of a dataset's subspace that the model predicts: all, or the first ones.
+
+        Raises:
+          ValueError: the subspace has other modes or particles than the model's.
+        """
+        scene, first = self.simulator.scene, self.simulator.config.modes
+        if first and subspace.n_modes > first:
+            subspace = dataclasses.replace(subspace, components=subspace.components[:, :first])
+        found, wanted = (subspace.n_modes, subspace.n_soil), (scene.n_modes, scene.n_soil)
+        if found[0] != wanted[0] or wanted[1] not in (None, found[1]):
+            raise ValueError(
+                f'the subspace has {found[0]} modes of {found[1]} particles, the model was trained '
+                f'on {wanted[0]} modes of {wanted[1]}'
+            )
+        return subspace
+
+    def create_variables(self, n_rigid: int):
+        """Makes all variables by running one frame of zeros; their values follow TensorFlow's
+        seed, which whoever trains sets. Setting it throws all kernels away, so loading does not."""
+        s, layout = self.simulator, self.layout(n_rigid)
+        state = SimulatorState(
+            tf.zeros([1, layout.n_node, s.dim]),
+            tf.zeros([1, layout.n_node, INPUT_SEQUENCE_LENGTH - 1, s.dim]),
+        )
+        body = tf.zeros([1, n_rigid, s.dim])
+        known = KnownMotion(body, body)
+        if layout.memory is not None:
+            start = tf.zeros([1, s.scene.n_modes, s.dim])
+            known = KnownMotion(body, body, tf.zeros([1, path_memory.WIDTH]), start)
+        s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parts:
+    """The parts of `config.json` that say what a model is.
+
+    Attributes:
+      config: `TrainConfig`.
+      scene: `Scene`.
+      statistics: `Statistics`.
+      particle_types: of the rigid particles and of the modes.
+      n_rigid: an R that the model runs on.
+      mode_mask: bool [r, r], or None.
+      loaded_mask: bool [V, V], or None.
+      edge_source: where the edges come from, or None.
+    """
+
+    config: TrainConfig
+    scene: Scene
+    statistics: Statistics
+    particle_types: tuple[int, int]
+    n_rigid: int
+    mode_mask: np.ndarray | None
+    loaded_mask: np.ndarray | None
+    edge_source: str | None
+
+
+def parse(values: dict, source: str) -> Parts:
+    """Checks the values of `config.json` and gives them their types.
+
+    Args:
+      values: the JSON object.
+      source: its file, for messages.
+
+    Raises:
+      ValueError: a field is missing, unknown, of another type, or fits no model.
+    """
+    try:
+        config, scene, types = checkpoints.settings_and_scene(values, TrainConfig)
+        statistics = Statistics.from_json(values['statistics'])
+        statistics.check(scene, config.predict_torque)
+        n_rigid = values['n_rigid']
+        require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
+        source_of_edges = values.get('edge_source')
+        require(isinstance(source_of_edges, str | None), 'edge_source', source_of_edges)
+        masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
+    except checkpoints.WRONG_FIELD as error:
+        raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
+    return Parts(config, scene, statistics, types, n_rigid, *masks, source_of_edges)
+
+
+def load(path: str) -> Model:
+    """Loads a model for evaluation from config.json and weights.npz.
+
+    Raises:
+      FileNotFoundError, ValueError: no model there, or weights that are not those of the config;
+        no variable is made that the weights do not hold.
+    """
+    parts = parse(checkpoints.read_config(path), os.path.join(path, checkpoints.CONFIG_FILE))
+
+    def make():
+        simulator = make_simulator(
+            parts.scene, parts.config, parts.statistics, parts.particle_types
+        )
+        model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
+        model.create_variables(parts.n_rigid)
+        return model
+
+    return checkpoints.filled(path, make)
+
+
+def make_simulator(scene, config, statistics, particle_types=(0, 6)) -> LearnedSimulator:
+    """A simulator with fresh weights; arguments as of `LearnedSimulator`."""
+    return SIMULATORS[config.model](scene, config, statistics, particle_types)
+
+
+def _mask(value, name):
+    if value is None:
+        return None
+    require(
+        isinstance(value, list)
+        and value
+        and all(isinstance(row, list) and len(row) == len(value) for row in value)
+        and all(is_int(entry, 0, 1) for row in value for entry in row),
+        name,
+        'not a square of 0 and 1',
+    )
+    return np.array(value, bool)

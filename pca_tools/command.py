@@ -1,0 +1,52 @@
+"""How commands start: help at once and with exit code 0, errors in one line."""
+
+import os
+import sys
+from collections.abc import Callable
+
+from absl import app, flags, logging
+
+HELP = ('-h', '--help', '-help', '--helpshort', '--helpfull', '--helpxml')
+
+
+def start(run: Callable, n_argument: int = 0) -> None:
+    """Runs a command as the main program; its flags are defined already.
+
+    A question for help ends with exit code 0. `ValueError`, `OSError` and a package that is not
+    installed end in one line that begins with `error:`, with exit code 1; so does an argument that
+    is no flag.
+
+    Args:
+        run: called with the values of the flags, and, where it takes arguments, a list of these;
+            what it returns is the exit code.
+        n_argument: how many arguments that are no flags it takes at most.
+    """
+
+    def main(argv):
+        if len(argv) > n_argument + 1:
+            sys.exit(f'error: unexpected arguments {argv[n_argument + 1 :]}; flags begin with --')
+        if not flags.FLAGS['verbosity'].present:  # TensorFlow tells of every checkpoint it writes
+            logging.set_verbosity(logging.WARNING)
+        try:
+            return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
+        except ModuleNotFoundError as error:
+            sys.exit(f'error: this needs {error.name}, which is not installed')
+        except (ValueError, OSError) as error:
+            from pca_tools.storage.messages import printable
+
+            logging.debug('stack', exc_info=True)
+            sys.exit(f'error: {printable(error)}')
+
+    asked = any(argument.split('=')[0] in HELP for argument in sys.argv[1:])
+    try:
+        app.run(main)
+    except SystemExit as done:
+        if asked and done.code == 1:  # absl's code for help that was printed
+            sys.exit(0)
+        raise
+
+
+def start_quietly(run: Callable, n_argument: int = 0) -> None:
+    """As `start`, of a command in which TensorFlow only reads and writes records."""
+    os.environ.setdefault('TF_ENABLE_ONEDNN_OPTS', '0')  # its banner stays away, too
+    start(run, n_argument)

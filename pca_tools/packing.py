@@ -1,0 +1,130 @@
+"""Series of a run in few bytes: positions as whole steps, everything else bit for bit.
+
+Numbers change little from frame to frame, so each one's own course in time is kept together and the
+bytes of equal weight after each other; LZMA then finds most of them to be equal.
+"""
+
+from __future__ import annotations
+
+import lzma
+import math
+import struct
+
+import numpy as np
+
+# Steps that a folded 32-bit difference can hold.
+_MAX_STEPS = 2**30
+_LZMA = [{'id': lzma.FILTER_LZMA2, 'preset': 6 | lzma.PRESET_EXTREME}]
+# Before a series: frames, values a frame; before steps also their length, and the first frame.
+_SERIES_HEAD = struct.Struct('<II')
+_STEPS_HEAD = struct.Struct('<IId')
+# A run of 5,000 frames and 10,000 values a frame; what claims more is damaged or hostile.
+_MAX_VALUES = 5 * 10**7
+
+
+def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> bytes:
+    """Packs positions as whole steps from rest, differenced in time, signs folded
+    (0, -1, 1, -2 -> 0, 1, 2, 3).
+
+    Args:
+        positions: [F, P, 3] m.
+        rest: [P, 3] m.
+        resolution: length of a step, m; `unpack_steps` gives positions to within half of it.
+
+    Raises:
+        ValueError: a point is farther from rest than a step count can hold.
+    """
+    offset = (np.asarray(positions, np.float64) - rest) / resolution
+    if not np.all(np.abs(offset) < _MAX_STEPS):
+        raise ValueError(
+            f'a point is {np.abs(offset).max() * resolution:.3g} m from its rest place, which '
+            f'steps of {resolution} m cannot hold'
+        )
+    steps = np.rint(offset).astype(np.int32).transpose(2, 1, 0)  # axis, point, frame
+    change = np.diff(steps, axis=-1, prepend=np.int32(0))
+    return _compressed(((change << 1) ^ (change >> 31)).astype('<u4'))
+
+
+def unpack_steps(data: bytes, n_frames: int, rest: np.ndarray, resolution: float) -> np.ndarray:
+    """Unpacks `pack_steps`; returns float64 [F, P, 3] m.
+
+    Raises:
+        ValueError: the bytes are damaged or do not hold `n_frames` frames.
+    """
+    folded = _decompressed(data, n_frames * rest.size).reshape(rest.shape[1], len(rest), n_frames)
+    change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
+    steps = np.cumsum(change, axis=-1, dtype=np.int64)
+    return rest + resolution * steps.transpose(2, 1, 0)
+
+
+def pack_positions(positions: np.ndarray, resolution: float) -> bytes:
+    """Packs float32 [T, P, 3] with all that `unpack_positions` needs: steps from frame 0."""
+    first = np.ascontiguousarray(positions[0], '<f4')
+    head = _STEPS_HEAD.pack(len(positions), len(first), resolution)
+    return head + first.tobytes() + pack_steps(positions, first.astype(np.float64), resolution)
+
+
+def unpack_positions(data: bytes) -> np.ndarray:
+    """Returns float32 [T, P, 3]; packing these again gives the same bytes' positions.
+
+    Raises:
+        ValueError: the bytes are damaged.
+    """
+    n_frames, points, resolution = _head(_STEPS_HEAD, data)
+    start = _STEPS_HEAD.size + 12 * points
+    _refuse_huge(n_frames, 3 * points)
+    if len(data) < start or not 0 < resolution < math.inf:
+        raise ValueError('packed positions are damaged')
+    first = np.frombuffer(data[_STEPS_HEAD.size : start], '<f4')
+    if not np.isfinite(first).all():
+        raise ValueError('packed positions begin with NaN or infinity')
+    rest = first.reshape(points, 3).astype(np.float64)
+    return unpack_steps(data[start:], n_frames, rest, resolution).astype(np.float32)
+
+
+def pack_series(values: np.ndarray) -> bytes:
+    """Packs float32 [T, ...] bit for bit."""
+    rows = np.ascontiguousarray(values.reshape(len(values), -1).T, '<f4')
+    return _SERIES_HEAD.pack(len(values), len(rows)) + _compressed(rows.view('<u4'))
+
+
+def unpack_series(data: bytes) -> np.ndarray:
+    """Returns float32 [T, values].
+
+    Raises:
+        ValueError: the bytes are damaged.
+    """
+    n_frames, values = _head(_SERIES_HEAD, data)
+    _refuse_huge(n_frames, values)
+    rows = _decompressed(data[_SERIES_HEAD.size :], n_frames * values).view('<f4')
+    return np.ascontiguousarray(rows.reshape(values, n_frames).T.astype(np.float32))
+
+
+def _compressed(numbers: np.ndarray) -> bytes:
+    """LZMA of little-endian numbers of four bytes, bytes of equal weight together."""
+    planes = np.ascontiguousarray(numbers.reshape(-1, 1).view(np.uint8).T)
+    return lzma.compress(planes.tobytes(), lzma.FORMAT_RAW, filters=_LZMA)
+
+
+def _decompressed(data: bytes, count: int) -> np.ndarray:
+    """Returns `count` numbers, uint32; never unpacks more than they take."""
+    try:
+        decoder = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
+        planes = decoder.decompress(data, 4 * count + 1)
+    except lzma.LZMAError as error:
+        raise ValueError(f'packed numbers are damaged ({error})') from error
+    if len(planes) != 4 * count:
+        raise ValueError(f'packed numbers take {len(planes)} bytes, {4 * count} were expected')
+    together = np.frombuffer(planes, np.uint8).reshape(4, -1)
+    return np.ascontiguousarray(together.T).view('<u4').ravel()
+
+
+def _head(layout: struct.Struct, data: bytes) -> tuple:
+    if len(data) < layout.size:
+        raise ValueError(f'packed numbers end after {len(data)} bytes')
+    return layout.unpack_from(data)
+
+
+def _refuse_huge(n_frames: int, values: int) -> None:
+    if not 0 < n_frames * values <= _MAX_VALUES:
+        raise ValueError(f'packed numbers promise {n_frames} frames of {values}')

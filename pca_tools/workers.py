@@ -1,0 +1,198 @@
+"""Runs a function over many inputs: a pool of processes, or Dask on this machine or a cluster.
+
+One word chooses: '' (a pool), 'local' or 'local:4' (Dask here, 4 workers), 'tcp://host:port' (a
+scheduler that runs already), 'slurm' or 'slurm:64' (64 jobs of the batch system). Dask is the extra
+`[cluster]`; a pool needs nothing.
+
+Each input is one task of one thread. A task whose worker dies is given to another one, an input
+that raises is tried again twice, and one that always raises is reported without stopping the rest.
+Functions that write should write one whole file per input and skip what is there: then a command
+that was killed, scheduler and all, goes on when it is given again.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import dataclasses
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from pca_tools.storage import parent
+
+RETRIES = 2
+# Batch jobs end themselves before the batch system ends them, a little apart from each other.
+SLURM_WALLTIME = '01:00:00'
+SLURM_LIFETIME = ('--lifetime', '55m', '--lifetime-stagger', '4m')
+SLURM_MEMORY = '4GB'
+_EXTRA = "Dask is not installed: pip install 'learning-to-simulate-soil[cluster]'"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What became of one input.
+
+    Attributes:
+        index: of the input.
+        value: what the function returned, None where it failed.
+        error: why it failed, None where it did not.
+    """
+
+    index: int
+    value: Any
+    error: str | None = None
+
+
+class Workers:
+    """Processes that take tasks; made by `start`."""
+
+    def __init__(self, client=None, pool: concurrent.futures.Executor | None = None):
+        """Takes a Dask client or a pool."""
+        self.client = client
+        self._pool = pool
+
+    def run(self, function: Callable[[Any], Any], inputs: Sequence[Any]) -> Iterator[Outcome]:
+        """Yields the outcome of every input as it is there, in any order.
+
+        Args:
+            function: of a module that the workers can import too.
+            inputs: one task each.
+
+        Raises:
+            OSError: the pool lost a process (Dask does not mind), or the scheduler is gone.
+        """
+        yield from (
+            self._run_pool(self._pool, function, inputs)
+            if self._pool
+            else self._run_dask(function, inputs)
+        )
+
+    def _run_pool(self, pool: concurrent.futures.Executor, function, inputs) -> Iterator[Outcome]:
+        waiting = {pool.submit(function, item): (i, 0) for i, item in enumerate(inputs)}
+        try:
+            while waiting:
+                done, _ = concurrent.futures.wait(
+                    waiting, return_when=concurrent.futures.FIRST_COMPLETED
+                )
+                for future in done:
+                    index, tries = waiting.pop(future)
+                    error = future.exception()
+                    if isinstance(error, BrokenProcessPool):
+                        raise OSError(
+                            'a process was killed from outside (out of memory?); what was finished '
+                            'is kept, the same command goes on'
+                        ) from error
+                    if error is None:
+                        yield Outcome(index, future.result())
+                    elif tries < RETRIES:
+                        again = pool.submit(function, inputs[index])
+                        waiting[again] = (index, tries + 1)
+                    else:
+                        yield Outcome(index, None, f'{type(error).__name__}: {error}')
+        finally:
+            for future in waiting:
+                future.cancel()
+
+    def _run_dask(self, function, inputs) -> Iterator[Outcome]:
+        from distributed import as_completed
+
+        # Not pure: equal inputs are two tasks, and results of an older call do not stand in.
+        futures = self.client.map(function, inputs, pure=False, retries=RETRIES)
+        places = {future.key: index for index, future in enumerate(futures)}
+        for future, value in as_completed(futures, with_results=True, raise_errors=False):
+            index = places[future.key]
+            if future.status == 'finished':
+                yield Outcome(index, value)
+            elif future.status == 'error':
+                error = future.exception()
+                yield Outcome(index, None, f'{type(error).__name__}: {error}')
+            else:
+                raise OSError(
+                    f'the cluster lost task {index} ({future.status}): its scheduler is gone; what '
+                    'was finished is kept, the same command goes on'
+                )
+            future.release()
+
+
+@contextlib.contextmanager
+def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
+    """Starts the workers for the length of a `with` block.
+
+    Args:
+        where: see the module.
+        processes: of a pool or of 'local' and 'slurm' without a number; default one per core.
+
+    Raises:
+        ValueError: an unknown word.
+        ModuleNotFoundError: Dask is not installed.
+        OSError: no scheduler answers.
+    """
+    kind, _, number = where.partition(':')
+    count = _count(number, where) if kind in ('local', 'slurm') and number else processes
+    count = count or os.cpu_count() or 1
+    if not where:
+        context = multiprocessing.get_context('spawn')
+        with concurrent.futures.ProcessPoolExecutor(count, context, parent.end_with_parent) as pool:
+            yield Workers(pool=pool)
+        return
+    if kind not in ('local', 'slurm', 'tcp', 'tls'):
+        raise ValueError(
+            f'cluster is {where!r}; local, local:4, slurm, slurm:64 or tcp://host:port was expected'
+        )
+    with contextlib.ExitStack() as stack:
+        yield Workers(client=_client(stack, kind, where, count))
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[Workers]:
+    """Threads of this process, for functions that wait for processes of their own."""
+    with concurrent.futures.ThreadPoolExecutor(count) as pool:
+        yield Workers(pool=pool)
+
+
+def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
+    try:
+        import dask
+        import distributed
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(_EXTRA) from error
+    if kind in ('tcp', 'tls'):
+        target: Any = where
+    elif kind == 'local':
+        # A row of a report runs in a process of its own, which a daemonic worker may not start.
+        stack.enter_context(dask.config.set({'distributed.worker.daemon': False}))
+        target = stack.enter_context(
+            distributed.LocalCluster(
+                n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None
+            )
+        )
+    else:
+        target = stack.enter_context(slurm_cluster())
+        target.scale(jobs=count)  # a fixed number: adapting ends workers that hold results
+    return stack.enter_context(distributed.Client(target))
+
+
+def slurm_cluster():
+    """Returns the cluster of the batch system; `.job_script()` shows what is submitted.
+
+    Queue, account and the like are set as Dask's own configuration says
+    (`~/.config/dask/jobqueue.yaml`).
+    """
+    try:
+        from dask_jobqueue import SLURMCluster
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(_EXTRA) from error
+    return SLURMCluster(
+        cores=1, processes=1, memory=SLURM_MEMORY, walltime=SLURM_WALLTIME,
+        worker_extra_args=list(SLURM_LIFETIME),
+        job_script_prologue=['export DASK_DISTRIBUTED__WORKER__DAEMON=False'],
+    )  # fmt: skip
+
+
+def _count(number: str, where: str) -> int:
+    if not number.isdigit() or int(number) < 1:
+        raise ValueError(f'cluster is {where!r}; a number of workers was expected after the colon')
+    return int(number)

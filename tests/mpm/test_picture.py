@@ -1,0 +1,51 @@
+"""Strips of outlines."""
+
+import numpy as np
+import pytest
+from absl import app
+
+from mpm import bodies, picture, scenes
+from mpm.motions import catalogue, drawn_tools
+
+
+@pytest.mark.parametrize(
+    'body',
+    [
+        bodies.make_blade(0.4),
+        bodies.make_wheel(0.15, 0.4),
+        bodies.tool_body(drawn_tools.bucket(0.1, 0.3, True))._replace(radius=0.0),
+    ],
+    ids=['blade', 'wheel', 'bucket'],
+)
+def test_outline_lies_on_the_surface(body):
+    pose = (0.5, 0.3, -0.6, 0.4)
+    ring = picture.outline(body, pose)
+    np.testing.assert_allclose(ring[0], ring[-1])
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    wide = body._replace(half_width=9.0, plates=np.zeros((0, 2)))
+    for x, y in ring - pose[:2]:
+        assert abs(bodies.signed_distance(wide, sine, cosine, x, y, 0.0)[0]) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ('scene', 'cases'),
+    [(scenes.EXCAVATION, (22, 'disturbed_0004')), (scenes.WHEEL, ('load_0003',))],
+)
+def test_strips_show_path_and_outlines(scene, cases, tmp_path):
+    pyplot = pytest.importorskip('matplotlib.pyplot')
+    figure, axes = pyplot.subplots()
+    motion = catalogue.motion_of(scene, cases[-1])
+    picture.draw_motion(axes, scene, motion)
+    path = axes.lines[2].get_xydata()
+    assert len(path) == motion.frames + 1
+    np.testing.assert_allclose(
+        path[-1, 0], motion.drive.pose(np.array([motion.simulated_frames / 60]))[0, 0]
+    )
+    pyplot.close(figure)
+    picture.draw(scene, cases, str(tmp_path / 'a.png'))
+    assert (tmp_path / 'a.png').read_bytes()[:4] == b'\x89PNG'
+
+
+def test_command_takes_flags_alone():
+    with pytest.raises(app.UsageError, match=r"unknown arguments: \['23'\]"):
+        picture.main(['picture', '23'])

@@ -1,0 +1,228 @@
+"""Whole files and folders under attack: threads, links, long names, mounts, kills."""
+
+import contextlib
+import os
+import pathlib
+import signal
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from pca_tools.storage import whole_files
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+
+
+def put(text):
+    """A writer that leaves `text` in the file."""
+
+    def write(path):
+        with open(path, 'w', encoding='utf-8') as file:
+            file.write(text)
+
+    return write
+
+
+def fill_with(text):
+    return lambda folder: put(text)(os.path.join(folder, 'a'))
+
+
+def test_threads_of_one_process_do_not_meet(tmp_path):
+    """One temporary name for all of them made 136 of 300 writes fail."""
+    path, failed = str(tmp_path / 'x'), []
+
+    def write(number):
+        for _ in range(60):
+            try:
+                whole_files.write_file(path, put(str(number) * 1000))
+            except OSError as error:
+                failed.append(error)
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failed
+    text = (tmp_path / 'x').read_text()
+    assert len(text) == 1000 and len(set(text)) == 1
+    assert os.listdir(tmp_path) == ['x']
+
+
+def test_folder_writers_of_one_process_do_not_meet(tmp_path):
+    """A second writer with the same process id (another container) removed the first one's work."""
+    path = str(tmp_path / 'set')
+
+    def outer(folder):
+        fill_with('outer')(folder)
+        whole_files.write_folder(path, fill_with('inner'))
+        assert os.listdir(folder) == ['a']
+
+    whole_files.write_folder(path, outer)
+    assert (tmp_path / 'set' / 'a').read_text() == 'outer'
+    assert os.listdir(tmp_path) == ['set']
+
+
+def test_links_under_guessed_names_are_not_written_through(tmp_path):
+    victim = tmp_path / 'victim'
+    victim.write_text('precious')
+    for name in (f'.x.{os.getpid()}.tmp', '.x.tmp', 'x.tmp'):
+        (tmp_path / name).symlink_to(victim)
+    whole_files.write_file(str(tmp_path / 'x'), put('new'))
+    assert victim.read_text() == 'precious' and (tmp_path / 'x').read_text() == 'new'
+    assert stat.S_IMODE(os.stat(tmp_path / 'x').st_mode) == 0o666 & ~_umask()
+
+
+def _umask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def test_output_that_is_a_link_is_the_folder_it_means(tmp_path):
+    (tmp_path / 'disk').mkdir()
+    (tmp_path / 'out').symlink_to(tmp_path / 'disk')
+    whole_files.write_folder(str(tmp_path / 'out'), fill_with('new'))
+    assert (tmp_path / 'out').is_symlink() and (tmp_path / 'disk' / 'a').read_text() == 'new'
+    (tmp_path / 'later').symlink_to(tmp_path / 'not_yet')
+    whole_files.write_folder(str(tmp_path / 'later'), fill_with('new'))
+    assert (tmp_path / 'not_yet' / 'a').read_text() == 'new'
+
+
+@pytest.mark.parametrize('length', [246, 255])
+def test_long_names_lose_nothing(tmp_path, length):
+    name = 'n' * length
+    whole_files.write_folder(str(tmp_path / name), fill_with('new'))
+    whole_files.write_file(str(tmp_path / name / name), put('new'))
+    whole_files.write_folder(str(tmp_path / name), fill_with('newer'))
+    assert os.listdir(tmp_path) == [name] and os.listdir(tmp_path / name) == ['a']
+
+
+def test_impossible_names_are_told_before_the_work(tmp_path):
+    def work(folder):
+        raise AssertionError('the work was done for nothing')
+
+    (tmp_path / 'file').write_text('')
+    for name, error in (('n' * 256, OSError), ('file', NotADirectoryError), ('file/x', OSError)):
+        with pytest.raises(error):
+            whole_files.write_folder(str(tmp_path / name), work)
+    with pytest.raises(OSError, match='name'):
+        whole_files.write_file(str(tmp_path / ('n' * 256)), work)
+    assert os.listdir(tmp_path) == ['file']
+
+
+def test_mount_points_are_filled_in_place(tmp_path, monkeypatch):
+    """A rename onto a mount point fails; here the system only says that it is one."""
+    path = tmp_path / 'mount'
+    path.mkdir()
+    inode = path.stat().st_ino
+    monkeypatch.setattr(whole_files.os.path, 'ismount', lambda p: str(p) == str(path))
+
+    def fill(folder):
+        for name in ('z', 'a', 'manifest.json'):
+            put(name)(os.path.join(folder, name))
+
+    whole_files.write_folder(str(path), fill)
+    assert sorted(os.listdir(path)) == ['a', 'manifest.json', 'z']
+    assert path.stat().st_ino == inode and os.listdir(tmp_path) == ['mount']
+    with pytest.raises(OSError, match='mount point'):
+        whole_files.write_folder(str(path), fill)
+
+
+@pytest.mark.parametrize('swaps', [True, False], ids=['exchange', 'two_renames'])
+def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, swaps):
+    """SIGKILL right before each system call that changes a name, one after the other."""
+    code = """
+import os, signal, sys
+from pca_tools.storage import whole_files
+path, point, swaps = sys.argv[1], int(sys.argv[2]), sys.argv[3] == 'True'
+count = 0
+def counted(real):
+    def call(*arguments, **options):
+        global count
+        count += 1
+        if count == point:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(*arguments, **options)
+    return call
+for name in ('rename', 'mkdir'):
+    setattr(whole_files.os, name, counted(getattr(os, name)))
+whole_files.shutil.rmtree = counted(whole_files.shutil.rmtree)
+whole_files._swap = counted(whole_files._swap if swaps else lambda *names: False)
+def fill(folder):
+    open(f'{folder}/a', 'w').write('new')
+whole_files.write_folder(path, fill)
+"""
+    path = tmp_path / 'set'
+    killed = 0
+    for point in range(1, 12):
+        for entry in tmp_path.iterdir():
+            subprocess.run(['rm', '-r', str(entry)], check=True)
+        whole_files.write_folder(str(path), fill_with('old'))
+        done = subprocess.run(
+            [sys.executable, '-c', code, str(path), str(point), str(swaps)], cwd=ROOT, check=False
+        )
+        killed += done.returncode == -signal.SIGKILL
+        if swaps:  # there is never a moment without a whole folder under the name
+            assert (path / 'a').read_text() in ('old', 'new')
+        else:
+            whole_files.recover_folder(str(path))
+            assert (path / 'a').read_text() in ('old', 'new')
+        if done.returncode == 0:
+            break
+    assert killed >= 3 and done.returncode == 0
+    assert (path / 'a').read_text() == 'new'
+
+
+def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
+    path = tmp_path / 'set'
+    (tmp_path / '.set.mine.old').mkdir()
+    assert whole_files.recover_folder(str(path)) is None
+    aside = pathlib.Path(whole_files.temporary_beside(str(path), '.old'))
+    aside.mkdir()
+    (aside / 'a').write_text('old')
+    with contextlib.suppress(OSError):
+        whole_files.write_folder(str(path), fill_with('new'), replace=False)
+    assert (path / 'a').read_text() == 'old'  # back under its name, and not replaced
+    assert (tmp_path / '.set.mine.old').is_dir()
+
+
+@pytest.mark.parametrize('point', range(1, 9))
+def test_kill_while_results_are_replaced_never_mixes_them(tmp_path, point):
+    """SIGKILL before each change of a name: `last` lies beside one whole set, or is absent."""
+    code = """
+import os, signal, sys
+from pca_tools.storage import whole_files
+folder, point = sys.argv[1], int(sys.argv[2])
+count = 0
+def counted(real):
+    def call(*arguments, **options):
+        global count
+        count += 1
+        if count == point:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(*arguments, **options)
+    return call
+for name in ('mkdir', 'remove', 'replace'):
+    setattr(whole_files.os, name, counted(getattr(os, name)))
+def fill(fresh):
+    for name in ('run_0', 'run_1', 'metrics'):
+        open(f'{fresh}/{name}', 'w').write('new')
+whole_files.replace_files(folder, fill, lambda name: name.startswith('run_'), 'metrics')
+"""
+    command = [sys.executable, '-c', code, str(tmp_path)]
+    for name in ('run_0', 'run_1', 'run_2', 'metrics'):
+        (tmp_path / name).write_text('old')
+    (tmp_path / 'picture').write_text('mine')
+    done = subprocess.run([*command, str(point)], cwd=ROOT, check=False)
+    assert done.returncode == (-signal.SIGKILL if point <= 6 else 0)
+    if (tmp_path / 'metrics').exists():
+        kept = {p.name: p.read_text() for p in tmp_path.glob('[rm]*')}
+        assert set(kept.values()) == {kept['metrics']}
+        assert len(kept) == (4 if kept['metrics'] == 'old' else 3)
+    subprocess.run([*command, '0'], cwd=ROOT, check=True)
+    assert sorted(os.listdir(tmp_path)) == ['metrics', 'picture', 'run_0', 'run_1']
+    assert (tmp_path / 'run_1').read_text() == 'new'

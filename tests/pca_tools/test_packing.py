@@ -1,0 +1,78 @@
+"""Packed series: how exact and how small they are, and what is refused."""
+
+import numpy as np
+import pytest
+
+from pca_tools import packing
+
+STEP = 4e-5
+
+
+def wandering(frames=30, points=40):
+    """Points that walk at random, every second of which rests; one flies 900 m."""
+    rng = np.random.default_rng(0)
+    rest = rng.uniform(0, 1, (points, 3))
+    moved = rest + np.cumsum(rng.normal(0, 0.003, (frames, points, 3)), axis=0)
+    moved[:, ::2] = rest[::2]
+    moved[7:, 1] += [900.0, -40.0, 1e-5]  # far more than 16 bits of steps
+    return rest, moved
+
+
+def test_steps_keep_the_stated_bound():
+    rest, moved = wandering()
+    data = packing.pack_steps(moved, rest, STEP)
+    again = packing.unpack_steps(data, 30, rest, STEP)
+    assert again.dtype == np.float64 and again.shape == moved.shape
+    assert np.abs(again - moved).max() <= 0.5 * STEP * (1 + 1e-9)
+    np.testing.assert_array_equal(again[:, ::2], moved[:, ::2])
+    with pytest.raises(ValueError, match='from its rest place'):
+        packing.pack_steps(moved + 1e6, rest, STEP)
+    with pytest.raises(ValueError, match='bytes, .* were expected'):
+        packing.unpack_steps(data, 29, rest, STEP)
+
+
+@pytest.mark.parametrize('size', [0.1, 3.0, 100.0])  # float32 finer and coarser than the steps
+def test_positions_packed_again_are_the_same(size):
+    values = np.random.default_rng(1).normal(0, size, (20, 6, 3)).astype(np.float32)
+    once = packing.unpack_positions(packing.pack_positions(values, 1e-6))
+    assert once.dtype == np.float32
+    assert np.abs(once - values).max() <= 0.5e-6 + np.spacing(np.float32(5 * size))
+    twice = packing.unpack_positions(packing.pack_positions(once, 1e-6))
+    np.testing.assert_array_equal(twice, once)
+
+
+@pytest.mark.parametrize('shape', [(1,), (3,), (4, 3)])
+def test_series_come_back_bit_for_bit(shape):
+    values = np.random.default_rng(2).normal(size=(50, *shape)).astype(np.float32)
+    values[3] = np.float32('nan')
+    again = packing.unpack_series(packing.pack_series(values))
+    assert again.tobytes() == values.tobytes()
+
+
+def test_smooth_motion_takes_few_bytes():
+    time = np.linspace(0, 1, 321)[:, None, None]
+    scores = np.sin(time * np.arange(1, 25)[:, None] + np.arange(3)).astype(np.float32)
+    assert len(packing.pack_positions(scores, 1e-6)) < scores.nbytes / 2
+    still = np.ones((321, 12), np.float32)
+    assert len(packing.pack_series(still)) < 200
+
+
+def test_damaged_bytes_are_refused_or_of_the_promised_shape():
+    _, moved = wandering()
+    for pack, unpack in (
+        (lambda v: packing.pack_positions(v, STEP), packing.unpack_positions),
+        (packing.pack_series, packing.unpack_series),
+    ):
+        data = pack(moved.astype(np.float32))
+        for wrong in (data[:-9], data[:5], b'', b'\xff' * 8 + data[8:], bytes(8) + data[8:]):
+            with pytest.raises(ValueError, match='packed'):
+                unpack(wrong)
+        rng = np.random.default_rng(3)
+        for place in rng.integers(0, len(data), 40).tolist():
+            flipped = bytes([data[place] ^ 1 << int(rng.integers(8))])
+            wrong = data[:place] + flipped + data[place + 1 :]
+            try:  # LZMA has no checksum of its own: the record's and the manifest's count
+                held = unpack(wrong)
+            except ValueError:
+                continue
+            assert held.size == moved.size and held.dtype == np.float32

@@ -1,0 +1,78 @@
+"""How far seeds of NRI agree: against hand counts, in miniature, and as it is shipped."""
+
+import pathlib
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.subspace import edge_lists
+from nri.config import NriConfig
+from pca_tools import files
+from reports.edges import nri_stability
+from tests.nri import small
+
+
+def row(matrix, seed=0):
+    matrix = np.array(matrix, float)
+    np.fill_diagonal(matrix, np.nan)
+    rows = [[None if np.isnan(x) else x for x in r] for r in matrix.tolist()]
+    names = list(edge_lists.mode_names(len(matrix)))
+    return {'seed': seed, 'node_names': names, 'probabilities': rows}
+
+
+def test_comparison_of_seeds_against_hand_counts():
+    """Edges {01, 02} and {01, 12} of 6 pairs: one in both, three in either, four said alike."""
+    a, b = np.zeros((3, 3)), np.zeros((3, 3))
+    a[0, 1] = a[0, 2] = b[0, 1] = b[1, 2] = 1.0
+    result = nri_stability.compare([row(a), row(b), row(a)], 0.6)
+    third = result['jaccard']
+    assert third['min'] == pytest.approx(1 / 3) and third['max'] == 1.0
+    assert third['mean'] == pytest.approx((1 / 3 + 1 + 1 / 3) / 3)
+    assert result['agreement']['min'] == pytest.approx(4 / 6)
+    assert (result['in_all_seeds'], result['in_any_seed']) == (1, 3)
+    # Two unrelated graphs of density 1/3: (1/9) / (5/9) and 1/9 + 4/9.
+    assert result['jaccard_by_chance'] == pytest.approx(1 / 5)
+    assert result['agreement_by_chance'] == pytest.approx(5 / 9)
+    empty = nri_stability.compare([row(np.zeros((3, 3)))] * 2, 0.6)
+    assert empty['jaccard'] is None and empty['correlation'] is None
+
+
+def test_stability_in_miniature(tmp_path):
+    data = small.write_springs(tmp_path / 'data')
+    config = NriConfig(**small.TINY, seed=1)
+    rows = [nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)] * 2
+    again = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
+    assert again['probabilities'] == rows[0]['probabilities']
+    compared = nri_stability.compare(rows, 0.6)
+    assert compared['agreement']['mean'] == 1.0
+    nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': rows})
+    assert (tmp_path / 'a.png').stat().st_size > 1000
+
+
+def test_lists_show_their_pairs_and_what_they_share(tmp_path):
+    names, none = edge_lists.mode_names(3), np.full((3, 3), np.nan)
+    paths = []
+    for number, pairs in enumerate(([(0, 1), (2, 2)], [(0, 1), (1, 0)])):
+        mask = np.zeros((3, 3), bool)
+        for receiver, sender in pairs:
+            mask[receiver, sender] = True
+        paths.append(str(tmp_path / f'seed_{number}.json'))
+        edge_lists.write(paths[-1], edge_lists.EdgeList(mask, names, none, 'gates', None, {}))
+    rows = nri_stability.lists(*paths).splitlines()[2:]
+    # One pair of three is in both: from mode 2, as texts count, to mode 1.
+    assert rows == [
+        '| seed 0 | 1 | 1 | 2 to 1, 3 to 3 | 0.333 |',
+        '| seed 1 | 2 | 0 | 2 to 1, 1 to 2 | 0.333 |',
+    ]
+
+
+def test_shipped_list_is_that_of_the_seed_with_the_least_loss():
+    """It is stored beside the posterior of all seeds, from which it follows."""
+    folder = pathlib.Path(__file__).resolve().parents[3] / 'docs' / 'edges'
+    held = files.read_json(str(folder / 'excavation_v2_nri.json'))
+    best = min(held['seeds'], key=lambda seed: min(seed['valid_losses']))
+    edges = edge_lists.read(str(folder / 'excavation_v2_nri' / 'edges.json'))
+    probabilities = nri_stability.matrices([best])[0]
+    np.testing.assert_array_equal(edges.probabilities, probabilities)
+    np.testing.assert_array_equal(edges.mask, np.nan_to_num(probabilities) > edges.threshold)
+    assert edges.digests['model'] == best['weights'] and edges.n_edge == best['edges']
