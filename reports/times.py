@@ -62,10 +62,10 @@ def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) ->
 
         def particles(model=model):
             rollout = model.rollout(poses, context=contexts)
-            for frame in range(len(rollout.modes)):
+            for frame in range(len(rollout)):
                 rollout.particles(frame)
 
-        n_frame = len(loads().modes)
+        n_frame = len(loads())
         jobs[f'{name} load'] = timing.Job(loads, n_frame)
         jobs[f'{name} particles'] = timing.Job(particles, n_frame)
         jobs[f'{name} step'] = timing.Job(_Steps(model, poses, contexts))

@@ -46,11 +46,11 @@ LAYERS = (
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
     ('tool',),
-    ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
+    ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
     ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
-    ('export', 'export_c'),
+    ('export', 'native'),
     ('api', 'train', 'live.roll_out_path'),
-    ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
+    ('live_page', 'native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.

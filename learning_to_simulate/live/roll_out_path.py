@@ -50,7 +50,7 @@ def run(values) -> None:
     for target in filter(None, (values.output_path, values.picture)):
         os.makedirs(os.path.dirname(os.path.abspath(target)), exist_ok=True)
     rollout.save(values.output_path)
-    print(f'wrote {values.output_path}: {len(rollout.modes)} frames of {rollout.scene.dt:.4g} s')
+    print(f'wrote {values.output_path}: {len(rollout)} frames of {rollout.scene.dt:.4g} s')
     print(f'status {rollout.status}' + (f': {rollout.reason}' if rollout.reason else ''))
     if rollout.force is not None:
         size = np.linalg.norm(rollout.force, axis=1)

@@ -1,7 +1,7 @@
 """A model in the browser: move the tool, see soil, force and status at 60 frames a second.
 
 Examples:
-  python -m learning_to_simulate.live_page                       # the excavation; lts live
+  python -m learning_to_simulate.live_page                       # the blade; lts live
   python -m learning_to_simulate.live_page --model=wheel --port=8081
   python -m learning_to_simulate.live_page --model=my_model --data_path=my_data
 
@@ -97,7 +97,7 @@ def run(values) -> None:
 
 
 if __name__ == '__main__':
-    flags.DEFINE_string('model', 'excavation', 'Model folder, or a shipped model by name.')
+    flags.DEFINE_string('model', 'excavation_v2', 'Model folder, or a shipped model by name.')
     flags.DEFINE_string('data_path', None, 'Dataset with runs to follow; default: the shipped one.')
     flags.DEFINE_string('host', 'localhost', 'Address to listen at; 0.0.0.0 for all of a network.')
     flags.DEFINE_integer('port', 8080, 'Port to listen at.', 1, 65535)

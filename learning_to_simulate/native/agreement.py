@@ -6,7 +6,7 @@ by a third rollout: that of TensorFlow from a start in which every coordinate is
 float32's last place higher.
 
 Example:
-  python -m learning_to_simulate.native.agreement --output=docs/c/agreement.json \\
+  python -m learning_to_simulate.native.agreement --output=build/agreement.json \\
       --models=models/excavation/pcg,models/excavation_v2/swept_field
 """
 
@@ -15,7 +15,6 @@ import tempfile
 
 import numpy as np
 from absl import flags
-from storage import markdown
 
 from learning_to_simulate import checkpoints, command, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
@@ -275,32 +274,6 @@ def measure(model_path: str, data_path: str, limit: int = 0) -> list[dict]:
         {'record': int(runs[i].record[0])} | play(soil, model, space, runs[i])
         for i in splits.spread_over(len(runs), limit)
     ]
-
-
-def table(path: str) -> str:
-    """The largest of all runs of each model in a subspace, from a JSON file of this command."""
-    keys = 'modes', 'force', 'particles_m', 'nudged_modes', 'nudged_force'
-    header = 'C: motion', 'force', 'particles, m', 'nudged start: motion', 'force'
-    return _table(path, keys, header)
-
-
-def table_of_fields(path: str) -> str:
-    """The same of swept fields."""
-    keys = 'force', 'torque', 'height_m', 'particles_m', 'c_to_twin_m', 'python_to_twin_m'
-    header = 'force', 'torque', 'height, m', 'particles, m', 'C to twin, m', 'Python to twin, m'
-    return _table(path, keys, header)
-
-
-def _table(path, keys, header):
-    lines = []
-    for model, rows in files.read_json(path).items():
-        if not all(key in row for key in keys for row in rows):
-            continue
-        worst = [f'{max(row[key] for row in rows):.1e}'.replace('e-0', 'e-') for key in keys]
-        frames, same = (sum(row[key] for row in rows) for key in ('frames', 'same_status'))
-        of = frames if 'torque' in keys else len(rows)
-        lines.append((model, len(rows), frames, *worst, f'{same} of {of}'))
-    return markdown.table(('model', 'runs', 'frames', *header, 'status agrees'), lines)
 
 
 def run(values) -> None:

@@ -8,7 +8,7 @@ import pytest
 from learning_to_simulate import registry
 from learning_to_simulate.native import agreement, library, starts
 from learning_to_simulate.native.binding import CSubspace
-from pca_tools import files, rigid_fit
+from pca_tools import rigid_fit
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 
 pytestmark = pytest.mark.skipif(
@@ -99,31 +99,7 @@ def test_shipped_fields_over_whole_test_runs(scene):
     assert len(rows) == 2
     for row in rows:
         assert row['frames'] > 40 and row['same_status'] == row['frames']
-        # Over all runs: docs/c/agreement_field.json.
         assert row['force'] <= 1e-5 and row['height_m'] <= 1e-6
         assert 0 < row['particles_m'] <= 4e-6
         # The same networks in float64: the float32 of C is no farther from them than TensorFlow's.
         assert 0 < row['c_to_twin_m'] <= 2e-6 and 0 < row['python_to_twin_m'] <= 4e-6
-
-
-def test_the_tables_have_the_largest_of_all_runs(tmp_path):
-    both = {'frames': 10, 'force': 3e-6, 'particles_m': 1e-7}
-    rows = {
-        agreement.table: both | {
-            'modes': 1e-6, 'nudged_modes': 1e-5, 'nudged_force': 2e-5, 'same_status': True
-        },
-        agreement.table_of_fields: both | {
-            'torque': 1e-6, 'height_m': 1e-8, 'c_to_twin_m': 2e-7, 'python_to_twin_m': 3e-7,
-            'same_status': 9,
-        },
-    }  # fmt: skip
-    path = str(tmp_path / 'agreement.json')
-    of_both = {
-        name: [row, row | {'frames': 5, 'force': 4e-6, 'same_status': row['same_status'] // 2}]
-        for name, row in zip('mf', rows.values())
-    }
-    files.write_json(path, of_both)
-    assert [table(path).splitlines()[2:] for table in rows] == [
-        ['| m | 2 | 15 | 1.0e-6 | 4.0e-6 | 1.0e-7 | 1.0e-5 | 2.0e-5 | 1 of 2 |'],
-        ['| f | 2 | 15 | 4.0e-6 | 1.0e-6 | 1.0e-8 | 1.0e-7 | 2.0e-7 | 3.0e-7 | 13 of 15 |'],
-    ]

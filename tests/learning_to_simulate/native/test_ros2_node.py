@@ -10,7 +10,7 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate.live.soil import surface
-from learning_to_simulate.native import exporting, project
+from learning_to_simulate.native import exporting, library, project
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
