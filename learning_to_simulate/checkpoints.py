@@ -3,7 +3,7 @@
   config.json    the settings, scene, statistics, edges, data digest, package versions
   weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
                  no code, no pickle
-  start.npz, subspace.npz   what the model needs to run without its dataset (`resting_start`)
+  start.npz, subspace.npz   what the model needs to run without its dataset (`live.starts`)
   ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
 A folder that ships with the project holds no checkpoints. What is here is the same for models of
@@ -85,7 +85,7 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
       model: with `simulator`, masks of its edges and `edge_counts()`.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
-      files_beside: name -> sha256 of what else the model needs (`resting_start`); None where it
+      files_beside: name -> sha256 of what else the model needs (`live.starts`); None where it
         has nothing of that kind.
     """
     import tensorflow as tf

@@ -11,9 +11,8 @@ import re
 import numpy as np
 
 from learning_to_simulate import metrics, soil_truth
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout import roll_out
+from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.subspace_model import Model
 from pca_tools import files
@@ -60,7 +59,7 @@ class Evaluator:
         key = group.position.shape, group.context_changes
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
-            self._functions[key] = rollout_function(self._model.simulator, layout, self._correct)
+            self._functions[key] = RolloutFunction(self._model.simulator, layout, self._correct)
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):

@@ -31,8 +31,7 @@ class Method:
     Attributes:
       about: one line for `--help`.
       code: module with `train`, `open_model` and `load`.
-      live: module with `stepper(path, model, outside)` and `roller(path, model)`, as the API wants
-        them; None: those of models in the subspace.
+      live: module of its engine for live use; None: that of models in the subspace.
     """
 
     about: str
@@ -119,7 +118,7 @@ METHODS = {
     'swept_field': Method(
         'neural field over what the tool has swept: no modes, no time stepping',
         'learning_to_simulate.swept_field.method',
-        live='learning_to_simulate.swept_field.live',
+        live='learning_to_simulate.swept_field.engine',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
     'earthmoving': Method(

@@ -50,7 +50,7 @@ def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
     """Draws a rollout of `lts.load(...).rollout`; the ending of the path decides how.
 
     Args:
-        rollout: `path_rollout.SoilRollout`.
+        rollout: `paths.SoilRollout`.
         path: file to write, .png, .gif or .mp4.
         step_stride: draw every so many frames.
         **options: `color_by` and `plane` of `render`.

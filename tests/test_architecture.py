@@ -46,11 +46,11 @@ LAYERS = (
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
     ('tool',),
-    ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
+    ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
     ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
-    ('export', 'export_c'),
+    ('export', 'native'),
     ('api', 'train', 'live.roll_out_path'),
-    ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
+    ('live_page', 'native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.
@@ -99,8 +99,8 @@ IMPORTS_WITHOUT = [
     (  # what a live step loads: a third of the time to the first frame is saved so
         (
             'learning_to_simulate.subspace.method',
-            'learning_to_simulate.live.live_soil',
-            'learning_to_simulate.export_c.c_step',
+            'learning_to_simulate.live.stepper',
+            'learning_to_simulate.native.engines',
         ),
         ('keras', 'scipy', 'sklearn', 'matplotlib'),
     ),
@@ -122,13 +122,13 @@ IMPORTS_WITHOUT = [
 
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
-    'learning_to_simulate/export_c/test_c_faults.py',
+    'learning_to_simulate/native/test_c_faults.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
-    'learning_to_simulate/export_c/test_ros2_node.py',
+    'learning_to_simulate/native/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',

@@ -23,7 +23,7 @@ Examples:
 
 from absl import flags
 
-from learning_to_simulate import command, export_c
+from learning_to_simulate import command, native
 from learning_to_simulate.export.exporting import FORMATS, export
 
 
@@ -55,7 +55,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
     )
-    formats = [*FORMATS, *export_c.FORMATS, 'page']
+    formats = [*FORMATS, *native.FORMATS, 'page']
     flags.DEFINE_enum('format', 'savedmodel', formats, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer(
@@ -67,14 +67,14 @@ def run(values) -> None:
     """Runs the command with its flags.
 
     Raises:
-      ValueError: see `export` and `export_c.exporting`.
+      ValueError: see `export` and `native.exporting`.
     """
     if values.format == 'page':
-        from learning_to_simulate.export_c import web_page
+        from learning_to_simulate.native import web_page
 
         web_page.run(values)
         return
-    if values.format in export_c.FORMATS:
+    if values.format in native.FORMATS:
         _write_c(values)
         return
     command.import_tensorflow()
@@ -89,7 +89,7 @@ def _write_c(values):
     if values.n_particles is not None:
         raise ValueError(f'--n_particles is not for --format={values.format}, which holds all')
     command.import_tensorflow()
-    from learning_to_simulate.export_c import exporting
+    from learning_to_simulate.native import exporting
 
     given = values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
     print(exporting.summary(exporting.export(*given), values.output_path))

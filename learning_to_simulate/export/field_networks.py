@@ -21,22 +21,19 @@ SAMPLE_FILE = 'sample.npz'
 TOLERANCE = 1e-4
 PARTICLES_TOLERANCE = 2e-6
 COMPARED_FRAMES = 8
-# Channels of `bins` by the name of a tool; m where nothing else is said.
-CHANNELS = {
-    'blade': (
-        'depth of the cut', 'height of the untouched surface over the level',
-        'distance travelled since the tool was last there',
-        'swept area (m2) when the bin was first cut', 'influence of all cuts, 0 to 1',
-        'depth to which soil may have moved',
-    ),
-    'wheel': (
-        'depth of the rut', 'height of the untouched surface over the level',
-        'depth of the rut in the first frame', 'distance travelled since the wheel was last there',
-        'slip while the bin bore the rim', 'the same with sign',
-        'largest load that the bin bore (N)', 'influence of all that the wheel bore on, 0 to 1',
-        'depth to which soil may have moved',
-    ),
-}  # fmt: skip
+# What the columns of `bins` are; m where nothing else is said.
+MEANING = {
+    'cut': 'depth of the cut or rut',
+    'surface': 'height of the untouched surface over the level',
+    'since': 'distance travelled since the tool was last there',
+    'influence': 'of all that was cut or borne on, 0 to 1',
+    'disturbed': 'depth to which soil may have moved',
+    'area_before': 'swept area (m2) when the bin was first cut',
+    'first_cut': 'depth of the rut in the first frame',
+    'slid': 'slip while the bin bore the rim',
+    'shear': 'the same with sign',
+    'peak': 'largest load that the bin bore (N)',
+}
 
 
 class FieldNetworks:
@@ -180,7 +177,7 @@ class FieldNetworks:
             'up': field.axes.up,
             'middle': field.axes.middle,
             'bin_offsets': [round(float(x), 9) for x in field.grid.offsets],
-            'bin_channels': list(CHANNELS[field.tool.name]),
+            'bin_channels': {name: MEANING[name] for name in field.tool.channels},
             'scalars': list(field.tool.scalars),
             'ranges': field.ranges,
             'calibration': field.calibration,

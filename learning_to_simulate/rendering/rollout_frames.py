@@ -264,7 +264,7 @@ def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[s
 
 
 def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
-    """A `path_rollout.SoilRollout` ready to be drawn; of a path there is no truth.
+    """A `paths.SoilRollout` ready to be drawn; of a path there is no truth.
 
     Args:
         rollout: of `lts.load(...).rollout`.

@@ -1,10 +1,8 @@
-"""The inputs of a node: one table, read by the plain network, the whole-state networks and the
-folded form.
+"""The inputs of a node: one table, read by the graph network and the whole-state networks.
 
 A feature has a name, the nodes that have it, a width and its values; which features a model has,
 and in which order they meet the rows of the first layer, is decided here and nowhere else. A new
-input is an entry of `TABLE` and, for the folded form, a line in `folded_simulator` that says what
-of it is known ahead.
+input is an entry of `TABLE` and, where it is to be exported, a few lines of `lts_features.c`.
 """
 
 from collections.abc import Callable

@@ -10,7 +10,7 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
-from learning_to_simulate.live import resting_start
+from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
@@ -150,7 +150,7 @@ def train(data_path, model_path, config, options) -> dict:
         f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
         f'{weights} weights; edges: {model.edge_source}',
     )
-    training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
+    training.write_files = lambda path: starts.write(path, data_path, config.nodes)
     if trainer.gates:
         training.close_gates = lambda path: _close_gates(training, data_path, path)
     return loop.run(training, model_path, options)

@@ -9,7 +9,8 @@ import numpy as np
 from learning_to_simulate import evaluation
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.swept_field import calibration
-from learning_to_simulate.swept_field.field import Swept
+from learning_to_simulate.swept_field.engine import SweptSoil
+from learning_to_simulate.swept_field.field import FieldSoil, Swept
 
 
 class FieldRollout(NamedTuple):
@@ -58,6 +59,11 @@ class FieldEvaluator:
         if self._episodes is None:
             self._episodes = {e.record: e for e in self.reader.read(self._split)}
         return self._episodes[record]
+
+    def soils(self, rollout: FieldRollout) -> list[SweptSoil]:
+        """The soil of each predicted frame."""
+        of = FieldSoil(self._field, self.reader.subspace)
+        return [SweptSoil(swept, of) for swept in rollout.swept[H:]]
 
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""

@@ -6,7 +6,6 @@ A model folder holds `config.json` and `weights.npz`, all that live use needs.
 import dataclasses
 import functools
 import os
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -260,8 +259,7 @@ class Swept(NamedTuple):
 class FieldSoil:
     """From what a tool has swept to particles and to the height of the surface.
 
-    It stands where `live.soil.Soil` stands for models in a subspace; a `Swept` takes the place of
-    the modes. Nothing is computed before particles are asked for.
+    Nothing is computed before particles are asked for.
 
     Args:
       field: `SweptField`.
@@ -293,7 +291,7 @@ class FieldSoil:
         return points
 
     def height_map(self, swept: Swept, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; as `live.soil.Soil.height_map`."""
+        """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
         return soil.surface(self.particles(swept), self.extent, self.field.axes.up, nx, nz)
 
     def modes(self, swept) -> np.ndarray:
@@ -305,27 +303,6 @@ class FieldSoil:
         if self.subspace is None:
             raise ValueError('modes need a subspace: the model folder has none')
         return np.stack([self.subspace.encode(self.particles(one)) for one in swept])
-
-
-class SweptFrames(Sequence):
-    """The frames of a rollout, in place of its modes; as an array they are those modes.
-
-    Args:
-      frames: list of `Swept`.
-      of: `FieldSoil`.
-    """
-
-    def __init__(self, frames, of: FieldSoil):
-        self._frames, self._soil = frames, of
-
-    def __len__(self):
-        return len(self._frames)
-
-    def __getitem__(self, index):
-        return self._frames[index]
-
-    def __array__(self, dtype=None, copy=None):
-        return np.asarray(self._soil.modes(self._frames), dtype)
 
 
 def _weights(field: SweptField) -> dict:
@@ -345,7 +322,7 @@ def save(path: str, field: SweptField, data: dict, written: dict | None = None) 
       path: folder, present.
       field: the model.
       data: where its training data came from, for the record.
-      written: of `resting_start.write`.
+      written: of `starts.write`.
 
     Raises:
       ValueError: weights that are not finite; nothing is written.

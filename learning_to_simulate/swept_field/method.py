@@ -8,7 +8,7 @@ import tqdm
 
 from learning_to_simulate import checkpoints, evaluation, reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live import resting_start
+from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.swept_field import field as field_lib
 from learning_to_simulate.swept_field import training
@@ -51,7 +51,7 @@ def train(data_path, model_path, config, options) -> dict:
             cases = metadata.get('cases', {}).get('train', [])
             chosen = splits.spread_over(len(cases), config.train_runs)
             runs = [cases[i].get('case') for i in chosen]
-            written = resting_start.write(model_path, data_path, {})
+            written = starts.write(model_path, data_path, {})
             data |= {'force_mean': facts['force_mean'], 'runs': runs}
             field_lib.save(model_path, field, data, written)
     summary = {}

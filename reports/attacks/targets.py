@@ -19,7 +19,7 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.config import TrainConfig
-from learning_to_simulate.export_c import fmu_description, model_data
+from learning_to_simulate.native import fmu, model_data
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -489,7 +489,7 @@ def _describe(folder: str):
     rest = np.zeros((R, 3))
     start = {'modes': rest, 'points': rest, 'context': np.ones(len(parts.scene.context_names))}
     try:
-        text = fmu_description.fmi2('soil', _values(parts.scene, start), ['lts.c'])
+        text = fmu.description('soil', _values(parts.scene, start), ['lts.c'])
     except ValueError as error:  # the description is made of values: it knows no file
         raise ValueError(f'{folder}/config.json: {error}') from error
     return parts.scene, text

@@ -11,7 +11,7 @@ import tensorflow as tf
 
 from learning_to_simulate.export import __main__ as command
 from learning_to_simulate.export import export_formats, exporting, field_networks
-from learning_to_simulate.live import resting_start
+from learning_to_simulate.live import starts
 from learning_to_simulate.swept_field import field as field_lib
 from tests.learning_to_simulate.swept_field import small_wheel
 from tests.learning_to_simulate.swept_field import small_world as world
@@ -33,7 +33,7 @@ def models(tmp_path_factory):
         small.write_dataset(folder, DEPTHS[name])
         (folder / 'model').mkdir()
         paths = str(folder / 'model'), str(folder / 'data')
-        written = resting_start.write(*paths, {})
+        written = starts.write(*paths, {})
         field_lib.save(paths[0], small.make_field(members=2), {}, written)
         found[name] = paths
     return found

@@ -7,7 +7,7 @@ import pytest
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
 from learning_to_simulate.export import step_functions
-from learning_to_simulate.export_c import model_data
+from learning_to_simulate.native import model_data
 from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.trainer import Trainer

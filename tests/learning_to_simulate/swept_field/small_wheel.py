@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from learning_to_simulate.live.resting_start import Starts
+from learning_to_simulate.live.starts import Starts
+from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.swept_field.engine import FieldEngine
 from learning_to_simulate.swept_field.field import GRIDS, SweptField
-from learning_to_simulate.swept_field.live import LiveField
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import Wheel, wheel
 from learning_to_simulate.tool.axes import Axes
@@ -129,12 +130,12 @@ def two_starts(field) -> dict:
     return {'starts': starts, 'subspace': BentBeds(field.rest)}
 
 
-def make_live(field, **options) -> LiveField:
-    """Steps the field with a wheel on the bed of its one start."""
+def make_live(field, **options) -> Stepper:
+    """Steps the field with a wheel on the bed of its one start, by TensorFlow."""
     modes = np.zeros((1, field.scene.n_modes, 3))
     pose = world_pose(path()[0])
     starts = Starts(({},), (body(),), (np.arange(16),), pose, modes, CONTEXT[None], None)
-    return LiveField(field, starts, FlatBed(), **options)
+    return Stepper(FieldEngine(field, starts, FlatBed()), **options)
 
 
 def frames(plane, heights=None) -> Frame:

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from learning_to_simulate.live.resting_start import Starts
+from learning_to_simulate.live.starts import Starts
+from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.swept_field.engine import FieldEngine
 from learning_to_simulate.swept_field.field import GRIDS, SweptField
-from learning_to_simulate.swept_field.live import LiveField
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import Blade
 from learning_to_simulate.tool.axes import Axes
@@ -73,13 +74,17 @@ def make_field(members=3, seed=0, **config) -> SweptField:
     return field
 
 
-def make_live(field, **options) -> LiveField:
-    """Steps the field with a tool of four particles."""
+def make_starts(field) -> Starts:
+    """The one start of a tool of four particles."""
     body = np.array([[0.0, y, z] for y in (0.0, 0.2) for z in (-0.2, 0.2)])
     pose = world_pose(path()[0])
     modes = np.zeros((1, field.scene.n_modes, 3))
-    starts = Starts(({},), (body,), (np.arange(4),), pose, modes, None, None)
-    return LiveField(field, starts, **options)
+    return Starts(({},), (body,), (np.arange(4),), pose, modes, None, None)
+
+
+def make_live(field, members=None, outside='flag') -> Stepper:
+    """Steps the field with a tool of four particles, by TensorFlow."""
+    return Stepper(FieldEngine(field, make_starts(field), members=members), outside)
 
 
 def frames(plane, surface=None) -> Frame:

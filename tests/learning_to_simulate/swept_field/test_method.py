@@ -12,8 +12,8 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.export_c import c_values, field_data
-from learning_to_simulate.live import path_rollout
+from learning_to_simulate.live import paths
+from learning_to_simulate.native import c_values, field_data
 from learning_to_simulate.swept_field import method, settings, training
 from pca_tools import dataset, files, particles
 from reports.protocol import rollouts
@@ -109,7 +109,7 @@ def test_a_model_folder_is_enough_for_live_use(model_path):
     poses = world.world_pose(world.path(depth=0.05)[:, 0])
     rollout = model.rollout(poses[:31])
     live = model.stepper()
-    live.start(poses[0], path_rollout.velocity_between(poses[0], poses[1], live.dt))
+    live.start(poses[0], paths.velocity_between(poses[0], poses[1], live.dt))
     frames = [live.step(pose) for pose in poses[1:31]]
     np.testing.assert_allclose([f.force for f in frames], rollout.force, atol=1e-3)
     np.testing.assert_allclose([f.torque for f in frames], rollout.torque, atol=1e-3)
@@ -229,7 +229,7 @@ def test_a_model_folder_of_a_wheel_is_enough_for_paths_and_steps(wheel_paths):
     case = model.starts.cases[-1].get('case')
     rollout = model.rollout(poses, case=case, context=contexts)
     live = model.stepper()
-    velocity = path_rollout.velocity_between(poses[0], poses[1], live.dt)
+    velocity = paths.velocity_between(poses[0], poses[1], live.dt)
     live.start(poses[0], velocity, case=case, context=contexts[0])
     frames = [live.step(p, context=c) for p, c in zip(poses[1:], contexts[1:])]
     np.testing.assert_allclose([f.force for f in frames], rollout.force, atol=2e-3)
