@@ -120,10 +120,10 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
         def progress(choices):
             return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
+        few_runs = {'leave_one_out': True, 'kernels': tuple(path_ridge.KERNELS), 'n_best': 10}
         return path_ridge.PathRidge.fit(
             train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
-            leave_one_out=config.leave_one_out, kernels=config.ridge_kernels.split(','),
-            n_best=config.best_choices,
+            **(few_runs if config.leave_one_out else {}),
         )  # fmt: skip
     if not scene.has_force:
         raise ValueError(f'{config.model} is a formula of the force, which {data_path} lacks')

@@ -7,9 +7,9 @@ usual heights, in frames of a usual length. In the air all conditions are free.
 
 Members of a field that were trained alike differ where the data do not tell, and the error grows
 with what is predicted. How much, is measured on valid: the bound of a frame is a weighted sum of a
-constant, the spread s over members and the size p of what is predicted,
+constant, the spread sigma over members and the size mu of what is predicted (docs/swept_field.md),
 
-    bound = w_0 + w_1 s + w_2 p,                                                                 (1)
+    bound = a_0 + a_1 sigma + a_2 mu,                                                           (15)
 
 which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 """
@@ -153,7 +153,7 @@ def size(values) -> np.ndarray:
 
 
 def bound(spreads, sizes, weights) -> np.ndarray:
-    """(1) [F] of spreads and sizes [F] and weights [3] of `calibrate`."""
+    """(15) [F] of spreads and sizes [F] and weights [3] of `calibrate`."""
     return _signs(spreads, sizes) @ np.asarray(weights)
 
 

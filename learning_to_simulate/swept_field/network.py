@@ -1,12 +1,12 @@
 """Both networks of a swept field, all members at once, and what they see and say; TensorFlow.
 
-With x the inputs of a particle (the table of the tool, `tool.inputs` (1)), g its gate and q the
-share of contact (`tool.blade` (12), (13)), the outputs y of a network with silu layers give
+With f the network of a particle, g its gate (10), n and b outputs of the network of the load and
+kappa the share of contact (13) (numbers of docs/swept_field.md):
 
-  displacement   D g (y_0, y_1, y_2 clip(z / ACROSS, -1, 1)), D = `tool.displacement`          (1)
-  of a blade     (FORCE, FORCE, TORQUE) (y_0, y_1, y_2) exp(clip(y_3)) q w / WIDTH           (2)
-  of a wheel     (W y_0, W (1 + VERTICAL y_1), W R y_2) and the change of its height
-                 m (max(z_0, 0) + LEAST_SUNK) y_3, with W its mean load in the frame         (3)
+  displacement   g D (1, 1, clip(z / ACROSS, -1, 1)) f, D = `tool.displacement`                (11)
+  of a blade     kappa (w / WIDTH) exp(clip(b, -4, 4)) (FORCE, FORCE, TORQUE) n                (14)
+  of a wheel     N n_1, N (1 + VERTICAL n_2), N R n_3, and of its height
+                 k (sunk_0 + LEAST_SUNK) n_4, with N the mean load of the frame                (19)
 
 Motion across is odd in the distance z from the middle plane, of which the inputs see the size only:
 the field is symmetric about the plane.
@@ -72,7 +72,7 @@ class Inputs:
         return dict(zip(channels, tf.unstack(found, axis=-1)))
 
     def _read(self, table, bins, scalars, rest=None):
-        """Inputs [B, I], or of particles [B, P, I]; see `tool.inputs` (1)."""
+        """Inputs [B, I], or of particles [B, P, I]; see `tool.inputs.Row`."""
         names = self._tool.scalars
         last = scalars[:, None] if rest is not None else scalars
         values = {name: last[..., i, None] for i, name in enumerate(names)}
@@ -99,7 +99,7 @@ class Inputs:
 
     def gate(self, bins, scalars, rest):
         """Share in [0, 1] of its displacement that a particle may show; exactly 0 where nothing has
-        been: (12) of `tool.blade`.
+        been: (10).
 
         Args:
           bins, scalars: of B frames, see `swept.Frame`.
@@ -138,8 +138,7 @@ class BladeInputs(Inputs):
     """Those of a blade."""
 
     def contact(self, bins, scalars):
-        """Share [B] in [0, 1] of its force that a tool may show; exactly 0 in the air: (13) of
-        `tool.blade`."""
+        """Share [B] in [0, 1] of its force that a tool may show; exactly 0 in the air: (13)."""
         tool = self._tool
         places = _scalar(tool, scalars, 'tip') + tf.constant(blade.CONTACT_AROUND, tf.float32)
         surface = tf.reduce_max(self._at(bins, ('surface',), places)['surface'], axis=-1)
@@ -156,7 +155,7 @@ class BladeInputs(Inputs):
 
     def load_of(self, found, share):
         """Force along the way and up (N) and torque in their plane (N m), [M, B, 3], from outputs
-        [M, B, 4] and `load_share`: (2)."""
+        [M, B, 4] and `load_share`: (14)."""
         gain = tf.exp(tf.clip_by_value(found[..., 3:], -blade.GAIN_LIMIT, blade.GAIN_LIMIT))
         unit = tf.constant([blade.FORCE, blade.FORCE, blade.TORQUE])
         return found[..., :3] * gain * share[None] * unit
@@ -174,7 +173,7 @@ class WheelInputs(Inputs):
 
     def load_of(self, found, share):
         """Force along the way and up (N), torque in their plane (N m) and change of the height (m),
-        [M, B, 4], from outputs [M, B, 4] and `load_share`: (3), the wheel bears its load."""
+        [M, B, 4], from outputs [M, B, 4] and `load_share`: (19), the wheel bears its load."""
         load, moment, sinkage = tf.unstack(share[None], axis=-1)
         return tf.stack(
             [
@@ -255,8 +254,8 @@ class FieldNetwork(tf.Module):
         )
 
     def displacement(self, bins, scalars, rest, members: int | None = None):
-        """Displacement [M, B, P, 3] (m; along the way, up, across) of particles: (1); arguments as
-        of `Inputs.gate`."""
+        """Displacement [M, B, P, 3] (m; along the way, up, across) of particles: (11); arguments
+        as of `Inputs.gate`."""
         gate = self.inputs.gate(bins, scalars, rest)
         seen = self.inputs.particles(bins, scalars, rest)
         flat = tf.reshape(seen, [-1, self.sizes[0]])
@@ -269,7 +268,7 @@ class FieldNetwork(tf.Module):
 
     def force(self, bins, scalars, members: int | None = None):
         """Force along the way and up (N), torque in their plane (N m), of a wheel the change of its
-        height (m): [M, B, 3 or 4]; (2) or (3)."""
+        height (m): [M, B, 3 or 4]; (14) or (19)."""
         share = self.inputs.load_share(bins, scalars)
         return self.load_of(self.inputs.force(bins, scalars), share, members)
 

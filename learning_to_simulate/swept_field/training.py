@@ -1,11 +1,12 @@
 """Training of both networks: particles drawn from frames of episodes, and all frames for the force.
 
 Every draw is a function of (seed, step). Runs count alike in the loss, whether much or little soil
-moves in them, so that each is learned to about the same share of its motion: with the error e of a
-particle's displacement in frame t of run r, its weight 1 / max(rms motion of r, LEAST_MOTION), and
-1 / (n p) for the probability p with which it was drawn of n,
+moves in them, so that each is learned to about the same share of its motion. With the errors e of
+displacements and of loads, D = `tool.displacement`, and the probability p with which a particle was
+drawn of n (numbers of docs/swept_field.md),
 
-  loss = mean over frames and drawn particles of w_r |e / D|^2 / (n p), summed over members     (1)
+  L_soil = sum over members of the mean of |e / D|^2 / (n p) / max(rms motion, LEAST_MOTION)   (16)
+  L_load = sum over members of the mean of |e|^2 `Tool.target_weights`                         (17)
 """
 
 import numpy as np

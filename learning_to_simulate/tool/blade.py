@@ -1,22 +1,23 @@
 """A blade whose lower edge is round, all of its motion given: pose, swept state, inputs, outline.
 
 A pose is u and height of the middle of the lower edge (m) and lean (rad, positive where the top
-lies behind), a size the width (m). What the edge has swept is `swept`, (1) to (7); beside it the
-state knows, with d_k = s_k - p_k the depth of the cut in bin k,
+lies behind), a size the width w (m). What the edge has swept is `swept`, (1) to (5); beside it the
+state knows, with the velocity v = (du_c, dh, dlean)/dt (numbers of docs/swept_field.md),
 
-  memory         dm/dt = (v - m) / tau of v = (du, dy, dlean)/dt, for each of TIME_SCALES        (8)
-  area before    A_k: the swept area when bin k was first cut; 0 where it was not                (9)
-  influence      I_k = min(3 C_k(min(d / TOUCH, 1); dx / REACH), 1), not below 0                (10)
-  disturbed      D_k = C_k(d; RISE dx), the depth to which soil may have moved                  (11)
+  area before    A_0(u) = A when e(u) first was below s(u), 0 where it was not                  (6)
+  memory         m <- exp(-dt/tau) m + (1 - exp(-dt/tau)) v, for each tau of TIME_SCALES        (7)
+  influence      I = clip(3 C(min(q / TOUCH, 1), du / REACH), 0, 1)                             (8)
+  disturbed      D = C(q, RISE du), the depth to which soil may have moved                      (9)
 
-C being the cone (7) of `swept`. A particle may move by a share of what its network says,
+with C the cone of `swept`. A particle may move by a share of what its network says,
 
-  gate           g = I(u) clip((D(u) + below - depth) / below_ramp) clip((w/2 + beside - |z|)
-                 / beside_ramp), clip to [0, 1]                                                 (12)
+  gate           g = I(u) clip((D(u) + below - (s(u) - y)) / below_ramp, 0, 1)
+                     clip((w/2 + beside - |z|) / beside_ramp, 0, 1)                            (10)
 
-and the force is 0 in the air: it is multiplied by the share of contact,
+and the load is 0 in the air: with s_max the highest surface about the edge it is multiplied by
 
-  contact        q = clip((HEAP_HEIGHT sqrt(A) + CONTACT_ABOVE - clearance) / CONTACT_RAMP)     (13)
+  contact        clip((HEAP_HEIGHT sqrt(A) + CONTACT_ABOVE - (h - rho - s_max)) / CONTACT_RAMP,
+                      0, 1)                                                                    (13)
 """
 
 import dataclasses
@@ -40,8 +41,7 @@ TOUCH = 0.002
 REACH = 0.35
 # How steeply the zone that has moved rises away from the cut: rise per length.
 RISE = 0.5
-# Depth of the cut, height of the untouched surface, distance travelled since the last passage,
-# (9), (10), (11); m, m, m, m2, 1, m.
+# (3), height of the untouched surface, (5), (6), (8), (9); m, m, m, m2, 1, m.
 CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
 CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
 # `room` is what is left between the foremost place of the tool and the wall.
@@ -119,8 +119,8 @@ class BladeState(NamedTuple):
       swept: see `swept.SweptBed`.
       lean: float64 [B], rad.
       velocity: float64 [B, 3], of u and height (m/s) and lean (rad/s), in the last frame.
-      memory: float64 [B, K, 3], (8) for each of the `TIME_SCALES`.
-      area_before: float64 [B, n], (9), m2.
+      memory: float64 [B, K, 3], (7) for each of the `TIME_SCALES`.
+      area_before: float64 [B, n], (6), m2.
     """
 
     swept: SweptBed
@@ -168,7 +168,8 @@ def advance(grid: SweptGrid, state: BladeState, pose, dt) -> BladeState:
         after,
         pose[:, 2],
         velocity,
-        swept.faded(state.memory, velocity, dt, TIME_SCALES),
+        swept.faded(state.memory, velocity, dt, TIME_SCALES),  # (7)
+        # (6): the area before this frame, so that what is cut together has one value.
         np.where(is_cut & ~was_cut, area, state.area_before),
     )
 
@@ -179,18 +180,18 @@ def frame(grid: SweptGrid, bed: Bed, width, state: BladeState) -> Frame:
     cut = s.surface - s.profile
     bins = np.stack(
         [
-            cut,
+            cut,  # (3)
             s.surface - bed.level[:, None],
-            np.minimum(s.travelled[:, None] - s.last, grid.forget),
-            state.area_before,
-            influence(grid, np.minimum(cut / TOUCH, 1.0), REACH),
-            swept.cone(cut, RISE * grid.spacing),
+            np.minimum(s.travelled[:, None] - s.last, grid.forget),  # (5)
+            state.area_before,  # (6)
+            influence(grid, np.minimum(cut / TOUCH, 1.0), REACH),  # (8)
+            swept.cone(cut, RISE * grid.spacing),  # (9)
         ],
         axis=-1,
     )
     of_path = np.stack(
         [
-            swept.swept_area(grid, s),
+            swept.swept_area(grid, s),  # (4)
             s.foremost - s.origin,
             np.broadcast_to(width, s.origin.shape) / 2,
             bed.end - s.origin,
@@ -212,7 +213,7 @@ def frame(grid: SweptGrid, bed: Bed, width, state: BladeState) -> Frame:
 
 
 def influence(grid: SweptGrid, touched, reach: float) -> np.ndarray:
-    """(10) [B, n] of shares [B, n] in [0, 1] to which places were touched; `reach` in m."""
+    """(8) [B, n] of shares [B, n] in [0, 1] to which places were touched; `reach` in m."""
     return np.clip(3.0 * swept.cone(touched, grid.spacing / reach), 0.0, 1.0)
 
 
@@ -298,6 +299,7 @@ class Blade(Tool):
         # From the middle of the lower edge to that of the upper one.
         axis = self.length * np.array([-np.sin(pose[2]), np.cos(pose[2])])
         relative = points[:, :2] - np.asarray(pose)[:2]
+        # The nearest point of the segment, and the way from it.
         along = np.clip(relative @ axis / (axis @ axis), 0.0, 1.0)
         away = relative - along[:, None] * axis
         distance = np.hypot(away[:, 0], away[:, 1])

@@ -2,7 +2,7 @@
 
 One row gives one input, or one for each offset along the way:
 
-    x = squash((operand - shift) / scale)                                                        (1)
+    x = squash((operand - shift) / scale)
 
 An operand is a short expression of names: scalars of a frame ('tip', 'lean', see `blade.SCALARS`);
 of a particle at rest u, y, z (from the tool's first place, the level and the middle plane, m);
@@ -39,11 +39,11 @@ _TAKE_TWO = ('add', 'sub', 'mul', 'div', 'max')
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One row of a table, see (1).
+    """One row of a table: x = squash((operand - shift) / scale).
 
     Attributes:
       operand: an expression.
-      scale, squash, shift: see (1); a squash is a name of `SQUASHES`.
+      scale, squash, shift: a squash is a name of `SQUASHES`.
       at: offsets of `at.` along the way, m or in the unit of the table; () without any.
     """
 

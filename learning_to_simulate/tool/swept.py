@@ -1,16 +1,16 @@
 """What a circle has swept: the state that blade and wheel share, updated frame by frame.
 
 A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
-the rim of a wheel. Bins along the way remember how deep it has been. With the centre c = (u, y) of
-the circle, its radius R, the bins x_k = u(0) + k dx, the bed before it s_k:
+the rim of a wheel. Bins along the way remember how deep it has been. With the circle's centre
+c = (u_c, h) and radius rho, the bins u_k and the bed s before it (numbers of docs/swept_field.md):
 
-  underside    h(x; c) = y - sqrt(R^2 - (x - u)^2) where |x - u| <= R, else infinite           (1)
-  of a step    h(x) = min over 0 <= t <= 1 of h(x; c + t (c' - c))                             (2)
-  profile      p_k <- min(p_k, h(x_k)), at first min(s_k, h(x_k; c(0)))                        (3)
-  swept area   A = dx sum_k (s_k - p_k)                                                        (4)
-  travelled    l <- l + |c' - c|; l_k <- l where h(x_k) < s_k: the last passage of a bin       (5)
-  foremost     f <- max(f, u') where the circle cuts: h(x_k) < s_k in some bin                 (6)
-  cone         C_k(v; a) = max_j (v_j - a |k - j|): what reaches sideways from each bin        (7)
+  underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
+  profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
+  cut          q(u) = s(u) - p(u)                                                              (3)
+  swept area   A = sum_k q(u_k) du                                                             (4)
+  since        way since e(u) last was below s(u), at most `forget`                            (5)
+  foremost     the largest u_c while e(u) < s(u) somewhere
+  cone         C(v, a)_k = max_j (v_j - a |k - j|): what reaches sideways from each bin
 
 Nothing is integrated over time: two calls in a row equal one call over the joined path, one frame
 costs the same however long the path is, and shifting path and bed together changes nothing.
@@ -159,6 +159,7 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
     """
     position = checked('position', position, (None, 2))
     surface = _checked_surface(surface, len(position), len(grid.offsets))
+    # Nothing was passed yet: all that counts as `forget` behind.
     state = SweptBed(
         origin=position[:, 0],
         surface=surface,
@@ -229,7 +230,7 @@ def checked(name: str, values, shape) -> np.ndarray:
 
 
 def _cut(grid, state, position, dt):
-    """The state after the circle's centre has gone straight to `position`: (3), (5), (6)."""
+    """The state after the circle's centre has gone straight to `position`: (2), (5)."""
     step = position - state.position
     travelled = state.travelled + np.hypot(step[:, 0], step[:, 1])
     bins = state.origin[:, None] + grid.offsets
@@ -237,7 +238,7 @@ def _cut(grid, state, position, dt):
     passed = height < state.surface
     foremost = np.maximum(state.foremost, position[:, 0])
     return state._replace(
-        profile=np.minimum(state.profile, height),
+        profile=np.minimum(state.profile, height),  # (2)
         last=np.where(passed, travelled[:, None], state.last),
         position=position,
         velocity=state.velocity if dt is None else step / dt,
@@ -250,13 +251,13 @@ def underside(u, before, after, radius) -> np.ndarray:
     """Lowest height [B, n] at places u [B, n] of a circle of a radius (a number or [B, 1]) that
     moves straight from one centre to another [B, 2]; infinite where it has not been. All in m.
 
-    It is (2): the lower envelope of both end circles (1) and, between their tangent points, of the
+    It is (1): the lower envelope of both end circles and, between their tangent points, of the
     common tangent.
     """
     height = np.full_like(u, np.inf)
     for centre in (before, after):
         depth = radius - np.abs(u - centre[:, :1])
-        square = depth * (2 * radius - depth)  # R^2 - (x - u)^2
+        square = depth * (2 * radius - depth)  # rho^2 - (u - u_c)^2
         circle = centre[:, 1:] - np.sqrt(np.maximum(square, 0.0))
         height = np.where(square >= 0, np.minimum(height, circle), height)
     step = after - before
@@ -264,6 +265,7 @@ def underside(u, before, after, radius) -> np.ndarray:
     # Unit normal of the way, downwards: the tangent is the way moved by radius along it.
     sign = np.where(step[:, :1] < 0, -1.0, 1.0)
     normal = sign * np.stack([step[:, 1], -step[:, 0]], axis=1) / np.maximum(length, TINY)
+    # Its left end, and how far each place lies along it, in [0, 1].
     left = before + radius * normal
     along = (u - left[:, :1]) * np.sign(step[:, :1])
     width = np.abs(step[:, :1])
@@ -279,7 +281,8 @@ def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
 
 
 def cone(values, fall: float) -> np.ndarray:
-    """The largest of all values [B, n], each lowered by `fall` per bin of distance: (7)."""
+    """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
+    # The largest so far from either side, in coordinates in which the slope of a cone is level.
     index = fall * np.arange(values.shape[1])
     forward = np.maximum.accumulate(values + index, axis=1) - index
     backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
@@ -287,10 +290,10 @@ def cone(values, fall: float) -> np.ndarray:
 
 
 def faded(memory, velocity, dt, scales) -> np.ndarray:
-    """Memories [B, K, V] after a frame of a velocity [B, V], one for each time scale (s).
+    """Memories m [B, K, V] after a frame of a velocity [B, V], one for each time scale (s).
 
-    dm/dt = (v - m) / tau, solved exactly for a velocity that is constant within the frame, so the
-    frame rate hardly matters: m' = e m + (1 - e) v with e = exp(-dt / tau).
+    It is (7): dm/dt = (v - m) / tau, solved exactly for a velocity that is constant within the
+    frame, so the frame rate hardly matters.
     """
     fade = np.exp(-dt / np.array(scales))[:, None]
     return fade * memory + (1 - fade) * velocity[:, None]

@@ -1,25 +1,23 @@
 """A driven wheel: turn, travel and load are given, the height is predicted. Pose, state, inputs.
 
-A pose is u, height of the axle (m), angle turned (rad, positive where it rolls on) and load (N); a
-size radius R and width (m), gravity (m/s2) and tan of the friction angle.
+A pose is u, height of the axle (m), angle turned (rad, positive where it rolls on) and load N;
+a size is radius R and width (m), gravity (m/s2) and tan of the friction angle.
 
 The state has two halves. The *drive* is a function of what is given; from it a network tells force,
 torque and height. The *rut* follows from the height. Neither waits for the other over time: heights
-of all frames come from one call. With the first sinkage z, travel du, turn dphi and load W of a
-step,
+of all frames come from one call. With the first sinkage z, and du_c, dalpha, dN of travel, turn and
+load in a step ((18) is that of docs/swept_field.md),
 
-  contact        a = sqrt(z (2 R - z)): half the chord in which the rim first cuts the surface   (8)
-  bearing        b_k = max(1 - ((x_k - u) / a)^2, 0), of the pressure in the middle              (9)
-  slip           ds = R dphi - du                                                               (10)
-  slid, shear    S_k <- S_k + b_k |ds|, s_k <- s_k + b_k ds, b_k the mean of both ends          (11)
-  peak           P_k <- max(P_k, min(b_k / BORNE, 1) W)                                         (12)
-  stirred        m = min(l / STIR + sum |ds| / STIR + sum |dW| / (STIR_LOAD W_0), 1)            (13)
-  rut            profile (3) of `swept` by the rim (2), once the height is known                (14)
-  influence      I_k = m (10) of `blade` of max(P_k / W_0, d_k / TOUCH), at most 1              (15)
+  contact        a = sqrt(z (2 R - z)): half the chord in which the rim first cuts the surface
+  bearing        B = max(1 - (u - u_c)^2 / a^2, 0), of the pressure in the middle
+  slip           ds = R dalpha - du_c
+  slid, shear    slid <- slid + B |ds|, shear <- shear + B ds, B the mean of both ends         (18)
+  peak           peak <- max(peak, min(B / BORNE, 1) N)                                        (18)
+  stirred        k = min(sum |du_c| / STIR + sum |ds| / STIR + sum |dN| / (STIR_LOAD N_0), 1)
+  rut            (1) to (4) of `swept` by the rim, once the height is known
+  influence      k times (8) of `blade`, of max(peak / N_0, min(q / TOUCH, 1))
 
-with l = sum |du| and W_0 the first load. Slip over what the wheel has rolled is Janosi and
-Hanamoto's shear displacement (1961) as far as it is known without the shape of the contact. Gate
-and disturbed depth are (12) and (11) of `blade`.
+with N_0 the first load. Gate and disturbed depth are (10) and (9) of `blade`.
 """
 
 import dataclasses
@@ -137,10 +135,10 @@ class DriveState(NamedTuple):
       size: float64 [B, 4].
       first: float64 [B, 4] first pose.
       sunk: float64 [B] how deep the rim stood in the bed at first, m.
-      contact: float64 [B], (8), m.
+      contact: float64 [B], a, m.
       pose: float64 [B, 4], the height of no meaning.
       velocity: float64 [B, 2] of travel and of the rim, m/s.
-      memory: float64 [B, K, 2] the same, (8) of `blade` for each of the `TIME_SCALES`.
+      memory: float64 [B, K, 2] the same, (7) for each of the `TIME_SCALES`.
       frame_load: float64 [B] mean load of the last frame, N.
       peak_load: float64 [B] N.
       reach: float64 [B, 2] rearmost and foremost u, m.
@@ -148,8 +146,8 @@ class DriveState(NamedTuple):
         of the first load.
       since: float64 [B, n] distance travelled since a bin was last borne on, m; at first
         `grid.forget` where none was.
-      slid, shear: float64 [B, n], (11), m.
-      peak: float64 [B, n], (12), N.
+      slid, shear: float64 [B, n], (18), m.
+      peak: float64 [B, n], (18), N.
     """
 
     size: np.ndarray
@@ -202,6 +200,7 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
     radius, place, load = size[:, RADIUS], pose[:, PLACE], pose[:, LOAD]
     sunk = bed.level - (pose[:, HEIGHT] - radius)
     depth = np.maximum(sunk, 0.002)
+    # Half the chord of a circle at a depth z below its lowest point: sqrt(z (2 R - z)).
     chord = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
     contact = np.where(depth < radius, chord, radius)  # no root is the radius to the last digit
     edge = _within_rim(grid, place, size, place)
@@ -222,7 +221,7 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
 
 
 def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
-    """The drives one frame later: (9) to (13).
+    """The drives one frame later: (18).
 
     Args:
       grid: of `start`.
@@ -240,6 +239,7 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
     gone = pose - state.pose
     step = np.stack([gone[:, PLACE], radius * gone[:, TURNED]], axis=1)
     velocity = step / dt
+    # ds = R dalpha - du_c: the rim against the soil.
     slip = (step[:, 1] - step[:, 0])[:, None]
     # What a place bears in a frame is the mean of that at both ends.
     before, after = (
@@ -261,6 +261,7 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
         ),
         way=state.way + np.concatenate([far, np.abs(slip), loaded[:, None]], axis=1),
         since=np.where(after > 0, np.zeros_like(after), state.since + far),
+        # (18)
         slid=state.slid + borne * np.abs(slip),
         shear=state.shear + borne * slip,
         peak=np.maximum(state.peak, np.minimum(after / BORNE, 1.0) * load[:, None]),
@@ -268,7 +269,7 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
 
 
 def sink(grid: SweptGrid, drive: DriveState, rut: Rut, height) -> Rut:
-    """The ruts once the wheels of a drive stand at heights [B], m: (14)."""
+    """The ruts once the wheels of a drive stand at heights [B], m."""
     position = np.stack([drive.pose[:, PLACE], height], axis=1)
     rim = _rim(grid, drive, rut.position, position)
     return rut._replace(profile=np.minimum(rut.profile, rim), position=position)
@@ -285,6 +286,7 @@ def frame(grid: SweptGrid, bed: Bed, drive: DriveState, rut: Rut | None = None) 
         + [none] * 2,
         axis=-1,
     )
+    # k: nothing moves before the wheel stirs.
     stirred = np.sum(drive.way / np.array([STIR, STIR, STIR_LOAD]), axis=1)
     gone = [
         drive.pose[:, PLACE] - first,
@@ -314,6 +316,7 @@ def with_rut(grid: SweptGrid, bed: Bed, known: Frame, rut: Rut) -> Frame:
     """A frame of the drive with what the rut adds to it."""
     cut = rut.surface - rut.profile
     first_load, stirred = (known.scalars[:, _S[n], None] for n in ('first_load', 'stirred'))
+    # Soil is touched where it bore the wheel or was cut, (8) of `blade`.
     borne = np.minimum(known.bins[..., PEAK] / np.maximum(first_load, 1e-9), 1.0)
     touched = np.maximum(borne, np.minimum(cut / blade.TOUCH, 1.0))
     seen = [cut, rut.surface - bed.level[:, None], rut.surface - rut.first]
@@ -341,7 +344,7 @@ def _on_contact(edge, radius, contact):
 
 
 def _bearing(on_contact, contact):
-    """(9) of bins that lie so far [B, n] within the contact [B], m."""
+    """The share B of bins that lie so far [B, n] within the contact [B], m."""
     half = contact[:, None]
     return np.maximum(on_contact * (2 * half - on_contact) / half**2, 0.0)
 
@@ -396,6 +399,7 @@ class Wheel(Tool):
     def poses(self, axes, pose, context=None, before=None):
         """See `Tool`."""
         u, height, lean = np.moveaxis(axes.poses(pose), -1, 0)
+        # Angles go on beyond a turn: from the frame before, in the nearest multiple of 2 pi.
         first = -lean[:1] if before is None else before[None, TURNED]
         turned = np.unwrap(np.concatenate([first, -lean]))[1:]
         return np.stack([u, height, turned, np.broadcast_to(context['load'], u.shape)], axis=-1)
@@ -429,6 +433,7 @@ class Wheel(Tool):
         for coming in pose[1:]:
             drives.append(drive_on(grid, drives[-1], coming, dt))
             known.append(frame(grid, bed, drives[-1]))
+        # Frames of the drive do not hang on heights, so one call gives those of all frames.
         if heights is not None and len(pose) > 1:
             flat = Frame(*(np.concatenate(x) for x in zip(*known[1:], strict=True)))
             change = heights(flat).reshape(len(pose) - 1, -1)

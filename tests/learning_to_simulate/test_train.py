@@ -63,7 +63,7 @@ def test_rollout_command_writes_results_that_agree(data, trained, tmp_path):
         f'--model_path={trained}', f'--output_path={out}',
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert 'constant_velocity' in done.stdout and 'ms/step' in done.stdout
+    assert 'constant velocity' in done.stdout and 'ms per frame' in done.stdout
     summary = json.loads((out / 'metrics.json').read_text())
     errors = []
     for i, (row, size) in enumerate(zip(summary['runs']['model'], (4, 6), strict=True)):

@@ -10,7 +10,6 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate import evaluation, presets, registry
 from learning_to_simulate.baselines import method as method_lib
-from learning_to_simulate.baselines import path_ridge, settings
 from pca_tools import files
 from tests.learning_to_simulate import synthetic
 
@@ -80,10 +79,6 @@ def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
         method_lib.open_model(model, data, 'test', {'max_samples': 5})
     with pytest.raises(ValueError, match='max_samples'):
         presets.make_config('path_ridge', max_samples=0)
-    for names in ('box', 'matern,', 'matern,matern'):
-        with pytest.raises(ValueError, match='ridge_kernels'):
-            presets.make_config('path_ridge', ridge_kernels=names)
-    assert set(settings.RIDGE_KERNELS) == path_ridge.KERNELS.keys()
 
 
 @pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])

@@ -5,7 +5,6 @@ import pytest
 
 from learning_to_simulate.tool import blade
 from learning_to_simulate.tool.blade import Blade
-from learning_to_simulate.tool.swept import Bed
 from tests.learning_to_simulate.swept_field import small_world as world
 
 BLADE, SIZE = Blade(), np.array([0.3])
@@ -25,15 +24,6 @@ def seen(state, bed):
     return blade.frame(world.GRID, bed, np.array([0.457]), state)
 
 
-def test_two_calls_equal_one():
-    plane = world.path()
-    whole, bed = run(plane)
-    half, _ = run(plane[:30], bed)
-    rest, _ = run(plane[30:], bed, state=half)
-    for one, other in zip(seen(whole, bed), seen(rest, bed)):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_the_room_before_the_wall_is_that_of_the_foremost_place():
     plane = world.path()
     bed = world.flat_bed(plane[0, 0, 0])
@@ -44,31 +34,6 @@ def test_the_room_before_the_wall_is_that_of_the_foremost_place():
     foremost = [plane[: t + 1, 0, 0][cut[: t + 1]].max(initial=plane[0, 0, 0]) for t in range(61)]
     np.testing.assert_allclose(room, bed.end - foremost, atol=1e-6)
     assert room[-1] < 0.45 and (np.diff(plane[:, 0, 0]) < 0).any()
-
-
-def test_shifting_the_scene_changes_nothing():
-    plane, shift = world.path(), np.array([7.25, -1.5, 0.0])
-    here = seen(*run(plane))
-    bed = world.flat_bed(plane[0, 0, 0])
-    moved = Bed(bed.surface + shift[1], bed.level + shift[1], bed.end + shift[0])
-    there = seen(*run(plane + shift, moved))
-    for one, other in zip(here, there):
-        np.testing.assert_allclose(one, other, atol=2e-6)
-
-
-@pytest.mark.parametrize('factor', [2, 4])
-def test_the_frame_rate_hardly_matters(factor):
-    """Twice and four times the frames of one smooth path."""
-    coarse = seen(*run(world.path()))
-    fine = seen(*run(world.path(60 * factor + 1, dt=world.DT / factor), dt=world.DT / factor))
-    scale = np.abs(coarse.scalars).max()
-    rates = [n.startswith(('speed', 'rise', 'turn')) for n in blade.SCALARS]
-    difference = np.abs(fine.scalars - coarse.scalars)[0]
-    assert difference[np.logical_not(rates)].max() < 1e-4 * scale
-    # A velocity is that of the last frame, half a frame ago.
-    assert difference[rates].max() < 0.05
-    deepest = coarse.bins[..., blade.CUT].max()
-    assert np.abs(fine.bins - coarse.bins)[..., blade.CUT].max() < 0.02 * deepest
 
 
 def test_influence_and_disturbed_depth_are_cones_about_the_cut():
@@ -102,34 +67,6 @@ def test_memory_is_the_exponential_average_of_the_velocity():
         age = np.arange(len(velocity))[::-1] * world.DT
         weight = np.exp(-age / tau) * (1 - np.exp(-world.DT / tau))
         np.testing.assert_allclose(state.memory[0, k], weight @ velocity, atol=1e-12)
-
-
-def test_tools_of_a_batch_know_nothing_of_each_other():
-    one, other = world.path(), world.path(depth=0.07)
-    beds = [world.flat_bed(one[0, 0, 0])] * 2
-    both, _ = run(np.concatenate([one, other], axis=1), Bed(*map(np.concatenate, zip(*beds))))
-    for i, alone in enumerate((one, other)):
-        single, _ = run(alone)
-        np.testing.assert_array_equal(both.swept.profile[i], single.swept.profile[0])
-        np.testing.assert_array_equal(both.area_before[i], single.area_before[0])
-
-
-@pytest.mark.parametrize(
-    'call, message',
-    [
-        (lambda s: blade.advance(world.GRID, s, [[0.0, np.nan, 0.0]], 0.1), 'not finite'),
-        (lambda s: blade.advance(world.GRID, s, [[0.0, 0.2, 0.0]], -0.1), 'time'),
-        (lambda s: blade.advance(world.GRID, s, [[5.0, 0.2, 0.0]], 0.1), 'do not hold it'),
-        (lambda s: blade.advance(world.GRID, s, [[0.0, 0.2]], 0.1), 'shape'),
-        (lambda s: Blade(width=0.0), 'width must be positive'),
-    ],
-)
-def test_bad_input_is_refused_and_the_state_stays(call, message):
-    state, bed = run(world.path()[:10])
-    before = seen(state, bed)
-    with pytest.raises(ValueError, match=message):
-        call(state)
-    np.testing.assert_array_equal(seen(state, bed).bins, before.bins)
 
 
 def outline(n=4000):

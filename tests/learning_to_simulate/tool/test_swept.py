@@ -67,14 +67,6 @@ def test_a_straight_cut_has_the_area_of_its_swath():
     )
 
 
-def test_two_calls_equal_one():
-    path = wandering_path(1)
-    whole = run(path)
-    parts = run(path[:, 20:], state=run(path[:, :20]))
-    for one, other in zip(whole, parts):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_frames_between_change_nothing_but_the_velocity():
     path = wandering_path(2)
     middles = (path[:, :-1] + path[:, 1:]) / 2
@@ -86,22 +78,6 @@ def test_frames_between_change_nothing_but_the_velocity():
     # A bin is reached within a frame; when exactly, the frame does not say.
     longest = np.hypot(*np.diff(path[0], axis=0).T).max()
     assert np.abs(fine.last - coarse.last).max() <= longest
-
-
-def test_shifting_path_and_bed_changes_nothing_but_the_coordinates():
-    path, shift = wandering_path(3), np.array([12.34, -0.7])
-    here, there = run(path), run(path + shift, surface=SURFACE + shift[1])
-    np.testing.assert_allclose(there.profile - shift[1], here.profile, atol=1e-12)
-    np.testing.assert_allclose(there.last, here.last, atol=1e-9)
-    np.testing.assert_allclose(
-        swept.swept_area(GRID, there), swept.swept_area(GRID, here), atol=1e-12
-    )
-    places = path[:, -1, 0][:, None] + np.linspace(-0.1, 0.1, 7)
-    np.testing.assert_allclose(
-        swept.profile_at(GRID, there, places + shift[0]) - shift[1],
-        swept.profile_at(GRID, here, places),
-        atol=1e-12,
-    )
 
 
 def test_distance_since_a_place_was_passed():
@@ -125,14 +101,6 @@ def test_cones_are_those_of_the_definition():
     np.testing.assert_allclose(swept.cone(values, 0.05), expected, atol=1e-15)
 
 
-def test_tools_of_a_batch_know_nothing_of_each_other():
-    one, other = wandering_path(4), wandering_path(5)
-    both = run(np.concatenate([one, other]))
-    for i, alone in enumerate((run(one), run(other))):
-        for batched, single in zip(both, alone):
-            np.testing.assert_array_equal(batched[i], single[0])
-
-
 def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
     bed = SURFACE + 0.03 * np.sin(20 * GRID.offsets)[None]
     path = wandering_path(6)
@@ -146,24 +114,12 @@ def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
 @pytest.mark.parametrize(
     'call, message',
     [
-        (lambda: swept.SweptGrid(radius=0.0), 'radius must be positive'),
-        (lambda: swept.SweptGrid(radius=0.001), 'falls between bins'),
         (lambda: swept.start(GRID, [[0.0, np.nan]], 0.2), 'not finite'),
         (lambda: swept.start(GRID, [0.0, 0.1], 0.2), 'shape'),
         (lambda: swept.start(GRID, [[0.0, 0.1]], np.zeros((1, 3))), 'surface has shape'),
         (lambda: swept.start(GRID, [[0.0, 0.1]], np.inf), 'surface holds'),
-        (lambda: swept.advance(GRID, run(wandering_path()), [[0.0, 0.2]], -0.1), 'time'),
     ],
 )
 def test_bad_input_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-
-
-def test_a_path_that_leaves_the_bins_is_refused_and_the_state_stays():
-    state = run(wandering_path())
-    before = [x.copy() for x in state]
-    with pytest.raises(ValueError, match='do not hold it'):
-        swept.advance(GRID, state, [[2.0, 0.2]], DT)
-    for old, new in zip(before, state):
-        np.testing.assert_array_equal(old, new)

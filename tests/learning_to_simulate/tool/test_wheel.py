@@ -8,7 +8,6 @@ import pytest
 from learning_to_simulate import tool
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.tool import wheel
-from learning_to_simulate.tool.swept import Bed
 from tests.learning_to_simulate.swept_field import small_wheel as world
 
 S = {name: i for i, name in enumerate(wheel.SCALARS)}
@@ -56,33 +55,6 @@ def test_bins_are_those_of_the_twin():
     np.testing.assert_allclose(bins[:, wheel.CUT], cut, atol=1e-4)
 
 
-def test_shifting_the_scene_changes_nothing():
-    plane, shift = world.path(), np.array([3.0, 0.5, 0.0, 0.0])
-    here = world.frames(plane)
-    bed = world.flat_bed(plane[0, 0, 0])
-    bed = Bed(bed.surface + 0.5, bed.level + 0.5, bed.end + 3.0)
-    _, there = world.WHEEL.frames(world.GRID, bed, world.SIZE[None], plane + shift, world.DT)
-    np.testing.assert_allclose(there.bins[:, 0], here.bins, atol=1e-5)
-    np.testing.assert_allclose(there.scalars[:, 0], here.scalars, atol=1e-4, rtol=1e-5)
-
-
-def test_at_twice_the_rate_the_state_is_nearly_the_same():
-    one = world.frames(world.path())
-    _, two = world.WHEEL.frames(
-        world.GRID, world.flat_bed(-0.38), world.SIZE[None], world.path(121, world.DT / 2),
-        world.DT / 2,
-    )  # fmt: skip
-    for channel in range(len(wheel.CHANNELS)):
-        there, here = two.bins[-1, 0, :, channel], one.bins[-1, :, channel]
-        apart = np.sqrt(((there - here) ** 2).mean())
-        # A bin more or less is borne on at the ends of the way.
-        assert apart <= 0.05 * max(np.sqrt((here**2).mean()), 1e-9), channel
-    for name in ('rolled', 'slipped', 'travelled', 'speed_1', 'rim_1', 'area', 'peak_load'):
-        assert two.scalars[-1, 0, S[name]] == pytest.approx(
-            one.scalars[-1, S[name]], rel=0.03, abs=1e-5
-        )
-
-
 def test_nothing_stirs_before_the_wheel_does():
     """Frames before it moves show the first sinkage alone; then the influence grows from 0."""
     found = world.frames(world.path())
@@ -108,23 +80,6 @@ def test_the_bed_under_the_wheel_is_level_with_its_neighbours():
     )
     np.testing.assert_allclose(rut.surface, world.SURFACE)
     assert drive.sunk == pytest.approx(0.006)
-
-
-@pytest.mark.parametrize(
-    'change, message',
-    [
-        (lambda p: p + [1.0, 0, 0, 0], 'bins'),
-        (lambda p: p * np.nan, 'not finite'),
-        (lambda p: p[:, :3], 'shape'),
-    ],
-)
-def test_bad_poses_are_refused(change, message):
-    plane = world.path()
-    state = wheel.start(world.GRID, world.flat_bed(-0.38), world.SIZE[None], plane[0])[0]
-    with pytest.raises(ValueError, match=message):
-        wheel.drive_on(world.GRID, state, change(plane[1]), world.DT)
-    with pytest.raises(ValueError, match='time does not go back'):
-        wheel.drive_on(world.GRID, state, plane[1], 0.0)
 
 
 def test_poses_of_a_wheel_go_on_turning():

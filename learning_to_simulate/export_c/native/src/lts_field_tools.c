@@ -1,4 +1,4 @@
-/* What differs between blade and wheel beside their paths: what outputs of the load mean, twin of (2), (3) of
+/* What differs between blade and wheel beside their paths: what outputs of the load mean, twin of (14), (19) of
  * `network.py`, and how soil is pushed out, twin of `Blade.inside` and `Wheel.inside`. */
 #include <math.h>
 
