@@ -19,7 +19,6 @@ from learning_to_simulate import (
     normalization,
     presets,
     reading_utils,
-    registry,
     rollout_status,
 )
 from learning_to_simulate.baselines import open_loop, path_ridge
@@ -145,7 +144,6 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
 
 def train(data_path, model_path, config, options) -> dict:
     """Fits a method and leaves its model folder, or finds it done; see `registry.train`."""
-    registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata)
     valid = reading_utils.read_groups(data_path, 'valid', metadata)
@@ -229,7 +227,6 @@ def load(model_path: str) -> OpenLoopModel:
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A fitted method with the runs of a split; see `registry`."""
-    registry.refuse_raw_path(raw_path)
     model = load(model_path)
     config = model.simulator.config
     checkpoints.refuse_contradictions(model_path, config, overrides or {})

@@ -9,7 +9,7 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
+from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils
 from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
@@ -128,7 +128,6 @@ def train(data_path, model_path, config, options) -> dict:
     from learning_to_simulate.subspace.trainer import Trainer
     from learning_to_simulate.training import loop
 
-    registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
@@ -176,7 +175,6 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
       FileNotFoundError: no model, dataset or split there.
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
-    registry.refuse_raw_path(raw_path)
     # A model that is only run waits for none of it.
     from learning_to_simulate.penetration import Penetration
 

@@ -17,7 +17,6 @@ which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 import dataclasses
 
 import numpy as np
-from scipy import optimize
 
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 
@@ -170,6 +169,8 @@ def calibrate(runs, kind: str) -> list[float]:
       runs: of valid, each (errors [F], spreads [F], sizes [F]).
       kind: of `FLOORS`, whose unit all have.
     """
+    from scipy import optimize  # a live step does not load it
+
     signs = np.concatenate([_signs(s, z) for _, s, z in runs])
     errors = np.concatenate([e for e, _, _ in runs])
     share = np.concatenate([np.full(len(e), 1.0 / len(e)) for e, _, _ in runs])

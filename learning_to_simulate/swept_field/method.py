@@ -96,8 +96,6 @@ def load(model_path: str):
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A trained field with the runs of a split; see `registry`."""
-    if raw_path:
-        raise ValueError('--raw_path is for --model=full_space only')
     model = load(model_path)
     field = model.field
     checkpoints.refuse_contradictions(model_path, field.config, overrides or {})

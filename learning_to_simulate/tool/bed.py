@@ -37,11 +37,13 @@ def surface_profile(points, places, axes: Axes, kept_spacing, spacing, half_widt
         raise ValueError(f'no particle lies within {half_width} m of the middle of the bed')
     u, height = axes.plane(points[inside]).T
     size = 2.0 * kept_spacing
+    # The topmost particle of each slab along the way and column across it; NaN where none is.
     slab = np.floor((u - u.min()) / size).astype(np.int64)
     column = np.floor((z[inside] - z[inside].min()) / size).astype(np.int64)
     top = np.full((slab.max() + 1, column.max() + 1), np.nan)
     np.fmax.at(top, (slab, column), height)
     there = np.flatnonzero(np.isfinite(top).any(axis=1))
+    # The median over columns is not raised by single particles that lie on top.
     centres = u.min() + size * (there + 0.5)
     return np.interp(places, centres, np.nanmedian(top[there], axis=1)) + spacing / 2
 
@@ -179,6 +181,7 @@ def stretched(bed: HeightMap, rest, axes: Axes, spacing: float) -> np.ndarray:
     floor, top = points[:, 1].min(), points[:, 1].max() + spacing / 2
     if (heights <= floor).any():
         raise ValueError(f'a height map goes below the floor of the bed at {floor:.4g} m')
+    # Each column is stretched about its floor: as many particles, in a lower or higher bed.
     found = rest.copy()
     found[:, axes.up] = floor + (points[:, 1] - floor) * (wanted - floor) / (top - floor)
     return found

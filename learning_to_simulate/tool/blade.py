@@ -168,7 +168,8 @@ def advance(grid: SweptGrid, state: BladeState, pose, dt) -> BladeState:
         after,
         pose[:, 2],
         velocity,
-        swept.faded(state.memory, velocity, dt, TIME_SCALES),
+        swept.faded(state.memory, velocity, dt, TIME_SCALES),  # (7)
+        # (6): the area before this frame, so that what is cut together has one value.
         np.where(is_cut & ~was_cut, area, state.area_before),
     )
 
@@ -179,18 +180,18 @@ def frame(grid: SweptGrid, bed: Bed, width, state: BladeState) -> Frame:
     cut = s.surface - s.profile
     bins = np.stack(
         [
-            cut,
+            cut,  # (3)
             s.surface - bed.level[:, None],
-            np.minimum(s.travelled[:, None] - s.last, grid.forget),
-            state.area_before,
-            influence(grid, np.minimum(cut / TOUCH, 1.0), REACH),
-            swept.cone(cut, RISE * grid.spacing),
+            np.minimum(s.travelled[:, None] - s.last, grid.forget),  # (5)
+            state.area_before,  # (6)
+            influence(grid, np.minimum(cut / TOUCH, 1.0), REACH),  # (8)
+            swept.cone(cut, RISE * grid.spacing),  # (9)
         ],
         axis=-1,
     )
     of_path = np.stack(
         [
-            swept.swept_area(grid, s),
+            swept.swept_area(grid, s),  # (4)
             s.foremost - s.origin,
             np.broadcast_to(width, s.origin.shape) / 2,
             bed.end - s.origin,
@@ -298,6 +299,7 @@ class Blade(Tool):
         # From the middle of the lower edge to that of the upper one.
         axis = self.length * np.array([-np.sin(pose[2]), np.cos(pose[2])])
         relative = points[:, :2] - np.asarray(pose)[:2]
+        # The nearest point of the segment, and the way from it.
         along = np.clip(relative @ axis / (axis @ axis), 0.0, 1.0)
         away = relative - along[:, None] * axis
         distance = np.hypot(away[:, 0], away[:, 1])

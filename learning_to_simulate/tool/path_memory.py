@@ -97,6 +97,7 @@ class PathMemory:
         frame = blade.frame(self.grid, self._bed(len(width)), width, state)
         bins, s = frame.bins, frame.scalars.astype(np.float64)
         s = {name: s[:, i] for name, i in _SCALAR.items()}
+        # Places on the bed, not from where the tool began: modes stand still.
         first = state.swept.origin
         tip, foremost = s['tip'] + first, s['foremost'] + first
         low, high = self.reach[0] - MARGIN, self.reach[1] + MARGIN

@@ -159,6 +159,7 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
     """
     position = checked('position', position, (None, 2))
     surface = _checked_surface(surface, len(position), len(grid.offsets))
+    # Nothing was passed yet: all that counts as `forget` behind.
     state = SweptBed(
         origin=position[:, 0],
         surface=surface,
@@ -237,7 +238,7 @@ def _cut(grid, state, position, dt):
     passed = height < state.surface
     foremost = np.maximum(state.foremost, position[:, 0])
     return state._replace(
-        profile=np.minimum(state.profile, height),
+        profile=np.minimum(state.profile, height),  # (2)
         last=np.where(passed, travelled[:, None], state.last),
         position=position,
         velocity=state.velocity if dt is None else step / dt,
@@ -264,6 +265,7 @@ def underside(u, before, after, radius) -> np.ndarray:
     # Unit normal of the way, downwards: the tangent is the way moved by radius along it.
     sign = np.where(step[:, :1] < 0, -1.0, 1.0)
     normal = sign * np.stack([step[:, 1], -step[:, 0]], axis=1) / np.maximum(length, TINY)
+    # Its left end, and how far each place lies along it, in [0, 1].
     left = before + radius * normal
     along = (u - left[:, :1]) * np.sign(step[:, :1])
     width = np.abs(step[:, :1])
@@ -280,6 +282,7 @@ def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
 
 def cone(values, fall: float) -> np.ndarray:
     """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
+    # The largest so far from either side, in coordinates in which the slope of a cone is level.
     index = fall * np.arange(values.shape[1])
     forward = np.maximum.accumulate(values + index, axis=1) - index
     backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index

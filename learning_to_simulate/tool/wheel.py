@@ -200,6 +200,7 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
     radius, place, load = size[:, RADIUS], pose[:, PLACE], pose[:, LOAD]
     sunk = bed.level - (pose[:, HEIGHT] - radius)
     depth = np.maximum(sunk, 0.002)
+    # Half the chord of a circle at a depth z below its lowest point: sqrt(z (2 R - z)).
     chord = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
     contact = np.where(depth < radius, chord, radius)  # no root is the radius to the last digit
     edge = _within_rim(grid, place, size, place)
@@ -238,6 +239,7 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
     gone = pose - state.pose
     step = np.stack([gone[:, PLACE], radius * gone[:, TURNED]], axis=1)
     velocity = step / dt
+    # ds = R dalpha - du_c: the rim against the soil.
     slip = (step[:, 1] - step[:, 0])[:, None]
     # What a place bears in a frame is the mean of that at both ends.
     before, after = (
@@ -259,6 +261,7 @@ def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
         ),
         way=state.way + np.concatenate([far, np.abs(slip), loaded[:, None]], axis=1),
         since=np.where(after > 0, np.zeros_like(after), state.since + far),
+        # (18)
         slid=state.slid + borne * np.abs(slip),
         shear=state.shear + borne * slip,
         peak=np.maximum(state.peak, np.minimum(after / BORNE, 1.0) * load[:, None]),
@@ -283,6 +286,7 @@ def frame(grid: SweptGrid, bed: Bed, drive: DriveState, rut: Rut | None = None) 
         + [none] * 2,
         axis=-1,
     )
+    # k: nothing moves before the wheel stirs.
     stirred = np.sum(drive.way / np.array([STIR, STIR, STIR_LOAD]), axis=1)
     gone = [
         drive.pose[:, PLACE] - first,
@@ -312,6 +316,7 @@ def with_rut(grid: SweptGrid, bed: Bed, known: Frame, rut: Rut) -> Frame:
     """A frame of the drive with what the rut adds to it."""
     cut = rut.surface - rut.profile
     first_load, stirred = (known.scalars[:, _S[n], None] for n in ('first_load', 'stirred'))
+    # Soil is touched where it bore the wheel or was cut, (8) of `blade`.
     borne = np.minimum(known.bins[..., PEAK] / np.maximum(first_load, 1e-9), 1.0)
     touched = np.maximum(borne, np.minimum(cut / blade.TOUCH, 1.0))
     seen = [cut, rut.surface - bed.level[:, None], rut.surface - rut.first]
@@ -394,6 +399,7 @@ class Wheel(Tool):
     def poses(self, axes, pose, context=None, before=None):
         """See `Tool`."""
         u, height, lean = np.moveaxis(axes.poses(pose), -1, 0)
+        # Angles go on beyond a turn: from the frame before, in the nearest multiple of 2 pi.
         first = -lean[:1] if before is None else before[None, TURNED]
         turned = np.unwrap(np.concatenate([first, -lean]))[1:]
         return np.stack([u, height, turned, np.broadcast_to(context['load'], u.shape)], axis=-1)
@@ -427,6 +433,7 @@ class Wheel(Tool):
         for coming in pose[1:]:
             drives.append(drive_on(grid, drives[-1], coming, dt))
             known.append(frame(grid, bed, drives[-1]))
+        # Frames of the drive do not hang on heights, so one call gives those of all frames.
         if heights is not None and len(pose) > 1:
             flat = Frame(*(np.concatenate(x) for x in zip(*known[1:], strict=True)))
             change = heights(flat).reshape(len(pose) - 1, -1)

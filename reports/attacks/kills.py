@@ -224,6 +224,8 @@ def main(values, _) -> int:
     if unknown := set(names) - set(kill_tasks.TASKS):
         raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')
     path = values.output_path and os.path.join(values.output_path, 'kills.json')
+    if path:
+        os.makedirs(values.output_path, exist_ok=True)
     share, more = divmod(values.count, len(names))
     moments = {name: share + (i < more) for i, name in enumerate(names)}
     document: dict = {'tasks': {}, 'losses': []}

@@ -5,7 +5,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import evaluation, metrics, reading_utils, soil_truth
-from learning_to_simulate.live import path_rollout
+from learning_to_simulate.live import paths
 from learning_to_simulate.rendering import rollout_figures, rollout_frames
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
@@ -103,5 +103,5 @@ def test_every_printout_has_the_same_number(tmp_path, sampled):
         assert frames.soil_mm == same and frames.space == summary['soil_error']
         assert f'soil error {number:.2f} mm' in rollout_figures.caption([frames])
         _, group, rollout = results[record]
-        found = path_rollout.of_recorded_run(group, rollout, scene, None, 'rollout')
+        found = paths.of_recorded_run(group, rollout, scene, None, 'rollout')
         assert found.soil_mm == same and rollout_frames.of_rollout(found).soil_mm == same

@@ -179,6 +179,8 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
         registry.open_model(str(tmp_path), data, 'test', {})
+    with pytest.raises(ValueError, match='--raw_path is for --model=full_space only'):
+        registry.open_model(trained, data, 'test', raw_path='raw')
     for field, message in (('noise_std', 'contradicts the model'), ('members', 'is no setting')):
         with pytest.raises(ValueError, match=message):
             registry.open_model(trained, data, 'test', {field: 0.1})
