@@ -59,7 +59,6 @@ class Method:
         return importlib.import_module(self.code)
 
 
-
 @dataclasses.dataclass
 class OpenedModel:
     """A trained model with the runs that it is judged on.

@@ -308,7 +308,7 @@ def test_bad_starts_are_refused(field, live, poses):
     for bed, message in (
         (np.zeros((4, 2)), 'shape'),
         (HeightMap([0.0, 1.0], [0.2]), 'height map'),
-        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'heights holds nan'),
+        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'holds NaN'),
         (HeightMap([0.0, 1.0], [0.2, -3.0]), 'floor'),
     ):
         with pytest.raises(ValueError, match=message):
