@@ -35,7 +35,7 @@ def _writer(name: str) -> Callable[[str], None]:
 
 def _reader(name: str) -> Callable[[str], list]:
     def read(folder: str) -> list:
-        data = detect.FORMATS[name].read(folder, full_space.ReadOptions(dt=0.1))
+        data = detect.FORMATS[name].read(folder, 0.1)
         return [(run.positions, run.particle_type, run.force, run.context) for run in data.runs()]
 
     return read

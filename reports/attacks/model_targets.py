@@ -78,7 +78,7 @@ def _possible_model(value) -> bool:
 
 
 def _write_nri(folder: str) -> None:
-    config = NriConfig(hidden=4, window=6, segment=2, factor_graph=False)
+    config = NriConfig(hidden=4, window=6, segment=2)
     offset = np.zeros((1, 4))
     nri_model.NriModel(config, ('a', 'b', 'c'), offset, offset + 1.0, 'digest').save(folder)
 
