@@ -8,8 +8,10 @@ hard requirement would break one of the installs. `constraints.txt` pins the set
 
 import pathlib
 import re
+import shutil
 
 import setuptools
+from setuptools.command.build_py import build_py
 
 README = pathlib.Path(__file__).with_name('README.md')
 
@@ -27,8 +29,21 @@ EXTRAS = {
     'fmu': ['fmpy>=0.3.32'],
     'live': ['viser>=1.1.1'],
     'vtk': ['vtk>=9.4'],
-    'dev': ['mypy', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
+    'dev': ['mypy', 'playwright', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }
+
+
+class BuildWithModels(build_py):
+    """Puts the shipped models into the package that is built: 16 MB, where `shipped.py` looks."""
+
+    def run(self):
+        """Copies the modules, then the models; an editable install finds these in the sources."""
+        super().run()
+        if not self.editable_mode:
+            target = pathlib.Path(self.build_lib, 'learning_to_simulate', 'models')
+            shutil.rmtree(target, ignore_errors=True)
+            shutil.copytree(pathlib.Path(__file__).with_name('models'), target)
+
 
 setuptools.setup(
     name='learning-to-simulate-soil',
@@ -45,19 +60,16 @@ setuptools.setup(
         'Topic :: Scientific/Engineering :: Physics',
     ],
     python_requires='>=3.11',
+    # `reports`, `run_scripts` and `tests` serve who works on the sources; they are not installed.
     packages=setuptools.find_packages(
         include=[
             pattern
-            for name in (
-                'learning_to_simulate',
-                'mpm',
-                'nri',
-                'pca_tools',
-            )
+            for name in ('learning_to_simulate', 'mpm', 'nri', 'pca_tools')
             for pattern in (name, f'{name}.*')
         ]
     ),
-    package_data={'learning_to_simulate.export_c': ['native/*.c', 'native/*/*']},
+    package_data={'learning_to_simulate': ['**/*.c', '**/*.h', '**/*.inc', '**/*.in']},
+    cmdclass={'build_py': BuildWithModels},
     install_requires=[
         'absl-py>=2.1',
         'dm-sonnet>=2.0.2',

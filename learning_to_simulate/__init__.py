@@ -14,18 +14,21 @@ import importlib
 
 from learning_to_simulate._version import __version__
 
+# Public name -> the module it lives in, and its name there.
 _HOMES = {
-    'Dataset': 'api', 'TrainedModel': 'api', 'load': 'api', 'preset': 'api', 'train': 'api',
-    'RolloutStatus': 'rollout_status',
+    'Dataset': 'api.Dataset', 'TrainedModel': 'api.TrainedModel', 'load': 'api.load',
+    'list': 'shipped.names', 'preset': 'api.preset', 'train': 'api.train',
+    'RolloutStatus': 'rollout_status.RolloutStatus',
 }  # fmt: skip
-__all__ = ['__version__', *_HOMES]
+__all__ = ['__version__', *(name for name in _HOMES if name != 'list')]  # `import *` keeps list
 
 
 def __getattr__(name):
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(importlib.import_module(f'{__name__}.{_HOMES[name]}'), name)
+    module, attribute = _HOMES[name].split('.')
+    return getattr(importlib.import_module(f'{__name__}.{module}'), attribute)
 
 
 def __dir__():
-    return sorted(__all__)
+    return sorted([*__all__, 'list'])

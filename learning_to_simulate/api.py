@@ -7,38 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import command, presets, registry
+from learning_to_simulate import command, presets, registry, shipped
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
-
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-# What a name of a dataset alone means: the first of these that ships with it.
-DEFAULT_MODELS = 'swept_field', 'pcg'
-
-
-def _found(name: str, kind: str, marker: str, deeper: Sequence[str] = ()) -> str:
-    """A folder that is given by its path, or by its name among those that ship.
-
-    Args:
-      name: path or name.
-      kind: folder of those that ship.
-      marker: the file that says that a folder is one.
-      deeper: what is looked for in a folder of that name, in this order.
-
-    Raises:
-      FileNotFoundError: neither; the message lists what ships.
-    """
-    name = os.fspath(name)
-    shipped = os.path.join(ROOT, kind)
-    inside = [os.path.join(shipped, name, folder) for folder in deeper]
-    for path in (name, os.path.join(ROOT, name), os.path.join(shipped, name), *inside):
-        if os.path.isfile(os.path.join(path, marker)):
-            return path
-    names = sorted(
-        os.path.relpath(folder, shipped) for folder, _, held in os.walk(shipped) if marker in held
-    )
-    have = f'shipped are {", ".join(names)}' if names else f'none ships with this copy ({shipped})'
-    raise FileNotFoundError(f'{name}: no folder with a {marker}; {have}')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +78,7 @@ class Dataset:
     """
 
     def __init__(self, path: str):
-        self.path = _found(path, 'datasets', 'metadata.json')
+        self.path = shipped.find(path, 'datasets')
         self.metadata = dataset.read_metadata(self.path)
         self.train, self.valid, self.test = (Split(self.path, name) for name in dataset.SPLITS)
 
@@ -179,7 +150,7 @@ class TrainedModel:
 
     @property
     def starts(self):
-        """`resting_start.Starts`: beds, bodies and contexts to start from.
+        """`live.starts.Starts`: beds, bodies and contexts to start from.
 
         Raises:
           FileNotFoundError: a folder from before models carried them; the message has the remedy.
@@ -196,103 +167,92 @@ class TrainedModel:
             raise ValueError(f'{self.path}: {self.config.model} has no live stepping and no paths')
         self.scene.check_one_body('stepping and rolling out by poses')
         if self._at_rest is None:
-            from learning_to_simulate.live import resting_start
+            from learning_to_simulate.live import starts
 
-            starts, space = resting_start.read(self.path)
+            found, space = starts.read(self.path)
             if not self._method.live:
                 space = None if space is None else self.model.fitting_subspace(space)
-            self._at_rest = starts, space
+            self._at_rest = found, space
         return self._at_rest
 
-    def stepper(self, outside: str = 'flag'):
-        """A `live.LiveSoil`, or what a method has of its own; `start` and `step` it with poses.
+    def stepper(self, outside: str = 'flag', engine: str = 'best'):
+        """A `live.stepper.Stepper`; `start` and `step` it with poses.
 
         Frames come from the C library where there is a C compiler and the model has a C form, else
-        from TensorFlow: the same to round-off.
+        from TensorFlow: the same to round-off. `stepper.engine` says which, and why not C.
 
         Args:
           outside: what is done with a frame that is not `ok`: 'flag', 'hold' or 'raise'.
+          engine: 'best', or 'c' or 'tensorflow' alone.
 
         Raises:
           FileNotFoundError, ValueError: as `starts`; a model on particles.
+          native.library.NoCompiler: of 'c', where there is no C compiler.
         """
-        if own := self._method.load_live():
-            return own.stepper(self.path, self.model, outside)
-        from learning_to_simulate.export_c.c_step import best_step
-        from learning_to_simulate.live.live_soil import LiveSoil
+        from learning_to_simulate.live.stepper import Stepper
+        from learning_to_simulate.native import engines
 
-        starts, space = self._from_rest()
-        return LiveSoil(self.model, starts, space, outside=outside, back_end=best_step)
+        return Stepper(engines.of(self.model, *self._from_rest(), engine), outside)
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
-        """Rolls out a whole path, several at once, or a recorded run.
+        """Rolls out a whole path, several one after the other, or a recorded run.
 
         Args:
           path: [T, 7] or [T, 3] poses of the body, one a frame (see `poses`): the body is at the
             first when the rollout starts, and the rollout has the T - 1 frames after it. Or a list
-            of such paths, which are one batch; or a `Run` of a dataset.
-          velocity, case: of `LiveSoil.start`, for all paths; the velocity is by default that of
-            the first two poses.
+            of such paths; or a `Run` of a dataset.
+          velocity, case: of `Stepper.start`, for all paths; the velocity is by default that of the
+            first two poses.
           context: likewise, or [T, C] where it changes in time.
 
         Returns:
-          `path_rollout.SoilRollout`, or a list of them.
+          `paths.SoilRollout`, or a list of them.
 
         Raises:
           ValueError: not a path; a run of a dataset that the model does not fit.
         """
         if isinstance(path, Run):
             return self._of_run(path)
+        from learning_to_simulate.live import paths
+
+        if self._roller is None:
+            self._roller = self.stepper()
         several = isinstance(path, (list, tuple)) and len(path) and np.ndim(path[0]) == 2
-        roller = self._path_roller()
-        pairs = [
-            roller.beginning(p, velocity, case, context) for p in (path if several else [path])
+        results = [
+            paths.roll_out(self._roller, p, velocity, case, context)
+            for p in (path if several else [path])
         ]
-        results = roller.roll_out(pairs)
         return results if several else results[0]
 
-    def _path_roller(self):
-        if self._roller is None:
-            from learning_to_simulate.live.path_rollout import PathRoller
-
-            own = self._method.load_live()
-            self._roller = (
-                own.roller(self.path, self.model)
-                if own
-                else PathRoller(self.model, self.starts, self._soil())
-            )
-        return self._roller
-
-    def _soil(self):
-        from learning_to_simulate.live.soil import Soil
-
-        space = self.subspace
-        return None if space is None else Soil(space, self.scene.up_axis)
-
     def _of_run(self, run):
-        from learning_to_simulate.live.path_rollout import of_recorded_run
+        from learning_to_simulate.live import paths
+        from learning_to_simulate.live.soil import ModesSoil
 
         opened = self._opened(run.split)
         (group,) = (
             g.take(np.flatnonzero(g.record == run.index)) for g in opened.groups
             if run.index in g.record
         )  # fmt: skip
-        name = f'rollout_{run.name}'
-        if self._method.live:
-            return self._path_roller().recorded(opened.evaluator, group, name)
         rollout = opened.evaluator.roll_out(group)
-        return of_recorded_run(group, rollout, self.scene, self._soil_of(run.split), name)
+        if self._method.live:
+            soils = opened.evaluator.soils(rollout)
+        else:
+            decoder = self._decoder(run.split)
+            soils = [ModesSoil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]
+        return paths.of_recorded_run(group, rollout, self.scene, soils, f'rollout_{run.name}')
 
-    def _soil_of(self, split):
+    def _decoder(self, split):
         """Turns the modes of rollouts of a dataset into particles; None where it cannot be done."""
-        from learning_to_simulate.live.soil import Soil
+        from learning_to_simulate.live.soil import Decoder
 
-        if not self._method.steps:
-            return None
         space = Dataset(split.folder).subspace
         if space is None:  # records alone
-            return self._soil() if self._method.steps and not self.scene.bodies else None
-        return Soil(space.truncated(self.scene.n_modes), self.scene.up_axis)
+            has_own = self._method.steps and not self.scene.bodies
+            space = self.subspace if has_own else None
+            return None if space is None else Decoder(space, self.scene.up_axis)
+        if space.n_modes < self.scene.n_modes:  # a model on particles
+            return None
+        return Decoder(space.truncated(self.scene.n_modes), self.scene.up_axis)
 
     def _opened(self, split):
         """The model with the runs of a split. That of the newest one is kept, so that rollouts of
@@ -344,16 +304,7 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(find_model(name))
-
-
-def find_model(name: str) -> str:
-    """The folder of a model, named as for `load`, without a look inside.
-
-    Raises:
-      FileNotFoundError: no such model; the message lists those that ship.
-    """
-    return _found(name, 'models', 'config.json', DEFAULT_MODELS)
+    return TrainedModel(shipped.find(name, 'models'))
 
 
 def preset(name: str, **fields):

@@ -3,7 +3,7 @@
   config.json    the settings, scene, statistics, edges, data digest, package versions
   weights.npz    weights for evaluation (moving averages where the config has them): arrays only,
                  no code, no pickle
-  start.npz, subspace.npz   what the model needs to run without its dataset (`resting_start`)
+  start.npz, subspace.npz   what the model needs to run without its dataset (`live.starts`)
   ckpt-<step>.*  `tf.train.Checkpoint` of weights, optimiser and step, to resume training
 
 A folder that ships with the project holds no checkpoints. What is here is the same for models of
@@ -85,7 +85,7 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
       model: with `simulator`, masks of its edges and `edge_counts()`.
       n_rigid: any R the model runs on; used to rebuild its variables.
       data: where the training data came from (path, digests), for the record.
-      files_beside: name -> sha256 of what else the model needs (`resting_start`); None where it
+      files_beside: name -> sha256 of what else the model needs (`live.starts`); None where it
         has nothing of that kind.
     """
     import tensorflow as tf
@@ -216,6 +216,8 @@ def refuse_contradictions(model_path, config, overrides):
     """Raises ValueError if an override {field: value} is not what the model's config, or scene,
     says."""
     for field, value in overrides.items():
+        if not hasattr(config, field):
+            raise ValueError(f'{field}={value} is no setting of the model in {model_path}')
         if value != getattr(config, field):
             raise ValueError(
                 f'--{field}={value} contradicts the model in {model_path}, which has '
@@ -283,19 +285,13 @@ def data_record(data_path: str, metadata: dict) -> dict:
     }
 
 
-def holds_model(
-    path: str,
-    parts: dict[str, dict],
-    own_files: Iterable[str] = (),
-    defaults: dict | None = None,
-) -> bool:
+def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()) -> bool:
     """Whether a folder holds a model already, which must then be one of these parts.
 
     Args:
       path: model folder; it exists.
       parts: entry of `config.json` -> what it says now, `path` aside; more may be in the file.
       own_files: further names that a killed training may leave before its `config.json`.
-      defaults: what fields of `config` mean that the folder of an older version does not have.
 
     Raises:
       ValueError: a folder of something else, or of another model; nothing was written.
@@ -313,8 +309,6 @@ def holds_model(
     for part, values in parts.items():
         old = stored.get(part)
         old = old if isinstance(old, dict) else {}
-        if part == 'config':
-            old = (defaults or {}) | old
         differing = [
             k for k, v in values.items() if k != 'path' and _plain(old.get(k)) != _plain(v)
         ]

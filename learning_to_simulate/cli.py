@@ -13,6 +13,7 @@ from learning_to_simulate._version import __version__
 
 # Name -> module, flags that the name stands for, and what it does.
 COMMANDS = {
+    'list': ('learning_to_simulate.shipped', [], 'names of the models that ship'),
     'train': ('learning_to_simulate.train', [], 'trains a model, or goes on with its training'),
     'evaluate': (
         'learning_to_simulate.train',

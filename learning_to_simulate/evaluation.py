@@ -10,10 +10,9 @@ import re
 
 import numpy as np
 
-from learning_to_simulate import metrics
-from learning_to_simulate.compiled.folded_step import rollout_function
+from learning_to_simulate import metrics, soil_truth
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.rollout import roll_out
+from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.subspace_model import Model
 from pca_tools import files
@@ -60,7 +59,7 @@ class Evaluator:
         key = group.position.shape, group.context_changes
         if key not in self._functions:
             layout = self._model.layout(group.n_rigid)
-            self._functions[key] = rollout_function(self._model.simulator, layout, self._correct)
+            self._functions[key] = RolloutFunction(self._model.simulator, layout, self._correct)
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):
@@ -74,53 +73,85 @@ class Evaluator:
 
 
 def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
-    """The metrics of rolled-out runs: per run, their mean, the trivial predictors and the skill.
+    """The metrics of rolled-out runs: per run, their mean, and those of the trivial predictors.
 
     Args:
       results: of `roll_out_all`.
       model: its scene and statistics are read, and the edges of its graphs.
-      metadata: of the dataset; says what the subspace cuts off each run, where that is known.
-      split: names the projection errors in the metadata.
+      metadata: of the dataset; {} where the nodes of the groups are the solver's own particles.
+      split: of the runs.
       more: called with record, one-run group and rollout, gives further figures of a run by name,
         e.g. a `penetration.Penetration`; None for none.
+
+    Returns:
+      `mean` and `runs`, method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
+      `rigid_mse`, those of `metrics.load_errors`; of the model also its status and times.
     """
     scene, statistics = model.simulator.scene, model.simulator.statistics
-    floors = metadata.get('projection_mse', {}).get(split)
+    truths = _Truths(metadata, split, scene)
     methods: dict[str, list] = {'model': [], 'stay_still': [], 'constant_velocity': []}
     for record, group, rollout in results:
         # Modes that the model leaves out count as they do in its particles: they say 0. The
         # trivial predictors know all of them, so that they are the same for every model.
         recorded = group.with_left_modes(group.position, as_recorded=True)
-        truth = recorded[:, H:]
-        n_frame = truth.shape[1]
-        force, forces = None, dict.fromkeys(methods)
-        if scene.has_force:
-            force = group.force[:, H:]
-            forces = _by_method(rollout.force, group.force, statistics.force_mean)
-        torque, torques = _torque_of(rollout), None
-        if torque is not None:
-            torques = _by_method(torque, group.torque, statistics.torque_mean)
+        n_frame, n_rigid = recorded.shape[1] - H, group.n_rigid
+        soil = truths.of(group, recorded[0, :, n_rigid:])
+        axes = metrics.travel_axes(group.position[0, :, :n_rigid], scene.up_axis)
         positions = {
             'model': group.with_left_modes(rollout.position),
             'stay_still': metrics.stay_still(recorded[:, :H], n_frame),
             'constant_velocity': metrics.constant_velocity(recorded[:, :H], n_frame),
         }
-        floor = None if floors is None else np.array([floors[record]])
+        forces = torques = dict.fromkeys(methods)
+        if scene.has_force:
+            forces = _by_method(rollout.force, group.force, statistics.force_mean)
+        if (torque := torque_of(rollout)) is not None and group.torque is not None:
+            mean = getattr(statistics, 'torque_mean', None)
+            torques = _by_method(torque[None], group.torque, np.nan if mean is None else mean)
         for name, rows in methods.items():
-            errors = metrics.run_errors(
-                positions[name], truth, forces[name], force, group.n_rigid, scene.n_soil, floor
-            )
-            if torques is not None:
-                errors |= metrics.force_errors(torques[name], group.torque[:, H:], 'torque')
+            position, truth = positions[name], recorded[:, H:]
+            errors = {'rigid_mse': metrics.rigid_mse(position, truth, n_rigid)} if n_rigid else {}
+            errors['soil_mse'] = metrics.soil_mse(position, truth, n_rigid, scene.n_soil)
+            arrays = getattr(rollout, 'arrays', {}) if name == 'model' else {}
+            errors['soil_mm'] = [soil.soil_mm(soil.of_rollout(position[0, :, n_rigid:], arrays))]
+            if forces[name] is not None:
+                true_torque = None if group.torque is None else group.torque[:, H:]
+                errors |= metrics.load_errors(
+                    forces[name], group.force[:, H:], axes, torques[name], true_torque
+                )
             rows.append({'record': record} | {k: float(v[0]) for k, v in errors.items()})
         methods['model'][-1] |= {
             **_status_fields(rollout),
-            'edges': len(model.layout(group.n_rigid).senders),
+            'edges': len(model.layout(n_rigid).senders),
             'milliseconds_per_step': 1e3 * rollout.seconds / n_frame,
             'seconds_per_simulated_second': rollout.seconds / (n_frame * scene.dt),
             **({} if more is None else more(record, group, rollout)),
         }
-    return _summary(methods, floors, scene)
+    return _summary(methods, truths, scene)
+
+
+class _Truths:
+    """The `soil_truth.SoilTruth` of runs; a dataset is opened once."""
+
+    def __init__(self, metadata, split, scene):
+        self._metadata, self._n_soil = metadata, scene.n_soil
+        self.floors = metadata.get('projection_mse', {}).get(split)
+        self._split, self._readers, self.space = split, {}, ''
+
+    def of(self, group, nodes):
+        """Of a one-run group whose soil nodes are [T, r, 3]."""
+        record, made = int(group.record[0]), group.source
+        if made is None:
+            floor = soil_truth.of_run({self._split: self.floors}, self._split, record)
+            own = '' if self._metadata else soil_truth.PARTICLES
+            found = soil_truth.of_nodes(nodes, self._n_soil, floor, own)
+        else:
+            if made[0] not in self._readers:
+                self._readers[made[0]] = soil_truth.TruthReader(made[0])
+            reader = self._readers[made[0]]
+            found = reader.read(made[1], record, nodes, self._n_soil)
+        self.space = found.space
+        return found
 
 
 def _by_method(predicted, recorded, mean) -> dict:
@@ -133,9 +164,12 @@ def _by_method(predicted, recorded, mean) -> dict:
     }
 
 
-def _torque_of(rollout):
-    """The torque of a rollout; None of a kind of rollout that has none beside its `arrays`."""
-    return getattr(rollout, 'torque', None)
+def torque_of(rollout):
+    """[T - H, 3] N m of a one-run rollout, as an attribute or among its `arrays`; or None."""
+    torque = getattr(rollout, 'torque', None)
+    if torque is not None:
+        return torque[0]
+    return getattr(rollout, 'arrays', {}).get('predicted_torques')
 
 
 def _status_fields(rollout):
@@ -149,8 +183,8 @@ def _status_fields(rollout):
     }
 
 
-def _summary(methods, floors, scene):
-    """Means over runs (timing: median) of each method, and the skill of the model."""
+def _summary(methods, truths, scene):
+    """Means over runs (timing: median) of each method."""
     mean = {}
     for name, rows in methods.items():
         keys = [k for k, v in rows[0].items() if isinstance(v, float)]
@@ -160,15 +194,14 @@ def _summary(methods, floors, scene):
                 mean[name][key] = float(np.median([row[key] for row in rows]))
         if 'force_mpe' in mean[name]:
             mean[name]['force_abs_mpe'] = float(np.mean([abs(row['force_mpe']) for row in rows]))
-    trivial = [mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity')]
+    best = min(mean[name]['soil_mse'] for name in ('stay_still', 'constant_velocity'))
+    floors = truths.floors
     summary = {
         'scene': scene.name,
         'rigid_motion': str(scene.rigid_motion),
+        'soil_error': truths.space,
         'mean': mean,
-        'soil_skill': metrics.skill(mean['model']['soil_mse'], trivial),
-        'soil_mse_over_best_trivial': mean['model']['soil_mse'] / min(trivial)
-        if min(trivial) > 0
-        else None,
+        'soil_mse_over_best_trivial': mean['model']['soil_mse'] / best if best > 0 else None,
         'projection_mse': None if floors is None else float(np.mean(floors)),
         'force_of_trivial_predictors': 'stay_still: last input force; constant_velocity: mean '
         'force of the training runs',  # so is the torque, where the model predicts one
@@ -177,6 +210,21 @@ def _summary(methods, floors, scene):
     return json.loads(
         json.dumps(summary), parse_constant=lambda _: None
     )  # JSON has no NaN: a failed run shows null
+
+
+def soil_of_run(group, rollout, scene):
+    """`SoilTruth` of a recorded run and the predicted particles [F, P, 3] that it is compared with.
+
+    Args:
+      group: one-run `RunGroup`.
+      rollout: its `rollout.Rollout`.
+      scene: of the model.
+    """
+    n = group.n_rigid
+    recorded = group.with_left_modes(group.position, as_recorded=True)[0, :, n:]
+    found = _Truths({'mode_number': scene.n_modes}, None, scene).of(group, recorded)
+    position = group.with_left_modes(rollout.position)[0, :, n:]
+    return found, found.of_rollout(position, getattr(rollout, 'arrays', {}))
 
 
 def total_force(force):
@@ -240,46 +288,52 @@ def _arrays(group, rollout) -> dict:
             each = (len(predicted), -1, predicted.shape[1])
             arrays['predicted_body_forces'] = rollout.force[0].reshape(each)
             arrays['ground_truth_body_forces'] = group.force[0, H:].reshape(each).astype(np.float32)
-    if (torque := _torque_of(rollout)) is not None:
+    if (torque := torque_of(rollout)) is not None and group.torque is not None:
         known = group.torque[0].astype(np.float32)
         arrays |= {
             'initial_torques': known[:H],
-            'predicted_torques': torque[0],
+            'predicted_torques': torque,
             'ground_truth_torques': known[H:],
         }
+    if group.source is not None:
+        arrays |= {'split': np.array(group.source[1]), 'record': group.record[0]}
     # What a method says beyond modes, e.g. the particles of one that has none.
     return arrays | getattr(rollout, 'arrays', {})
 
 
+# What files call the methods -> what is printed.
+NAMES = {'model': 'model', 'stay_still': 'persistence', 'constant_velocity': 'constant velocity'}
+_ROWS = {
+    'soil_mm': 'soil error, mm',
+    'drawbar': 'force along the way (drawbar), N',
+    'vertical': 'vertical force, N',
+    'force': 'whole force, N',
+    'pitch': 'torque in the plane of travel, N m',
+    'torque': 'whole torque, N m',
+    'rigid_mse': 'body, mean square 1e-4 m2',
+    'soil_mse': 'soil within the subspace, mean square 1e-4 m2',
+    'force_abs_mpe': 'force, |MPE| %',
+    'penetration_mm': 'soil in the tool, mm',
+    'true_penetration_mm': 'soil in the tool, ground truth, mm',
+    'seconds_per_simulated_second': 'seconds per simulated second',
+    'milliseconds_per_step': 'ms per frame',
+}
+_WIDTH = 24
+
+
 def table(summary: dict) -> str:
-    """The metrics as text: the model and its trivial neighbours, one row each."""
-    columns = (
-        ('soil_mse', 'soil MSE 1e-4 m2', 1e4),
-        ('soil_rms_mm', 'soil RMS mm', 1),
-        ('rigid_mse', 'rigid MSE 1e-4 m2', 1e4),
-        ('force_relative_l2', 'force rel. L2', 1),
-        ('force_rmse', 'force RMSE N', 1),
-        ('force_abs_mpe', '|MPE| %', 1),
-        ('torque_relative_l2', 'torque rel. L2', 1),
-        ('penetration_mm', 'in the tool mm', 1),
-        ('true_penetration_mm', 'truth mm', 1),
-        ('seconds_per_simulated_second', 's per simulated s', 1),
-        ('milliseconds_per_step', 'ms/step', 1),
+    """The metrics as text: errors by row, the model and its trivial neighbours by column."""
+    means = summary['mean']
+    cells = {key: [_cell(mean, key) for mean in means.values()] for key in _ROWS}
+    shown = {key: row for key, row in cells.items() if any(cell != '-' for cell in row)}
+    wide = max(len(_ROWS[key]) for key in shown)
+    lines = [' ' * wide + ''.join(f'{NAMES.get(name, name):>{_WIDTH}s}' for name in means)]
+    for key, row in shown.items():
+        lines.append(f'{_ROWS[key]:{wide}s}' + ''.join(f'{cell:>{_WIDTH}s}' for cell in row))
+    lines.append(
+        f'soil error: root mean square {summary.get("soil_error", "")}. Loads: root mean square '
+        f'per component (relative L2), error of the peak. Means over runs; times: medians.'
     )
-    present = [c for c in columns if any(c[0] in m for m in summary['mean'].values())]
-    lines = ['  '.join([f'{"method":18s}', *(f'{title:>18s}' for _, title, _ in present)])]
-    for name, mean in summary['mean'].items():
-        cells = (
-            f'{mean[k] * f:18.4g}' if mean.get(k) is not None else f'{"-":>18s}'
-            for k, _, f in present
-        )
-        lines.append('  '.join([f'{name:18s}', *cells]))
-    if summary['projection_mse'] is not None:
-        lines.append(
-            f'truncation error (full space): {summary["projection_mse"] * 1e4:.4g}e-4 m2, add it '
-            f'to the soil MSE'
-        )
-    lines.append(f'soil skill against the best trivial predictor: {summary["soil_skill"]}')
     for row in summary['runs']['model']:
         if row['status'] != RolloutStatus.OK:
             where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
@@ -288,3 +342,16 @@ def table(summary: dict) -> str:
                 f'{row["status_reason"]}'
             )
     return '\n'.join(lines)
+
+
+def _cell(mean, key):
+    """A figure of a method as text; of a load its three errors."""
+    if f'{key}_rmse' in mean:
+        size, share, peak = (
+            '-' if mean.get(f'{key}_{name}') is None else f'{mean[f"{key}_{name}"]:.3g}'
+            for name in ('rmse', 'relative_l2', 'peak_error')
+        )
+        return '-' if size == '-' else f'{size} ({share}), {peak}'
+    if mean.get(key) is None:
+        return '-'
+    return f'{mean[key] * (1e4 if key.endswith("_mse") else 1.0):.4g}'

@@ -1,8 +1,4 @@
-"""Every error that the reports print, with the trivial predictors and the truncation error.
-
-The modes are orthonormal, so squared errors of particles are those of scores plus what the subspace
-cut off, the truncation error: MSE_full = sum of squared score errors / (D N) + truncation error.
-"""
+"""Errors of modes, bodies and loads, and the trivial predictors. That of soil: `soil_truth`."""
 
 import numpy as np
 
@@ -30,31 +26,69 @@ def rigid_mse(position, truth, n_rigid: int):
 
 
 def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
-    """Errors of a force, or of another load, per run.
+    """Errors of a force, or of another load, or of one axis of it, per run.
 
     Args:
       force, truth: [S, T, D], N; of a torque N m.
       name: the first word of the errors.
 
     Returns:
-      `force_relative_l2` = |F̂ - F| / |F| over all frames and axes, `force_rmse` in N per
-      component, and `force_mpe` in percent: mean over frames of |F̂| against that of |F|, signed
-      (Usmani & Skonieczny 2023, Table 3.3).
+      `force_relative_l2` = |F̂ - F| / |F| over all frames and axes; `force_rmse` in N per
+      component; `force_mpe` in percent: mean over frames of |F̂| against that of |F|, signed
+      (Usmani & Skonieczny 2023, Table 3.3); `force_peak`, the largest |F| of the run, and
+      `force_peak_error`, how far that of the prediction is from it, N.
     """
     error = force - truth
-    size, true_size = (np.linalg.norm(f, axis=-1).mean(axis=1) for f in (force, truth))
+    sizes = [np.linalg.norm(f, axis=-1) for f in (force, truth)]
+    (size, true_size), (peak, true_peak) = (
+        [f(s, axis=1) for s in sizes] for f in (np.mean, np.max)
+    )
     with np.errstate(divide='ignore', invalid='ignore'):
         share = (error**2).sum(axis=(1, 2)) / (truth**2).sum(axis=(1, 2))
         return {
             f'{name}_relative_l2': np.sqrt(share),
             f'{name}_rmse': np.sqrt((error**2).mean(axis=(1, 2))),
             f'{name}_mpe': 100.0 * (size - true_size) / true_size,
+            f'{name}_peak': true_peak,
+            f'{name}_peak_error': np.abs(peak - true_peak),
         }
 
 
+def travel_axes(body, up: int) -> tuple[int, int, int]:
+    """The axis along the way of a body [T, R, 3], the upward one, and the one across.
+
+    The way is the horizontal axis along which the body's centre moves most; the first one, where
+    there is no body.
+    """
+    moved = np.ptp(body.mean(axis=1), axis=0) if body.shape[1] else np.zeros(3)
+    along, across = sorted((a for a in range(3) if a != up), key=lambda axis: (-moved[axis], axis))
+    return along, up, across
+
+
+def load_errors(force, truth, axes, torque=None, true_torque=None) -> dict[str, np.ndarray]:
+    """Errors of force and torque as a whole and by axis, per run, as `force_errors`.
+
+    Args:
+      force, truth: [S, T, D B], N, on B bodies.
+      axes: of `travel_axes`.
+      torque, true_torque: [S, T, D], N m, or None.
+
+    Returns:
+      errors of `force`; of `drawbar`, the force along the way; of `vertical`; of `torque`, and of
+      `pitch`, the torque in the plane of travel.
+    """
+    along, up, across = axes
+    found = force_errors(force, truth)
+    for name, axis in (('drawbar', along), ('vertical', up)):
+        found |= force_errors(force[..., axis::3], truth[..., axis::3], name)
+    if torque is not None and true_torque is not None:
+        found |= force_errors(torque, true_torque, 'torque')
+        found |= force_errors(torque[..., [across]], true_torque[..., [across]], 'pitch')
+    return found
+
+
 def stay_still(history, n_frame: int):
-    """Trivial predictor: the last of the H input frames [S, H, V, D] for ever, [S, n_frame, V,
-    D]."""
+    """Persistence: the last of the H input frames [S, H, V, D] for ever, [S, n_frame, V, D]."""
     return np.repeat(history[:, -1:], n_frame, axis=1)
 
 
@@ -67,33 +101,3 @@ def constant_velocity(history, n_frame: int):
 def rms_mm(mse):
     """Root of a mean squared error in m², in mm per coordinate."""
     return 1e3 * np.sqrt(mse)
-
-
-def run_errors(
-    position, truth, force, true_force, n_rigid: int, n_soil: int | None, projection_mse=None
-) -> dict:
-    """All errors of one method on S runs; [S] arrays.
-
-    Args:
-      position, truth: [S, T, V, D], m.
-      force, true_force: [S, T, D], N, or None.
-      n_rigid: R.
-      n_soil: N, or None: then scores are not turned into soil errors per particle.
-      projection_mse: [S], m², what the subspace cuts off each run, or None if it is not known.
-    """
-    errors = {'rigid_mse': rigid_mse(position, truth, n_rigid)} if n_rigid else {}
-    errors['soil_mse'] = soil_mse(position, truth, n_rigid, n_soil)
-    errors['soil_rms_mm'] = rms_mm(errors['soil_mse'])
-    if projection_mse is not None:
-        errors['soil_mse_full'] = errors['soil_mse'] + projection_mse
-        errors['soil_rms_mm_full'] = rms_mm(errors['soil_mse_full'])
-    if force is not None and true_force is not None:
-        errors |= force_errors(force, true_force)
-    return errors
-
-
-def skill(mse, trivial_mses) -> float:
-    """1 - MSE / the best trivial MSE: 1 is perfect, 0 is no better than the best trivial
-    predictor."""
-    best = min(trivial_mses)
-    return float(1.0 - mse / best) if best > 0 else float('nan')

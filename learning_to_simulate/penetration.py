@@ -12,8 +12,9 @@ import os
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.methods.swept_field import episodes, tools
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.tool import Blade, for_scene
+from learning_to_simulate.tool.axes import Axes
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -38,8 +39,8 @@ class Penetration:
     """
 
     def __init__(self, data_path: str, metadata: dict, records, split: str, scene):
-        self._tool = tools.for_scene(scene)
-        self._axes = episodes.find_axes(records, scene.up_axis)
+        self._tool = for_scene(scene)
+        self._axes = Axes.of_runs(records, scene.up_axis)
         self._records, self._scene = records, scene
         self._cases = metadata.get('cases', {}).get(split, [])
         self._space = Subspace.load(os.path.join(data_path, 'subspace.npz'))
@@ -77,7 +78,7 @@ class Penetration:
         run, wider = self._records[record], size.copy()
         points = self._axes.points(run.position[0, : run.n_rigid])
         tool = self._tool
-        if isinstance(tool, tools.Blade):
+        if isinstance(tool, Blade):
             tool = dataclasses.replace(tool, radius=tool.radius + SAME_TOOL)
             wider[0] += 2 * SAME_TOOL
         else:

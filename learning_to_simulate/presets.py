@@ -6,9 +6,9 @@ A preset is a frozen config; flags override single fields.
 import dataclasses
 from typing import Any
 
+from learning_to_simulate.baselines import settings as open_loop_settings
 from learning_to_simulate.config import GRAPH_NETWORK, FullSpaceConfig, TrainConfig
-from learning_to_simulate.methods import open_loop_settings
-from learning_to_simulate.methods.swept_field import settings as swept_field_settings
+from learning_to_simulate.swept_field import settings as swept_field_settings
 
 _PUBLISHED = {
     'style': 'published',

@@ -36,6 +36,7 @@ class RunGroup:
       kept: int [S, R]: which of the record's rigid particles are the nodes; None for all.
       left_modes: float64 [S, T, r', D], scores of the modes that are no nodes; None if all are.
       torque: float64 [S, T, D] on the body about its reference point, N m, or None.
+      source: (dataset folder, split) of the records, or None.
     """
 
     n_rigid: int
@@ -48,6 +49,7 @@ class RunGroup:
     kept: np.ndarray | None = None
     left_modes: np.ndarray | None = None
     torque: np.ndarray | None = None
+    source: tuple[str, str] | None = None
 
     @property
     def velocity(self) -> np.ndarray:
@@ -197,7 +199,10 @@ def read_groups(
                 [_lowest(body[::rigid_stride], height, rigid_particles) for body in bodies]
             )
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
-    return [_stack(n_rigid, members, modes) for (n_rigid, _), members in sorted(runs.items())]
+    return [
+        dataclasses.replace(_stack(n_rigid, members, modes), source=(folder, split))
+        for (n_rigid, _), members in sorted(runs.items())
+    ]
 
 
 def _lowest(body, height, count):

@@ -31,18 +31,27 @@ class Method:
     Attributes:
       about: one line for `--help`.
       code: module with `train`, `open_model` and `load`.
-      live: module with `stepper(path, model, outside)` and `roller(path, model)`, as the API wants
-        them; None: those of models in the subspace.
+      takes_raw_runs: whether it reads raw runs of a dataset (`raw_path`), not records alone.
+      live: module of its engine for live use; None: that of models in the subspace.
     """
 
     about: str
     code: str
     live: str | None = None
+    takes_raw_runs: bool = False
 
     @property
     def steps(self) -> bool:
         """Whether its models start from a bed at rest and take poses, live or as whole paths."""
         return self.code == _SUBSPACE or self.live is not None
+
+    def refuse_raw_path(self, raw_path: str | None) -> None:
+        """Raises ValueError where raw runs are given to a method that takes records."""
+        if raw_path and not self.takes_raw_runs:
+            names = [name for name, method in METHODS.items() if method.takes_raw_runs]
+            raise ValueError(
+                f'--raw_path is for --model={", ".join(names)} only; other models take records'
+            )
 
     def load_code(self) -> ModuleType:
         """The module with its functions; TensorFlow is imported without its start-up lines."""
@@ -90,14 +99,8 @@ class TrainOptions:
     raw_path: str | None = None
 
 
-def refuse_raw_path(raw_path: str | None) -> None:
-    """Raises `ValueError` where raw runs are given to a method that takes records."""
-    if raw_path:
-        raise ValueError('--raw_path is for --model=full_space only; other models take records')
-
-
 _SUBSPACE = 'learning_to_simulate.subspace.method'
-_OPEN_LOOP = 'learning_to_simulate.methods.open_loop_method'
+_OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
     'gns': Method(
         'graph network on modes and body (Usmani & Skonieczny 2023)',
@@ -115,11 +118,12 @@ METHODS = {
     'full_space': Method(
         'radius graph on thinned particles (Sanchez-Gonzalez et al. 2020)',
         'learning_to_simulate.full_space.method',
+        takes_raw_runs=True,
     ),
     'swept_field': Method(
         'neural field over what the tool has swept: no modes, no time stepping',
-        'learning_to_simulate.methods.swept_field.method',
-        live='learning_to_simulate.methods.swept_field.path_rollout',
+        'learning_to_simulate.swept_field.method',
+        live='learning_to_simulate.swept_field.engine',
     ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
     'earthmoving': Method(
@@ -161,14 +165,22 @@ def train(data_path: str, model_path: str, config, **options) -> dict:
       OSError: a file could not be read or written.
       SystemExit: with 130 after Ctrl-C, 143 after SIGTERM, where steps are saved on the way.
     """
-    code = get(config.model).load_code()
-    return code.train(data_path, model_path, config, TrainOptions(**options))
+    method, how = get(config.model), TrainOptions(**options)
+    method.refuse_raw_path(how.raw_path)
+    return method.load_code().train(data_path, model_path, config, how)
 
 
-def open_model(model_path: str, data_path: str, split: str, *args, **options) -> OpenedModel:
-    """The model of any method with the runs of a split; see above for the arguments."""
-    code = of_folder(model_path).load_code()
-    return code.open_model(model_path, data_path, split, *args, **options)
+def open_model(
+    model_path: str,
+    data_path: str,
+    split: str,
+    overrides: dict | None = None,
+    raw_path: str | None = None,
+) -> OpenedModel:
+    """The model of any method with the runs of a split; see above."""
+    method = of_folder(model_path)
+    method.refuse_raw_path(raw_path)
+    return method.load_code().open_model(model_path, data_path, split, overrides, raw_path)
 
 
 def of_folder(model_path: str) -> Method:

@@ -18,8 +18,9 @@ Examples:
     python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures --format=vtp
 
-Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is rebuilt from the
-modes with the dataset's subspace.npz; without one the body and the mode scores are drawn.
+Needs the extra `viz` (pip install .[viz]), except for --format=vtp. The soil is the solver's own
+particles where the dataset holds a sample of them, else it is rebuilt from the modes with its
+subspace.npz; without one the body and the curves are drawn.
 """
 
 from __future__ import annotations
@@ -34,15 +35,35 @@ import tqdm
 from absl import flags
 
 from learning_to_simulate import command
-from learning_to_simulate.rendering import rollout_captions, rollout_frames, vtk_export
+from learning_to_simulate.rendering import rollout_frames, vtk_export
 from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
 
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
 COLOR_CHOICES = ('speed', 'error')
 # Pixels per inch of a page 9.6 inches wide.
-_PNG_DPI, _GIF_DPI, _MP4_DPI = 200, 100, 150
+_PNG_DPI, _DPI = 200, {'gif': 100, 'mp4': 150}
 _PALETTE_SAMPLES = 6
+
+
+def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
+    """Draws a rollout of `lts.load(...).rollout`; the ending of the path decides how.
+
+    Args:
+        rollout: `paths.SoilRollout`.
+        path: file to write, .png, .gif or .mp4.
+        step_stride: draw every so many frames.
+        **options: `color_by` and `plane` of `render`.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ValueError: another ending, or as `render_frames`.
+    """
+    target, kind = target_and_format(path)
+    frames = rollout_frames.of_rollout(rollout, step_stride)
+    return render_frames(frames, target, [kind], step_stride, **options)
 
 
 def target_and_format(path: str) -> tuple[str, str]:
@@ -76,7 +97,7 @@ def render(
         data_path: dataset folder with `subspace.npz`, or None.
         output_path: folder, made if missing; the files take the rollout's name.
         formats: some of `FORMATS`.
-        step_stride: draw every so many frames.
+        step_stride: draw every so many frames; of a sample of particles, the nearest it has.
         color_by: `speed` (mm/s) or `error` (mm).
         plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
             from the side, with the scene's upward axis up.
@@ -134,58 +155,38 @@ def render_frames(
     """
     if color_by == 'error' and not frames.has_truth:
         raise ValueError('color_by=error needs a recorded run; of a path there is no truth')
-    drawn = np.arange(0, min(one.n_frames for one in (frames, *beside)), step_stride)
-    written = []
-    pictures = [name for name in formats if name != 'vtp']
-    if pictures:
-        written += _write_pictures(
-            target, pictures, frames, drawn, color_by, plane, progress, beside
-        )
+    shown = frames.frames[: min(len(one.frames) for one in (frames, *beside))]
+    apart = int(shown[1] - shown[0]) if len(shown) > 1 else 1
+    stride = max(1, round(step_stride / apart))
+    drawn, written = np.arange(0, len(shown), stride), []
+    if pictures := [name for name in formats if name != 'vtp']:
+        try:
+            from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does '
+                'not)'
+            ) from error
+        view = particle_views.setup(frames, plane, drawn)
+    for name in pictures:
+        path = f'{target}.{name}'
+        written.append(path)
+        if name == 'png':
+            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
+            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
+            continue
+        figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
+        moving, seconds = (figure.draw(int(i)) for i in progress(drawn, name)), frames.dt * apart
+        if name == 'gif':
+            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
+            samples = [figure.draw(int(i)) for i in drawn[chosen]]
+            movie_files.write_gif(path, moving, stride * seconds, samples)
+        else:
+            movie_files.write_mp4(path, moving, stride * seconds)
     if 'vtp' in formats:
         folder = f'{target}_vtk'
         vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
         written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
-    return written
-
-
-def _write_pictures(
-    target: str,
-    formats: Sequence[str],
-    frames: RolloutFrames,
-    drawn: np.ndarray,
-    color_by: str,
-    plane: str | None,
-    progress: Callable,
-    beside: Sequence[RolloutFrames],
-) -> list[str]:
-    """Writes PNG, GIF and MP4; returns the paths."""
-    try:
-        from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does not)'
-        ) from error
-    view = particle_views.setup(frames, plane, drawn)
-    frame_seconds = frames.dt * int(drawn[1] - drawn[0] if len(drawn) > 1 else 1)
-
-    def moving(figure, label):
-        return (figure.draw(int(frame)) for frame in progress(drawn, label))
-
-    written = []
-    for name in formats:
-        path = f'{target}.{name}'
-        if name == 'png':
-            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
-            files.write_atomically(path, functools.partial(strip.savefig, format='png'))
-        elif name == 'gif':
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _GIF_DPI, beside)
-            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
-            samples = [figure.draw(int(frame)) for frame in drawn[chosen]]
-            movie_files.write_gif(path, moving(figure, name), frame_seconds, samples)
-        else:
-            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _MP4_DPI, beside)
-            movie_files.write_mp4(path, moving(figure, name), frame_seconds)
-        written.append(path)
     return written
 
 
@@ -235,7 +236,8 @@ def run(values) -> None:
         beside=beside,
     )
     print(frames.title)
-    print(rollout_captions.summary_line(frames))
+    if frames.has_truth:
+        print(f'{frames.model}: soil error {frames.soil_mm:.2f} mm {frames.space}')
     for note in frames.notes:
         print(f'note: {note}')
     for path in written:

@@ -7,16 +7,16 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import loads
-from learning_to_simulate.compiled.step_form import PlainStep
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, judge
+from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.learned_simulator import (
     Layout,
     LearnedSimulator,
     SimulatorState,
     initial_state,
 )
-from learning_to_simulate.subspace.rigid_body import KnownMotion, known_motion
+from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion, known_motion
 
 
 class Rollout(NamedTuple):
@@ -42,6 +42,29 @@ class Rollout(NamedTuple):
         return [judgement.status for judgement in self.judgements]
 
 
+def corrected_step(simulator, layout: Layout, state: SimulatorState, known, context, correction):
+    """One frame, a predicted body kept rigid.
+
+    Args:
+      simulator, layout: of the model.
+      state, known, context: of `LearnedSimulator.step`.
+      correction: `rigid_body.Correction`, or None for none.
+
+    Returns:
+      the next `SimulatorState` and loads [B, F] or None.
+    """
+    after, load = simulator.step(state, known, context, layout)
+    if correction is None:
+        return after, load
+    n = layout.n_rigid
+    placed, velocity = correction(state.offset[:, :n], after.offset[:, :n])
+    newest = tf.concat([velocity, after.velocity[:, n:, -1]], axis=1)
+    return SimulatorState(
+        tf.concat([placed, after.offset[:, n:]], axis=1),
+        tf.concat([after.velocity[:, :, :-1], newest[:, :, None]], axis=2),
+    ), load
+
+
 class RolloutFunction:
     """A compiled rollout of B graphs over a fixed number of frames.
 
@@ -50,19 +73,11 @@ class RolloutFunction:
       layout: of the graphs.
       rigid_correction: whether predicted bodies are kept rigid; has no effect where the motion is
         given.
-      make_step: makes the step of (simulator, layout, rigid_correction): `step_form.PlainStep`,
-        `folded_step.FoldedStep`, or what chooses between them.
     """
 
-    def __init__(
-        self,
-        simulator: LearnedSimulator,
-        layout: Layout,
-        rigid_correction: bool = True,
-        make_step=PlainStep,
-    ):
+    def __init__(self, simulator: LearnedSimulator, layout: Layout, rigid_correction: bool = True):
         self.simulator, self.layout = simulator, layout
-        self._make_step, self._correct = make_step, rigid_correction
+        self._correct = rigid_correction and simulator.scene.rigid_motion == RigidMotion.PREDICTED
         self.is_warm = False
         self._run = tf.function(self._loop, jit_compile=True, autograph=False)
 
@@ -81,23 +96,29 @@ class RolloutFunction:
         return self._run(state, known, context, n_frame)
 
     def _loop(self, state, known, context, n_frame):
-        # Made inside the compiled call: a folded step folds the weights as they are now, once.
-        step = self._make_step(self.simulator, self.layout, self._correct)
-        # What no predicted state enters is computed for all frames at once, before the loop ...
-        frames = step.ahead(state, known, context, n_frame)
+        layout, simulator = self.layout, self.simulator
+        correction = None
+        if self._correct:
+            n = layout.n_rigid
+            correction = Correction(state.offset[:, :n], layout.origin[:n])
 
-        def body(k, carry, arrays):
-            carry, written = step.advance(carry, frames(k))
-            return k + 1, carry, [a.write(k, x) for a, x in zip(arrays, written, strict=True)]
+        def body(k, state, arrays):
+            coming = None if known is None else known.at(k)
+            changes = context is not None and context.shape.rank == 3
+            now = context[k] if changes else context
+            state, load = corrected_step(simulator, layout, state, coming, now, correction)
+            written = [state.offset] + ([] if load is None else [load])
+            return k + 1, state, [a.write(k, x) for a, x in zip(arrays, written, strict=True)]
 
-        # ... and the loop carries and writes only what a frame decides.
-        carry = step.begin(state)
-        elements = step.written_shapes(carry)
-        arrays = [tf.TensorArray(tf.float32, n_frame, element_shape=e) for e in elements]
+        shapes = [state.offset.shape]
+        if simulator.load_size:
+            shapes.append((state.offset.shape[0], simulator.load_size))
+        arrays = [tf.TensorArray(tf.float32, n_frame, element_shape=x) for x in shapes]
         _, _, arrays = tf.while_loop(
-            lambda k, *_: k < n_frame, body, (0, carry, arrays), maximum_iterations=n_frame
+            lambda k, *_: k < n_frame, body, (0, state, arrays), maximum_iterations=n_frame
         )
-        return step.results([a.stack() for a in arrays], known)
+        offsets, *load = [a.stack() for a in arrays]
+        return offsets, load[0] if load else None
 
 
 def rollout_inputs(group, layout: Layout, scene):

@@ -1,7 +1,8 @@
-"""`RolloutStatus`: how far a rollout can be trusted, judged on the host after the compiled loop.
+"""How far a frame and a rollout can be trusted: `RolloutStatus`, `Judgement`, and `Ranges`, which
+judges a frame of a model in a subspace.
 
-The judgement costs no time per step: it looks at finished arrays, at the motion and context that
-were given, and at the ranges of the training runs (`normalization.Statistics`).
+`Ranges.judge` is the one place where a frame is held against the training runs; whole rollouts are
+a loop over it. `lts_status.c` is its twin.
 """
 
 import enum
@@ -10,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate import loads, normalization
+from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
 
-# A predicted node may leave the hull of its training positions by half of it on either side.
+# A predicted node may leave the hull of its training positions by half of it on either side, and a
+# force may exceed the largest of the training runs by as much.
 BOUNDS_FACTOR = 2.0
 # Given values may leave their training range by this share of it: float32 records of one speed
 # differ in the fifth digit.
@@ -31,7 +34,8 @@ class RolloutStatus(enum.StrEnum):
     OK: finite, inside the bounds, and driven by inputs like those of the training runs.
     EXTRAPOLATING: the start, the given motion of the body or the context lie outside the range of
       the training runs; nothing is known about the error there.
-    LEFT_BOUNDS: a predicted node left the hull of its training positions times two.
+    LEFT_BOUNDS: a predicted node left the hull of its training positions times two, or the force
+      is above twice the largest of the training runs.
     NON_FINITE: a position, a force or a torque is infinite or NaN.
     """
 
@@ -41,8 +45,11 @@ class RolloutStatus(enum.StrEnum):
     NON_FINITE = 'non_finite'
 
 
+_RANK = {status: rank for rank, status in enumerate(RolloutStatus)}
+
+
 class Judgement(NamedTuple):
-    """The status of one run.
+    """The status of a frame or of a run.
 
     Attributes:
       status: `RolloutStatus`.
@@ -58,6 +65,178 @@ class Judgement(NamedTuple):
     reason: str = ''
 
 
+OK = Judgement(RolloutStatus.OK)
+
+
+def worse(one: Judgement, other: Judgement) -> Judgement:
+    """The worse of two judgements; the first where they are equally bad."""
+    return other if _RANK[other.status] > _RANK[one.status] else one
+
+
+def widened(low, high, factor):
+    """A range [..., D] stretched by `factor` about its middle; still axes have a floor."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = np.maximum(half, SPAN_FLOOR * half.max(axis=-1, keepdims=True))
+    half = np.maximum(half, ROUNDING * np.maximum(np.abs(low), np.abs(high)))
+    return middle - factor * half, middle + factor * half
+
+
+class Ranges:
+    """The ranges of a model's training runs, for bodies of one size.
+
+    Args:
+      n_rigid: R.
+      statistics: of the training runs.
+      scene: says what of the body's motion is given.
+      force_limit: N, the largest force of the training runs, or None if it is not known.
+    """
+
+    def __init__(self, n_rigid: int, statistics, scene, force_limit: float | None = None):
+        self._n, self._scene = n_rigid, scene
+        # Of a body whose whole motion is given nothing is predicted.
+        self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
+        node_class = normalization.node_classes(n_rigid, scene.n_modes)
+        extra = 1 + 2 * RANGE_MARGIN
+        low, high = widened(*statistics.position_range, BOUNDS_FACTOR)
+        self._bounds = low[node_class[self._first :]], high[node_class[self._first :]]
+        low, high = widened(*statistics.position_range, extra)
+        self._start = low[node_class], high[node_class]
+        self._force_limit = np.inf if force_limit is None else BOUNDS_FACTOR * force_limit
+        self._driven = scene.rigid_motion == RigidMotion.DRIVEN
+        self._context = None
+        if statistics.context_range is not None:
+            low, high = statistics.context_range
+            more = RANGE_MARGIN * np.abs(low), RANGE_MARGIN * np.abs(high)
+            self._context = low - more[0], high + more[1], low, high
+        self._limits = None
+        if scene.rigid_motion.is_known and statistics.given_range is not None:
+            self._limits = [
+                widened(*limits, extra)
+                for limits in (
+                    statistics.given_range, statistics.given_velocity_range,
+                    statistics.body_extent_range, statistics.body_speed_range,
+                )
+            ]  # fmt: skip
+
+    def start(self, position, context=None, before=None, frame: int = 0) -> Judgement:
+        """The judgement of a frame that is given as a whole.
+
+        Args:
+          position: float64 [V, D], m.
+          context: [C] or None.
+          before: [R, D], m, the body in the frame before; None where there is none or it rests.
+          frame: its number.
+        """
+        body = position[: self._n]
+        return (
+            self._unlike_context(frame, context)
+            or _first_outside(RolloutStatus.EXTRAPOLATING, position, *self._start, frame)
+            or self._unlike_motion(frame, body, before)
+            or OK
+        )
+
+    def judge(
+        self, frame: int, position, force=None, torque=None, body=None, before=None, context=None
+    ) -> Judgement:
+        """The judgement of a predicted frame.
+
+        Args:
+          frame: its number.
+          position: float64 [V, D], m.
+          force: [D] (or [B D] of several bodies), N, or None.
+          torque: [D], N m, or None.
+          body, before: [R, D], m, the body as it was given in this frame and in the one before;
+            None where its motion is predicted.
+          context: [C] in this frame, or None where it is that of before.
+        """
+        predicted = self._predicted(frame, position, force, torque)
+        if predicted is not OK:
+            return predicted
+        unlike = self._unlike_context(frame, context)
+        if not unlike and body is not None:
+            unlike = self._unlike_motion(frame, body, before)
+        return unlike or OK
+
+    def _predicted(self, frame, position, force, torque):
+        low, high = self._bounds
+        predicted = position[self._first :]
+        size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
+        turns = torque is None or np.isfinite(torque).all()
+        inside = ((predicted >= low) & (predicted <= high)).all()  # false for NaN as well
+        if inside and size <= self._force_limit and np.isfinite(size) and turns:
+            return OK
+        bad = RolloutStatus.NON_FINITE
+        if not (finite := np.isfinite(position).all(axis=1)).all():
+            return Judgement(bad, frame, int((~finite).argmax()), 'position is not finite')
+        if not np.isfinite(size):
+            return Judgement(bad, frame, -1, 'force is not finite')
+        if not turns:
+            return Judgement(bad, frame, -1, 'torque is not finite')
+        outside = _first_outside(
+            RolloutStatus.LEFT_BOUNDS, predicted, low, high, frame, self._first
+        )
+        if outside:
+            return outside
+        reason = f'force {size:.4g} N is above {BOUNDS_FACTOR:g} x the largest of training'
+        reason += f' ({self._force_limit:.4g} N)'
+        return Judgement(RolloutStatus.LEFT_BOUNDS, frame, -1, reason)
+
+    def _unlike_context(self, frame, context):
+        if self._context is None or context is None:
+            return None
+        least, most, low, high = self._context
+        inside = (context >= least) & (context <= most)
+        if inside.all():
+            return None
+        i = int((~inside).argmax())
+        reason = f'{self._scene.context_names[i]} {context[i]:.4g} is outside '
+        reason += f'[{low[i]:.4g}, {high[i]:.4g}] of training'
+        return Judgement(RolloutStatus.EXTRAPOLATING, frame, -1, reason)
+
+    def _unlike_motion(self, frame, body, before):
+        if self._limits is None:
+            return None
+        if self._driven:  # the height is not given: the up component holds the shape only
+            up = self._scene.up_axis
+            body = without_height(body, up)
+            before = None if before is None else without_height(before, up)
+        (low, high), *moving, (slowest, fastest) = self._limits
+        extent = body.max(axis=0) - body.min(axis=0)
+        good = ((body >= low) & (body <= high)).all()
+        good &= ((extent >= moving[1][0]) & (extent <= moving[1][1])).all()
+        if before is not None:
+            step = body - before
+            square = np.einsum('rd,rd->', step, step) / len(step)
+            good &= ((step >= moving[0][0]) & (step <= moving[0][1])).all()
+            good &= max(slowest[0], 0.0) ** 2 <= square <= fastest[0] ** 2
+        if good:
+            return None
+        # The same once more, in words, which cost four times the check.
+        rows = [('coordinate', body, 0, 0), ('extent of the body', extent[None], 2, -1)]
+        if before is not None:
+            speed = np.sqrt(square).reshape(1, 1)
+            rows.insert(1, ('displacement', step, 1, 0))
+            rows.append(('displacement of the body', speed, 3, -1))
+        found = (
+            _first_outside(RolloutStatus.EXTRAPOLATING, x, *self._limits[which], frame, node, name)
+            for name, x, which, node in rows
+        )
+        return next(filter(None, found), None)
+
+
+def _first_outside(status, values, low, high, frame, first_node=0, name='coordinate'):
+    """The first of values [V, D] outside [low, high] ([V, D] or [D]), or None; m, displacements per
+    frame."""
+    bad = ~((values >= low) & (values <= high))
+    if not bad.any():
+        return None
+    node, axis = (int(i) for i in np.argwhere(bad)[0])
+    low, high = (np.broadcast_to(x, values.shape)[node, axis] for x in (low, high))
+    reason = f'{name} {"xyz"[axis] if values.shape[1] == 3 else ""}'.strip()
+    reason += f' {values[node, axis]:.4g} m is outside [{low:.4g}, {high:.4g}] m'
+    return Judgement(status, frame, node + first_node, reason)
+
+
 def judge(group, position, load, statistics, scene) -> list[Judgement]:
     """The status of each rolled-out run of a group.
 
@@ -71,104 +250,26 @@ def judge(group, position, load, statistics, scene) -> list[Judgement]:
     Returns:
       S judgements.
     """
-    given = normalization.given_body(group.position, scene)
+    ranges = Ranges(group.n_rigid, statistics, scene)
     return [
-        _non_finite(position[run], None if load is None else load[run], statistics)
-        or _outside_bounds(position[run], group.n_rigid, statistics, scene)
-        or _outside_training(group, run, given, statistics, scene)
-        or Judgement(RolloutStatus.OK)
+        _of_run(ranges, group, run, position[run], None if load is None else load[run], statistics)
         for run in range(len(position))
     ]
 
 
-def widened(low, high, factor):
-    """A range [..., D] stretched by `factor` about its middle; still axes have a floor."""
-    middle, half = (low + high) / 2, (high - low) / 2
-    half = np.maximum(half, SPAN_FLOOR * half.max(axis=-1, keepdims=True))
-    half = np.maximum(half, ROUNDING * np.maximum(np.abs(low), np.abs(high)))
-    return middle - factor * half, middle + factor * half
-
-
-def _non_finite(position, load, statistics):
-    bad = ~np.isfinite(position).all(axis=2)
-    if load is not None:
-        bad = np.concatenate([bad, ~np.isfinite(load).all(axis=1, keepdims=True)], axis=1)
-    if not bad.any():
-        return None
-    frame = int(bad.any(axis=1).argmax())
-    node = int(bad[frame].argmax())
-    name = 'position'
-    if node == position.shape[1]:
-        force, _ = loads.split(load[frame], statistics)
-        node, name = -1, 'torque' if np.isfinite(force).all() else 'force'
-    return Judgement(
-        RolloutStatus.NON_FINITE, frame + INPUT_SEQUENCE_LENGTH, node, f'{name} is not finite'
-    )
-
-
-def _outside_bounds(position, n_rigid, statistics, scene):
-    first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
-    node_class = normalization.node_classes(n_rigid, scene.n_modes)[first:]
-    low, high = (x[node_class] for x in widened(*statistics.position_range, BOUNDS_FACTOR))
-    return first_outside(
-        RolloutStatus.LEFT_BOUNDS, position[:, first:], low, high, INPUT_SEQUENCE_LENGTH, first
-    )
-
-
-def _outside_training(group, run, given, statistics, scene):
-    """The earliest of what lies outside the training range: context, start, given motion."""
-    extra = 1 + 2 * RANGE_MARGIN
-    context = None if group.context is None else group.context[run]
-    found = [outside_context(context, statistics, scene)]
-    node_class = normalization.node_classes(group.n_rigid, scene.n_modes)
-    low, high = (x[node_class] for x in widened(*statistics.position_range, extra))
-    start = group.position[run, :INPUT_SEQUENCE_LENGTH]
-    found.append(first_outside(RolloutStatus.EXTRAPOLATING, start, low, high))
-    if given is not None:
-        body = given[run]
-        extent, speed = (x[0, :, None] for x in normalization.body_measures(body[None]))
-        for name, values, limits, node in (
-            ('coordinate', body, statistics.given_range, 0),
-            ('displacement', np.diff(body, axis=0), statistics.given_velocity_range, 0),
-            # The body as a whole is no node.
-            ('extent of the body', extent, statistics.body_extent_range, -1),
-            ('displacement of the body', speed, statistics.body_speed_range, -1),
-        ):
-            low, high = widened(*limits, extra)
-            first = len(body) - len(values)  # a displacement belongs to the later frame
-            found.append(
-                first_outside(RolloutStatus.EXTRAPOLATING, values, low, high, first, node, name)
-            )
-    found = [judgement for judgement in found if judgement]
-    return min(found, key=lambda judgement: judgement.frame, default=None)
-
-
-def outside_context(context, statistics, scene, first_frame: int = 0) -> Judgement | None:
-    """The first value of a context [C] or [T, C] that the training runs did not cover, or None."""
-    if statistics.context_range is None or context is None:
-        return None
-    low, high = statistics.context_range
-    context = np.atleast_2d(context)
-    margins = RANGE_MARGIN * np.abs(low), RANGE_MARGIN * np.abs(high)
-    inside = (context >= low - margins[0]) & (context <= high + margins[1])
-    if inside.all():
-        return None
-    frame, i = (int(k) for k in np.argwhere(~inside)[0])
-    reason = f'{scene.context_names[i]} {context[frame, i]:.4g} is outside '
-    reason += f'[{low[i]:.4g}, {high[i]:.4g}] of training'
-    return Judgement(RolloutStatus.EXTRAPOLATING, first_frame + frame, -1, reason)
-
-
-def first_outside(status, values, low, high, first_frame=0, first_node=0, name='coordinate'):
-    """The first of `values` [T, V, D] outside [low, high] ([V, D] or [D]), or None.
-
-    Values and limits are in m, displacements per frame.
-    """
-    bad = ~((values >= low) & (values <= high))
-    if not bad.any():
-        return None
-    frame, node, axis = (int(i) for i in np.argwhere(bad)[0])
-    low, high = (np.broadcast_to(x, values.shape[1:])[node, axis] for x in (low, high))
-    reason = f'{name} {"xyz"[axis] if values.shape[2] == 3 else ""}'.strip()
-    reason += f' {values[frame, node, axis]:.4g} m is outside [{low:.4g}, {high:.4g}] m'
-    return Judgement(status, frame + first_frame, node + first_node, reason)
+def _of_run(ranges, group, run, position, load, statistics):
+    h, n = INPUT_SEQUENCE_LENGTH, group.n_rigid
+    given, found = group.position[run], OK
+    force, torque = loads.split(load, statistics)
+    for k in range(len(given)):
+        body, before = given[k, :n], given[k - 1, :n] if k else None
+        context = None
+        if group.context is not None and (k == 0 or group.context_changes):
+            context = group.context_at(k, run)
+        if k < h:
+            now = ranges.start(given[k], context, before, k)
+        else:
+            of_frame = (None if x is None else x[k - h] for x in (force, torque))
+            now = ranges.judge(k, position[k - h], *of_frame, body, before, context)
+        found = worse(found, now)
+    return found

@@ -136,7 +136,7 @@ class Scene:
             raise ValueError(
                 f'the scene has the bodies {[name for name, _ in self.bodies]}; {what} knows one. '
                 'Networks on modes (pcg, mlp) learn on them, roll out recorded runs, step '
-                'by particles (live.stepping.Stepper) and are exported as SavedModel or LiteRT'
+                'by particles (`lts.load(...).stepper()`) and are exported as SavedModel or LiteRT'
             )
 
     def to_json(self) -> dict:

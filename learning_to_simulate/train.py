@@ -34,7 +34,7 @@ from absl import flags
 from learning_to_simulate import checkpoints, command, presets, registry
 from pca_tools import files
 
-_MODE = flags.DEFINE_enum(
+flags.DEFINE_enum(
     'mode', 'train', ['train', 'eval', 'eval_rollout'], 'Train, or evaluate a trained model.'
 )
 _EVAL_SPLIT = flags.DEFINE_enum(

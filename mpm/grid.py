@@ -130,7 +130,8 @@ def kick(nodes, grid, free, dt, gravity, settling, drift):
         node = nodes.free[n]
         r = velocity[node + index(3)]
         v = vectors.muladd(dt * r, vectors.load(force, node), vectors.load(velocity, node))
-        v = vectors.add(vectors.scale(settling, v), fall)
+        # Gravity too: soil at rest would else carry 1 / settling of its weight.
+        v = vectors.scale(settling, vectors.add(v, fall))
         vectors.store(velocity, node, v)
         velocity[node + index(3)] = r
         if walls[5] == 1:

@@ -26,8 +26,9 @@ from absl import flags
 
 from learning_to_simulate import command, connectivity_utils
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.subspace import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
+from nri import edge_picture
 from pca_tools import dataset, files
 
 MASK_FILE, PICTURE_FILE = 'edges.npy', 'edges.png'

@@ -29,7 +29,9 @@ def start(run: Callable, n_argument: int = 0) -> None:
             logging.set_verbosity(logging.WARNING)
         try:
             return run(flags.FLAGS, argv[1:]) if n_argument else run(flags.FLAGS)
-        except (ValueError, OSError, ModuleNotFoundError) as error:
+        except ModuleNotFoundError as error:
+            sys.exit(f'error: this needs {error.name}, which is not installed')
+        except (ValueError, OSError) as error:
             from pca_tools.storage.messages import printable
 
             logging.debug('stack', exc_info=True)

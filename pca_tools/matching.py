@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse, spatial
 
 # Nearest neighbours that may be each other's partner; the first number that admits a one-to-one
 # matching is taken.
@@ -19,11 +18,17 @@ _OFFSET = 1e-3
 _AT_PLACE, _SWAPPED = 0.1, 0.05
 
 
+def _tree(points):
+    from scipy import spatial  # slow to load, and the help of commands does not wait for it
+
+    return spatial.cKDTree(points)
+
+
 def median_spacing(points: np.ndarray) -> float:
     """Returns the median distance [m] of points [N, 3] to their nearest neighbours."""
     if len(points) < 2:
         return float('nan')
-    return float(np.median(spatial.cKDTree(points).query(points, 2)[0][:, 1]))
+    return float(np.median(_tree(points).query(points, 2)[0][:, 1]))
 
 
 def order_fault(points: np.ndarray, reference: np.ndarray, name: str) -> str:
@@ -36,7 +41,7 @@ def order_fault(points: np.ndarray, reference: np.ndarray, name: str) -> str:
     """
     spacing = median_spacing(reference)
     own = np.linalg.norm(np.asarray(points, np.float64) - reference, axis=1)
-    nearest = spatial.cKDTree(reference).query(points)[0]
+    nearest = _tree(reference).query(points)[0]
     limit = _AT_PLACE * spacing
     swapped = np.mean((nearest < limit) & (own > limit))
     shift = np.median(own)
@@ -75,7 +80,9 @@ def match_particles(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
     count = len(reference)
     if len(points) != count:
         raise ValueError(f'{len(points)} particles cannot be matched with {count}')
-    tree, offset = spatial.cKDTree(points), _OFFSET * max(median_spacing(reference), 1e-12)
+    from scipy import sparse
+
+    tree, offset = _tree(points), _OFFSET * max(median_spacing(reference), 1e-12)
     for wanted in _NEIGHBOURS:
         distances, partners = tree.query(reference, min(wanted, count))
         distances, partners = distances.reshape(count, -1), partners.reshape(count, -1)

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 import numpy as np
 from absl import flags
 from matplotlib.figure import Figure
-from sklearn import decomposition
 
 from pca_tools import command, dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
@@ -118,6 +117,8 @@ def compare_reductions(
     Raises:
         ValueError: the raw folder has no training run or no held-out run of this subspace.
     """
+    from sklearn import decomposition  # seconds to load, and help does not wait for it
+
     training = [i for i, case in enumerate(runs.cases) if str(case) in space.runs]
     held_out = [i for i in range(len(runs)) if i not in training]
     if not training or not held_out:

@@ -34,15 +34,10 @@ def call(function, *arguments, limit_s: float | None = None, threads: int | None
         pool.shutdown(cancel_futures=True)
 
 
-def use_threads(count: int) -> None:
-    """Gives TensorFlow `count` CPU threads; must come before its first operation."""
-    import tensorflow as tf
-
-    tf.config.threading.set_intra_op_parallelism_threads(count)
-    tf.config.threading.set_inter_op_parallelism_threads(1)
-
-
 def _prepare(threads: int | None) -> None:
     parent.end_with_parent()  # a worker that is killed leaves no training behind
-    if threads:
-        use_threads(threads)
+    if threads:  # must come before TensorFlow's first operation
+        import tensorflow as tf
+
+        tf.config.threading.set_intra_op_parallelism_threads(threads)
+        tf.config.threading.set_inter_op_parallelism_threads(1)

@@ -4,12 +4,10 @@ from collections.abc import Iterable
 
 from pca_tools.storage.markdown import cell, table
 
-__all__ = ['FLOOR', 'TRIVIAL', 'cell', 'span', 'table']
+__all__ = ['TRIVIAL', 'cell', 'span', 'table']
 
-# How tables and pictures name the predictors that know nothing, by their keys in metrics.json, and
-# what the modes cannot hold of the particles.
+# How tables and pictures name the predictors that know nothing, by their keys in metrics.json.
 TRIVIAL = {'stay_still': 'persistence', 'constant_velocity': 'constant velocity'}
-FLOOR = 'truncation error'
 
 
 def span(values: Iterable[float | None], digits: int = 3) -> str:

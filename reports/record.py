@@ -90,14 +90,6 @@ def facts(threads: int | None) -> dict:
     }
 
 
-def sentence(values: dict) -> str:
-    """The facts in one line for tables and pictures."""
-    return (
-        f'{values["cpu"]}, {values["cores"]} cores, {values["threads"]} thread(s) used, '
-        f'TensorFlow {values["tensorflow"]}, load {values["load_average_1min"]} at the start'
-    )
-
-
 def _first_field(path, name):
     try:
         with open(path, encoding='utf-8') as file:

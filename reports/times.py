@@ -13,7 +13,6 @@ Examples:
     python -m reports documents docs/results.md     # the table again, from the JSON
 """
 
-import re
 import time
 
 import numpy as np
@@ -162,59 +161,37 @@ def table(times_path: str, protocol_path: str) -> str:
 
 
 def draw(times_path: str, protocol_path: str, picture: str) -> None:
-    """Soil against the time of a frame with all its particles, force against that of its load.
-
-    Points that differ in the number of modes alone are joined by a line.
-    """
+    """Soil against the time of a frame with all its particles, force against that of its load."""
     from matplotlib import figure
 
     times = files.read_json(times_path)
     found, runs = rows(times, files.read_json(protocol_path))
     drawn = figure.Figure(figsize=(10, 4.6), layout='constrained')
-    groups: dict[str, list] = {}
-    for row in found:
-        if 'load_ms' in row:
-            groups.setdefault(re.sub(r', \d+ modes$', '', row['name']), []).append(row)
     panels = zip(
         drawn.subplots(1, 2), driven_runs.QUANTITIES.items(), ('particles_ms', 'load_ms'),
         strict=True,
     )  # fmt: skip
     for axes, (error, title), clock in panels:
-        for number, (group, members) in enumerate(groups.items()):
-            members = sorted(members, key=lambda row: row[clock])
-            x = [row[clock] for row in members]
-            seeds = [row[error] for row in members]
-            mean, low, high = np.array([(np.mean(s), min(s), max(s)) for s in seeds]).T
-            label, colour = group if len(members) > 1 else members[0]['name'], f'C{number % 10}'
-            spread = [mean - low, high - mean]
-            axes.errorbar(x, mean, spread, fmt='o-', ms=5, capsize=3, color=colour, label=label)
-            for row, at, height in zip(members, x, mean, strict=True):
-                if len(members) > 1 and (modes := re.search(r', (\d+) modes$', row['name'])):
-                    axes.annotate(
-                        modes[1], (at, height), xytext=(4, 4), textcoords='offset points',
-                        fontsize='x-small', color=colour,
-                    )  # fmt: skip
-        for row in found:
-            if row['name'] in LINES and row[error]:
-                mean = np.mean(row[error])
-                axes.axhline(mean, color='0.6', lw=1, ls='--')
-                axes.annotate(
-                    row['name'], (0.5, mean), xycoords=('axes fraction', 'data'),
-                    fontsize='small', ha='center', va='bottom', color='0.4',
-                )  # fmt: skip
+        for row in (row for row in found if clock in row):
+            seeds = np.array(row[error])
+            spread = [[seeds.mean() - seeds.min()], [seeds.max() - seeds.mean()]]
+            axes.errorbar(
+                row[clock], seeds.mean(), spread, fmt='o', ms=5, capsize=3, label=row['name']
+            )
+        lines = [row for row in found if row['name'] in LINES and row[error]]
+        for name, height in ((row['name'], np.mean(row[error])) for row in lines):
+            axes.axhline(height, color='0.6', lw=1, ls='--')
+            place = {'xycoords': ('axes fraction', 'data'), 'ha': 'center', 'va': 'bottom'}
+            axes.annotate(name, (0.5, height), fontsize='small', color='0.4', **place)
         if times.get('solver_ms'):
-            axes.axvline(times['solver_ms'], color='0.8', lw=1)
-            axes.annotate(
-                'solver', (times['solver_ms'], 0.02), xycoords=('data', 'axes fraction'),
-                fontsize='small', ha='right', color='0.4',
-            )  # fmt: skip
+            axes.axvline(times['solver_ms'], color='0.8', lw=1, label='solver')
         of = 'with all particles' if clock == 'particles_ms' else 'force only'
         axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread', ylabel=title)
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
     drawn.legend(handles, labels, loc='outside lower center', ncols=4, fontsize='small')
-    drawn.suptitle(f'{runs} driven test runs: mean and range of trainings; numbers: modes')
+    drawn.suptitle(f'{runs} driven test runs: mean and range of trainings')
     files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
 
 

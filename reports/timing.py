@@ -35,16 +35,6 @@ class Timing:
         """min, median, p95, p99 and worst, ms per step; names start with `prefix`."""
         return {f'{prefix}{name}': self.percentile(q) for name, q in CLOCKS.items()}
 
-    def to_json(self) -> dict:
-        """The summary for readers, and the samples in one string for machines."""
-        rounded = {name: float(f'{value:.5g}') for name, value in self.summary().items()}
-        return rounded | {'samples_ms': ' '.join(f'{s:.4g}' for s in self.samples_ms)}
-
-    @classmethod
-    def from_json(cls, values: dict) -> 'Timing':
-        """Rebuilds the timing from its samples."""
-        return cls(tuple(float(s) for s in values['samples_ms'].split()))
-
 
 @dataclasses.dataclass(frozen=True)
 class Job:

@@ -33,7 +33,6 @@ MAY_IMPORT = {
         'learning_to_simulate.command',
         'learning_to_simulate.connectivity_utils',
         'learning_to_simulate.subspace.edge_lists',
-        'learning_to_simulate.subspace.edge_picture',
         'learning_to_simulate.known_shapes',
         'learning_to_simulate.scene',
     ),
@@ -42,17 +41,16 @@ MAY_IMPORT = {
 # The main package from the ground up: a module imports those of its own line and of lines above,
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
-    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'rendering'),
-    ('render_rollout', 'config', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
+    ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
+     'soil_truth', 'rendering', 'shipped'),
+    ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
-    (  # the tool: its pose, what it has swept, the bed
-     'methods.tool_motion', 'methods.resting_bed', 'methods.swept_features',
-     'methods.swept_field.tool_path', 'methods.path_memory'),
-    ('subspace', 'rollout_status', 'rollout', 'compiled', 'evaluation', 'training', 'live'),
-    ('methods', 'full_space', 'penetration', 'subspace.method', 'presets'),
-    ('export', 'export_c'),
+    ('tool',),
+    ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
+    ('swept_field', 'baselines', 'full_space', 'penetration', 'subspace.method', 'presets'),
+    ('export', 'native'),
     ('api', 'train', 'live.roll_out_path'),
-    ('live_page', 'export_c.web_page', 'export.__main__', 'cli'),
+    ('live_page', 'native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.
@@ -101,17 +99,18 @@ IMPORTS_WITHOUT = [
     (  # what a live step loads: a third of the time to the first frame is saved so
         (
             'learning_to_simulate.subspace.method',
-            'learning_to_simulate.live.live_soil',
-            'learning_to_simulate.export_c.c_step',
+            'learning_to_simulate.live.stepper',
+            'learning_to_simulate.native.engines',
         ),
         ('keras', 'scipy', 'sklearn', 'matplotlib'),
     ),
     (
         (
-            'learning_to_simulate.methods.path_ridge',
-            'learning_to_simulate.methods.earthmoving',
-            'learning_to_simulate.methods.wheel_terramechanics',
-            'learning_to_simulate.methods.swept_features',
+            'learning_to_simulate.baselines.path_ridge',
+            'learning_to_simulate.baselines.earthmoving',
+            'learning_to_simulate.baselines.wheel_terramechanics',
+            'learning_to_simulate.tool.path_memory',
+            'learning_to_simulate.tool.bed',
         ),
         ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
     ),
@@ -123,15 +122,13 @@ IMPORTS_WITHOUT = [
 
 # Tests of something that goes through several modules, or that are no Python.
 TESTS_OF_NO_ONE_MODULE = {
-    'learning_to_simulate/export_c/test_c_faults.py',
-    'learning_to_simulate/export_c/test_fmu_field.py',
-    'learning_to_simulate/export_c/test_fmu_field_wheel.py',
+    'learning_to_simulate/native/test_c_faults.py',
     'reports/test_cluster_trainings.py',
     'learning_to_simulate/subspace/test_changing_context.py',
     'learning_to_simulate/subspace/test_several_bodies.py',
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
-    'learning_to_simulate/export_c/test_ros2_node.py',
+    'learning_to_simulate/native/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
     'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',

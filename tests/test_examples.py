@@ -87,7 +87,7 @@ def test_data_of_ones_own(tmp_path, capsys):
     settings = {'num_steps': 4, 'unroll_steps': 0, 'latent_size': 8}
     errors = _example('your_own_data').main(str(tmp_path / 'own'), **settings)
     assert errors.summary['mean']['model']['soil_mse'] > 0
-    assert 'soil RMS mm' in capsys.readouterr().out
+    assert 'soil within the subspace, mean square' in capsys.readouterr().out
 
 
 @pytest.mark.slow

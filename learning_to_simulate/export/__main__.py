@@ -8,11 +8,11 @@ Examples:
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
-  # a swept field, of a blade or a wheel; see docs/native.md
+  # the two networks of a swept field; see docs/native.md
   python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
       --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
 
-  # C99 source, or an FMU of FMI 2.0 (fmu) or 3.0 (fmu3); see docs/native.md
+  # C99 source, or an FMU of FMI 2.0; see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
 
@@ -23,7 +23,7 @@ Examples:
 
 from absl import flags
 
-from learning_to_simulate import command, export_c
+from learning_to_simulate import command, native
 from learning_to_simulate.export.exporting import FORMATS, export
 
 
@@ -39,9 +39,7 @@ def summary(description: dict, output_path: str) -> str:
         f'step: first call {compared["first_call_s"]:.3g} s, then '
         f'{compared["ms_per_step_median"]:.3g} ms',
     ]
-    if 'height_difference_m' in compared:
-        lines.append(f'height: largest difference {compared["height_difference_m"]:.2g} m')
-    for name, key in (('reconstruct', 'ms_per_reconstruction'), ('particles', 'ms_per_particles')):
+    for name, key in (('reconstruct', 'ms_per_reconstruction'), ('soil', 'ms_per_particles')):
         if key in compared:
             lines.append(
                 f'{name}: largest difference {compared["particles_difference_m"]:.2g} m, '
@@ -57,10 +55,9 @@ def define_flags() -> None:
     flags.DEFINE_string(
         'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
     )
-    formats = [*FORMATS, *export_c.FORMATS, 'page']
+    formats = [*FORMATS, *native.FORMATS, 'page']
     flags.DEFINE_enum('format', 'savedmodel', formats, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
-    flags.DEFINE_integer('members', None, 'Networks of a swept field; default: all.', 1)
     flags.DEFINE_integer(
         'n_particles', None, 'Particles of a swept field; default: all of its bed.', 1
     )
@@ -70,33 +67,29 @@ def run(values) -> None:
     """Runs the command with its flags.
 
     Raises:
-      ValueError: see `export` and `export_c.exporting`.
+      ValueError: see `export` and `native.exporting`.
     """
     if values.format == 'page':
-        from learning_to_simulate.export_c import web_page
+        from learning_to_simulate.native import web_page
 
         web_page.run(values)
         return
-    if values.format in export_c.FORMATS:
+    if values.format in native.FORMATS:
         _write_c(values)
         return
     command.import_tensorflow()
     description = export(
         values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
-        values.members, values.n_particles,
+        values.n_particles,
     )  # fmt: skip
     print(summary(description, values.output_path))
 
 
 def _write_c(values):
-    for flag, given in (('members', values.members), ('n_particles', values.n_particles)):
-        if given is not None:
-            raise ValueError(
-                f'--{flag}={given} is not for --format={values.format}, which holds all; members '
-                f'are chosen where the model is opened'
-            )
+    if values.n_particles is not None:
+        raise ValueError(f'--n_particles is not for --format={values.format}, which holds all')
     command.import_tensorflow()
-    from learning_to_simulate.export_c import exporting
+    from learning_to_simulate.native import exporting
 
     given = values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
     print(exporting.summary(exporting.export(*given), values.output_path))

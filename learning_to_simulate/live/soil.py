@@ -1,4 +1,8 @@
-"""`Soil`: from mode scores to particles and to the height of the surface."""
+"""The soil of one frame: from the scores of modes to particles and to the height of the surface.
+
+What a `Frame` holds as its `soil` has `particles()`, `height_map(nx, nz)` and `modes`: `ModesSoil`
+here, and the soil of a swept field, which computes nothing before it is asked.
+"""
 
 import numpy as np
 
@@ -32,47 +36,73 @@ def surface(points, extent, up_axis: int, nx: int, nz: int) -> np.ndarray:
     return np.where(np.isinf(heights), np.float32(np.nan), heights).reshape(nx, nz)
 
 
-class Soil:
-    """Decodes frames of one subspace, in float32.
+def plan_extent(points, up: int) -> np.ndarray:
+    """float64 [2, 2], m: lowest and highest of each axis of a bed [N, D] seen from above."""
+    plan = np.delete(np.asarray(points, np.float64), up, axis=1)
+    return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
+
+
+class Decoder:
+    """Decodes the scores of one subspace, in float32.
 
     Args:
       subspace: of the model.
       up_axis: axis against gravity.
 
     Attributes:
-      subspace: as given.
+      subspace, up_axis: as given.
       extent: float64 [2, 2], m: of the bed at rest, see `plan_extent`; what a height map spans.
     """
 
     def __init__(self, subspace: Subspace, up_axis: int):
-        self.subspace = subspace
+        self.subspace, self.up_axis = subspace, up_axis
         self._components = np.ascontiguousarray(subspace.components, np.float32)
         self._mean = np.asarray(subspace.mean, np.float32)
-        self._up = up_axis
         self.extent = plan_extent(subspace.initial, up_axis)
 
     def particles(self, modes) -> np.ndarray:
         """float32 [..., N, D], m, of scores [..., r, D] (inverse PCA)."""
         return self._components @ np.asarray(modes, np.float32) + self._mean
 
-    def height_map(self, modes, nx: int, nz: int) -> np.ndarray:
-        """Heights of the surface on a grid.
+
+class ModesSoil:
+    """The soil of a frame of a model in a subspace.
+
+    Args:
+      modes: float64 [r, D] scores, m.
+      decoder: `Decoder`; None without a subspace.
+
+    Attributes:
+      modes: as given.
+      subspace: of the decoder, or None.
+    """
+
+    def __init__(self, modes, decoder: Decoder | None):
+        self.modes, self._decoder = modes, decoder
+        self.subspace = None if decoder is None else decoder.subspace
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D], m.
+
+        Raises:
+          ValueError: without a subspace.
+        """
+        if self._decoder is None:
+            raise ValueError('particles need a subspace: the model has none')
+        return self._decoder.particles(self.modes)
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """Heights of the surface on a grid over the bed at rest.
 
         Args:
-          modes: [r, D] scores, m.
-          nx, nz: cells along the drive and across it, over `extent`; particles beyond it count in
-            the cells of the rim.
+          nx, nz: cells along the drive and across it; particles beyond the bed count in the cells
+            of the rim.
 
         Returns:
           float32 [nx, nz], m, of the highest particle of each cell; NaN where a cell has none.
 
         Raises:
-          ValueError: no cells.
+          ValueError: no cells; without a subspace.
         """
-        return surface(self.particles(modes), self.extent, self._up, nx, nz)
-
-
-def plan_extent(points, up: int) -> np.ndarray:
-    """float64 [2, 2], m: lowest and highest of each axis of a bed [N, D] seen from above."""
-    plan = np.delete(np.asarray(points, np.float64), up, axis=1)
-    return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
+        points = self.particles()
+        return surface(points, self._decoder.extent, self._decoder.up_axis, nx, nz)

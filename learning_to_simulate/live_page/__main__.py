@@ -44,14 +44,9 @@ def free_port(host: str, port: int) -> None:
 
 def model_names() -> list[str]:
     """Names of the shipped models that can be stepped live."""
-    from learning_to_simulate import api, registry
+    from learning_to_simulate import registry, shipped
 
-    shipped = os.path.join(api.ROOT, 'models')
-    return sorted(
-        os.path.relpath(folder, shipped)
-        for folder, _, inside in os.walk(shipped)
-        if 'config.json' in inside and registry.of_folder(folder).steps
-    )
+    return [n for n in shipped.names() if registry.of_folder(shipped.find(n, 'models')).steps]
 
 
 def session_of(name: str, data_path: str | None = None):
@@ -70,10 +65,10 @@ def session_of(name: str, data_path: str | None = None):
 def run(values) -> None:
     """Runs the command with its flags."""
     require_viser()
-    from learning_to_simulate import api
+    from learning_to_simulate import shipped
 
     # A shipped model goes by its place in models/, whichever way it was named.
-    path = os.path.relpath(api.find_model(values.model), os.path.join(api.ROOT, 'models'))
+    path = os.path.relpath(shipped.find(values.model, 'models'), shipped.folder('models'))
     free_port(values.host, values.port)
     command.import_tensorflow(num_threads=1)
     from learning_to_simulate.live_page.loop import FrameLoop

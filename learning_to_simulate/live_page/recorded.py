@@ -7,7 +7,7 @@ import numpy as np
 
 from learning_to_simulate import api, checkpoints
 from learning_to_simulate.live import poses
-from learning_to_simulate.live.soil import Soil
+from learning_to_simulate.live.soil import Decoder
 from pca_tools import rigid_fit
 
 SAME_BODY_M = 1e-4
@@ -33,7 +33,7 @@ class RecordedRun:
       ValueError: no start of the model has this body.
     """
 
-    def __init__(self, record, case: dict, starts, soil: Soil):
+    def __init__(self, record, case: dict, starts, soil: Decoder):
         self.case, self._record, self._soil = case, record, soil
         self.context = None if record.step_context is None else record.step_context[0].astype(float)
         self.force = record.force
@@ -93,7 +93,7 @@ class RecordedRuns:
             checkpoints.check_dataset(model.path, model.model, data.path, metadata)
         if data.subspace is None:
             raise ValueError(f'{data.path} has no subspace')
-        soil = Soil(data.subspace, scene.up_axis)
+        soil = Decoder(data.subspace, scene.up_axis)
         self.runs, self._data, self._model = {}, data, model
         cases = metadata.get('cases', {}).get('test', [])
         for index, record in enumerate(data.test.records):
@@ -107,7 +107,7 @@ class RecordedRuns:
         Args:
           reader: `poses.PoseReader` of the scene.
         """
-        soil = Soil(self._data.subspace, self._model.scene.up_axis)
+        soil = Decoder(self._data.subspace, self._model.scene.up_axis)
         train = (RecordedRun(r, {}, self._model.starts, soil) for r in self._data.train.records)
         found = [
             reader.plane(run.pose(frame))[2]

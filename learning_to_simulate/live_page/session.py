@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.live import poses
-from learning_to_simulate.live.path_rollout import velocity_between
+from learning_to_simulate.live.paths import velocity_between
 from learning_to_simulate.live.soil import surface
 from learning_to_simulate.live_page.limits import Limits
 from learning_to_simulate.live_page.recorded import RecordedRuns

@@ -33,13 +33,14 @@ BODY_FACE, BODY_EDGE = '#8fa3b3', '#22303c'
 FORCE_COLOR = '#0b6e99'
 PLAIN_SOIL = '#d3c19a'
 # The particles nearest to the middle plane show the cut; more of them only blur it.
-_SIDE_VIEW_PARTICLES = 1600
+_SIDE_VIEW_SHARE, _SIDE_VIEW_LEAST = 0.31, 300
 # Share of the particles' speeds (or errors) that the colours resolve; the fastest few saturate.
 _COLOR_QUANTILE = 0.995
 _COLOR_SAMPLES = 40
 _ARROW_SHARE = 0.3
-# Markers wider than the particles lie apart, so that the bed looks filled.
-_MARKER_OVERLAP = 1.7
+# Markers wider than the particles lie apart, so that the bed looks filled; those of a thin sample
+# would hide one another.
+_MARKER_OVERLAP, _THIN_OVERLAP, _THIN = 1.7, 1.2, 1000
 _MARGIN = 0.03
 # A shallow bed gets air above it, so that labels find room.
 _LEAST_ASPECT = 0.45
@@ -85,45 +86,37 @@ def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSe
     Args:
         frames: the rollout.
         plane: key of `rollout_frames.PLANES`; None for the view from the side.
-        drawn: int [F], the frames.
+        drawn: int [F'], which of its shown frames.
 
     Returns:
         The setup; it follows from the truth where there is one, so that a poor prediction does not
         change it.
     """
-    axes = PLANES[plane or frames.side_view]
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    axes, which = PLANES[plane or frames.side_view], frames.reference
+    body = frames.rigid[which][frames.frames[drawn]][..., axes]
+    points = body.reshape(-1, 2)
     vmax = {'speed': 1.0, 'error': 1.0}
     particles, spacing = np.zeros(0, int), 0.01
-    points = [frames.rigid[frames.reference][drawn][..., axes].reshape(-1, 2)]
-    if frames.subspace is not None:
+    if frames.soil:
         particles = _chosen_particles(frames, axes)
         sample = drawn[np.linspace(0, len(drawn) - 1, _COLOR_SAMPLES).astype(int)]
-        speed, error = [], []
-        for frame in sample:
-            points.append(frames.soil(frames.reference, frame)[particles][:, axes])
-            velocity = frames.soil_velocity(frames.reference, frame)[particles]
-            speed.append(np.linalg.norm(velocity, axis=-1))
-            if frames.has_truth:
-                error.append(np.linalg.norm(frames.soil_error(frame)[particles], axis=-1))
-        for name, values in (('speed', speed), ('error', error)):
-            if not values:
-                continue
-            vmax[name] = _round_up(1e3 * float(np.quantile(np.array(values), _COLOR_QUANTILE)))
-        extent = np.ptp(points[1], axis=0)
-        spacing = float(np.sqrt(extent[0] * extent[1] / len(particles)))
-    for some in points:
-        if len(some):
-            low, high = np.minimum(low, some.min(axis=0)), np.maximum(high, some.max(axis=0))
+        shown = {'speed': [frames.soil_velocity(which, i)[particles] for i in sample]}
+        if frames.has_truth:
+            shown['error'] = [frames.soil_error(i)[particles] for i in sample]
+        for name, vectors in shown.items():
+            sizes = np.linalg.norm(vectors, axis=-1)
+            vmax[name] = _round_up(1e3 * float(np.quantile(sizes, _COLOR_QUANTILE)))
+        soil = frames.soil[which][sample][:, particles][..., axes].reshape(-1, 2)
+        spacing = float(np.sqrt(np.prod(np.ptp(soil, axis=0)) / len(particles)))
+        points = np.concatenate([points, soil])
+    low, high = points.min(axis=0), points.max(axis=0)
     margin = _MARGIN * np.max(high - low)
     limits = np.stack([low - margin, high + margin], axis=1)
     limits[1, 1] = max(limits[1, 1], limits[1, 0] + _LEAST_ASPECT * np.ptp(limits[0]))
     strongest = 1.0
     if frames.force is not None:
-        strongest = (
-            float(np.linalg.norm(frames.force[frames.reference][drawn][:, axes], axis=-1).max())
-            or 1.0
-        )
+        force = frames.force[which][frames.frames[drawn]][:, axes]
+        strongest = float(np.linalg.norm(force, axis=-1).max()) or 1.0
     length = _ARROW_SHARE * float(np.min(limits[:, 1] - limits[:, 0]))
     return ViewSetup(
         plane=axes,
@@ -138,13 +131,14 @@ def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSe
 
 def _chosen_particles(frames: RolloutFrames, axes: tuple[int, int]) -> np.ndarray:
     """Side view: those nearest to the middle plane of the body; other views: all."""
-    start = frames.soil(frames.reference, 0)
-    if axes != PLANES[frames.side_view] or len(start) <= _SIDE_VIEW_PARTICLES:
+    start = frames.start
+    count = max(_SIDE_VIEW_SHARE * len(start), min(len(start), _SIDE_VIEW_LEAST))
+    if axes != PLANES[frames.side_view]:
         return np.arange(len(start))
     body = frames.rigid[frames.reference][0]
     depth = 3 - sum(axes)
     middle = (body if len(body) else start)[:, depth].mean()
-    return np.argsort(np.abs(start[:, depth] - middle), kind='stable')[:_SIDE_VIEW_PARTICLES]
+    return np.argsort(np.abs(start[:, depth] - middle), kind='stable')[: int(count)]
 
 
 def _round_up(value: float) -> float:
@@ -205,10 +199,11 @@ class ParticleView:
         moving = [self.soil, self.body, self.spokes, self.arrow]
         return [artist for artist in moving if artist is not None]
 
-    def update(self, frame: int) -> None:
-        """Moves everything to a frame."""
+    def update(self, i: int) -> None:
+        """Moves everything to the i-th shown frame."""
+        frame = self._frames.frames[i]
         if self.soil is not None:
-            self._update_soil(frame)
+            self._update_soil(i)
         points = self._frames.rigid[self._which][frame][:, self._view.plane]
         if not len(points):
             return
@@ -229,10 +224,8 @@ class ParticleView:
         view = self._view
         if not len(view.particles):
             return None
-        points_per_metre = (72.0 * axes.get_position().width * axes.figure.get_figwidth()) / np.ptp(
-            view.limits[0]
-        )
-        style = {'s': (_MARKER_OVERLAP * view.spacing * points_per_metre) ** 2, 'linewidths': 0}
+        overlap = _THIN_OVERLAP if len(view.particles) < _THIN else _MARKER_OVERLAP
+        style = {'s': (overlap * view.spacing * self._points_per_metre) ** 2, 'linewidths': 0}
         if self._color_by is None:
             return axes.scatter([], [], color=PLAIN_SOIL, **style)
         return axes.scatter(
@@ -240,19 +233,18 @@ class ParticleView:
             vmax=view.vmax[self._color_by], **style,
         )  # fmt: skip
 
-    def _update_soil(self, frame: int) -> None:
+    def _update_soil(self, i: int) -> None:
         frames, chosen, plane = self._frames, self._view.particles, self._view.plane
-        position = frames.soil(self._which, frame)[chosen]
+        position = frames.soil[self._which][i][chosen]
         # Seen from the other side of the third axis: what is nearer is drawn later.
-        depth_axis = ({0, 1, 2} - set(plane)).pop()
-        order = np.argsort(position[:, depth_axis], kind='stable')
+        order = np.argsort(position[:, 3 - sum(plane)], kind='stable')
         self.soil.set_offsets(position[order][:, plane])
         if self._color_by is None:
             return
         vectors = (
-            frames.soil_velocity(self._which, frame)
+            frames.soil_velocity(self._which, i)
             if self._color_by == 'speed'
-            else frames.soil_error(frame)
+            else frames.soil_error(i)
         )
         self.soil.set_array(1e3 * np.linalg.norm(vectors[chosen][order], axis=1))
 

@@ -1,6 +1,6 @@
 """The pictures of a rollout: a figure that is animated, and a strip of moments for print.
 
-Both hold truth and prediction in the same colours, and below them force and error over time.
+Both hold truth and predictions in the same colours, and below them force and error over time.
 """
 
 from __future__ import annotations
@@ -8,18 +8,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, ticker
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from learning_to_simulate.rendering import rollout_captions, rollout_curves
 from learning_to_simulate.rendering.particle_views import COLOR_MAPS, ParticleView, ViewSetup
-from learning_to_simulate.rendering.rollout_curves import FAINT, INK
-from learning_to_simulate.rendering.rollout_frames import PREDICTION, TRUTH, RolloutFrames
+from learning_to_simulate.rendering.rollout_frames import (
+    CONSTANT,
+    PREDICTION,
+    STILL,
+    TRUE_NAME,
+    TRUTH,
+    RolloutFrames,
+)
+from learning_to_simulate.soil_truth import WITH_CUT_OFF
 
+INK, FAINT = '#1f2933', '#8693a0'
 STYLE = {
     'font.family': 'DejaVu Sans',
     'font.size': 9,
@@ -31,7 +38,7 @@ STYLE = {
     'axes.titlesize': 10,
     'axes.titlelocation': 'left',
     'axes.axisbelow': True,
-    'legend.fontsize': 7,
+    'legend.fontsize': 7.5,
     'legend.frameon': False,
     'text.color': INK,
     'xtick.color': '#52606d',
@@ -42,14 +49,17 @@ STYLE = {
     'grid.linewidth': 0.7,
 }
 COLOR_LABELS = {'speed': 'soil speed (mm/s)', 'error': 'soil error (mm)'}
+# Okabe and Ito (2008), told apart with every kind of colour vision: axes of the force; models.
+_AXIS_COLORS, _MODEL_COLORS = ('#0072b2', '#d55e00'), ('#7b1f6b', '#009e73', '#c8a24a', '#0072b2')
+_MODEL_DASHES = ('-', '--', ':', '-.')
 WIDTH = 9.6  # inches
 # Margins and distances in inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.98, 0.92, 0.92, 0.72
-_GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP = 0.3, 0.16, 1.45, 0.78
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.98, 0.92, 1.12, 0.72
+_GAP, _ROW_GAP, _CURVE_HEIGHT, _CURVE_GAP = 0.3, 0.16, 1.45, 0.92
 _LABEL_SIZE, _CHARACTER = 9, 0.073  # points and inches, of a label and of a letter in it
 # Points; a title of more characters is set smaller, so that it stays on one line.
-_TITLE_SIZE, _TITLE_LENGTH = 11.5, 88
-# Share of the predicted frames that have passed at each moment of the strip.
+_TITLE_SIZE, _TITLE_LENGTH, _CAPTION_SIZE = 13, 86, 9.5
+# Share of the shown frames that have passed at each moment of the strip.
 _STRIP_MOMENTS = (1 / 3, 2 / 3, 1.0)
 
 
@@ -64,10 +74,11 @@ class AnimatedFigure:
         view: shared setup of both views.
         color_by: `speed` or `error`.
         dpi: pixels per inch; the figure is `WIDTH` inches wide.
-        beside: other predictions of the same run; curves and captions are those of the first.
+        beside: other predictions of the same run.
 
     Attributes:
         views: the `ParticleView` of the truth and those of the predictions.
+        caption: the text of time and errors.
     """
 
     def __init__(
@@ -78,24 +89,23 @@ class AnimatedFigure:
         dpi: int,
         beside: Sequence[RolloutFrames] = (),
     ):
-        self._frames = frames
-        shown = _shown(frames, beside)
+        self._frames, self._models = frames, [frames, *beside]
+        shown = _shown(self._models)
         with rc_context(STYLE):
-            page = _Page(n_columns=len(shown), n_rows=1, aspect=view.aspect, dpi=dpi)
+            page = _Page(len(shown), 1, view.aspect, dpi)
             page.write_header(frames)
             page.write_footer(frames, view)
             self.views = []
             for column, (one, which, name) in enumerate(shown):
-                axes = page.view_axes(0, column, view, title=name[0].upper() + name[1:])
+                axes = page.view_axes(0, column, view, title=name)
                 self.views.append(
                     ParticleView(axes, one, which, view, color_by, show_key=column == 0)
                 )
-            if frames.subspace is not None:
+            if frames.soil:
                 page.add_color_bar(0, 0, color_by, view)
-            curves = page.curve_axes(rollout_curves.count(frames))
-            rollout_curves.draw(curves, frames, view.plane)
+            curves = page.curve_axes(self._models)
             self._markers = [axes.axvline(0.0, color=INK, linewidth=1.0) for axes in curves]
-            self._status = page.write_status()
+            self.caption = page.caption
         self._canvas, self._figure = page.canvas, page.figure
         for artist in self._moving:
             artist.set_animated(True)
@@ -105,15 +115,16 @@ class AnimatedFigure:
     @property
     def _moving(self) -> list:
         views = [artist for view in self.views for artist in view.artists]
-        return [*views, *self._markers, self._status]
+        return [*views, *self._markers, self.caption]
 
-    def draw(self, frame: int) -> np.ndarray:
-        """Draws one frame; returns its pixels, uint8 [height, width, 3], both sizes even."""
+    def draw(self, i: int) -> np.ndarray:
+        """Draws the i-th shown frame; returns its pixels, uint8 [height, width, 3], both sizes
+        even."""
         for view in self.views:
-            view.update(frame)
+            view.update(i)
         for marker in self._markers:
-            marker.set_xdata([self._frames.time[frame]] * 2)
-        self._status.set_text(rollout_captions.status_line(self._frames, frame))
+            marker.set_xdata([self._frames.time[self._frames.frames[i]]] * 2)
+        self.caption.set_text(caption(self._models, i))
         self._canvas.restore_region(self._background)
         for artist in self._moving:
             (artist.axes or self._figure).draw_artist(artist)
@@ -134,54 +145,139 @@ def strip_figure(
     Args:
         frames: the rollout.
         view: shared setup of all views.
-        drawn: the frames to choose the moments from.
+        drawn: the shown frames to choose the moments from.
         dpi: pixels per inch.
-        beside: other predictions of the same run, a row each; the error is that of the first.
+        beside: other predictions of the same run, a row each; the error row is of the first.
 
     Returns:
         The figure, ready to be saved.
     """
-    later = [frame for frame in drawn if frame >= frames.first_predicted] or list(drawn)
-    moments = [later[round(share * (len(later) - 1))] for share in _STRIP_MOMENTS]
-    rows = [(one, which, 'speed', name) for one, which, name in _shown(frames, beside)]
+    moments = [drawn[round(share * (len(drawn) - 1))] for share in _STRIP_MOMENTS]
+    models = [frames, *beside]
+    rows = [(one, which, 'speed', name) for one, which, name in _shown(models)]
     n_speed = len(rows)
-    if frames.subspace is not None and frames.has_truth:
-        # Longer names would run into the row above.
-        name = f'error ({frames.label})' if frames.label else 'error of prediction'
-        rows.append((frames, PREDICTION, 'error', name))
+    if frames.soil and frames.has_truth:
+        rows.append((frames, PREDICTION, 'error', f'error ({frames.model})'))
     with rc_context(STYLE):
-        page = _Page(n_columns=len(moments), n_rows=len(rows), aspect=view.aspect, dpi=dpi)
+        page = _Page(len(moments), len(rows), view.aspect, dpi)
         page.write_header(frames)
         page.write_footer(frames, view)
-        page.write_status().set_text(rollout_captions.summary_line(frames))
+        page.caption.set_text(caption(models))
         for row, (one, which, color_by, label) in enumerate(rows):
-            for column, frame in enumerate(moments):
-                title = f't = {frames.time[frame]:.2f} s' if row == 0 else ''
+            for column, i in enumerate(moments):
+                title = f't = {frames.time[frames.frames[i]]:.2f} s' if row == 0 else ''
                 axes = page.view_axes(row, column, view, title=title, row_label=label)
                 first = row == column == 0
-                ParticleView(axes, one, which, view, color_by, show_key=first).update(frame)
-        if frames.subspace is not None:
+                ParticleView(axes, one, which, view, color_by, show_key=first).update(i)
+        if frames.soil:
             page.add_color_bar(0, n_speed - 1, 'speed', view)
             if frames.has_truth:
                 page.add_color_bar(n_speed, n_speed, 'error', view)
-        curves = page.curve_axes(rollout_curves.count(frames))
-        rollout_curves.draw(curves, frames, view.plane)
-        for axes in curves:
-            for frame in moments:
-                axes.axvline(frames.time[frame], color=FAINT, linewidth=0.8, zorder=1)
+        for axes in page.curve_axes(models):
+            for i in moments:
+                time = frames.time[frames.frames[i]]
+                axes.axvline(time, color=FAINT, linewidth=0.8, zorder=1)
     return page.figure
 
 
-def _shown(frames: RolloutFrames, beside: Sequence[RolloutFrames]) -> list[tuple]:
+def caption(models: Sequence[RolloutFrames], i: int | None = None) -> str:
+    """The errors of each model in words, a line each.
+
+    Args:
+        models: rollouts of one run.
+        i: the shown frame that they are of (its soil, and the force so far); None for all frames.
+    """
+    first = models[0]
+    last = None if i is None else int(first.frames[i])
+    time = '' if last is None else f't = {first.time[last]:.2f} s   '
+    if not first.has_truth:
+        return time or f'{first.n_frames - first.first_predicted} predicted frames'
+    lines = []
+    for number, one in enumerate(models):
+        soil = one.soil_mm if i is None else float(one.soil_rms_mm[PREDICTION][i])
+        parts = [f'{one.model}: soil error {soil:.2f} mm' + ' over all frames' * (i is None)]
+        if one.body_is_predicted:
+            body = one.rigid_rms_mm[one.first_predicted :]
+            size = np.sqrt((body**2).mean()) if last is None else one.rigid_rms_mm[last]
+            parts.append(f'body {size:.2f} mm')
+        loads, so_far = one.load_errors(last), ' so far' * (i is not None)
+        names = {'force': f'force error{so_far}', 'drawbar': 'along the way'}
+        if one.is_driven:  # the vertical force is the given load
+            names = {'drawbar': f'drawbar error{so_far}', 'force': 'whole force'}
+        for key, name in names.items():
+            if key + '_rmse' in loads:
+                share = loads[key + '_relative_l2']
+                share = f' ({100 * share:.0f} %)' if np.isfinite(share) else ''
+                parts.append(f'{name} {loads[key + "_rmse"]:.3g} N{share}')
+        lines.append(time * (number == 0) + ', '.join(parts))
+    return '\n'.join(lines)
+
+
+def _shown(models: Sequence[RolloutFrames]) -> list[tuple]:
     """(rollout, truth or prediction, name) of each view."""
-    shown = [(frames, which, _name(frames, which)) for which in frames.shown]
-    return shown + [(other, PREDICTION, _name(other, PREDICTION)) for other in beside]
+    first = models[0]
+    truth = [(first, TRUTH, TRUE_NAME)] if first.has_truth else []
+    return truth + [(one, PREDICTION, one.model) for one in models]
 
 
-def _name(frames: RolloutFrames, which: str) -> str:
-    if which == TRUTH:
-        return 'ground truth'
-    return f'prediction ({frames.label})' if frames.label else 'prediction'
+def _draw_force(axes: Axes, models: Sequence[RolloutFrames]) -> None:
+    """Force along the way and upwards: pale the truth, thin the predictions."""
+    first = models[0]
+    start, shown = first.first_predicted, [0.0]
+    for axis, color in zip(first.axes[:2], _AXIS_COLORS):
+        if first.has_truth:
+            truth = first.force[TRUTH][:, axis]
+            label = f'{"xyz"[axis]}, {TRUE_NAME}'
+            axes.plot(first.time, truth, color=color, alpha=0.35, linewidth=2.6, label=label)
+            shown.append(truth)
+        for one, dashes in zip(models, _MODEL_DASHES):
+            if one.force is None:
+                continue
+            force, name = one.force[PREDICTION][start:, axis], f'{"xyz"[axis]}, {one.model}'
+            axes.plot(one.time[start:], force, dashes, color=color, linewidth=1.2, label=name)
+            shown.append(force)
+    axes.axhline(0.0, color=FAINT, linewidth=0.7)
+    axes.set_ylabel('force on the tool (N)')
+    low, high = (f([f(x) for x in shown]) for f in (np.min, np.max))
+    room = 0.06 * (high - low) or 1.0
+    axes.set_ylim(low - room, high + room)  # nothing is clipped
+    _legend_above(axes, columns=len(models) + 1)
+
+
+def _draw_errors(axes: Axes, models: Sequence[RolloutFrames]) -> None:
+    """The error of soil by frame, of each model and of the trivial predictors."""
+    first = models[0]
+    for one, color in zip(models, _MODEL_COLORS):
+        time = one.time[one.frames]
+        axes.plot(time, one.soil_rms_mm[PREDICTION], color=color, linewidth=1.8, label=one.model)
+    for name, dashes in ((STILL, (1, 1.2)), (CONSTANT, (4, 1.5))):
+        axes.plot(
+            first.time[first.frames], first.soil_rms_mm[name], color=FAINT, linewidth=1.2,
+            dashes=dashes, label=name,
+        )  # fmt: skip
+    axes.set_ylabel('soil error (mm)')
+    _legend_above(axes, columns=3)
+    shown = [line.get_ydata() for line in axes.lines]
+    values = np.concatenate(shown)
+    if not (values > 0).any():
+        return  # soil that rests, and a prediction that says so
+    # Predictions may be orders of magnitude better than their neighbours.
+    high = 1.3 * float(values.max())
+    low = max(0.8 * float(values[values > 0].min()), 1e-3 * high)
+    axes.set_yscale('log')
+    axes.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if high < 200 * low else (1.0,)
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=subs))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_formatter(ticker.NullFormatter())
+
+
+def _legend_above(axes: Axes, columns: int) -> None:
+    """A legend of at most two lines that covers no curve."""
+    axes.legend(
+        loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=1.6,
+        columnspacing=0.9, handletextpad=0.4, borderaxespad=0.2, labelspacing=0.25,
+    )  # fmt: skip
 
 
 class _Page:
@@ -191,7 +287,7 @@ class _Page:
     """
 
     def __init__(self, n_columns: int, n_rows: int, aspect: float, dpi: int):
-        self._n_columns, self._n_rows = n_columns, n_rows
+        self._n_rows = n_rows
         width = WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)
         self._view_width = width / n_columns
         self._view_height = self._view_width * aspect
@@ -199,6 +295,7 @@ class _Page:
         self._height = _TOP + views + _CURVE_GAP + _CURVE_HEIGHT + _BOTTOM
         self.figure = Figure(figsize=(WIDTH, self._height), dpi=dpi, facecolor='white')
         self.canvas = FigureCanvasAgg(self.figure)
+        self.caption = self._text(0.2, self._height - 0.62, '', fontsize=_CAPTION_SIZE)
 
     def view_axes(
         self, row: int, column: int, view: ViewSetup, title: str, row_label: str = ''
@@ -236,34 +333,39 @@ class _Page:
         bar.set_label(COLOR_LABELS[color_by])
         bar.outline.set_linewidth(0.5)
 
-    def curve_axes(self, count: int) -> list[Axes]:
-        """Axes below the views, side by side."""
-        gap = 0.75
-        width = (WIDTH - _LEFT - 0.25 - gap * (count - 1)) / count
-        return [
-            self._add_axes(_LEFT + i * (width + gap), _BOTTOM, width, _CURVE_HEIGHT)
-            for i in range(count)
-        ]
+    def curve_axes(self, models: Sequence[RolloutFrames]) -> list[Axes]:
+        """Axes below the views, side by side, with force and error where there are any."""
+        draws = [_draw_force] * (models[0].force is not None)
+        draws += [_draw_errors] * models[0].has_truth
+        gap, found = 0.75, []
+        width = (WIDTH - _LEFT - 0.25 - gap * (len(draws) - 1)) / max(len(draws), 1)
+        for column, draw in enumerate(draws):
+            axes = self._add_axes(_LEFT + column * (width + gap), _BOTTOM, width, _CURVE_HEIGHT)
+            axes.grid(True)
+            axes.set(xlim=(0.0, models[0].time[-1]))
+            axes.set_xlabel('time (s)', labelpad=1)
+            draw(axes, models)
+            found.append(axes)
+        return found
 
     def write_header(self, frames: RolloutFrames) -> None:
-        """Scene and case."""
+        """What the run is."""
         size = _TITLE_SIZE * min(1.0, _TITLE_LENGTH / len(frames.title))
-        self._text(0.2, self._height - 0.26, frames.title, fontsize=size, fontweight='bold')
-
-    def write_status(self):
-        """Returns the text below the header."""
-        return self._text(0.2, self._height - 0.52, '', fontsize=9.5)
+        self._text(0.2, self._height - 0.24, frames.title, fontsize=size, fontweight='bold')
 
     def write_footer(self, frames: RolloutFrames, view: ViewSetup) -> None:
         """How the picture was made, and what its reader should know."""
         parts = list(frames.notes)
-        if frames.subspace is not None:
-            shown = f'{frames.n_soil} soil particles'
-            if len(view.particles) < frames.n_soil:
+        if frames.soil:
+            count = len(frames.start)
+            shown = f'{count} soil particles'
+            if len(view.particles) < count:
                 shown = f'{len(view.particles)} of {shown}, nearest to the middle plane'
-            modes = frames.subspace.n_modes
-            parts.insert(0, f'{shown}; {" and ".join(frames.shown)} decoded from {modes} modes.')
-        self._text(0.2, 0.14, ' '.join(parts), fontsize=7, color=FAINT)
+            parts.insert(0, f'{shown}.')
+        if frames.space:
+            by_frame = '; by frame: of the modes alone' * (frames.space == WITH_CUT_OFF)
+            parts.append(f'Soil error: root mean square {frames.space}{by_frame}.')
+        self._text(0.2, 0.14, ' '.join(parts), fontsize=7.5, color=FAINT)
 
     def _row_bottom(self, row: int) -> float:
         return self._height - _TOP - (row + 1) * self._view_height - row * _ROW_GAP

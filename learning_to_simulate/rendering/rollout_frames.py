@@ -1,42 +1,39 @@
 """One rollout, with its truth where there is one, ready to be drawn.
 
-Reads the `rollout_{split}_{i}.npz` of `learning_to_simulate.train --mode=eval_rollout` (DeepMind's
-key names) and, where the dataset has one, the subspace that turns mode scores back into particles.
-Decoding is linear: velocities and errors of particles are decoded from differences of scores.
+Reads the `rollout_{split}_{i}.npz` of `train --mode=eval_rollout` (DeepMind's key names). The truth
+of the soil is that of `soil_truth`: the solver's own particles where the dataset holds a sample of
+them. A prediction has the same particles: its own, where the method has no modes, else decoded.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import os
 import re
 from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import metrics
-from learning_to_simulate.rendering import rollout_arrays
-from learning_to_simulate.rendering.rollout_arrays import DIM, PREDICTION, TRUTH
-from pca_tools.subspace import Subspace
+from learning_to_simulate import metrics, soil_truth
+from learning_to_simulate.scene import Scene
+from pca_tools import dataset, files
+from pca_tools.metadata import metadata_problems
 
-SUBSPACE_NAME = 'subspace.npz'
-SOIL_PARTICLE_TYPE = 6
+DIM = 3
+TRUTH, PREDICTION = 'truth', 'prediction'
+# What pictures call the truth and the trivial predictors.
+TRUE_NAME, STILL, CONSTANT = 'ground truth', 'persistence', 'constant velocity'
+SOIL_PARTICLE_TYPE = dataset.MODE_PARTICLE_ID
 # Views: indices of the horizontal and the vertical axis.
 PLANES = {'xy': (0, 1), 'xz': (0, 2), 'zy': (2, 1), 'yz': (1, 2), 'yx': (1, 0), 'zx': (2, 0)}
-# From the side, by the upward axis: the other two are the first horizontal one and the depth.
-SIDE_VIEWS = 'yx', 'xy', 'xz'
 _FILE_NAME = re.compile(r'rollout_(?P<split>[a-z]+)_(?P<record>\d+)\.npz')
 # A rigid error below this is round-off of a motion that was given.
 _GIVEN_MOTION_MM = 1e-3
-_SEPARATOR = '  ·  '
-# Numbers of a run that belong to its making and not to its case.
-_NOT_A_PARAMETER = (
-    'case', 'seed', 'solver_cpu_s', 'time_step_s', 'cell_size_m', 'youngs_modulus_Pa',
-    'body_friction',
-)  # fmt: skip
-# Longest first, so that m_s2 is not read as s2.
-_UNITS = {'_m_s2': ' m/s²', '_m_s': ' m/s', '_deg': '°', '_percent': ' %', '_m': ' m', '_N': ' N'}
+_TEXTS = ('metadata', 'scene', 'status', 'status_reason', 'model_digest', 'split')
+_POSITIONS = {PREDICTION: 'predicted_rollout', TRUTH: 'ground_truth_rollout'}
+_FORCES = {PREDICTION: 'predicted_forces', TRUTH: 'ground_truth_forces'}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,41 +42,54 @@ class RolloutFrames:
 
     Attributes:
         name: file name without its ending.
-        title: scene, case and its parameters, one line.
+        title: what the picture shows, a sentence.
         label: name of the model that predicted, or ''.
-        scores: {truth, prediction} -> float64 [T, r, 3], m; of a path that nobody recorded, the
-            prediction alone, as in the next two.
+        frames: int [F], the frames in which there is soil to see; all frames where there is none.
+        soil: {truth, prediction} -> [F, P, 3] particles, m; of a path that nobody recorded, the
+            prediction alone, as in the next two; {} where there is no subspace.
+        start: [P, 3] the particles in the first frame, m; None where there are none.
         rigid: {truth, prediction} -> float64 [T, R, 3], m.
         force: {truth, prediction} -> float64 [T, 3], N, or None.
         rigid_type: particle type of the rigid points.
         first_predicted: H, index of the first predicted frame.
         dt: seconds per frame.
-        n_soil: N, or None if neither the subspace nor the metadata says it.
-        projection_mse: m², what the subspace cuts off this run, or None if it is not known.
-        subspace: rebuilds the particles, or None: then there is no soil to draw.
+        soil_mm: error of the soil over all frames, mm; None without a truth.
+        soil_rms_mm: name -> [F] its root mean square by frame, mm: prediction, persistence and
+            constant velocity; {} without a truth.
+        space: what the error is taken over, in words.
         notes: what the reader of a picture should know, one sentence each.
         up_axis: axis against gravity, 0, 1 or 2.
+        is_driven: whether the body is driven under a load, as a wheel is.
     """
 
     name: str
     title: str
     label: str
-    scores: dict[str, np.ndarray]
+    frames: np.ndarray
+    soil: dict[str, np.ndarray]
+    start: np.ndarray | None
     rigid: dict[str, np.ndarray]
     force: dict[str, np.ndarray] | None
     rigid_type: int
     first_predicted: int
     dt: float
-    n_soil: int | None
-    projection_mse: float | None
-    subspace: Subspace | None
+    soil_mm: float | None
+    soil_rms_mm: dict[str, np.ndarray]
+    space: str
     notes: tuple[str, ...]
     up_axis: int
+    is_driven: bool = False
 
     @property
     def side_view(self) -> str:
-        """Key of `PLANES`: the view from the side, upward axis up."""
-        return SIDE_VIEWS[self.up_axis]
+        """Key of `PLANES`: the view from the side, upward axis up, along the way of the body."""
+        along, up, _ = self.axes
+        return 'xyz'[along] + 'xyz'[up]
+
+    @functools.cached_property
+    def axes(self) -> tuple[int, int, int]:
+        """Along the body's way, up, and across."""
+        return metrics.travel_axes(self.rigid[self.reference], self.up_axis)
 
     @property
     def n_frames(self) -> int:
@@ -101,60 +111,30 @@ class RolloutFrames:
         """Whether there are errors to show."""
         return TRUTH in self.rigid
 
+    @property
+    def model(self) -> str:
+        """What the prediction is called."""
+        return self.label or PREDICTION
+
     @functools.cached_property
     def time(self) -> np.ndarray:
         """[T] s."""
         return self.dt * np.arange(self.n_frames)
 
-    def soil(self, which: str, frame: int) -> np.ndarray:
-        """[N, 3] particle positions of a frame, m."""
-        return self.subspace.decode(self.scores[which][frame])
+    def soil_velocity(self, which: str, i: int) -> np.ndarray:
+        """[P, 3] m/s over the interval that ends at the i-th shown frame (first one: zero)."""
+        last = max(i - 1, 0)
+        seconds = self.dt * max(self.frames[i] - self.frames[last], 1)
+        return (self.soil[which][i] - self.soil[which][last]) / seconds
 
-    def soil_displacement(self, which: str, frame: int) -> np.ndarray:
-        """[N, 3] way of the particles since the first frame, m."""
-        return self.subspace.components @ (self.scores[which][frame] - self.scores[which][0])
-
-    def soil_velocity(self, which: str, frame: int) -> np.ndarray:
-        """[N, 3] velocity over the frame interval that ends at `frame`, m/s (first frame: zero)."""
-        before = self.scores[which][max(frame - 1, 0)]
-        return self.subspace.components @ ((self.scores[which][frame] - before) / self.dt)
-
-    def soil_error(self, frame: int) -> np.ndarray:
-        """[N, 3] prediction minus truth within the subspace, m."""
-        return self.subspace.components @ (
-            self.scores[PREDICTION][frame] - self.scores[TRUTH][frame]
-        )
+    def soil_error(self, i: int) -> np.ndarray:
+        """[P, 3] prediction minus truth in the i-th shown frame, m."""
+        return self.soil[PREDICTION][i] - self.soil[TRUTH][i]
 
     def rigid_velocity(self, which: str, frame: int) -> np.ndarray:
         """[R, 3] velocity over the frame interval that ends at `frame`, m/s (first frame: zero)."""
         before = self.rigid[which][max(frame - 1, 0)]
         return (self.rigid[which][frame] - before) / self.dt
-
-    @functools.cached_property
-    def soil_rms_mm(self) -> dict[str, np.ndarray]:
-        """[T] RMS soil error per coordinate in mm: prediction and its trivial neighbours.
-
-        Keys `prediction`, `persistence`, `constant velocity`. Without N the RMS is that of the mode
-        scores. Empty without a truth.
-        """
-        if TRUTH not in self.scores:
-            return {}
-        truth, start = self.scores[TRUTH], self.first_predicted
-        given, n_predicted = truth[None, :start], self.n_frames - start
-        predictions = {
-            PREDICTION: self.scores[PREDICTION][start:],
-            'persistence': metrics.stay_still(given, n_predicted)[0],
-            'constant velocity': metrics.constant_velocity(given, n_predicted)[0],
-        }
-        count = self.n_soil or truth.shape[1]
-        # Frames take the place of runs: one error for each of them.
-        later = truth[start:, None]
-        return {
-            name: np.concatenate(
-                [np.zeros(start), metrics.rms_mm(metrics.soil_mse(x[:, None], later, 0, count))]
-            )
-            for name, x in predictions.items()
-        }
 
     @functools.cached_property
     def rigid_rms_mm(self) -> np.ndarray:
@@ -170,32 +150,19 @@ class RolloutFrames:
         """Whether the body's motion is predicted, at least in part."""
         return bool(self.rigid_rms_mm.max() > _GIVEN_MOTION_MM)
 
-    @functools.cached_property
-    def errors(self) -> dict[str, float]:
-        """Errors of the whole rollout, as `metrics.run_errors` names them."""
-        position, truth = (
-            np.concatenate([self.rigid[which], self.scores[which]], axis=1)[None]
-            for which in (PREDICTION, TRUTH)
-        )
-        force, true_force = (
-            (None, None)
-            if self.force is None
-            else (self.force[which][None] for which in (PREDICTION, TRUTH))
-        )
-        later = slice(self.first_predicted, None)
-        errors = metrics.run_errors(
-            position[:, later],
-            truth[:, later],
-            None if force is None else force[:, later],
-            None if true_force is None else true_force[:, later],
-            self.rigid[TRUTH].shape[1],
-            self.n_soil or self.scores[TRUTH].shape[1],
-        )
-        return {name: float(value[0]) for name, value in errors.items()}
+    def load_errors(self, last: int | None = None) -> dict[str, float]:
+        """Errors of the force, as `metrics.load_errors`, from the first predicted frame to `last`;
+        {} without a force or a truth."""
+        if self.force is None or not self.has_truth:
+            return {}
+        so_far = slice(self.first_predicted, None if last is None else last + 1)
+        force, truth = (self.force[which][None, so_far] for which in (PREDICTION, TRUTH))
+        found = metrics.load_errors(force, truth, self.axes)
+        return {name: float(value[0]) for name, value in found.items()}
 
 
 def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFrames:
-    """Reads a rollout and, from the dataset folder, the subspace it was made in.
+    """Reads a rollout and, from the dataset folder, what its soil did.
 
     Args:
         rollout_path: `rollout_{split}_{i}.npz`.
@@ -212,144 +179,285 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     """
     if rollout_path.endswith(('.pkl', '.pickle')):
         raise ValueError(f'{rollout_path}: is a pickle, which is never read; give the .npz of it')
-    arrays, metadata, nodes, force = rollout_arrays.read(rollout_path)
-    prediction = nodes[PREDICTION]
-    n_modes = metadata['mode_number']
-    if not 0 < n_modes <= prediction.shape[1]:
-        raise ValueError(
-            f'{rollout_path}: has {prediction.shape[1]} nodes but its metadata says mode_number '
-            f'{n_modes!r}'
-        )
+    arrays = files.read_npz(rollout_path)
+    for name, array in arrays.items():
+        if name not in _TEXTS and array.dtype.kind not in 'fiu':
+            raise ValueError(f'{rollout_path}: {name} holds {array.dtype}, no real numbers')
+    metadata = _metadata(rollout_path, arrays)
+    nodes, force = _nodes(rollout_path, arrays)
     start = len(arrays['initial_positions'])
-    notes = []
-    length = rollout_arrays.finite_length(prediction, None if force is None else force[PREDICTION])
+    n_rigid, has_modes = _split_nodes(rollout_path, arrays, metadata)
+    notes, length = [], _finite_length(nodes[PREDICTION], force)
     if length <= start:
         raise ValueError(f'{rollout_path}: no predicted frame is finite, there is nothing to draw')
-    if length < len(prediction):
+    if length < len(nodes[PREDICTION]):
         notes.append(f'The prediction is not finite from frame {length} on; drawn up to there.')
-    subspace = _subspace(data_path, metadata, n_modes)
-    if subspace is None:
-        notes.append('Without subspace.npz there are no particles: mode scores are drawn instead.')
-    n_rigid = prediction.shape[1] - n_modes
-    if subspace is None and not n_rigid:
-        raise ValueError(
-            f'{rollout_path}: has modes only, and {data_path} no {SUBSPACE_NAME} to rebuild the '
-            'soil with: there is nothing to draw'
-        )
-    split, record = _place(rollout_path)
-    floors = metadata.get('projection_mse', {}).get(split, [])
+    split, record = _place(rollout_path, arrays)
+    reader = _reader(data_path, metadata)
+    scores = {which: values[:, n_rigid:] for which, values in nodes.items()}
+    has_soil = not has_modes or (reader is not None and reader.subspace is not None)
+    if not has_soil:
+        notes.append('Without subspace.npz there are no particles to draw.')
+        if not n_rigid:
+            raise ValueError(
+                f'{rollout_path}: has modes only, and {data_path} no subspace.npz to rebuild the '
+                'soil with: there is nothing to draw'
+            )
+    recorded = scores.get(TRUTH, scores[PREDICTION])
+    if reader is not None and has_modes:
+        found = reader.read(split, record, recorded, metadata.get('n_soil'))
+    elif has_modes:
+        floor = soil_truth.of_run(metadata.get('projection_mse'), split, record)
+        found = soil_truth.of_nodes(recorded, metadata.get('n_soil') or recorded.shape[1], floor)
+    else:
+        space = soil_truth.PARTICLES
+        found = soil_truth.of_nodes(recorded, recorded.shape[1], space=space)
+    own = arrays if has_soil and TRUTH in nodes else {}
+    predicted = found.of_rollout(scores[PREDICTION][start:length], own)
+    predicted = predicted[: (found.frames < length).sum()]
+    frames = found.frames[: len(predicted)]
+    soil = {TRUTH: found.particles[: len(frames)], PREDICTION: predicted}
     nodes = {which: values[:length] for which, values in nodes.items()}
+    scene = metadata.get('scene', {})
     return RolloutFrames(
         name=os.path.splitext(os.path.basename(rollout_path))[0],
         title=_title(metadata, split, record),
         label=label,
-        scores={which: values[:, n_rigid:] for which, values in nodes.items()},
+        frames=frames,
+        soil={which: soil[which] for which in nodes} if has_soil else {},
+        start=found.start if has_soil else None,
         rigid={which: values[:, :n_rigid] for which, values in nodes.items()},
         force=None if force is None else {which: f[:length] for which, f in force.items()},
         rigid_type=int(arrays['particle_types'][0]),
         first_predicted=start,
         dt=float(metadata['dt']),
-        n_soil=metadata.get('n_soil') if subspace is None else subspace.n_soil,
-        projection_mse=floors[record] if record is not None and record < len(floors) else None,
-        subspace=subspace,
+        **(errors(found, predicted, scores[TRUTH], start) if TRUTH in nodes else _NO_ERRORS),
         notes=tuple(notes),
-        up_axis=metadata.get('scene', {}).get('up_axis', 1),
+        up_axis=scene.get('up_axis', 1),
+        is_driven=scene.get('rigid_motion') == 'driven',
     )
 
 
-def refuse_other_run(frames: RolloutFrames, other: RolloutFrames) -> None:
-    """Raises ValueError unless another rollout is one of the same run, in the same subspace."""
-    same = frames.has_truth and other.has_truth and frames.title == other.title
-    for given, theirs in ((frames.rigid, other.rigid), (frames.scores, other.scores)):
-        # The shorter one may have been cut before a frame that is not finite.
-        length = min(frames.n_frames, other.n_frames)
-        same = same and np.array_equal(given[TRUTH][:length], theirs[TRUTH][:length])
-    if not same:
-        raise ValueError(
-            f'{other.name} ({other.label}) is no rollout of the run of {frames.name}: {other.title}'
-        )
+_NO_ERRORS: dict[str, Any] = {'soil_mm': None, 'soil_rms_mm': {}, 'space': ''}
 
 
-def of_rollout(rollout) -> RolloutFrames:
-    """A `path_rollout.SoilRollout` ready to be drawn; of a path there is no truth."""
-    start, n_modes = len(rollout.history), rollout.scene.n_modes
-    given = rollout.history[:, rollout.history.shape[1] - n_modes :]
-    scores = {PREDICTION: np.concatenate([given, rollout.modes])}
-    rigid = {PREDICTION: rollout.body}
-    force = None
+def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[str, Any]:
+    """The errors of `RolloutFrames`.
+
+    Args:
+        found: the truth.
+        predicted: [F, P, 3] particles.
+        scores: [T, r, 3] recorded scores, or particles of a record without modes.
+        start: H.
+    """
+    given, n_frame = scores[None, :start], len(scores) - start
+    curves = {
+        PREDICTION: predicted,
+        STILL: found.of_modes(metrics.stay_still(given, n_frame)[0])[: len(predicted)],
+        CONSTANT: found.of_modes(metrics.constant_velocity(given, n_frame)[0])[: len(predicted)],
+    }
+    return {
+        'soil_mm': found.soil_mm(predicted),
+        'soil_rms_mm': {k: metrics.rms_mm(found.mean_square(x)) for k, x in curves.items()},
+        'space': found.space,
+    }
+
+
+def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
+    """A `paths.SoilRollout` ready to be drawn; of a path there is no truth.
+
+    Args:
+        rollout: of `lts.load(...).rollout`.
+        step_stride: particles of a path are computed in every so many frames.
+    """
+    start, scene = len(rollout.history), rollout.scene
+    rigid, force, found = {PREDICTION: rollout.body}, None, _NO_ERRORS
+    frames = np.arange(start, len(rollout.body), step_stride)
+    soil, first = {}, None
     if rollout.force is not None:
         before = np.zeros((start, DIM))
         if rollout.truth and rollout.truth[2] is not None:
             before = rollout.truth[2][:start]
         force = {PREDICTION: np.concatenate([before, rollout.force])}
     if rollout.truth:
-        scores[TRUTH], rigid[TRUTH], true_force = rollout.truth
+        true_modes, rigid[TRUTH], true_force = rollout.truth
         if force is not None:
             force[TRUTH] = true_force
+        truth, predicted = rollout.soil_truth, rollout.sampled
+        frames, first = truth.frames[: len(predicted)], truth.start
+        found = errors(truth, predicted, true_modes, start)
+        if truth.components is not None or truth.count == truth.particles.shape[1]:
+            soil = {TRUTH: truth.particles[: len(predicted)], PREDICTION: predicted}
+    elif rollout.soil is not None:
+        soil = {PREDICTION: np.stack([rollout.particles(int(f) - start) for f in frames])}
+        first = soil[PREDICTION][0]
+    kind = 'wheel' if str(scene.rigid_motion) == 'driven' else 'tool'
+    run = f'recorded run {rollout.name.removeprefix("rollout_")}' if rollout.truth else ''
     return RolloutFrames(
         name=rollout.name,
-        title=rollout.scene.name.capitalize(),
+        title=f'{scene.name.capitalize()}: the {kind} follows {run or "a given path"}',
         label='',
-        scores=scores,
+        frames=frames,
+        soil=soil,
+        start=first,
         rigid=rigid,
         force=force,
         rigid_type=0,
         first_predicted=start,
-        dt=rollout.scene.dt,
-        n_soil=rollout.scene.n_soil,
-        projection_mse=None,
-        subspace=None if rollout.soil is None else rollout.soil.subspace,
+        dt=scene.dt,
+        **found,
         notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
-        up_axis=rollout.scene.up_axis,
+        up_axis=scene.up_axis,
+        is_driven=str(scene.rigid_motion) == 'driven',
     )
 
 
-def _subspace(data_path: str | None, metadata: dict[str, Any], n_modes: int) -> Subspace | None:
+def refuse_other_run(frames: RolloutFrames, other: RolloutFrames) -> None:
+    """Raises ValueError unless another rollout is one of the same run, over the same particles."""
+    same = frames.has_truth and other.has_truth and frames.title == other.title
+    pairs = [(frames.rigid, other.rigid), (frames.soil, other.soil)]
+    for given, theirs in pairs:
+        if same and TRUTH in given:
+            # The shorter one may have been cut before a frame that is not finite.
+            length = min(len(given[TRUTH]), len(theirs.get(TRUTH, ())))
+            same = length and np.array_equal(given[TRUTH][:length], theirs[TRUTH][:length])
+    if not same:
+        raise ValueError(
+            f'{other.name} ({other.label}) is no rollout of the run of {frames.name}: {other.title}'
+        )
+
+
+def _metadata(path: str, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The dataset's metadata of a rollout, or what a drawing needs of them."""
+    stated = 'scene' if 'scene' in arrays else 'metadata'
+    wanted = ('initial_positions', 'predicted_rollout', 'particle_types', stated)
+    missing = [key for key in wanted if key not in arrays]
+    if missing:
+        raise ValueError(f'{path}: is not a rollout, it lacks {missing}; it has {sorted(arrays)}')
+    try:
+        found = json.loads(str(arrays[stated]))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f'{path}: its {stated} is not JSON: {error}') from error
+    if stated == 'metadata':
+        if problems := metadata_problems(found):
+            raise ValueError(f'{path}: its metadata: ' + '; '.join(problems))
+        return found
+    try:  # of a path that nobody recorded
+        scene = Scene.from_json(found)
+        good = scene.dt > 0 and scene.n_modes > 0
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f'{path}: its scene is none ({error})') from error
+    if not good:
+        raise ValueError(f'{path}: its scene has dt {scene.dt!r} and {scene.n_modes!r} modes')
+    return {
+        'dt': scene.dt,
+        'mode_number': scene.n_modes,
+        'n_soil': scene.n_soil,
+        'scene': {
+            'name': scene.name, 'up_axis': scene.up_axis, 'rigid_motion': str(scene.rigid_motion),
+        },
+    }  # fmt: skip
+
+
+def _split_nodes(path, arrays, metadata) -> tuple[int, bool]:
+    """R, and whether the soil's nodes are modes; else they are particles, of a full-space model."""
+    count, n_modes = len(arrays['particle_types']), metadata['mode_number']
+    n_soil = int((arrays['particle_types'] == SOIL_PARTICLE_TYPE).sum())
+    if n_soil > n_modes > 0:
+        return count - n_soil, False
+    if not 0 < n_modes <= count:
+        raise ValueError(f'{path}: has {count} nodes but its metadata says mode_number {n_modes!r}')
+    return count - n_modes, True
+
+
+def _nodes(path: str, arrays: dict[str, np.ndarray]):
+    """{truth, prediction} -> [T, V, 3], and {truth, prediction} -> forces [T, 3] or None; without
+    the truth where there is none. Forces of the given frames of a path are zero."""
+    count, n_frames = len(arrays['particle_types']), len(arrays['predicted_rollout'])
+    n_given = len(arrays['initial_positions'])
+    which = [w for w, key in _POSITIONS.items() if key in arrays]
+    nodes = {'initial_positions': n_given} | {_POSITIONS[w]: n_frames for w in which}
+    forces = {'initial_forces': n_given} if TRUTH in which else {}
+    forces |= {_FORCES[w]: n_frames for w in which}
+    has_force = any(key in arrays for key in forces)
+    if missing := [key for key in forces if has_force and key not in arrays]:
+        raise ValueError(f'{path}: has forces but lacks {missing}')
+    shapes = {key: (length, count, DIM) for key, length in nodes.items()}
+    shapes |= {key: (length, DIM) for key, length in forces.items() if has_force}
+    values = {}
+    for key, shape in shapes.items():
+        if arrays[key].shape != shape:
+            raise ValueError(f'{path}: {key} has shape {arrays[key].shape}, {shape} was expected')
+        values[key] = np.asarray(arrays[key], np.float64)
+        if not key.startswith('predicted') and not np.isfinite(values[key]).all():
+            raise ValueError(f'{path}: {key} has NaN or infinite values')
+    before = values.get('initial_forces', np.zeros((n_given, DIM)))
+    given = values['initial_positions']
+    return (
+        {w: np.concatenate([given, values[_POSITIONS[w]]]) for w in which},
+        {w: np.concatenate([before, values[_FORCES[w]]]) for w in which} if has_force else None,
+    )
+
+
+def _finite_length(prediction, force) -> int:
+    """Number of frames before the first that is not finite."""
+    finite = np.isfinite(prediction).all(axis=(1, 2))
+    if force is not None:
+        finite &= np.isfinite(force[PREDICTION]).all(axis=1)
+    return len(finite) if finite.all() else int(np.argmin(finite))
+
+
+def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader | None:
+    """Of the dataset folder, whose subspace must be that of the rollout."""
     if data_path is None:
         return None
     if not os.path.isdir(data_path):
         raise FileNotFoundError(f'{data_path}: no such dataset folder')
-    path = os.path.join(data_path, SUBSPACE_NAME)
-    if not os.path.exists(path):
-        return None
-    subspace = Subspace.load(path)
-    if subspace.n_modes != n_modes:
+    # A rollout of the API states its scene alone.
+    reader = soil_truth.TruthReader(data_path, metadata if 'bounds' in metadata else None)
+    space, path = reader.subspace, os.path.join(data_path, 'subspace.npz')
+    if space is None:
+        return reader
+    if space.n_modes != metadata['mode_number']:
         raise ValueError(
-            f'{path}: has {subspace.n_modes} modes, the rollout has {n_modes}; give the dataset '
-            'folder that the rollout was made from'
+            f'{path}: has {space.n_modes} modes, the rollout has {metadata["mode_number"]}; give '
+            'the dataset folder that the rollout was made from'
         )
     digest = metadata.get('pca', {}).get('digest')
-    if digest not in (None, subspace.digest):
+    if digest not in (None, space.digest):
         raise ValueError(
-            f'{path}: is not the subspace of this rollout (digest {subspace.digest[:12]}..., the '
+            f'{path}: is not the subspace of this rollout (digest {space.digest[:12]}..., the '
             f'rollout has {digest[:12]}...); give the dataset folder that it was made from'
         )
-    return subspace
+    return reader
 
 
-def _place(rollout_path: str) -> tuple[str | None, int | None]:
-    """Split and record number that the file name states."""
+def _place(rollout_path: str, arrays) -> tuple[str | None, int | None]:
+    """Split and record number that the file states, in it or by its name."""
+    if 'split' in arrays and 'record' in arrays:
+        return str(arrays['split']), int(arrays['record'])
     match = _FILE_NAME.fullmatch(os.path.basename(rollout_path))
     return (match['split'], int(match['record'])) if match else (None, None)
 
 
 def _title(metadata: dict[str, Any], split: str | None, record: int | None) -> str:
-    """Scene, case and its parameters."""
-    parts = [str(metadata.get('scene', {}).get('name', 'rollout')).capitalize()]
-    if record is not None:
-        cases = metadata.get('cases', {}).get(split, [])
-        case = cases[record] if record < len(cases) else {}
-        parts.append(f'case {case["case"]}' if 'case' in case else f'{split} record {record}')
-        parts += [
-            _with_unit(key, value)
-            for key, value in case.items()
-            if key not in _NOT_A_PARAMETER and isinstance(value, (int, float))
-        ]
-    return _SEPARATOR.join(parts)
-
-
-def _with_unit(key: str, value: float) -> str:
-    for ending, unit in _UNITS.items():
-        if key.endswith(ending):
-            return f'{key[: -len(ending)].replace("_", " ")} {value:g}{unit}'
-    return f'{key.replace("_", " ")} {value:g}'
+    """What the run is, as a sentence."""
+    scene = metadata.get('scene', {}).get('name') or 'rollout'
+    case = soil_truth.of_run(metadata.get('cases'), split, record) or {}
+    name = case.get('case', f'{split} record {record}' if record is not None else '')
+    where = f' ({name if isinstance(name, str) else f"case {name}"})' if name != '' else ''
+    if {'depth_m', 'speed_m_s', 'angle_deg'} <= case.keys():
+        text = f'A blade cuts {1e3 * case["depth_m"]:g} mm deep at {case["speed_m_s"]:g} m/s, '
+        return f'{text}leaning by {case["angle_deg"]:g}°{where}'
+    if {'diameter_m', 'load_N'} <= case.keys():
+        text = f'A wheel of {case["diameter_m"]:g} m'
+        load = case.get('context', {}).get('load', case['load_N'])
+        if 'slip_percent' in case:
+            return f'{text} drives at {case["slip_percent"]:g} % slip under {load:g} N{where}'
+        low, high = case.get('load_min_N', load), case.get('load_max_N', load)
+        span = f'{high:g} N' if low == high else f'{low:.3g} to {high:.3g} N'
+        return f'{text} is driven freely under {span}{where}'
+    if 'depth_max_m' in case:
+        text = f'A blade is driven freely, up to {1e3 * case["depth_max_m"]:.0f} mm deep'
+        return f'{text} and {case.get("speed_max_m_s", 0):.2f} m/s{where}'
+    return f'{scene.capitalize()}{where}'

@@ -24,13 +24,14 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
     """Writes a rollout as `<folder>/prediction.pvd`, its truth, if there is one, as `truth.pvd`.
 
     Each point (body first, then soil where there is a subspace) carries `displacement` since the
-    first frame (m), `velocity` (m/s), `particle_type` and, of the prediction, `error` (m); each
+    first frame (m), `velocity` since the frame shown before (m/s),
+    `particle_type` and, of the prediction, `error` (m); each
     cloud carries `time` (s) and `force` (N).
 
     Args:
         folder: replaced as a whole, once everything is written.
         frames: the rollout.
-        drawn: the frames to write.
+        drawn: which of its shown frames to write.
 
     Raises:
         OSError: a file cannot be written.
@@ -40,10 +41,11 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
         listed = {which: [] for which in frames.shown}
         for which in listed:
             os.mkdir(os.path.join(temporary, which))
-        for frame in drawn:
+        for i in drawn:
+            frame = int(frames.frames[i])
             for which, entries in listed.items():
                 name = f'{which}/{frame:05d}.vtp'
-                write_points(os.path.join(temporary, name), *_cloud(frames, which, int(frame)))
+                write_points(os.path.join(temporary, name), *_cloud(frames, which, int(i)))
                 entries.append((frames.time[frame], name))
         for which, entries in listed.items():
             write_collection(os.path.join(temporary, f'{which}.pvd'), entries)
@@ -51,25 +53,25 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
     files.write_folder_atomically(folder, fill)
 
 
-def _cloud(frames: RolloutFrames, which: str, frame: int):
-    """Points, point data and field data of one frame."""
-    rigid = frames.rigid[which]
-    with_error = which == PREDICTION and frames.has_truth
+def _cloud(frames: RolloutFrames, which: str, i: int):
+    """Points, point data and field data of the i-th shown frame."""
+    rigid, frame = frames.rigid[which], int(frames.frames[i])
     points = [rigid[frame]]
     vectors = {
         'displacement': [rigid[frame] - rigid[0]],
         'velocity': [frames.rigid_velocity(which, frame)],
     }
-    if with_error:
+    if with_error := which == PREDICTION and frames.has_truth:
         vectors['error'] = [rigid[frame] - frames.rigid[TRUTH][frame]]
     types = [frames.rigid_type] * len(rigid[frame])
-    if frames.subspace is not None:
-        points.append(frames.soil(which, frame))
-        vectors['displacement'].append(frames.soil_displacement(which, frame))
-        vectors['velocity'].append(frames.soil_velocity(which, frame))
+    if frames.soil:
+        soil = frames.soil[which][i]
+        points.append(soil)
+        vectors['displacement'].append(soil - frames.start)
+        vectors['velocity'].append(frames.soil_velocity(which, i))
         if with_error:
-            vectors['error'].append(frames.soil_error(frame))
-        types += [SOIL_PARTICLE_TYPE] * len(points[1])
+            vectors['error'].append(frames.soil_error(i))
+        types += [SOIL_PARTICLE_TYPE] * len(soil)
     point_data = {name: np.concatenate(parts).astype(np.float32) for name, parts in vectors.items()}
     point_data['particle_type'] = np.array(types, np.int32)
     field_data = {'time': frames.time[frame : frame + 1]}

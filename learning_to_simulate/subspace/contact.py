@@ -14,8 +14,8 @@ import dataclasses
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.methods.tool_motion import TravelFrame
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.tool.axes import Axes
 from pca_tools.subspace import Subspace
 
 PLACES = 32
@@ -81,13 +81,16 @@ class Contact:
           modes: [B, r, D] offsets of the modes from their origin, m.
           total, least: sum and minimum over axes, of numpy or TensorFlow.
         """
+        # s_p = h_p + sum over modes and axes of w_p x: the surface at place p, linear in the modes.
         heights = self.heights + total(modes[..., None] * self.weights, axis=(-3, -2))
+        # min over particles b and places p of y_b - s_p + SLOPE |u_b - p|.
         apart = abs(body[..., self.axis, None] - self.places)
         above = body[..., self.up, None] - heights[:, None] + np.float32(SLOPE) * apart
         return least(above, axis=(-2, -1))
 
     def share(self, body, modes):
         """Tensor [B] in [0, 1], of a force; arguments are tensors as of `clearance`."""
+        # 1 up to `clear`, then down to 0 along RAMP.
         clearance = self.clearance(body, modes, tf.reduce_sum, tf.reduce_min)
         end = np.float32(self.clear + RAMP)
         return tf.clip_by_value((end - clearance) / np.float32(RAMP), 0.0, 1.0)
@@ -111,20 +114,20 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
         return None
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
     offsets = [g.position[:, :, g.n_rigid :] - origin for g in groups]
-    frames = [TravelFrame.of(body, scene.up_axis) for body in bodies]
-    frame = max(frames, key=frames.count)
+    axes = Axes.of_bodies(bodies, scene.up_axis)
     rows = np.concatenate([x[:, ::STRIDE].reshape(-1, *x.shape[2:]) for x in offsets])
-    surface = _Surface(subspace, origin, frame, bodies)
+    surface = _Surface(subspace, origin, axes, bodies)
     inputs = rows.reshape(len(rows), -1)
     mean, std = inputs.mean(axis=0), inputs.std(axis=0)
     std = np.where(std > 0, std, np.inf)  # what never moves says nothing
     heights = np.stack([surface.heights(x) for x in rows])
     if np.isnan(heights).any():  # a frame without soil where the bodies are
         return None
+    # Ridge regression of the heights on the modes: (X^T X + lambda n I) W = X^T Y.
     x, y = (inputs - mean) / std, heights - heights.mean(axis=0)
     found = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ y) / std[:, None]
     reader = Contact(
-        frame.axis,
+        axes.axis,
         scene.up_axis,
         0.0,
         surface.places.astype(np.float32),
@@ -147,16 +150,15 @@ def fit(groups, subspace: Subspace, origin, scene) -> Contact | None:
 class _Surface:
     """Heights [P] of the highest particles about places along the way, as wide as the bodies."""
 
-    def __init__(self, subspace, origin, frame, bodies):
+    def __init__(self, subspace, origin, axes, bodies):
         self._components = subspace.components
         mean = np.broadcast_to(subspace.mean, (subspace.n_soil, len(origin[0])))
         self._mean = mean + subspace.components @ origin
-        self._axis, self._up = frame.axis, frame.up
-        across = 3 - frame.axis - frame.up
-        self._across = across
+        self._axis, self._up, self._across = axes.axis, axes.up, axes.across
+        across = axes.across
         self._low = min(body[..., across].min() for body in bodies)
         self._high = max(body[..., across].max() for body in bodies)
-        along = subspace.initial[:, frame.axis]
+        along = subspace.initial[:, axes.axis]
         edges = np.linspace(along.min(), along.max(), PLACES + 1)
         self._edges, self.places = edges, (edges[1:] + edges[:-1]) / 2
 

@@ -56,6 +56,7 @@ class EdgeGates(tf.Module):
         uniform = tf.random.stateless_uniform([n_graph, self.n_modes, self.n_modes], seed)
         # The draw includes 0, whose logarithm does not exist; 2^-24 is below all others.
         uniform = tf.maximum(uniform, 2.0**-24)
+        # s = sigmoid((logit(u) + log alpha) / beta), z = clip(s (HIGH - LOW) + LOW, 0, 1).
         logit = tf.math.log(uniform) - tf.math.log1p(-uniform) + self.log_alpha
         return tf.clip_by_value(tf.sigmoid(logit / TEMPERATURE) * (HIGH - LOW) + LOW, 0.0, 1.0)
 
@@ -77,6 +78,7 @@ class EdgeGates(tf.Module):
         Returns:
           the dict with the new `loss`, and the expected share of `open_gates`.
         """
+        # Price lambda t / t_end times the mean of P(z > 0): it rises while the gates are learned.
         share = tf.reduce_mean(self.open_probability())
         price = config.gate_weight * tf.cast(step, tf.float32) / config.gate_steps
         return values | {'loss': values['loss'] + price * share, 'open_gates': share}

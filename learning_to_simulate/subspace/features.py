@@ -1,10 +1,8 @@
-"""The inputs of a node: one table, read by the plain network, the whole-state networks and the
-folded form.
+"""The inputs of a node: one table, read by the graph network and the whole-state networks.
 
 A feature has a name, the nodes that have it, a width and its values; which features a model has,
 and in which order they meet the rows of the first layer, is decided here and nowhere else. A new
-input is an entry of `TABLE` and, for the folded form, a line in `folded_simulator` that says what
-of it is known ahead.
+input is an entry of `TABLE` and, where it is to be exported, a few lines of `lts_features.c`.
 """
 
 from collections.abc import Callable
@@ -14,8 +12,8 @@ import tensorflow as tf
 
 from learning_to_simulate.body_height import height_of
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
-from learning_to_simulate.methods import path_memory
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.tool import path_memory
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 START_MODES = 8  # of the bed at the start of a run: more would be learned by heart

@@ -75,6 +75,7 @@ class _EdgeBlock(snt.Module):
         self._create_variables(3 * edges.shape[-1], edges.dtype)
         _, layer_norm, first, *rest = self._model.submodules
         of_edge, of_receiver, of_sender = tf.split(first.w, 3)
+        # W [e_ij, h_i, h_j] + b = W_e e_ij + W_r h_i + W_s h_j + b of receiver i and sender j.
         hidden = tf.matmul(edges, of_edge) + first.b
         hidden += tf.gather(tf.matmul(nodes, of_receiver), receivers, axis=1)
         hidden += tf.gather(tf.matmul(nodes, of_sender), senders, axis=1)
@@ -96,6 +97,7 @@ class _InteractionNetwork(snt.Module):
         self._node_block = _NodeBlock(make_model)
 
     def __call__(self, nodes, edges, senders, receivers, incidence):
+        # m_ij = phi_e(e_ij, h_i, h_j); h_i += phi_v(sum or mean over j of m_ij, h_i); e_ij += m_ij.
         messages = self._edge_block(edges, nodes, senders, receivers)
         # A small dense product compiles to faster code than a scatter of a few hundred rows.
         incidence = tf.cast(incidence, messages.dtype)
@@ -180,6 +182,8 @@ class EncodeProcessDecode(snt.Module):
         """
         n_graph, n_node = nodes.shape[:2]
         n_edge = len(senders)
+        # [V, E]: 1 where an edge ends at a node. With gates z_ij the sum is of z_ij m_ij, and the
+        # mean divides it by the sum of the gates, at least 1.
         incidence = (np.arange(n_node)[:, None] == receivers).astype(np.float32)
         n_received = incidence.sum(axis=1, keepdims=True)
         if edge_gates is not None:
@@ -189,6 +193,7 @@ class EncodeProcessDecode(snt.Module):
             at_least_one = np.maximum if edge_gates is None else tf.maximum
             incidence = incidence / at_least_one(n_received, 1.0)
         first_node = np.repeat(np.arange(n_graph, dtype=np.int32) * n_node, n_edge)
+        # The B graphs lie one behind the other, as graph_nets wants them; edges count on by V.
         graph = gn.graphs.GraphsTuple(
             nodes=tf.reshape(nodes, [n_graph * n_node, nodes.shape[2]]),
             edges=tf.reshape(edges, [n_graph * n_edge, edges.shape[2]]),

@@ -16,10 +16,10 @@ from learning_to_simulate.body_height import up_vector
 from learning_to_simulate.checkpoints import NUM_PARTICLE_TYPES
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import Adjacency
-from learning_to_simulate.methods.path_memory import PathMemory
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import features, graph_network
 from learning_to_simulate.subspace.contact import Contact
+from learning_to_simulate.tool.path_memory import PathMemory
 
 RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
 
@@ -191,6 +191,8 @@ class LearnedSimulator(snt.Module):
         ends = tf.gather(state.offset, layout.senders, axis=1) - tf.gather(
             state.offset, layout.receivers, axis=1
         )
+        # e_ij = ((x_j - x_i) - mean_ij) / std_ij of sender j and receiver i, by their classes, and
+        # |e_ij|. The origins of the positions are constant: they are in `edge_shift`.
         displacement = ends / layout.edge_std + layout.edge_shift
         # The floor keeps the gradient of the norm finite on self-edges and coincident nodes.
         length = tf.sqrt(tf.maximum(tf.reduce_sum(displacement**2, axis=-1, keepdims=True), 1e-12))
@@ -263,6 +265,7 @@ class LearnedSimulator(snt.Module):
         """
         if not self.rate_scaled:
             return tf.ones([1, 1, 1])
+        # q = sqrt(mean over the R particles of |v|^2) / its mean in training, at least RATE_FLOOR.
         speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
             self.statistics.body_speed[0]
         )
@@ -275,6 +278,7 @@ class LearnedSimulator(snt.Module):
         Sanchez-Gonzalez et al. 2020. Where places are predicted, `next_velocity` is what leads from
         the offset of `state`, noise and all, to the true one.
         """
+        # y = ((v' - v_base) / q - mean) / std: the inverse of what `step` does with a prediction.
         target = self._of_height(next_velocity, layout) - self._base_velocity(state, known, layout)
         return (target / self.rate(known) - layout.target_mean) / layout.target_std
 
@@ -305,6 +309,7 @@ class LearnedSimulator(snt.Module):
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
         history = tf.concat([state.velocity[:, :, 1:], velocity[:, :, None]], axis=2)
         if load is not None:
+            # F = std y + mean, times the share in [0, 1] that a body may show so far from the soil.
             load = load * self.load_std + self.load_mean
             if layout.contact is not None:
                 n = layout.n_rigid
@@ -316,6 +321,8 @@ class LearnedSimulator(snt.Module):
         """The velocity that the prediction is added to: none (order 1), the last one (order 2), or
         what leads back to the start of the run (order 0)."""
         last = self._of_height(state.velocity[:, :, -1], layout)
+        # Order 2: v' = v + a, with the last velocity. Order 1: v' itself. Order 0: x' = x_0 + y, so
+        # v' = (x_0 - x) + y with the start x_0 of the run.
         order = np.where(layout.node_class == 0, self.config.rigid_order, self.config.mode_order)
         base = last * (order == 2).astype(np.float32)[:, None]
         if self.config.mode_order:
@@ -337,6 +344,7 @@ class LearnedSimulator(snt.Module):
         """Overwrites the given part of the rigid motion."""
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = up_vector(self.dim, self.scene.up_axis)
+            # Given without its height: the mean of the particles so far, and the predicted change.
             height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
             change = velocity[:, :1]
             body_offset = known.offset + (height + change) * up

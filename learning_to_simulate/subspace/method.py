@@ -9,14 +9,14 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils, registry
-from learning_to_simulate.live import resting_start
-from learning_to_simulate.methods import resting_bed
-from learning_to_simulate.methods.path_memory import PathMemory
+from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils
+from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
 from learning_to_simulate.subspace.subspace_model import Model, load, make_simulator
+from learning_to_simulate.tool import bed
+from learning_to_simulate.tool.path_memory import PathMemory
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 
@@ -90,8 +90,8 @@ def _path_memory(data_path, metadata, groups, scene):
             f'it is {scene.rigid_motion}, bodies {len(scene.bodies) or 1}'
         )
     bodies = [g.position[:, :, : g.n_rigid] for g in groups]
-    frame = PathMemory.of_runs(bodies, scene).frame
-    surface = resting_bed.of_dataset(data_path, metadata, frame)
+    axes = PathMemory.of_runs(bodies, scene).axes
+    surface = bed.height_of_dataset(data_path, metadata, axes)
     return PathMemory.of_runs(bodies, scene, surface)
 
 
@@ -128,7 +128,6 @@ def train(data_path, model_path, config, options) -> dict:
     from learning_to_simulate.subspace.trainer import Trainer
     from learning_to_simulate.training import loop
 
-    registry.refuse_raw_path(options.raw_path)
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
     has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
@@ -150,7 +149,7 @@ def train(data_path, model_path, config, options) -> dict:
         f'{", ".join(f"{x.n_node} nodes / {x.n_edge} edges" for x in layouts)}, '
         f'{weights} weights; edges: {model.edge_source}',
     )
-    training.write_files = lambda path: resting_start.write(path, data_path, config.nodes)
+    training.write_files = lambda path: starts.write(path, data_path, config.nodes)
     if trainer.gates:
         training.close_gates = lambda path: _close_gates(training, data_path, path)
     return loop.run(training, model_path, options)
@@ -176,7 +175,6 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
       FileNotFoundError: no model, dataset or split there.
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
-    registry.refuse_raw_path(raw_path)
     # A model that is only run waits for none of it.
     from learning_to_simulate.penetration import Penetration
 

@@ -17,6 +17,7 @@ def random_walk_velocity_noise(shape, last_step_std, seed):
     Returns:
       float32 noise of `shape`.
     """
+    # The noise of frame k is the sum of k steps, of std sigma sqrt(k / n): sigma in the last one.
     n_velocities = shape[2]
     steps = tf.random.stateless_normal(shape, seed)
     return tf.cumsum(steps, axis=2) * (last_step_std / n_velocities**0.5)[..., tf.newaxis, :]

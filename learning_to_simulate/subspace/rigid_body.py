@@ -72,11 +72,14 @@ def rigid_correction(shape, position):
     Returns:
       float64 [B, R, D], the rotated and translated shape.
     """
+    # S = sum over particles of a b^T: a of the shape, b of the predicted ones about their mean.
     centroid = tf.reduce_mean(position, axis=1, keepdims=True)
     s = tf.einsum('bri,brj->bij', shape, position - centroid)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (
         tf.unstack(row, axis=-1) for row in tf.unstack(s, axis=1)
     )
+    # Horn's 4 x 4 matrix N of S: q^T N q is largest for the quaternion q of the best rotation, the
+    # eigenvector of the largest eigenvalue (`eigh` lists it last).
     rows = [
         [xx + yy + zz, yz - zy, zx - xz, xy - yx],
         [yz - zy, xx - yy - zz, xy + yx, zx + xz],
@@ -85,6 +88,7 @@ def rigid_correction(shape, position):
     ]
     _, vectors = tf.linalg.eigh(tf.stack([tf.stack(row, -1) for row in rows], 1))
     w, x, y, z = tf.unstack(vectors[..., -1], axis=-1)
+    # R of q = (w, x, y, z); then x' = mean(b) + R a.
     rotation = tf.stack(
         [
             tf.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),

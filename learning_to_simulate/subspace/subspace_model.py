@@ -9,7 +9,6 @@ import tensorflow as tf
 from learning_to_simulate import checkpoints
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import build
-from learning_to_simulate.methods import path_memory
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import MAX_RIGID, Scene, is_int, require
 from learning_to_simulate.subspace import whole_state
@@ -19,6 +18,7 @@ from learning_to_simulate.subspace.learned_simulator import (
     SimulatorState,
 )
 from learning_to_simulate.subspace.rigid_body import KnownMotion
+from learning_to_simulate.tool import path_memory
 from pca_tools.subspace import Subspace
 
 # `TrainConfig.model` -> what makes its simulator of (scene, config, statistics, particle types).

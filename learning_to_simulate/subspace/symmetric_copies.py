@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 from scipy import spatial
 
-from learning_to_simulate.methods.tool_motion import TravelFrame
+from learning_to_simulate.tool.axes import Axes
 from pca_tools.subspace import Subspace
 
 _STREAM = 6  # see the random streams of `trainer`
@@ -54,6 +54,7 @@ def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> 
     outside = (origin[:, axis] < low[axis] - spacing) | (origin[:, axis] > high[axis] + spacing)
     weight[outside] = 0.0
     moved = sum(weight[:, k, None] * space.components[nearest[:, k]] for k in range(NEIGHBOURS))
+    # W^T S W of the modes W and the interpolation S, without the [N, N] matrix.
     return Shift(float(distance), bool(is_mirrored), space.components.T @ moved)
 
 
@@ -71,7 +72,7 @@ def with_copies(groups, space: Subspace, up: int, copies: int, seed: int) -> lis
       list of `RunGroup` of the same shapes but for S; `record` says which run a copy is of.
     """
     rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, _STREAM, 0]))
-    frame = TravelFrame.of(groups[0].position[:, :, : groups[0].n_rigid], up)
+    frame = Axes.of_bodies([groups[0].position[:, :, : groups[0].n_rigid]], up)
     axis, across = frame.axis, 3 - frame.axis - up
     places = [g.position[:, :, : g.n_rigid, axis] for g in groups]
     low, high = min(p.min() for p in places), max(p.max() for p in places)
@@ -104,6 +105,7 @@ def _shifted(group, shift, rest, axis, across, middle):
     n = group.n_rigid
     body = group.position[:, :, :n].copy()
     body[..., axis] += shift.distance
+    # Scores count from the resting bed: s' = rest + M (s - rest).
     modes = np.einsum('qr,strd->stqd', shift.matrix, group.position[:, :, n:] - rest)
     force, torque = (None if x is None else x.copy() for x in (group.force, group.torque))
     if shift.is_mirrored:

@@ -233,6 +233,7 @@ class Trainer:
         values = one_step_loss(
             target, predicted, true_load, predicted_load, layout.loss_weight, load_weights
         )
+        # Of the displacement, m: what is normalised is multiplied back.
         error = (
             (predicted - target) * layout.target_std * self.simulator.rate(known) * layout.moving
         )
@@ -287,6 +288,7 @@ class GroupTensors:
         normalised = []
         for load, (mean, std) in zip((group.force, group.torque), loads.scales(statistics)):
             normalised.append((load - mean) / std)
+            # (std / rms of the run)^2 turns squared errors over `std` into relative ones.
             weight = np.ones(self.n_run)
             if relative_loads:
                 size = np.sqrt((load**2).sum(axis=-1).mean(axis=1))
@@ -317,6 +319,7 @@ class GroupTensors:
         """Run and first frame of `batch_size` windows of `length` frames, a function of `seed`
         int32 [2]."""
         n_start = self.n_frame - length + 1
+        # One number draws both: the window's run and its first frame.
         pick = tf.random.stateless_uniform(
             [batch_size], seed, maxval=self.n_run * n_start, dtype=tf.int32
         )
@@ -364,6 +367,7 @@ def one_step_loss(target, predicted_target, load, predicted_load, moving, load_w
       `loss_torque_mse`, as far as there are weights.
     """
     dim = target.shape[-1]
+    # L = sum over nodes of |y - y^|^2 / moving nodes + weight |F - F^|^2, mean over graphs.
     n_moving = tf.reduce_sum(moving) / dim
     motion = tf.reduce_sum((predicted_target - target) ** 2 * moving, axis=[1, 2]) / n_moving
     return _total(tf.reduce_mean(motion), _load_errors(load, predicted_load, load_weights))
@@ -387,6 +391,7 @@ def unrolled_loss(
     """
     n_step, dim = offsets.shape[1], offsets.shape[-1]
     n_moving = tf.reduce_sum(moving) / dim
+    # L = mean over frames k of 1/k sum over nodes of |x_k - x^_k|^2 / scale^2 / moving nodes.
     error = ((predicted_offsets - offsets) / scale) ** 2 * moving
     weight = 1.0 / tf.range(1, n_step + 1, dtype=error.dtype)
     motion = tf.reduce_sum(error, axis=[2, 3]) * weight / n_moving

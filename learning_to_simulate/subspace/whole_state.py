@@ -142,6 +142,7 @@ class Excitation(snt.Module):
 
     def __call__(self, x):
         """Returns the gated sequence [B, T, C]."""
+        # g_c = sigmoid(W2 relu(W1 mean_t x)); x_tc g_c, and with frames + x_tc sigmoid(w . x_t).
         squeezed = tf.nn.relu(self._squeeze(tf.reduce_mean(x, axis=1, keepdims=True)))
         gated = x * tf.sigmoid(self._excite(squeezed))
         return gated if self._frame is None else gated + x * tf.sigmoid(self._frame(x))
@@ -166,6 +167,7 @@ class _Block(snt.Module):
 
     def __call__(self, x):
         (norm, mix, excite), (norm_time, mix_time, excite_time) = self._parts
+        # Over channels: x += E(MLP(LN(x))); over frames: the same of the transposed sequence.
         x += excite(mix(norm(x)))
         mixed = tf.transpose(mix_time(tf.transpose(norm_time(x), [0, 2, 1])), [0, 2, 1])
         return x + excite_time(mixed)

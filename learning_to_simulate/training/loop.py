@@ -89,14 +89,12 @@ def open_model_path(path: str, training: Training) -> None:
         'scene': model.simulator.scene.to_json(),
         'data': training.data,
     }
-    fields = dataclasses.fields(model.simulator.config)
-    defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
-    if not checkpoints.holds_model(path, fresh, defaults=defaults):
+    if not checkpoints.holds_model(path, fresh):
         written = training.write_files(path) if training.write_files else None
         checkpoints.save_config(path, model, training.n_rigid, training.data, written)
         return
     stored = checkpoints.read_config(path)
-    if not model.simulator.config.gate_weight:  # learned edges change on the way, by themselves
+    if not training.close_gates:  # learned edges change on the way, by themselves
         masks = {'mode_mask': model.mode_mask, 'loaded_mask': model.loaded_mask}
         for name, mask in masks.items():
             if stored[name] != (None if mask is None else mask.astype(int).tolist()):
@@ -191,10 +189,11 @@ def _refuse_non_finite(losses, end, trainer, model_path):
 def _log_rollout(summary, step, bar):
     # A rollout that blew up has no number (null in metrics.json); training goes on and says so.
     mean = {k: float('nan') if v is None else v for k, v in summary['mean']['model'].items()}
-    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)
-    ratio = summary['soil_mse_over_best_trivial'] or float('nan')
-    text = f'step {step + 1}: valid rollout soil MSE {mean["soil_mse"] * 1e4:.4g}e-4 m2'
-    text += f' (x {ratio:.3g} of the best trivial)'
+    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)  # DeepMind's, of modes
+    tf.summary.scalar('soil_error_mm', mean['soil_mm'], step=step)
+    still = summary['mean']['stay_still']['soil_mm']
+    text = f'step {step + 1}: valid rollout soil error {mean["soil_mm"]:.4g} mm'
+    text += f' {summary["soil_error"]} (persistence {still:.4g})'
     if 'force_relative_l2' in mean:
         tf.summary.scalar('force_error_mse', mean['force_rmse'] ** 2, step=step)
         text += f', force rel. L2 {mean["force_relative_l2"]:.3g}'

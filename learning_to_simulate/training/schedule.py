@@ -26,9 +26,11 @@ class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
     def __call__(self, step):
         c = self._config
         step = tf.cast(step, tf.float32)
+        # First stage: floor + (rate - floor) 0.1^(step / decay_steps).
         single = (c.learning_rate - c.learning_rate_floor) * 0.1 ** (
             step / c.decay_steps
         ) + c.learning_rate_floor
+        # Second: floor + (UNROLLED_RATE - floor) (1 + cos(pi progress)) / 2.
         first = c.single_steps
         progress = tf.clip_by_value((step - first) / max(c.num_steps - first, 1), 0.0, 1.0)
         unrolled = c.learning_rate_floor + (UNROLLED_RATE - c.learning_rate_floor) * 0.5 * (

@@ -37,6 +37,7 @@ MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
 MAX_LEAN, BUCKET_LEAN = 45.0, bodies.MAX_LEAN_DEG
+BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
 # Soil that is squeezed against a wall answers with ten times the force of the open field. So much
 # stays free in front of the blade, for its heap, and behind it wherever its back pushes soil (as it
@@ -157,7 +158,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     is_bucket = rng.random() < _BUCKET_SHARE
     leans = (25.0, BUCKET_LEAN) if is_bucket else (0.0, MAX_LEAN)
     if tool is not None and len(tool['outline']) > 2:
-        leans = (-5.0, 25.0)  # a bucket has its own angle of attack
+        leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
     start_x = grid.blade_start(scene)[0]
     if kind != 'trench' and rng.random() < _ELSEWHERE_SHARE:

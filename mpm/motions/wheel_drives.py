@@ -32,8 +32,8 @@ LOAD_FACTORS = (0.5, 1.5)
 RADII, WIDTHS, FRICTION_DEG = (0.03, 0.15), (0.05, 0.125), (28.0, 43.0)  # m, m, deg
 GROUSERS = {'count': (8, 25), 'height': (0.005, 0.015), 'thickness': (0.005, 0.009)}
 PRESSURE = (3.0e3, 12.0e3)  # Pa, load over diameter and width, of drawn wheels on the Earth
-SINKAGE = (-0.1, 0.22)  # of the radius, of a wheel at a given height
-DEEPEST = 0.022  # m
+SINKAGE = (-0.1, 0.12)  # of the radius, of a wheel at a given height
+DEEPEST = 0.012  # m
 _SMALL = 0.1  # m, diameter
 _MOON = 2.0  # m/s2
 

@@ -187,6 +187,33 @@ def table(path: str) -> str:
     return markdown.table(header, rows)
 
 
+def summary(path: str) -> str:
+    """Returns the ladder as Markdown, a row for each variant: medians and worst over the cases."""
+    rows = []
+    for scene, what in (('excavation', 'blade'), ('wheel', 'wheel')):
+        for variant in VARIANTS:
+            found = [
+                compared(runs[variant], runs['cubic'])
+                for name, runs in _read(path).items()
+                if name.startswith(scene) and variant in runs and 'cubic' in runs
+            ]
+            if not found or variant == 'cubic':
+                continue
+            cells = [f'{len(found)}']
+            for key, form in (
+                ('draft_change', '{:+.0%}'),
+                ('vertical_change', '{:+.0%}'),
+                ('force_5_frames', '{:.3f}'),
+                ('surface_mm', '{:.2f}'),
+            ):
+                values = np.array([row[key] for row in found])
+                worst = values[np.abs(values).argmax()]
+                cells.append(f'{form.format(np.median(values))} ({form.format(worst)})')
+            rows.append((f'{what}, {variant}', *cells))
+    header = ('variant', 'cases', 'draft', 'vertical force', 'five frames', 'surface, mm')
+    return markdown.table(header, rows)
+
+
 def limits(path: str) -> str:
     """Returns, as Markdown, how far the ground truth is from the limit of fine cells."""
     rows = []

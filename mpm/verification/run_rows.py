@@ -53,10 +53,10 @@ def packed_soil(scene: scenes.Scene, raw_path: str) -> list[Check]:
     return [
         Check(f'{scene.name} soil: reaction of walls and floor over weight',
               found['reaction_over_weight'], 1.0, 0.01, 'm g'),
-        # Nodes balance forces, not particles: what lies on the floor's nodes carries 8 % more than
-        # its share, the cells above it so much less (2 %), and the sum is the weight (first row).
-        Check(stress, found['stress_over_rho_g_h'], 1.0, 0.03, f'{middle}, above the lowest cell'),
-        Check(stress, found['stress_at_floor_over_rho_g_h'], 1.0, 0.1,
+        Check(stress, found['stress_over_rho_g_h'], 1.0, 0.02, f'{middle}, above the lowest cell'),
+        # Nodes below the floor are held, so the grid has no linear field in the lowest cell: its
+        # particles state 9 % more than they carry. The floor's reaction is the weight (first row).
+        Check(stress, found['stress_at_floor_over_rho_g_h'], 1.0, 0.12,
               f'{middle}, in the lowest cell'),
     ]  # fmt: skip
 

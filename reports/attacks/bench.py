@@ -153,8 +153,7 @@ def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) ->
         seed: of the inputs.
         first: first number.
         last: one beyond the last number.
-        note: file that always holds `first last number-at-hand`, for whoever finds this process
-            dead.
+        note: file that always holds the number at hand, for whoever finds this process dead.
 
     Returns:
       `counts`: target -> outcome -> number; `failures`: list of dicts.
@@ -164,7 +163,7 @@ def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) ->
     with open(note, 'w', encoding='utf-8') as progress:
         for number in range(first, last):
             progress.seek(0)
-            progress.write(f'{first} {last} {number:12d}')
+            progress.write(f'{number:12d}')
             progress.flush()
             bench = made[number % len(made)]
             outcome, text = bench.run(seed, number)
@@ -172,6 +171,13 @@ def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) ->
             if outcome == 'failed':
                 failures.append({'target': bench.target.name, 'number': number, 'why': text})
     return {'counts': counts, 'failures': failures}
+
+
+def run_alone(names: list[str], seed: int, first: int, last: int, note: str) -> dict:
+    """`run_block` of some targets in a process that has nothing else to do."""
+    limit_memory()
+    with benches(names) as made:
+        return run_block(made, seed, first, last, note)
 
 
 def make_input(names: list[str], seed: int, number: int) -> tuple[str, bytes]:

@@ -20,8 +20,8 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
-from learning_to_simulate.export_c import c_library, exporting
-from learning_to_simulate.live import resting_start
+from learning_to_simulate.live import starts
+from learning_to_simulate.native import exporting, library
 from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
@@ -120,7 +120,7 @@ def _training(folder: str) -> loop.Training:
     return loop.Training(
         model=model, trainer=_CheapTrainer(model, groups), evaluator=None, valid=[],
         n_rigid=groups[0].n_rigid, data={'path': data, 'sha256': {}}, title='kills',
-        write_files=lambda path: resting_start.write(path, data, config.nodes),
+        write_files=lambda path: starts.write(path, data, config.nodes),
     )  # fmt: skip
 
 
@@ -130,11 +130,11 @@ def _train(folder: str) -> None:
 
 def _export(folder: str) -> None:
     if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
-        flags = [flag.replace('-O3', '-O0') for flag in c_library.FLAGS]
-        quick = functools.partial(c_library.compile_flat, flags=flags)
+        flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
+        quick = functools.partial(library.compile_flat, flags=flags)
         with (
             mock.patch.object(exporting.comparing, 'graph', return_value={'skipped': 'here'}),
-            mock.patch.object(c_library, 'compile_flat', quick),
+            mock.patch.object(library, 'compile_flat', quick),
         ):
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
 
@@ -151,7 +151,7 @@ def _save(path, count, seed):
     rng = np.random.default_rng(seed)
     nodes = rng.normal(size=(1, FRAMES, R + MODES, 3))
     group = types.SimpleNamespace(
-        position=nodes, force=rng.normal(size=(1, FRAMES, 3)), context=None,
+        position=nodes, force=rng.normal(size=(1, FRAMES, 3)), context=None, source=None,
         all_particles=lambda position, as_recorded=False: position,
         all_particle_types=lambda: np.zeros(R + MODES, np.int64),
     )  # fmt: skip

@@ -4,8 +4,7 @@ the same files.
 Named points are all moments before a file of the work folder is opened for writing, renamed,
 removed or made, as Python's audit events name them; beside them lie random moments. After every
 kill the task is given again, without one, and must end with the bytes of an undisturbed run. All
-runs are forks of one process, which has imported what they need. The same command goes on where it
-was stopped.
+runs are forks of one process, which has imported what they need.
 
 Examples:
     python -m reports kills --count=200 --output_path=docs
@@ -151,22 +150,21 @@ class Plan:
 
 
 def run(
-    rows: dict[str, dict], moments: dict[str, int], seed: int, points: int | None = None
-) -> Iterator[dict | None]:
+    moments: dict[str, int], seed: int, points: int | None = None
+) -> Iterator[tuple[str, int, str, str]]:
     """Kills tasks in turn, at their named points and at random moments.
 
     Args:
-        rows: task -> `points`, kills so far (`named`, `random`), `lost`; filled in place, so that a
-            run that was stopped goes on.
         moments: name of `kill_tasks.TASKS` -> kills at random moments.
         seed: of points and moments.
         points: named points of each task; None for every one.
 
     Yields:
-        after each kill what was lost; None for nothing.
+        after each kill: task, how many named points it has, the one or '' for a random moment, what
+        was lost or ''.
 
     Raises:
-        OSError: a task fails without a kill, or has other points than `rows` say.
+        OSError: a task fails without a kill.
     """
     from reports.attacks import kill_tasks  # here: all forks find it imported
 
@@ -181,37 +179,15 @@ def run(
         # What is there now is touched by no collection in a fork: no page of it is copied for one.
         gc.collect()
         gc.freeze()
-        plans = []
         for i, (name, count) in enumerate(moments.items()):
-            work = os.path.join(folder, str(i))
+            work, rng = os.path.join(folder, str(i)), random.Random(f'{name}:{seed}')
             os.mkdir(work)
             plan = Plan(name, kill_tasks.TASKS[name], base, work)
             n = len(plan.points)
-            row = rows.setdefault(name, {'points': n, 'named': 0, 'random': 0, 'lost': 0})
-            if row['points'] != n:
-                raise OSError(f'{name} has {n} points, and had {row["points"]}')
-            order = random.Random(f'{name}:{seed}').sample(
-                range(n), n if points is None else points
-            )
-            plans.append((plan, row, order, count))
-        while todo := [p for p in plans if p[1]['named'] < len(p[2]) or p[1]['random'] < p[3]]:
-            for plan, row, order, count in todo:
-                if row['named'] < len(order):
-                    yield _kill(plan, row, 'named', order[row['named']], seed)
-                if row['random'] < count:
-                    yield _kill(plan, row, 'random', None, seed)
-
-
-def _kill(plan, row, kind, point, seed):
-    """One kill: into its row; returns what was lost."""
-    rng = random.Random(f'{plan.name}:{seed}:{row[kind]}')
-    lost = plan.kill_at_random(rng) if point is None else plan.kill_at(point)
-    row[kind] += 1
-    if not lost:
-        return None
-    row['lost'] += 1
-    where = 'a random moment' if point is None else plan.points[point]
-    return {'task': plan.name, 'at': where, 'lost': lost}
+            for point in rng.sample(range(n), n if points is None else min(points, n)):
+                yield name, n, plan.points[point], plan.kill_at(point)
+            for _ in range(count):
+                yield name, n, '', plan.kill_at_random(rng)
 
 
 def table(path: str) -> str:
@@ -219,12 +195,16 @@ def table(path: str) -> str:
     return _table(files.read_json(path)['tasks'])
 
 
+_COLUMNS = {
+    'points': 'named points', 'named': 'kills there', 'random': 'kills at random moments',
+    'lost': 'something lost',
+}  # fmt: skip
+
+
 def _table(rows):
-    head = ('task', 'named points', 'kills there', 'kills at random moments', 'something lost')
-    sums = [sum(row[key] for row in rows.values()) for key in ('points', 'named', 'random', 'lost')]
-    return markdown.table(
-        head, [*([name, *row.values()] for name, row in rows.items()), ['**all**', *sums]]
-    )
+    cells = [[name, *(row[key] for key in _COLUMNS)] for name, row in rows.items()]
+    sums = [sum(row[key] for row in rows.values()) for key in _COLUMNS]
+    return markdown.table(('task', *_COLUMNS.values()), [*cells, ['**all**', *sums]])
 
 
 def define_flags() -> None:
@@ -243,20 +223,22 @@ def main(values, _) -> int:
     names = values.tasks or list(kill_tasks.TASKS)
     if unknown := set(names) - set(kill_tasks.TASKS):
         raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')
-    document: dict = {'tasks': {}, 'losses': []}
     path = values.output_path and os.path.join(values.output_path, 'kills.json')
     if path:
         os.makedirs(values.output_path, exist_ok=True)
-        identity = {'count': values.count, 'points': values.points, 'seed': values.seed}
-        document = record.resume(path, identity, document)
     share, more = divmod(values.count, len(names))
     moments = {name: share + (i < more) for i, name in enumerate(names)}
-    rows, losses = document['tasks'], document['losses']
-    head = record.provenance()
-    for lost in tqdm.tqdm(run(rows, moments, values.seed, values.points), unit='kill'):
-        losses += [lost] if lost else []
+    document: dict = {'tasks': {}, 'losses': []}
+    killed = run(moments, values.seed, values.points)
+    for name, count, point, lost in tqdm.tqdm(killed, unit='kill'):
+        row = document['tasks'].setdefault(name, dict.fromkeys(_COLUMNS, 0) | {'points': count})
+        row['named' if point else 'random'] += 1
+        row['lost'] += bool(lost)
+        if lost:
+            at = point or 'a random moment'
+            document['losses'].append({'task': name, 'at': at, 'lost': lost})
         if path:
-            files.write_json(path, document | head)
+            files.write_json(path, document | record.provenance())
     print(_table(document['tasks']))
     for loss in document['losses'][:20]:
         print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')

@@ -4,8 +4,7 @@ A reader may refuse (ValueError or OSError with the name of the file in its mess
 value: the original one, or, where the files carry no checksum, one that some valid file could hold.
 Everything else is a failure: another exception, a crash of the process, more than 10 s, more than
 1 GB of memory, a damaged file that passes. Inputs are functions of (seed, number); those that fail
-are kept in `<output_path>/fuzz_failures/`. The same command goes on where it was stopped, and runs
-those parts again in which an input failed.
+are kept in `<output_path>/fuzz_failures/`.
 
 Examples:
     python -m reports fuzz --count=1000000 --seed=0 --num_processes=8 --output_path=docs
@@ -13,15 +12,17 @@ Examples:
     python -m reports fuzz --count=2000 --targets=subspace.npz --output_path=/tmp/fuzz
 """
 
+import concurrent.futures
+import functools
 import os
+import tempfile
 import time
-from collections.abc import Iterator
 
 import tqdm
 from absl import flags
 
 from pca_tools import files
-from reports import command, markdown, record
+from reports import command, isolated, markdown, record
 
 COLUMNS = {
     'refused': 'refused',
@@ -29,44 +30,52 @@ COLUMNS = {
     'possible': 'read as another valid file',
     'failed': 'failures',
 }
-_PART = 5000  # inputs between two saves
+_PART = 5000  # inputs of a process
+_LIMIT_S = 10 * _PART  # of a part: an input may take 10 s of CPU
 
 
-def missing(parts: list[dict], count: int) -> Iterator[tuple[int, int]]:
-    """(first, one beyond the last) input of what is to be run, in pieces that are saved one by one.
+def run_part(names: list[str], seed: int, part: tuple[int, int]) -> dict:
+    """Runs inputs `part` in processes of their own; one that dies is a failure of its input.
 
     Args:
-        parts: what was run; see `joined`. One in which an input failed is to be run again.
-        count: inputs in all.
+        names: of the targets.
+        seed: of the inputs.
+        part: first number, and one beyond the last.
+
+    Returns:
+        `first`, `last`, `seconds`; `counts`: target -> outcome -> number; `failures`: list of
+        target, number and reason.
     """
-    whole = sorted((p['first'], p['last']) for p in parts if not p['failures'])
-    at = 0
-    for first, last in (*whole, (count, count)):
-        for start in range(at, min(first, count), _PART):
-            yield start, min(start + _PART, first, count)
-        at = max(at, last)
+    from reports.attacks import bench
 
-
-def joined(parts: list[dict], new: dict) -> list[dict]:
-    """Parts with another one, in order: `first`, `last`, `commit`, `seconds`, `counts`, `failures`.
-
-    Neighbours of one commit without failures become one. What `new` was run again for goes.
-    """
-    kept = [p for p in parts if p['last'] <= new['first'] or p['first'] >= new['last']]
-    result: list[dict] = []
-    for part in sorted([*kept, new], key=lambda p: p['first']):
-        before = result[-1] if result else None
-        if (
-            before
-            and (before['last'], before['commit']) == (part['first'], part['commit'])
-            and not before['failures'] + part['failures']
-        ):
-            seconds = before['seconds'] + part['seconds']
-            counts = _sum([before['counts'], part['counts']])
-            result[-1] = before | {'last': part['last'], 'seconds': seconds, 'counts': counts}
-        else:
-            result.append(part)
-    return result
+    start, found = time.monotonic(), []
+    with tempfile.TemporaryDirectory() as folder:
+        note, todo = os.path.join(folder, 'note'), [part]
+        while todo:
+            first, last = todo.pop()
+            try:
+                found.append(
+                    isolated.call(bench.run_alone, names, seed, first, last, note, limit_s=_LIMIT_S)
+                )
+            except (RuntimeError, TimeoutError) as error:
+                if not os.path.exists(note):
+                    raise OSError(f'a fuzzing process ended before any input: {error}') from error
+                with open(note, encoding='utf-8') as file:
+                    number = int(file.read())
+                os.remove(note)
+                # What was counted before it in this process is lost: it is run again.
+                todo += [p for p in ((first, number), (number + 1, last)) if p[0] < p[1]]
+                name = bench.dealt(names, number).name
+                died = {n: dict.fromkeys(COLUMNS, 0) | {'failed': int(n == name)} for n in names}
+                failure = {'target': name, 'number': number, 'why': f'the process died: {error}'}
+                found.append({'counts': died, 'failures': [failure]})
+    return {
+        'first': part[0],
+        'last': part[1],
+        'seconds': round(time.monotonic() - start),
+        'counts': _sum([one['counts'] for one in found]),
+        'failures': [failure for one in found for failure in one['failures']],
+    }
 
 
 def _sum(counts):
@@ -87,8 +96,7 @@ def save_failures(path: str, failures: list[dict], names: list[str], seed: int) 
         os.makedirs(folder, exist_ok=True)
         with open(os.path.join(folder, name), 'wb') as file:
             file.write(data)
-        with open(os.path.join(folder, 'why.txt'), 'w', encoding='utf-8') as file:
-            file.write(f'{failure["target"]}\n{failure["why"]}\n')
+        files.write_text(os.path.join(folder, 'why.txt'), f'{failure["target"]}\n{failure["why"]}')
 
 
 def table(path: str) -> str:
@@ -115,43 +123,31 @@ def define_flags() -> None:
     flags.DEFINE_integer('count', 10_000, 'Inputs in all, dealt to the readers in turn.', 1)
     flags.DEFINE_integer('seed', 0, 'Seed of the inputs.')
     flags.DEFINE_integer('num_processes', 1, 'Processes.', 1)
-    flags.DEFINE_float('minutes', None, 'Begin no further part after so many; default: run all.')
     flags.DEFINE_list('targets', None, 'Names of readers as in the table; default: all.')
     flags.DEFINE_string('output_path', None, 'Folder for fuzz.json and failing inputs.')
 
 
 def main(values, _) -> int:
     """Runs the command; exit code 1 if an input failed."""
-    from reports.attacks.pool import Pool
     from reports.attacks.targets import TARGETS
 
     known = [target.name for target in TARGETS]
     names = [name for name in known if values.targets is None or name in values.targets]
     if unknown := set(values.targets or ()) - set(known):
         raise ValueError(f'no readers named {sorted(unknown)}; there are {known}')
-    path = values.output_path
-    document: dict = {'parts': []}
+    path, parts, head = values.output_path, [], record.provenance()
     if path:
         os.makedirs(path, exist_ok=True)
-        identity = {'seed': values.seed, 'readers': names}
-        document = record.resume(f'{path}/fuzz.json', identity, document)
-    parts = document['parts']
-    todo = list(missing(parts, values.count))
-    end = time.monotonic() + 60.0 * (values.minutes or float('inf'))
-    with (
-        Pool(names, values.seed, values.num_processes) as pool,
-        tqdm.tqdm(total=sum(b - a for a, b in todo), unit='input', disable=None) as bar,
-    ):
-        for first, last in todo:
-            if time.monotonic() > end:
-                break
-            head, start = record.provenance(), time.monotonic()
-            part = {'first': first, 'last': last, 'commit': head['commit']}
-            part |= pool.run(first, last, bar.update)
-            part['seconds'] = round(time.monotonic() - start)
-            parts = joined(parts, part)
+    run = functools.partial(run_part, names, values.seed)
+    starts = range(0, values.count, _PART)
+    pieces = [(start, min(start + _PART, values.count)) for start in starts]
+    with concurrent.futures.ThreadPoolExecutor(values.num_processes) as threads:
+        done = threads.map(run, pieces)
+        for part in tqdm.tqdm(done, total=len(pieces), unit='part', disable=None):
+            parts.append(part)
             if path:
-                files.write_json(f'{path}/fuzz.json', document | head | {'parts': parts})
+                document = head | {'seed': values.seed, 'readers': names, 'parts': parts}
+                files.write_json(f'{path}/fuzz.json', document)
                 save_failures(f'{path}/fuzz_failures', part['failures'], names, values.seed)
     print(_table(parts))
     failures = [failure for part in parts for failure in part['failures']]

@@ -1,24 +1,38 @@
-"""The readers that are fuzzed: a small valid folder for each, and what may come out of it."""
+"""The readers that are fuzzed: a small valid folder for each, and what may come out of it.
+
+Whole models build what a forged `config.json` asks for, so they show what it costs: tens of
+milliseconds an input, hence their small share.
+"""
 
 import base64
 import dataclasses
+import enum
 import hashlib
 import json
 import os
+from collections.abc import Callable
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+import tensorflow as tf
 
+from learning_to_simulate import checkpoints
+from learning_to_simulate.config import TrainConfig
+from learning_to_simulate.native import fmu, model_data
+from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.subspace import edge_lists
+from learning_to_simulate.subspace import edge_lists, subspace_model
+from learning_to_simulate.subspace.learned_simulator import LearnedSimulator
 from learning_to_simulate.training import training_state
 from mpm import raw_run
 from nri import data as nri_data
-from pca_tools import dataset, files, legacy_pickles, raw_runs, subspace
+from nri import model as nri_model
+from nri.config import NriConfig
+from pca_tools import dataset, files, legacy_pickles, packing, particles, raw_runs, subspace
+from pca_tools.formats import detect, full_space
 from pca_tools.storage import folder_lock
-from reports.attacks.import_targets import IMPORT_TARGETS
-from reports.attacks.model_targets import MODEL_TARGETS
-from reports.attacks.target import Promise, Target
 
 R, MODES, FRAMES, N_SOIL = 2, 2, 9, 6
 # numpy.array([3.0, 2.0, 1.0]) in the form of the authors' files, pickle protocol 3.
@@ -27,6 +41,47 @@ _PICKLE = (
     'cQOHcQRScQUoSwFLA4VxBmNudW1weQpkdHlwZQpxB1gCAAAAZjhxCImIh3EJUnEKKEsDWAEAAAA8cQtOTk5K////'
     '/0r/////SwB0cQxiiUMYAAAAAAAACEAAAAAAAAAAQAAAAAAAAPA/cQ10cQ5iLg=='
 )
+_IMPORT_FRAMES = 5
+
+
+class Promise(enum.Enum):
+    """What a reader owes its caller when the file was changed.
+
+    SEALED: digests cover the files; a value that is returned equals the original one.
+    CHECKSUM: so for damaged bytes, which a checksum finds; where the content was forged together
+      with its checksum, a value that is returned is a possible one.
+    OPEN: there is no checksum; a value that is returned is a possible one.
+    """
+
+    SEALED = 'sealed'
+    CHECKSUM = 'checksum'
+    OPEN = 'open'
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A reader under test.
+
+    Attributes:
+      name: for the table.
+      promise: see `Promise`.
+      write: makes the valid files in a folder.
+      changed: names of the files that are damaged, in turn.
+      read: reads the folder.
+      possible: whether a value could be that of some valid file, judged apart from the reader.
+      parts: splits a value into parts; of a CHECKSUM file without a list of its parts, damage may
+        lose or repeat whole ones.
+      share: turns in each round of inputs; fewer for a reader that costs many times the others.
+    """
+
+    name: str
+    promise: Promise
+    write: Callable[[str], None]
+    changed: tuple[str, ...]
+    read: Callable[[str], Any]
+    possible: Callable[[Any], bool] = lambda value: True
+    parts: Callable[[Any], list] = lambda value: [value]
+    share: int = 16
 
 
 def _rng():
@@ -149,11 +204,11 @@ def _write_rollout(folder):
 
 
 def _possible_rollout(frames):
-    arrays = [*frames.scores.values(), *frames.rigid.values(), *(frames.force or {}).values()]
+    arrays = [*frames.rigid.values(), *(frames.force or {}).values()]
     return (
         all(np.isfinite(a).all() and len(a) == frames.n_frames for a in arrays)
+        and all(np.isfinite(a).all() for a in [*frames.soil.values(), *frames.soil_rms_mm.values()])
         and np.isfinite(frames.time).all()
-        and all(np.isfinite(v).all() for v in frames.soil_rms_mm.values())
         and isinstance(frames.title, str)
     )
 
@@ -166,7 +221,8 @@ def _write_raw(folder):
         files.write_npz(
             f'{folder}/{name}', positions=rng.random((4, N_SOIL, 3), np.float32),
             rigid_positions=rng.random((4, R, 3), np.float32),
-            force=rng.random((4, 3), np.float32), parameters=np.array(json.dumps(parameters)),
+            force=rng.random((4, 3), np.float32), torque=rng.random((4, 3), np.float32),
+            pose=np.eye(7, dtype=np.float32)[[3] * 4], parameters=np.array(json.dumps(parameters)),
         )  # fmt: skip
         path = f'{folder}/{name}'
         entries.append({
@@ -254,6 +310,231 @@ def _take_lock(folder):
     with folder_lock.locked(folder, take_over=True):
         return 'taken'
 
+
+def _data() -> full_space.FullSpaceData:
+    """Two small runs with a body, a force and a context."""
+    rng = np.random.default_rng(0)
+    types = np.array([3, 6, 6, 6])
+
+    def runs():
+        for number, split in enumerate(('train', 'test')):
+            positions = rng.uniform(0.2, 0.8, (_IMPORT_FRAMES, 4, 3)).astype(np.float32)
+            force = rng.normal(size=(_IMPORT_FRAMES, 3)).astype(np.float32)
+            yield full_space.FullSpaceRun(f'{split}_{number}', split, positions, types, force)
+
+    held = list(runs())
+    return full_space.FullSpaceData(
+        'here', lambda: iter(held), 0.1, bounds=[[0.0, 1.0]] * 3, up_axis=1, radius=0.1
+    )
+
+
+def _writer(name: str) -> Callable[[str], None]:
+    return lambda folder: detect.FORMATS[name].write(folder, _data())
+
+
+def _reader(name: str) -> Callable[[str], list]:
+    def read(folder: str) -> list:
+        data = detect.FORMATS[name].read(folder, full_space.ReadOptions(dt=0.1))
+        return [(run.positions, run.particle_type, run.force, run.context) for run in data.runs()]
+
+    return read
+
+
+def _possible_runs(runs: list) -> bool:
+    """Shapes that fit each other; values are the business of `write_raw`."""
+    return all(
+        positions.ndim == 3
+        and positions.shape[2] in (2, 3)
+        and positions.dtype.kind in 'fiu'
+        and types.shape == positions.shape[1:2]
+        and (force is None or len(force) == len(positions))
+        for positions, types, force, _ in runs
+    )
+
+
+def _write_sample(folder: str) -> None:
+    positions = np.random.default_rng(0).uniform(0.0, 1.0, (_IMPORT_FRAMES, 4, 3))
+    packed = [(packing.pack_steps(positions, positions[0], particles.RESOLUTION), _IMPORT_FRAMES)]
+    particles.write_sample(
+        os.path.join(folder, 'particles_train.npz'), packed, np.arange(4), positions[0]
+    )
+
+
+def _read_sample(folder: str) -> list:
+    return list(particles.ParticleSample(os.path.join(folder, 'particles_train.npz')))
+
+
+def _possible_sample(runs: list) -> bool:
+    return all(run.ndim == 3 and run.dtype == np.float64 for run in runs)
+
+
+# MPM-NGF and VTP keep folders of files, the bench single ones.
+_CHANGED = {
+    'deepmind': ('train.tfrecord', 'metadata.json'),
+    'geoelements': ('train.npz', 'metadata.json'),
+    'lagrangebench': ('train.h5', 'metadata.json'),
+    'npz': ('train_0.npz',),
+}
+
+IMPORT_TARGETS = (
+    *(
+        Target(f'import {name}', Promise.OPEN, _writer(name), files, _reader(name), _possible_runs,
+               share={'deepmind': 2, 'npz': 4}.get(name, Target.share))
+        for name, files in _CHANGED.items()
+    ),
+    Target('particle sample', Promise.CHECKSUM, _write_sample, ('particles_train.npz',),
+           _read_sample, _possible_sample),
+)  # fmt: skip
+
+
+WEIGHT_SHAPES = {'000.layer/w': (3, 4), '001.layer/b': (4,)}
+_SCENE = Scene(
+    'fuzz', MODES, RigidMotion.DRIVEN, ((0, 1), (1, 0)), True, ('gravity',), 6, 0.0166
+)  # fmt: skip
+_MASK = np.array([[1, 0], [1, 1]], bool)
+
+
+def _statistics() -> Statistics:
+    """Of a model of our style with a driven body, all parts present."""
+    classes = MODES + 1
+    pair, axes = (classes, classes, 3), (3,)
+    shapes = {
+        'displacement_mean': pair, 'displacement_std': pair, 'force_mean': axes, 'force_std': axes,
+        'position_range': (2, classes, 3), 'given_range': (2, 3), 'body_extent_range': (2, 3),
+        'given_velocity_range': (2, 3),
+        'body_speed_range': (2, 1), 'context_range': (2, 1),
+    }  # fmt: skip
+    ones = ('height', 'body_speed', 'context', 'log')
+    arrays = {}
+    for field in dataclasses.fields(Statistics):
+        default = (1,) if field.name.startswith(ones) else (classes, 3)
+        arrays[field.name] = np.full(shapes.get(field.name, default), 0.25)
+    # Neither an input nor a share of a driven body's; and no C form has a torque.
+    arrays |= dict.fromkeys(('path', 'contact', 'surface', 'torque_mean', 'torque_std'))
+    return Statistics(**arrays)
+
+
+def _write_model(folder: str) -> None:
+    config = TrainConfig('pcg', latent_size=4, hidden_layers=1)
+    simulator = LearnedSimulator(_SCENE, config, _statistics())
+    model = subspace_model.Model(simulator, _MASK, None)
+    tf.random.set_seed(0)
+    model.create_variables(R)
+    checkpoints.save_config(folder, model, R, {'path': 'x', 'sha256': {}})
+    checkpoints.save_weights(folder, simulator)
+
+
+def _read_model(folder: str):
+    model = subspace_model.load(folder)
+    simulator = model.simulator
+    weights = [variable.numpy() for variable in simulator.trainable_variables]
+    return simulator.config, simulator.scene, model.edge_counts(), weights
+
+
+def _possible_model(value) -> bool:
+    config, scene, _, weights = value
+    widths = {width for weight in weights for width in weight.shape}
+    return (
+        all(np.isfinite(weight).all() for weight in weights)
+        and config.latent_size in widths
+        and scene.n_modes == MODES
+    )
+
+
+def _write_nri(folder: str) -> None:
+    config = NriConfig(hidden=4, window=6, segment=2, factor_graph=False)
+    offset = np.zeros((1, 4))
+    nri_model.NriModel(config, ('a', 'b', 'c'), offset, offset + 1.0, 'digest').save(folder)
+
+
+def _read_nri(folder: str):
+    model = nri_model.load_model(folder)
+    # What a window of zeros says about the edges: the numbers of the file are used, too.
+    shape = (1, len(model.node_names), model.config.window, model.offset.shape[1])
+    frames = np.zeros(shape, np.float32)
+    return model.config, model.node_names, model.encode(frames, is_training=False).numpy()
+
+
+def _possible_nri(value) -> bool:
+    config, names, logits = value
+    return logits.shape == (1, len(names) * (len(names) - 1), config.edge_types)
+
+
+def _read_config(folder: str):
+    return subspace_model.parse(checkpoints.read_config(folder), f'{folder}/config.json')
+
+
+def _possible_config(parts) -> bool:
+    masks = [m for m in (parts.mode_mask, parts.loaded_mask) if m is not None]
+    arrays = [a for a in dataclasses.asdict(parts.statistics).values() if a is not None]
+    small = parts.config.latent_size <= 4096 and parts.n_rigid <= 1000
+    return small and all(np.isfinite(a).all() for a in arrays) and all(map(_possible_mask, masks))
+
+
+def _write_weights(folder: str) -> None:
+    rng = np.random.default_rng(0)
+    arrays = {name: rng.random(shape, np.float32) for name, shape in WEIGHT_SHAPES.items()}
+    files.write_npz(f'{folder}/{checkpoints.WEIGHTS_FILE}', **arrays)
+
+
+def _possible_weights(weights) -> bool:
+    return {n: w.shape for n, w in weights.items()} == WEIGHT_SHAPES and all(
+        np.isfinite(w).all() for w in weights.values()
+    )
+
+
+def _describe(folder: str):
+    """The FMU's description of a model folder, with its names as an importing tool reads them."""
+    parts = _read_config(folder)
+    rest = np.zeros((R, 3))
+    start = {'modes': rest, 'points': rest, 'context': np.ones(len(parts.scene.context_names))}
+    try:
+        text = fmu.description('soil', _values(parts.scene, start), ['lts.c'])
+    except ValueError as error:  # the description is made of values: it knows no file
+        raise ValueError(f'{folder}/config.json: {error}') from error
+    return parts.scene, text
+
+
+def _values(scene: Scene, start: dict) -> dict:
+    """The part of `model_data.values` that a description needs; weights are not."""
+    return {
+        'name': scene.name,
+        'context_names': ','.join(scene.context_names),
+        'n_context': len(scene.context_names),
+        'motion': model_data.motion_of(scene),
+        'dt': scene.dt,
+        'digest': '0' * 64,
+        'n_start': 1,
+        'starts': [start],
+    }
+
+
+def _possible_description(value) -> bool:
+    """It parses, says what the scene says, and no two variables have one name."""
+    scene, text = value
+    root = ElementTree.fromstring(text)
+    names = [v.get('name') for v in root.iter('ScalarVariable')]
+    step = root.find('DefaultExperiment').get('stepSize')
+    return (
+        len(set(names)) == len(names)
+        and set(scene.context_names) <= set(names)
+        and float(step) == scene.dt
+        and root.get('description').endswith(scene.name)
+    )
+
+
+MODEL_TARGETS = (
+    Target('model config.json', Promise.OPEN, _write_model, ('config.json',), _read_config,
+           _possible_config),
+    Target('model weights.npz', Promise.CHECKSUM, _write_weights, ('weights.npz',),
+           lambda folder: checkpoints.read_weights(folder, WEIGHT_SHAPES), _possible_weights),
+    Target('load_model', Promise.OPEN, _write_model, ('config.json', 'weights.npz'), _read_model,
+           _possible_model, share=1),
+    Target('load_model of NRI', Promise.OPEN, _write_nri, ('config.json', 'weights.npz'),
+           _read_nri, _possible_nri, share=1),
+    Target('FMU description', Promise.OPEN, _write_model, ('config.json',), _describe,
+           _possible_description),
+)  # fmt: skip
 
 TARGETS = (
     Target('dataset with manifest', Promise.SEALED, _write_sealed_dataset,

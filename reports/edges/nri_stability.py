@@ -14,8 +14,9 @@ import os
 import numpy as np
 from absl import flags
 
-from learning_to_simulate.subspace import edge_lists, edge_picture
+from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
+from nri import edge_picture
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
 from pca_tools import files, workers

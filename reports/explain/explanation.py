@@ -1,4 +1,4 @@
-"""What the rollout of a model leaves out for its scene: the items of `explain`, measured."""
+"""What a model leaves out for its scene, in TensorFlow and in C: the items of `explain`."""
 
 import dataclasses
 from functools import partial
@@ -6,9 +6,7 @@ from functools import partial
 import numpy as np
 
 from learning_to_simulate import connectivity_utils, reading_utils, registry
-from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
+from learning_to_simulate.native import network_data
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import method
@@ -25,7 +23,7 @@ class Item:
     Attributes:
       name: what it is.
       edges: that exist without it, on top.
-      mflop: per step, within the loop.
+      mflop: per step.
       weights: trained numbers.
       variants: names of the rollouts without and with it, or None if it cannot be switched alone.
       us_per_step: time that it saves, or None.
@@ -63,12 +61,11 @@ class Explanation:
         group = groups[0].select(0)
         self.layout = layout = model.layout(group.n_rigid)
         inputs = self._add('all', model, group, layout)
-        self.mflop, self.mflop_ahead = product_count.specialised_frame(simulator, layout, inputs)
+        self.mflop = product_count.plain_frame(simulator, layout, *inputs[:3])
         self.items = [
             *self._edges(model, group),
             *self._rigid_particles(model, data_path, metadata, group),
             *self._modes(model, data_path, metadata, group),
-            *self._rewrites(model, group, inputs),
             *self._folded(),
             *self._absent(),
         ]
@@ -78,10 +75,9 @@ class Explanation:
         """Trained numbers of the model."""
         return _weights(self._simulator)
 
-    def _add(self, name, model, group, layout, kind=FoldedStep, **options):
+    def _add(self, name, model, group, layout):
         """Makes a variant to be timed; returns its inputs."""
-        make_step = partial(kind, **options)
-        function = RolloutFunction(model.simulator, layout, make_step=make_step)
+        function = RolloutFunction(model.simulator, layout)
         inputs = rollout_inputs(group, layout, model.simulator.scene)
         self._calls[name] = (function, inputs)
         return inputs
@@ -89,7 +85,7 @@ class Explanation:
     def _on_top(self, name, variant, model, group, layout):
         """An item that is switched off by another graph."""
         inputs = self._add(variant, model, group, layout)
-        mflop, _ = product_count.specialised_frame(model.simulator, layout, inputs)
+        mflop = product_count.plain_frame(model.simulator, layout, *inputs[:3])
         return Item(
             name,
             layout.n_edge - self.layout.n_edge,
@@ -137,32 +133,16 @@ class Explanation:
         layout = more.layout(whole.n_rigid)
         yield self._on_top(f'modes that are no nodes ({left_out})', 'modes', more, whole, layout)
 
-    def _rewrites(self, model, group, inputs):
-        """What is computed elsewhere or in another form, with the same result."""
-        s, layout = model.simulator, self.layout
-        self._add('nothing ahead', model, group, layout, ahead=False)
-        self._add('gathers', model, group, layout, dense=False)
-        self._add('plain', model, group, layout, PlainStep)
-        in_loop, _ = product_count.specialised_frame(s, layout, inputs, ahead=False)
-        name = f'what is known ahead ({self.mflop_ahead:.3g} MFLOP a step before the loop)'
-        yield Item(name, 0, in_loop - self.mflop, 0, ('nothing ahead', 'all'))
-        yield Item('gathers where a block holds all pairs', 0, 0.0, 0, ('gathers', 'all'))
-        plain = product_count.plain_frame(s, layout, *inputs[:3])
-        yield Item(
-            'plain form of a step, folded: together', 0, plain - in_loop, 0,
-            ('plain', 'nothing ahead'),
-        )  # fmt: skip
-
     def _folded(self):
-        """Parts of the folded step, by the shapes of the layers; work per element where marked."""
+        """What the C form folds away besides, by the shapes of the layers."""
         s, layout = self._simulator, self.layout
         width, steps = s.config.latent_size, s.config.message_passing_steps
         n_node, n_edge, n_rigid = layout.n_node, layout.n_edge, layout.n_rigid
-        network = FoldedSimulator(s, layout)._network
         senders, receivers = len(set(layout.senders)), len(set(layout.receivers))
         per_node = 2 * width**2 * (2 * n_edge - senders - receivers) * steps
         yield Item('. ends of an edge per edge, not per node', 0, per_node / 1e6, 0)
-        unused = sum(n_edge - sum(len(b.edges) for b in blocks) for blocks in network.blocks)
+        steps_of_c = network_data.values(s, layout)['steps']
+        unused = sum(n_edge - step['n_edge'] for step in steps_of_c)
         if unused:
             yield Item('. edges that reach no output, of all steps', unused)
         rows = (n_node + n_edge) * (1 + steps)
@@ -211,7 +191,6 @@ class Explanation:
             'edges': self.layout.n_edge,
             'weights': self.n_weight,
             'mflop_per_step': self.mflop,
-            'mflop_ahead_per_step': self.mflop_ahead,
             'us_per_step': float(np.median(us['all'])),
             'us_per_step_of_variants': {name: samples.tolist() for name, samples in us.items()},
             'items': [dataclasses.asdict(item) for item in self.items],

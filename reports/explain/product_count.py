@@ -7,8 +7,6 @@ element by element, which is small beside the products.
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.compiled.folded_step import FoldedStep, given_motion
-
 _TRANSPOSED = {'MatMul': 'transpose_a', 'BatchMatMulV2': 'adj_x'}
 
 
@@ -48,27 +46,3 @@ def plain_frame(simulator, layout, state, known, context) -> float:
     """
     coming = None if known is None else known.at(0)
     return mflop(lambda *x: simulator.step(*x, layout), state, coming, context)
-
-
-def specialised_frame(simulator, layout, inputs, ahead: bool = True) -> tuple[float, float]:
-    """MFLOP of a frame of `FoldedStep`: within the loop, and before it.
-
-    Args:
-      simulator, layout: of the model.
-      inputs: of `rollout.rollout_inputs`.
-      ahead: of `FoldedStep`.
-    """
-    state, known, context, n_frame = inputs
-    step = FoldedStep(simulator, layout, rigid_correction=False, ahead=ahead)
-    before = 0.0
-    if ahead:
-        given = given_motion(simulator, layout, state, known, n_frame)
-        run = (None, None) if known is None else (known.path, known.start)
-
-        def first(given, context, path, start):
-            return step.first_pass(given, context, n_frame, path, start)
-
-        before = mflop(first, given, context, *run) / n_frame
-    one, now = step.ahead(state, known, context, n_frame)(0)
-    frame = mflop(lambda now, carry: step.advance(carry, (one, now)), now, step.begin(state))
-    return frame, before

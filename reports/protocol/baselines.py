@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from learning_to_simulate import reading_utils
-from learning_to_simulate.methods import open_loop, open_loop_method, open_loop_settings
+from learning_to_simulate.baselines import method as method_lib
+from learning_to_simulate.baselines import open_loop, settings
 from reports.protocol import rollouts
 from reports.protocol.run_errors import RunPrediction
 from reports.protocol.truth import TruthReader
@@ -73,11 +74,11 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
     train, valid = (reading_utils.read_groups(folder, n, metadata) for n in ('train', 'valid'))
     scene = reading_utils.read_scene(folder, metadata, train, None)
     found = trivial(reader)
-    for preset, config in open_loop_settings.PRESETS.items():
+    for preset, config in settings.PRESETS.items():
         if config.leave_one_out:  # trains on valid, which chooses here
             continue
         try:
-            method = open_loop_method.fit(config, folder, metadata, train, valid, scene)
+            method = method_lib.fit(config, folder, metadata, train, valid, scene)
         except ValueError as error:  # a blade's formula has no wheel, and so on
             print(f'  no {preset}: {error}', flush=True)
             continue
@@ -104,7 +105,7 @@ def predictions(baseline: Baseline, reader: TruthReader, split: str) -> list[Run
     scene = reading_utils.read_scene(reader.folder, metadata, groups, None)
     found = {}
     for group in groups:
-        cases = open_loop_method.cases_of(group, split, metadata)
+        cases = method_lib.cases_of(group, split, metadata)
         prediction = baseline.predict(group, cases)
         for run, record in enumerate(group.record):
             found[int(record)] = rollouts.from_open_loop(prediction, group, run, scene)

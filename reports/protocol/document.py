@@ -6,9 +6,10 @@ import os
 import numpy as np
 import tqdm
 
+from learning_to_simulate.soil_truth import PARTICLES
 from pca_tools import dataset, files, workers
 from reports import record
-from reports.protocol import curve, reliability, rollouts, run_errors
+from reports.protocol import curve, rollouts, run_errors
 from reports.protocol.truth import TruthReader
 
 SPLITS = ('valid', 'test')
@@ -34,15 +35,10 @@ def data_facts(reader: TruthReader, truths: dict) -> dict:
 
 
 def _truth_in_words(truth):
-    count, frames = truth.particles.shape[1], np.unique(np.diff(truth.frames)).tolist()
-    text = f'{count} particles in every {frames[0]}. frame' if frames != [1] else (
-        f'{count} particles in every frame'
-    )  # fmt: skip
-    if truth.source == 'decoded':
-        text += (
-            ', decoded from the modes; what the modes cut off is added to errors of whole runs, '
-            'horizons are within the modes'
-        )
+    count, frames = len(truth.soil.indices), np.unique(np.diff(truth.soil.frames)).tolist()
+    text = f'{count} particles in every {"" if frames == [1] else f"{frames[0]}. "}frame'
+    if truth.soil.space != PARTICLES:
+        text += ', decoded from the modes; what the modes cut off is added to errors of whole runs'
     return text
 
 
@@ -75,7 +71,7 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
 
     Returns:
       `data`, `runs` (split -> facts of each run) and `methods` with the errors of every run in
-      place of the predictions, and `reliability` of each quantity.
+      place of the predictions.
     """
     judged = [
         {k: m[k] for k in ('name', 'baseline', 'about')}
@@ -90,24 +86,15 @@ def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
     ]
     runs: dict[str, list] = {split: [] for split in SPLITS}
     first: dict[str, list] = {}
-    signs: list[dict] = [{} for _ in methods]
     for split in SPLITS:
-        indices = reader.indices(split)
-        for truth in progress(reader.read(split)):
+        for truth in progress(reader.runs(split)):
             first.setdefault(split, [truth])
             runs[split].append(run_facts(truth))
-            for method, out, told in zip(methods, judged, signs, strict=True):
-                predicted = [s['predictions'][split][truth.record] for s in method['seeds']]
-                found = reliability.run_signs(predicted, truth, reader, indices)
-                for quantity, run in found.items():
-                    told.setdefault(quantity, {n: [] for n in SPLITS})[split].append(run)
+            for method, out in zip(methods, judged, strict=True):
                 for seed, row in zip(method['seeds'], out['seeds'], strict=True):
                     prediction = seed['predictions'][split][truth.record]
-                    errors = run_errors.run_errors(prediction, truth, reader, indices)
+                    errors = run_errors.run_errors(prediction, truth)
                     row['runs'][split].append(clean(errors))
-    for out, told in zip(judged, signs, strict=True):
-        known = {quantity: reliability.judged(of, quantity) for quantity, of in told.items()}
-        out['reliability'] = {quantity: one for quantity, one in known.items() if one}
     return {'data': data_facts(reader, first), 'runs': runs, 'methods': judged}
 
 

@@ -15,6 +15,7 @@ QUIET_MM = 1.0
 QUANTITIES = {
     'soil_mm': 'soil, mm',
     'force_l2': 'force, relative L2',
+    'drawbar_l2': 'force along the way, relative L2',
     'height_mm': "body's height, mm",
     'torque_l2': 'torque, relative L2',
     'pitch_l2': 'torque in the plane of travel, relative L2',
@@ -166,31 +167,3 @@ def _with_seeds(rows):
     for key in ('wins', 'ratio'):
         result[key] = {name: over_seeds([r[key][name] for r in rows]) for name in rows[0][key]}
     return result
-
-
-def horizons(document: dict, split: str, method: dict) -> dict:
-    """Median over moving runs of the error at each horizon, mean and range over seeds, mm; how many
-    runs pass the spacing of the particles, and when the first of them does, s (smallest seed)."""
-    runs = document['runs'][split]
-    judged = [i for i, run in enumerate(runs) if run['motion_mm'] >= QUIET_MM]
-    seeds = [[seed['runs'][split][i] for i in judged] for seed in method['seeds']]
-    if not judged or 'horizons_mm' not in seeds[0][0]:
-        return {}
-    names = seeds[0][0]['horizons_mm']
-    medians = {
-        name: over_seeds([_median([r['horizons_mm'][name] for r in seed]) for seed in seeds])
-        for name in names
-    }
-    times = [[r['seconds_to_spacing'] for r in seed] for seed in seeds]
-    passed = [[t for t in seed if t is not None] for seed in times]
-    first = [min(seed) for seed in passed if seed]
-    return {
-        'median_mm': medians,
-        'runs_beyond_spacing': over_seeds([len(seed) for seed in passed]),
-        'first_beyond_spacing_s': min(first) if first else None,
-    }
-
-
-def _median(values):
-    values = [math.inf if v is None or math.isnan(v) else v for v in values]
-    return _known(float(np.median(values)))

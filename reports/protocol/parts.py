@@ -98,8 +98,8 @@ def joined(documents: list[dict]) -> dict:
       documents: of the folds, without what `tables.complete` adds; the same methods in each.
 
     Returns:
-      one of them with the runs of all. What was fitted (`about`) and told (`reliability`) differs
-      between folds and is left out.
+      one of them with the runs of all. What was fitted (`about`) differs between folds and is
+      left out.
     """
     first = documents[0]
     methods = []

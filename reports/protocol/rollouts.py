@@ -154,9 +154,10 @@ def _prediction(path, metadata):
         raise ValueError(f'{path}: lacks {sorted(lacking)}')
     nodes = arrays['predicted_rollout'].astype(np.float64)
     soil = arrays['particle_types'] == dataset.MODE_PARTICLE_ID
-    particles = modes = None
+    own, modes = {}, None
     if 'predicted_particles' in arrays:
-        particles = _lookup(path, arrays)
+        names = 'predicted_particles', 'particle_frames', 'particle_indices'
+        own = {name: arrays[name] for name in names}
     elif soil.sum() == metadata['mode_number']:
         modes = nodes[:, soil]
     else:
@@ -173,38 +174,12 @@ def _prediction(path, metadata):
     )
     return RunPrediction(
         modes=modes,
-        particles=particles,
+        own=own,
         force=force,
         height=nodes[:, ~soil, up].mean(axis=1) if (~soil).any() else None,
         torque=torque,
         status=str(arrays['status']) if 'status' in arrays else None,
     )
-
-
-def _lookup(path, arrays):
-    """The predicted particles as a function of frames and particle indices."""
-    stored = arrays['predicted_particles'].astype(np.float64)
-    frames, indices = arrays['particle_frames'], arrays['particle_indices']
-    if stored.shape[:2] != (len(frames), len(indices)):
-        raise ValueError(
-            f'{path}: predicted_particles {stored.shape} for {len(frames)} frames and '
-            f'{len(indices)} particles'
-        )
-
-    def at(wanted_frames, wanted_indices):
-        missing = set(wanted_frames.tolist()) - set(frames.tolist())
-        missing_particles = set(wanted_indices.tolist()) - set(indices.tolist())
-        if missing or missing_particles:
-            raise ValueError(
-                f'{path}: lacks {len(missing)} frames (such as {sorted(missing)[:3]}) and '
-                f'{len(missing_particles)} particles of the truth'
-            )
-        row = {int(f): i for i, f in enumerate(frames)}
-        column = {int(p): i for i, p in enumerate(indices)}
-        rows = [row[int(f)] for f in wanted_frames]
-        return stored[np.ix_(rows, [column[int(p)] for p in wanted_indices])]
-
-    return at
 
 
 def from_open_loop(prediction, group, run: int, scene) -> RunPrediction:

@@ -162,10 +162,4 @@ def complete(document: dict) -> dict:
         for method in document['methods']
     ]
     document = document | {'methods': methods}
-    return document | {
-        'summary': over_runs.summarise(document),
-        'horizons': {
-            split: {m['name']: h for m in methods if (h := over_runs.horizons(document, split, m))}
-            for split in document['runs']
-        },
-    }
+    return document | {'summary': over_runs.summarise(document)}

@@ -1,4 +1,4 @@
-"""Where subspace, rollouts, networks and NRI are stable, where they refuse, and where they fail.
+"""Where rollouts and networks are stable, where they refuse, and where they fail.
 
 Experiments, not assertions (those are in tests/stiff): a line per case with outcome, figure and
 threshold, as Markdown and JSON, with pictures.
@@ -9,7 +9,7 @@ Examples:
     # the whole report
     python -m reports stability --output_path=/tmp/stability
 
-    python -m reports stability --parts=nri,subspace --output_path=/tmp/stability
+    python -m reports stability --parts=driven,network --output_path=/tmp/stability
 """
 
 import importlib
@@ -25,11 +25,9 @@ from reports.stability import cases, pictures
 
 # Part -> module whose `run_all` it is.
 PARTS = {
-    'subspace': 'subspace_cases',
     'rollouts': 'rollout_cases',
     'driven': 'driven_cases',
     'network': 'network_cases',
-    'nri': 'nri_cases',
 }
 REPORT, DATA = 'stability.md', 'stability.json'
 

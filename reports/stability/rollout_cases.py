@@ -26,8 +26,8 @@ def long_rollout(model, function, factor, continuation):
     """Rolls all test runs out over `factor` times the horizon.
 
     Returns:
-      row and curve: RMS distance of the soil from its first frame and RMS displacement per frame,
-      median over runs; the same for constant velocity.
+      row and curve: RMS distance of the soil from its first frame, median over runs; the same for
+      constant velocity.
     """
     group = model.group
     n_frame = group.position.shape[1]
@@ -37,7 +37,6 @@ def long_rollout(model, function, factor, continuation):
     modes = position[:, :, group.n_rigid :]
     start = group.position[:, H - 1 : H, group.n_rigid :]
     distance = model.soil_rms(modes - start)
-    speed = model.soil_rms(np.diff(modes, axis=1, prepend=start))
     trivial = model.soil_rms(lib.constant_velocity(group, modes.shape[1]) - start)
     # The farthest that the soil of any test run really moves within the data.
     true_distance = model.soil_rms(group.position[:, H:, group.n_rigid :] - start).max()
@@ -61,41 +60,35 @@ def long_rollout(model, function, factor, continuation):
         'continuation': continuation,
         'frames': np.arange(H, length)[keep],
         'distance_mm': 1e3 * np.median(distance, axis=0)[keep],
-        'speed_mm_per_frame': 1e3 * np.median(speed, axis=0)[keep],
         'constant_velocity_mm': 1e3 * np.median(trivial, axis=0)[keep],
         'status': [str(status) for status in statuses],
-        'first_bad_frame': [judgement.frame for judgement in judgements],
         'time_to_failure_s': min(lost) * model.model.simulator.scene.dt if lost else None,
     }
     return row, curve
 
 
 def error_growth(model, rolled):
-    """Curve of the soil error over the data, RMS over runs, beside the trivial predictors, mm."""
+    """Row of the error at the end over the best trivial predictor's there, and the curve of the
+    soil error over the data, RMS over runs, beside the trivial predictors, mm."""
     group = model.group
     truth = group.position[:, H:, group.n_rigid :]
-    stay = np.broadcast_to(group.position[:, H - 1 : H, group.n_rigid :], truth.shape)
     methods = {
-        'model': rolled[:, :, group.n_rigid :],
-        'persistence': stay,
-        'constant velocity': lib.constant_velocity(group, truth.shape[1]),
+        'mm': rolled[:, :, group.n_rigid :],
+        'persistence_mm': group.position[:, H - 1 : H, group.n_rigid :],
+        'constant_velocity_mm': lib.constant_velocity(group, truth.shape[1]),
     }
-    errors = {
+    curve = {
         name: 1e3 * np.sqrt((model.soil_rms(modes - truth) ** 2).mean(axis=0))
         for name, modes in methods.items()
     }
-    return {'model': model.name, 'frames': np.arange(H, group.position.shape[1]), 'mm': errors}
-
-
-def growth_row(model, curve):
-    """Row of the error at the end over the best trivial predictor's there."""
-    end = {name: values[-1] for name, values in curve['mm'].items()}
-    trivial = min(end['persistence'], end['constant velocity'])
-    half = curve['mm']['model'][len(curve['frames']) // 2]
-    note = f'{end["model"]:.3g} mm at the end of the data, {half:.3g} mm half way; persistence '
-    note += f'{end["persistence"]:.3g}, constant velocity {end["constant velocity"]:.3g} mm'
+    own, *trivial = (values[-1] for values in curve.values())
+    half = curve['mm'][truth.shape[1] // 2]
+    note = f'{own:.3g} mm at the end of the data, {half:.3g} mm half way; persistence '
+    note += f'{trivial[0]:.3g}, constant velocity {trivial[1]:.3g} mm'
     name = f'{model.name}: error at the end of the data over that of the best trivial predictor'
-    return judged(PART, name, float(end['model'] / trivial), '', None, note)
+    row = judged(PART, name, float(own / min(trivial)), '', None, note)
+    frames = np.arange(H, group.position.shape[1])
+    return row, {'model': model.name, 'frames': frames} | curve
 
 
 def rest(model, function):
@@ -124,33 +117,31 @@ def rest(model, function):
 
 
 def rigid_shape(model):
-    """Rows and curve of a predicted body with and without its correction."""
+    """Rows of a predicted body with and without its correction."""
     group = model.group
 
     def edges(body):
         return np.linalg.norm(body[..., :, None, :] - body[..., None, :, :], axis=-1)
 
     first = edges(group.position[:, :1, : group.n_rigid])
-    rows, curve = [], {'model': model.name, 'frames': np.arange(H, group.position.shape[1])}
+    rows = []
     for correct in (True, False):
         position, _, _ = lib.roll(model, model.function(correct), group)
-        body = position[:, :, : group.n_rigid]
-        stretch = 1e3 * np.abs(edges(body) - first).max(axis=(0, 2, 3))
+        stretch = 1e3 * np.abs(edges(position[:, :, : group.n_rigid]) - first).max()
         way = 'with' if correct else 'without'
-        curve[way] = stretch
         mse = metrics.rigid_mse(position, group.position[:, H:], group.n_rigid).mean()
         soil = model.soil_rms((position - group.position[:, H:])[:, :, group.n_rigid :])
         note = f'rigid MSE {1e4 * mse:.3g}e-4 m2, soil RMS {1e3 * np.sqrt((soil**2).mean()):.3g} mm'
         name = f'{model.name}, {way} rigid correction: largest change of a distance in the body'
         # float32 positions of half a metre round at 3e-5 mm; measured 2e-4.
-        rows.append(judged(PART, name, float(stretch.max()), 'mm', 2e-3 if correct else None, note))
-    return rows, curve
+        rows.append(judged(PART, name, float(stretch), 'mm', 2e-3 if correct else None, note))
+    return rows
 
 
 def run_all(is_quick, progress):
     """All rows and the curves by name."""
     rows: list[Case] = []
-    curves: dict = {'horizon': [], 'growth': [], 'rigid': []}
+    curves: dict = {'horizon': [], 'growth': []}
     presets = ('pcg',) if is_quick else lib.PRESETS
     factor = 3 if is_quick else HORIZON
     jobs = [(scene, preset) for scene in lib.SCENES for preset in presets]
@@ -158,8 +149,9 @@ def run_all(is_quick, progress):
         model = lib.load(scene, preset, 1 if is_quick else None)
         function, long = model.function(), model.function()
         rolled, _, _ = lib.roll(model, function, model.group)
-        curves['growth'].append(error_growth(model, rolled))
-        rows.append(growth_row(model, curves['growth'][-1]))
+        row, curve = error_growth(model, rolled)
+        rows.append(row)
+        curves['growth'].append(curve)
         for continuation in CONTINUATIONS:
             if continuation == 'held at its end' and not given_body(model):
                 continue  # nothing is given that could be continued in two ways
@@ -168,7 +160,5 @@ def run_all(is_quick, progress):
             curves['horizon'].append(curve)
         rows.append(rest(model, function))
         if model.model.simulator.scene.rigid_motion == 'predicted':
-            new, curve = rigid_shape(model)
-            rows += new
-            curves['rigid'].append(curve)
+            rows += rigid_shape(model)
     return rows, curves

@@ -6,7 +6,6 @@ import os
 import numpy as np
 
 from learning_to_simulate import loads, metrics, reading_utils, registry
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.rollout_status import RolloutStatus, judge
@@ -43,7 +42,7 @@ class Shipped:
     def function(self, rigid_correction: bool = True):
         """The rollout of evaluations, compiled at its first call."""
         layout = self.model.layout(self.group.n_rigid)
-        return rollout_function(self.model.simulator, layout, rigid_correction)
+        return RolloutFunction(self.model.simulator, layout, rigid_correction)
 
     def plain_function(self) -> RolloutFunction:
         """The rollout by `LearnedSimulator.step`, which takes any network."""

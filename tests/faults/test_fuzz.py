@@ -135,42 +135,36 @@ def part(first, last, commit='a', failures=(), refused=1):
     return values | {'counts': counts, 'failures': list(failures)}
 
 
-def test_a_run_goes_on_with_what_is_missing_or_failed():
-    parts = [part(5000, 10_000, failures=['x']), part(0, 5000), part(12_000, 15_000)]
-    assert list(fuzz.missing(parts, 16_000)) == [
-        (5000, 10_000), (10_000, 12_000), (15_000, 16_000)
-    ]  # fmt: skip
-    assert list(fuzz.missing([], 12_000)) == [(0, 5000), (5000, 10_000), (10_000, 12_000)]
-    assert list(fuzz.missing([part(0, 20_000)], 16_000)) == []
-
-
-def test_parts_of_one_commit_are_joined_and_a_mended_one_replaces_its_failures():
-    parts = fuzz.joined(fuzz.joined([], part(5, 10, failures=['x'])), part(0, 5))
-    assert [(p['first'], p['failures']) for p in parts] == [(0, []), (5, ['x'])]
-    (one,) = fuzz.joined(parts, part(5, 10, refused=3))
-    assert (one['first'], one['last'], one['seconds']) == (0, 10, 2)
-    assert one['counts']['edges.json'] == {'refused': 4, 'equal': 4, 'possible': 2, 'failed': 0}
-    assert len(fuzz.joined([one], part(10, 15, commit='b'))) == 2
-
-
 def test_table_counts_everything(tmp_path):
     files.write_json(str(tmp_path / 'fuzz.json'), {'parts': [part(0, 4), part(4, 8, refused=3)]})
     assert '| edges.json | open | 10 | 4 | 4 | 2 | 0 |' in fuzz.table(str(tmp_path / 'fuzz.json'))
 
 
+def test_a_process_that_dies_is_a_failure_of_its_input(monkeypatch, tmp_path):
+    """Run here in place of another process, which dies at input 5 and at input 9."""
+    dying = {5, 9}
+
+    def alone(function, names, seed, first, last, note, limit_s):
+        for number in range(first, last):
+            if number in dying:
+                with open(note, 'w', encoding='utf-8') as file:
+                    file.write(f'{number:12d}')
+                raise RuntimeError('ended from outside')
+        counts = {'edges.json': dict.fromkeys(fuzz.COLUMNS, 0) | {'equal': last - first}}
+        return {'counts': counts, 'failures': []}
+
+    monkeypatch.setattr(fuzz.isolated, 'call', alone)
+    part = fuzz.run_part(['edges.json'], 0, (0, 20))
+    assert part['counts']['edges.json'] == {'refused': 0, 'equal': 18, 'possible': 0, 'failed': 2}
+    assert sorted(failure['number'] for failure in part['failures']) == [5, 9]
+
+
 @pytest.mark.slow
-def test_the_same_command_goes_on(tmp_path):
+def test_the_command_counts_every_input(tmp_path):
     """Called here: the workers, which import TensorFlow again, are processes all the same."""
-
-    def run(count):
-        values = types.SimpleNamespace(
-            count=count, seed=0, num_processes=1, minutes=None, targets=['edges.json'],
-            output_path=str(tmp_path),
-        )  # fmt: skip
-        assert fuzz.main(values, None) == 0
-        return files.read_json(str(tmp_path / 'fuzz.json'))['parts']
-
-    (first,), (both,) = run(100), run(250)
-    assert (both['first'], both['last']) == (0, 250)
-    assert sum(both['counts']['edges.json'].values()) == 250
-    assert both['counts']['edges.json']['refused'] > first['counts']['edges.json']['refused']
+    values = types.SimpleNamespace(
+        count=100, seed=0, num_processes=1, targets=['edges.json'], output_path=str(tmp_path)
+    )
+    assert fuzz.main(values, None) == 0
+    (part,) = files.read_json(str(tmp_path / 'fuzz.json'))['parts']
+    assert sum(part['counts']['edges.json'].values()) == 100

@@ -42,3 +42,11 @@ def surface(groups):
     rows = [places, np.full(40, lowest.min()), *rng.normal(0, 1e-3, (3 * synthetic.N_MODES, 40))]
     middle = np.ptp(lowest) / 2
     return {'contact': np.array([0.0, middle]), 'surface': np.stack(rows, axis=1)}
+
+
+def stepper(model, n_rigid, space=None, kind='tensorflow', **options):
+    """A `Stepper` of a model that begins from recorded frames."""
+    from learning_to_simulate.live.stepper import Stepper
+    from learning_to_simulate.native import engines
+
+    return Stepper(engines.of(model, None, space, kind, n_rigid), **options)

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from pca_tools import dataset, files, subspace
+from pca_tools import dataset, files, packing, particles, subspace
 
 N_MODES, N_FRAMES, N_SOIL = 3, 40, 50
 RADIUS = 0.1
@@ -134,3 +134,25 @@ def write_subspace(folder):
     values = np.array([3.0, 2.0, 1.0])
     space = subspace.Subspace(mean, modes, values, 14.0, 360, 'configuration', ('a',), mean)
     space.save(os.path.join(folder, 'subspace.npz'))
+
+
+def soil_of(folder, split, record, size=2e-3):
+    """Particles [T, N, 3] of a run: its modes, and `size` (m) that no mode holds."""
+    run, space = dataset.read_split(folder, split)[record], subspace.Subspace.load(
+        os.path.join(folder, 'subspace.npz')
+    )  # fmt: skip
+    decoded = space.decode(run.position[:, run.n_rigid :].astype(np.float64))
+    rest, w = np.random.default_rng(record).normal(size=decoded.shape), space.components
+    return decoded + size * (rest - w @ (w.T @ rest))  # orthogonal to the modes, axis by axis
+
+
+def write_particles(folder, stride=4):
+    """Writes the particle samples of valid and test, of `soil_of`; returns the chosen particles."""
+    chosen = np.arange(0, N_SOIL, 3)
+    for split in ('valid', 'test'):
+        count = len(dataset.read_split(folder, split))
+        soil = [soil_of(folder, split, i)[::stride, chosen] for i in range(count)]
+        packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
+        path = particles.sample_path(folder, split)
+        particles.write_sample(path, packed, chosen, soil[0][0], stride, 1e-7)
+    return chosen

@@ -8,7 +8,7 @@ import os
 
 import numpy as np
 
-from pca_tools import files
+from pca_tools import files, packing, particles
 from pca_tools import subspace as subspace_lib
 
 DT = 1 / 60
@@ -108,3 +108,11 @@ def write(
     rollout_path = os.path.join(folder, 'rollout_test_0.npz')
     files.write_npz(rollout_path, **arrays)
     return rollout_path, data_path, soil
+
+
+def write_sample(data_path: str, soil: np.ndarray, chosen: np.ndarray) -> None:
+    """Writes the particle sample of the test split: [N'] chosen ones of soil [T, N, 3], every
+    fourth frame."""
+    packed = packing.pack_steps(soil[::4, chosen], soil[0, chosen], 1e-6), len(soil[::4])
+    path = particles.sample_path(data_path, 'test')
+    particles.write_sample(path, [packed], chosen, soil[0, chosen], 4, 1e-6)

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import api, registry
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live import poses, resting_start
-from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.live import poses
+from learning_to_simulate.live import starts as starts_lib
+from learning_to_simulate.live.soil import plan_extent
+from learning_to_simulate.rollout_status import Ranges, RolloutStatus
 from pca_tools import dataset, files
-from tests.learning_to_simulate import synthetic
+from tests.learning_to_simulate import models, synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 DT = 1 / 60
@@ -59,14 +61,13 @@ def test_live_frames_are_those_of_the_whole_path(blade):
     assert whole.force[-1, 0] > 0 and frames[-1].height_map(12, 8).shape == (12, 8)
 
 
-def test_paths_of_one_batch_are_those_alone_and_the_rest_of_a_block_does_not_count(blade):
+def test_several_paths_are_those_alone(blade):
     model, _, path = blade
     both = model.rollout([path, path[:20]])
     alone = model.rollout(path[:20])
-    assert [len(r.modes) for r in both] == [89, 19]
-    motion = np.ptp(both[0].modes, axis=0).max()
-    np.testing.assert_allclose(both[1].modes, alone.modes, atol=1e-5 * motion)
-    np.testing.assert_allclose(both[0].modes[:19], both[1].modes, atol=1e-5 * motion)
+    assert [len(r) for r in both] == [89, 19]
+    np.testing.assert_array_equal(both[1].modes, alone.modes)
+    np.testing.assert_array_equal(both[0].modes[:19], both[1].modes)
 
 
 def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
@@ -85,7 +86,11 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
         rollout.save(name)
         frames = rollout_frames.load(name, data.path)
         assert frames.has_truth == (rollout.truth is not None)
-        np.testing.assert_allclose(frames.scores['prediction'][H:], rollout.modes, atol=1e-5)
+        modes = rollout.modes[frames.frames - H]
+        soil = data.subspace.decode(modes)
+        np.testing.assert_allclose(frames.soil['prediction'], soil, atol=1e-5)
+        if rollout.truth is not None:
+            assert frames.soil_mm == pytest.approx(rollout.soil_mm, rel=1e-5)
         np.testing.assert_allclose(frames.force['prediction'][H:], rollout.force, atol=1e-4)
     assert len(data.test) == 4 and data.test[-1].index == 3
     with pytest.raises(IndexError, match='has 4 runs'):
@@ -136,25 +141,19 @@ def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
     later = live.step(away)
     assert later.status != RolloutStatus.OK
     # A whole history of zeros is no bed.
-    from learning_to_simulate.live.stepping import Stepper
-
-    stepper = Stepper(model.model, 10)
+    stepper = models.stepper(model.model, 10)
     assert stepper.reset(np.zeros((H, 18, 3))).status == RolloutStatus.EXTRAPOLATING
     assert stepper.step(path[1, :3] + np.zeros((10, 3))).status != RolloutStatus.OK
 
 
 def test_force_above_twice_the_largest_of_training_left_the_bounds(blade):
-    model, live, path = blade
-    from learning_to_simulate.live.frame_judge import FrameJudge
-
-    simulator = model.model.simulator
-    judge = FrameJudge(10, simulator.statistics, model.scene, force_limit=100.0)
-    live.start(path[0])
+    model, _, _ = blade
+    ranges = Ranges(10, model.model.simulator.statistics, model.scene, force_limit=100.0)
     position = np.concatenate([np.zeros((10, 3)), model.starts.modes[0]])
-    assert judge.predicted(7, position, np.array([199.0, 0, 0])).status == RolloutStatus.OK
-    found = judge.predicted(7, position, np.array([201.0, 0, 0]))
+    assert ranges.judge(7, position, np.array([199.0, 0, 0])).status == RolloutStatus.OK
+    found = ranges.judge(7, position, np.array([201.0, 0, 0]))
     assert found.status == RolloutStatus.LEFT_BOUNDS and 'force 201 N' in found.reason
-    assert judge.predicted(7, position, np.array([np.nan, 0, 0])).status == 'non_finite'
+    assert ranges.judge(7, position, np.array([np.nan, 0, 0])).status == 'non_finite'
 
 
 @pytest.mark.parametrize(
@@ -187,14 +186,12 @@ def test_what_is_no_pose_is_refused_and_changes_nothing(blade, pose, message):
 def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
     model, live, path = blade
     live.start(path[0], VELOCITY)
-    frame = live.step(path[1])
-    starts = model.starts
-    for values in (frame.modes, frame.force, frame.rigid_pose, frame.pose, starts.pose[0],
-                   starts.modes, starts.body[0]):  # fmt: skip
+    frame, at_rest = live.step(path[1]), model.starts
+    for values in (frame.modes, frame.force, frame.rigid_pose, frame.pose, at_rest.pose[0],
+                   at_rest.modes, at_rest.body[0]):  # fmt: skip
         with pytest.raises(ValueError, match='read-only'):
             values[:] = 0
-    stepper = live._stepper
-    with stepper._lock:
+    with live._lock:
         caught = []
 
         def other():
@@ -207,26 +204,6 @@ def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
         thread.join()
     assert caught
     live.step(path[2])
-
-
-def test_hold_stays_and_raise_refuses(blade):
-    model, _, path = blade
-    away = path[2].copy()
-    away[0] += 0.5
-    for outside in ('hold', 'raise'):
-        live = model.stepper(outside=outside)
-        live.start(path[0], VELOCITY)
-        before = live.step(path[1])
-        if outside == 'raise':
-            with pytest.raises(ValueError, match='extrapolating: '):
-                live.step(away)
-        else:
-            held = live.step(away)
-            np.testing.assert_array_equal(held.modes, before.modes)
-            np.testing.assert_array_equal(held.pose, before.pose)  # the body stayed, too
-            assert held.now == RolloutStatus.EXTRAPOLATING
-        after = live.step(path[2])
-        assert after.now == RolloutStatus.OK and not np.array_equal(after.modes, before.modes)
 
 
 def test_wheel_has_its_cases_and_its_context():
@@ -278,7 +255,7 @@ def test_poses_in_all_forms_and_planes():
     velocity = np.array([1.0, 2.0, 3.0, 0.3, -0.4, 0.5])
     twice = poses.moved_back(poses.moved_back(flat, velocity, 0.5), velocity, 0.5)
     np.testing.assert_allclose(poses.moved_back(flat, velocity, 1.0), twice, atol=1e-12)
-    from learning_to_simulate.live.path_rollout import velocity_between
+    from learning_to_simulate.live.paths import velocity_between
 
     before = poses.moved_back(flat, velocity, DT)
     np.testing.assert_allclose(velocity_between(before, flat, DT), velocity, atol=1e-9)
@@ -289,7 +266,7 @@ def test_height_map_is_the_highest_particle_of_each_cell(blade):
     live.start(path[0], VELOCITY)
     frame = live.step(path[1])
     heights, points = frame.height_map(7, 5), frame.particles()
-    (x0, x1), (z0, z1) = frame.soil.extent
+    (x0, x1), (z0, z1) = plan_extent(model.subspace.initial, 1)
     for i, j in ((0, 0), (3, 2), (6, 4)):
         inside = (
             (np.clip(((points[:, 0] - x0) / (x1 - x0) * 7).astype(int), 0, 6) == i)
@@ -323,7 +300,7 @@ def test_trained_model_is_self_contained(tmp_path):
     with open(f'{path}/start.npz', 'ab') as file:
         file.write(b' ')
     with pytest.raises(ValueError, match='not the file of this model'):
-        resting_start.read(path)
+        starts_lib.read(path)
 
 
 def test_what_is_printed_fits_on_a_line(blade):
@@ -339,20 +316,7 @@ def test_what_is_printed_fits_on_a_line(blade):
     assert repr(data) == f"<dataset {data.path!r}: {{'train': 32, 'valid': 4, 'test': 4}}>"
 
 
-@pytest.mark.parametrize(
-    'name, model',
-    [('excavation', 'pcg'), ('excavation_v2', 'swept_field'), ('wheel_v2/pcg', '')],
-)
-def test_the_name_of_a_dataset_means_its_best_model(name, model):
-    assert api.find_model(name) == os.path.join(api.ROOT, 'models', name, model).rstrip(os.sep)
-
-
-def test_names_that_are_not_there(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match='shipped are .*excavation/pcg'):
-        lts.load('moon')
-    with pytest.raises(FileNotFoundError, match='shipped are excavation, excavation_v2, wheel'):
-        lts.Dataset('moon')
-    assert lts.Dataset('wheel').test.folder.endswith('wheel')
+def test_public_names():
+    assert 'excavation_v2/swept_field' in lts.list() and set(lts.__all__) < set(dir(lts))
     with pytest.raises(AttributeError, match='no attribute'):
         lts.stpper  # noqa: B018

@@ -1,8 +1,14 @@
 """What commands share."""
 
+import pathlib
+import subprocess
+import sys
+
 import pytest
 
-from learning_to_simulate import command
+from learning_to_simulate import command, presets
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 def test_paths_are_given_by_name():
@@ -11,3 +17,40 @@ def test_paths_are_given_by_name():
     for bad in (['a'], ['=x'], ['a='], ['a=x', 'a=y']):
         with pytest.raises(ValueError, match='--beside=.*NAME=FOLDER was expected'):
             command.named_paths('beside', bad, 'FOLDER')
+
+
+def test_settings_by_name_have_their_type():
+    types = presets.setting_types()
+    found = command.settings(['modes=8', 'rate_scaled=false', 'noise_std=1e-3'], types)
+    assert found == {'modes': 8, 'rate_scaled': False, 'noise_std': 1e-3}
+    for item, words in (
+        ('depth=3', 'names are .*latent_size'),
+        ('modes', 'NAME=VALUE'),
+        ('modes=few', 'of type int'),
+        ('rate_scaled=maybe', 'of type bool'),
+    ):
+        with pytest.raises(ValueError, match=words):
+            command.settings([item], types)
+    with pytest.raises(ValueError, match='given twice'):
+        command.settings(['modes=8', 'modes=9'], types)
+
+
+def test_settings_come_from_a_file_a_flag_or_by_name(tmp_path):
+    """A flag beats the file; a setting given twice, or unknown, is refused. Without TensorFlow."""
+    model = 'models/excavation_v2/mlp_driven/config.json'
+    code = 'import sys; from absl import flags; from learning_to_simulate.train import _overrides; '
+    code += 'flags.FLAGS(sys.argv); print(_overrides())'
+
+    def overrides(*given):
+        done = subprocess.run(
+            [sys.executable, '-c', code, '--data_path=x', '--model_path=y', *given],
+            cwd=ROOT, capture_output=True, text=True,
+        )  # fmt: skip
+        return done.stdout + done.stderr
+
+    assert "'preset': 'mlp_driven'" in (text := overrides(f'--config={model}', '--num_steps=7'))
+    assert "'num_steps': 7" in text and "'copies': 8" in text
+    assert "'hidden_layers': 3" in overrides('--set=hidden_layers=3')
+    assert 'by --modes and by --set' in overrides('--set=modes=3', '--modes=4')
+    (tmp_path / 'own.json').write_text('{"depth": 3}')
+    assert 'not a JSON object of settings' in overrides(f'--config={tmp_path / "own.json"}')

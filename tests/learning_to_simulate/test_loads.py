@@ -2,7 +2,6 @@
 it comes out, and what is refused.
 """
 
-import dataclasses
 import json
 import os
 
@@ -15,17 +14,14 @@ from learning_to_simulate import (
     evaluation,
     loads,
     presets,
-    reading_utils,
     registry,
 )
-from learning_to_simulate.compiled.folded_step import rollout_function
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
-from learning_to_simulate.export_c import exporting as c_exporting
-from learning_to_simulate.live import path_rollout, stepping
-from learning_to_simulate.live.frame_judge import FrameJudge
-from learning_to_simulate.rollout import roll_out
-from learning_to_simulate.rollout_status import RolloutStatus, judge
+from learning_to_simulate.live import paths
+from learning_to_simulate.native import exporting as c_exporting
+from learning_to_simulate.rollout import RolloutFunction, roll_out
+from learning_to_simulate.rollout_status import Ranges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
 from pca_tools import dataset, files
 from reports.protocol import rollouts
@@ -99,7 +95,7 @@ def test_with_the_same_weights_the_torque_changes_nothing_else(tmp_path, preset,
         mine.assign(theirs[..., : mine.shape[-1]])
     assert widened == 2  # w and b
     one = group.select(0)
-    a, b = (roll_out(rollout_function(m.simulator, m.layout(4)), one) for m in (wide, narrow))
+    a, b = (roll_out(RolloutFunction(m.simulator, m.layout(4)), one) for m in (wide, narrow))
     scale = np.ptp(b.position)
     np.testing.assert_allclose(a.position, b.position, atol=1e-6 * scale)
     np.testing.assert_allclose(a.force, b.force, atol=1e-5 * np.abs(b.force).max())
@@ -120,7 +116,7 @@ def test_a_trained_model_follows_a_known_torque(rolled):
         held = group.torque[0, H - 1]
         still = summary['runs']['stay_still'][record]['torque_relative_l2']
         assert still == pytest.approx(relative(held, group.torque[0, H:]), rel=1e-6)
-    assert 'torque rel. L2' in evaluation.table(summary)
+    assert 'torque in the plane of travel' in evaluation.table(summary)
 
 
 def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
@@ -137,11 +133,11 @@ def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
 def test_live_steps_paths_and_batches_hand_out_the_same_torque(trained, rolled):
     opened, results, _ = rolled
     _, group, rollout = results[0]
-    function = rollout_function(opened.model.simulator, opened.model.layout(group.n_rigid))
+    function = RolloutFunction(opened.model.simulator, opened.model.layout(group.n_rigid))
     batch = roll_out(function, opened.groups[0])
     close = {'rtol': 1e-3, 'atol': 1e-3 * np.abs(rollout.torque).max()}
     np.testing.assert_allclose(batch.torque[0], rollout.torque[0], **close)
-    stepper = stepping.Stepper.load(*trained)
+    stepper = models.stepper(opened.model, group.n_rigid)
     stepper.reset(group.position[0, :H])
     for k in range(10):
         frame = stepper.step(group.position[0, H + k, : group.n_rigid])
@@ -169,16 +165,16 @@ def test_a_saved_path_has_its_torque(trained, tmp_path):
     np.testing.assert_array_equal(arrays['predicted_torques'], recorded.torque)
     both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
     np.testing.assert_array_equal(both, recorded.true_torque.astype(np.float32))
-    assert isinstance(recorded, path_rollout.SoilRollout) and len(both) == synthetic.N_FRAMES
+    assert isinstance(recorded, paths.SoilRollout) and len(both) == synthetic.N_FRAMES
 
 
 def test_a_model_without_it_says_none(tmp_path):
     model, (group,), _ = models.make(tmp_path, 'mlp', torque=True, overrides={'mode_edges': 0})
     assert group.torque is not None
-    stepper = stepping.Stepper(model, group.n_rigid)
+    stepper = models.stepper(model, group.n_rigid)
     stepper.reset(group.position[0, :H])
     assert stepper.step(group.position[0, H, : group.n_rigid]).torque is None
-    rollout = roll_out(rollout_function(model.simulator, model.layout(4)), group.select(0))
+    rollout = roll_out(RolloutFunction(model.simulator, model.layout(4)), group.select(0))
     assert rollout.torque is None
     summary = evaluation.summarise([(0, group.select(0), rollout)], model, {}, 'train')
     assert not any('torque' in key for key in summary['mean']['model'])
@@ -193,36 +189,11 @@ def test_a_torque_that_is_not_finite_is_found(rolled):
     load[0, 4, 5] = np.nan
     (found,) = judge(group, rollout.position, load, s, scene)
     assert found[:3] == (RolloutStatus.NON_FINITE, H + 4, -1)
-    live = FrameJudge(group.n_rigid, s, scene)
-    now = live.predicted(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
+    live = Ranges(group.n_rigid, s, scene)
+    now = live.judge(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
     assert found.reason == now.reason == 'torque is not finite'
     load[0, 4, 1] = np.inf
     assert judge(group, rollout.position, load, s, scene)[0].reason == 'force is not finite'
-
-
-def test_folders_of_before_load_and_train_on(tmp_path):
-    """Older config.json know neither the option nor its statistics."""
-    data = synthetic.write_dataset(tmp_path / 'data', torque=True)
-    config = presets.make_config('mlp', latent_size=16, num_steps=4, unroll_steps=0, batch_size=4)
-    path = str(tmp_path / 'model')
-    registry.train(data, path, config)
-    group = reading_utils.read_groups(data, 'test', dataset.read_metadata(data))[0].select(0)
-
-    def rollout():
-        model = subspace_model.load(path)
-        return roll_out(rollout_function(model.simulator, model.layout(group.n_rigid)), group)
-
-    before, name = rollout(), os.path.join(path, checkpoints.CONFIG_FILE)
-    values = files.read_json(name)
-    del values['config']['predict_torque']
-    for key in ('torque_mean', 'torque_std'):
-        assert values['statistics'].pop(key) is None
-    files.write_json(name, values)
-    np.testing.assert_array_equal(rollout().position, before.position)
-    np.testing.assert_array_equal(rollout().force, before.force)
-    registry.train(data, path, config)  # finds it trained
-    with pytest.raises(ValueError, match='predict_torque: False there, True now'):
-        registry.train(data, path, dataclasses.replace(config, **TORQUE))
 
 
 def test_a_saved_model_and_litert_carry_it_and_c_refuses_it(trained, tmp_path):
@@ -247,7 +218,7 @@ def test_data_without_a_torque_is_refused_at_the_door(trained, tmp_path):
     assert not (tmp_path / 'model').exists() or not os.listdir(tmp_path / 'model')
     with pytest.raises(ValueError, match='lacks rigid_body_torque_mean'):
         registry.open_model(trained[0], data, 'test')
-    with pytest.raises(ValueError, match='predict_torque is for models in a subspace'):
+    with pytest.raises(ValueError, match="no settings .'predict_torque'."):
         presets.make_config('full_space', **TORQUE)
 
 

@@ -5,35 +5,14 @@ import numpy as np
 from learning_to_simulate import metrics
 
 
-def make(seed=0, n_soil=40, n_modes=3, n_rigid=2):
-    rng = np.random.default_rng(seed)
-    basis, _ = np.linalg.qr(rng.normal(size=(n_soil, n_modes)))
-    truth, position = rng.normal(size=(2, 2, 7, n_rigid + n_modes, 3))
-    return basis, truth, position, n_rigid
-
-
 def test_soil_error_equals_the_error_of_the_particles():
-    basis, truth, position, n_rigid = make()
-    decoded = [np.einsum('nk,stkd->stnd', basis, x[:, :, n_rigid:]) for x in (truth, position)]
+    rng = np.random.default_rng(0)
+    basis, _ = np.linalg.qr(rng.normal(size=(40, 3)))
+    truth, position = rng.normal(size=(2, 2, 7, 5, 3))
+    decoded = [np.einsum('nk,stkd->stnd', basis, x[:, :, 2:]) for x in (truth, position)]
     expected = ((decoded[0] - decoded[1]) ** 2).mean(axis=(1, 2, 3))
-    got = metrics.soil_mse(position, truth, n_rigid, len(basis))
+    got = metrics.soil_mse(position, truth, 2, len(basis))
     np.testing.assert_allclose(got, expected, rtol=1e-12)
-
-
-def test_full_space_error_is_the_error_of_the_particles():
-    """Truth with a part outside the subspace: prediction inside it, error of real particles."""
-    basis, truth, position, n_rigid = make()
-    rng = np.random.default_rng(1)
-    outside = rng.normal(size=(*truth.shape[:2], len(basis), 3))
-    outside -= np.einsum('nk,mk,stmd->stnd', basis, basis, outside)
-    particles = np.einsum('nk,stkd->stnd', basis, truth[:, :, n_rigid:]) + outside
-    predicted = np.einsum('nk,stkd->stnd', basis, position[:, :, n_rigid:])
-    floor = (outside**2).mean(axis=(1, 2, 3))
-    errors = metrics.run_errors(position, truth, None, None, n_rigid, len(basis), floor)
-    np.testing.assert_allclose(
-        errors['soil_mse_full'], ((particles - predicted) ** 2).mean(axis=(1, 2, 3)), rtol=1e-12
-    )
-    np.testing.assert_allclose(errors['soil_rms_mm_full'], 1e3 * errors['soil_mse_full'] ** 0.5)
 
 
 def test_trivial_predictors():
@@ -44,12 +23,15 @@ def test_trivial_predictors():
 
 
 def test_force_errors_of_a_scaled_force():
-    """F̂ = 1.1 F: 10 % in L2 and in the mean percentage error, whatever F is."""
+    """F̂ = 1.1 F: 10 % in L2, in the mean percentage error and at the peak, whatever F is."""
     truth = np.random.default_rng(2).normal(size=(3, 20, 3)) + 5
     errors = metrics.force_errors(1.1 * truth, truth)
     np.testing.assert_allclose(errors['force_relative_l2'], 0.1, rtol=1e-9)
     np.testing.assert_allclose(errors['force_mpe'], 10.0, rtol=1e-9)
     np.testing.assert_allclose(errors['force_rmse'], 0.1 * np.sqrt((truth**2).mean(axis=(1, 2))))
+    peak = [max(np.sqrt(row @ row) for row in run) for run in truth]
+    np.testing.assert_allclose(errors['force_peak'], peak)
+    np.testing.assert_allclose(errors['force_peak_error'], 0.1 * np.array(peak))
 
 
 def test_zero_force_gives_no_number_instead_of_a_crash():
@@ -57,7 +39,21 @@ def test_zero_force_gives_no_number_instead_of_a_crash():
     assert not np.isfinite(metrics.force_errors(zero + 1, zero)['force_relative_l2']).any()
 
 
-def test_skill():
-    assert metrics.skill(0.0, [2.0, 1.0]) == 1.0
-    assert metrics.skill(1.0, [2.0, 1.0]) == 0.0
-    assert np.isnan(metrics.skill(1.0, [0.0, 1.0]))
+def test_axes_are_those_of_the_way_and_loads_have_errors_of_each():
+    """A wheel that moves along z with y up, two bodies: what errs on one axis errs there alone."""
+    body = np.zeros((8, 4, 3))
+    body[:, :, 2] = np.linspace(0, -0.4, 8)[:, None]
+    body[:, :, 0] = 0.01 * np.sin(np.arange(8))[:, None]
+    body[:, :, 1] = np.linspace(0, 1, 8)[:, None]  # the height is no way
+    axes = metrics.travel_axes(body, 1)
+    assert axes == (2, 1, 0) and metrics.travel_axes(body[:, :0], 1) == (0, 1, 2)
+    truth = np.ones((1, 8, 6)) * [1.0, 50.0, 4.0, 2.0, 60.0, 3.0]
+    force = truth + [0, 0, 3, 0, 0, 4]
+    torque, true_torque = np.ones((2, 1, 8, 3)) * np.array([[[1.5, 9, 9]], [[1, 0, 0]]])[:, None]
+    errors = metrics.load_errors(force, truth, axes, torque, true_torque)
+    np.testing.assert_allclose(errors['drawbar_rmse'], np.sqrt((9 + 16) / 2))
+    np.testing.assert_allclose(errors['drawbar_relative_l2'], 1.0)
+    np.testing.assert_allclose(errors['drawbar_peak_error'], np.hypot(7, 7) - 5)
+    assert errors['vertical_rmse'] == 0.0 and errors['force_relative_l2'] < 0.1
+    np.testing.assert_allclose(errors['pitch_relative_l2'], 0.5)
+    assert errors['torque_relative_l2'] > 9

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
 from learning_to_simulate.subspace import subspace_model
@@ -62,7 +63,7 @@ def test_rollout_command_writes_results_that_agree(data, trained, tmp_path):
         f'--model_path={trained}', f'--output_path={out}',
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert 'constant_velocity' in done.stdout and 'ms/step' in done.stdout
+    assert 'constant velocity' in done.stdout and 'ms per frame' in done.stdout
     summary = json.loads((out / 'metrics.json').read_text())
     errors = []
     for i, (row, size) in enumerate(zip(summary['runs']['model'], (4, 6), strict=True)):
@@ -101,6 +102,18 @@ def test_killed_training_resumes_to_the_same_weights(data, trained, tmp_path):
     weights, straight = (files.read_npz(f'{p}/{checkpoints.WEIGHTS_FILE}') for p in (path, trained))
     for name in straight:
         np.testing.assert_array_equal(weights[name], straight[name])
+
+
+def test_the_averages_are_what_is_saved(trained):
+    """And not the weights that the last step left, which the checkpoint holds beside them."""
+    weights = files.read_npz(f'{trained}/{checkpoints.WEIGHTS_FILE}')
+    checkpoint = tf.train.load_checkpoint(f'{trained}/ckpt-{SHORT["num_steps"]}')
+    for i, value in enumerate(weights.values()):
+        average = checkpoint.get_tensor(f'averages/{i}/.ATTRIBUTES/VARIABLE_VALUE')
+        np.testing.assert_array_equal(value, average)
+    last = checkpoint.get_tensor('simulator/_embedding/.ATTRIBUTES/VARIABLE_VALUE')
+    (stored,) = (v for k, v in weights.items() if 'embedding' in k)
+    assert np.abs(stored - last).max() > 0
 
 
 def test_model_folder_of_something_else_is_refused_and_left_alone(data, trained, tmp_path):
@@ -166,8 +179,11 @@ def test_bad_training_input_is_refused_before_anything_is_written(data, tmp_path
 def test_bad_evaluation_input_is_refused(data, trained, tmp_path):
     with pytest.raises(FileNotFoundError, match='holds no model'):
         registry.open_model(str(tmp_path), data, 'test', {})
-    with pytest.raises(ValueError, match='contradicts the model'):
-        registry.open_model(trained, data, 'test', {'noise_std': 0.1})
+    with pytest.raises(ValueError, match='--raw_path is for --model=full_space only'):
+        registry.open_model(trained, data, 'test', raw_path='raw')
+    for field, message in (('noise_std', 'contradicts the model'), ('members', 'is no setting')):
+        with pytest.raises(ValueError, match=message):
+            registry.open_model(trained, data, 'test', {field: 0.1})
     refit = synthetic.write_dataset(tmp_path / 'refit')
     metadata = files.read_json(f'{refit}/metadata.json')
     files.write_json(f'{refit}/metadata.json', metadata | {'pca': {'digest': 'f' * 64}})

@@ -1,5 +1,6 @@
 """Raw runs on disk: content, determinism, resuming, and what is refused."""
 
+import dataclasses
 import json
 import os
 import pathlib
@@ -12,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from mpm import batch, packing, raw_run, scenes
+from mpm import batch, bodies, packing, raw_run, scenes
 from mpm.constitutive import make_soil
 from mpm.experiments import coarse
 from mpm.motions.recording import Recording
@@ -119,16 +120,55 @@ def test_finished_runs_are_not_made_again(coarse_excavation, tmp_path, short):
     assert len(digests(tmp_path)) == 2
 
 
+def test_kinds_of_another_bin_have_a_folder_and_a_packing_of_their_own(
+    coarse_excavation, tmp_path, short
+):
+    own = scenes.EXCAVATION.other_bins['wide']
+    wide = coarse(dataclasses.replace(scenes.EXCAVATION, bin=own)).bin
+    scene = dataclasses.replace(coarse_excavation, other_bins={'wide': wide})
+    new = make(scene, tmp_path, cases=(22, 'beside_0001'))
+    assert [entry['case'] for entry in new] == [22, 'beside_0001']
+    assert set(digests(tmp_path)) == {22} and set(digests(tmp_path / 'wide')) == {'beside_0001'}
+    made = raw_run.read_run(str(tmp_path / 'wide' / 'run_beside_0001.npz'))
+    assert made.parameters['bin_m'] == [0.8, 0.15, 1.2]
+    assert (
+        made.positions.shape[1] == np.prod(wide.lattice) and np.ptp(made.positions[0, :, 2]) > 1.1
+    )
+    assert make(scene, tmp_path, cases=(22, 'beside_0001')) == []
+
+
+def test_a_run_with_another_tool_is_not_taken_for_the_finished_one(
+    coarse_excavation, tmp_path, short
+):
+    plate = {'outline': [[0, 0], [0, 0.2]], 'edge_radius': 0.015, 'width': 0.3}
+    tool = bodies.check_tool(plate)
+
+    def with_tool(tool):
+        return batch.generate(
+            coarse_excavation, (22,), str(tmp_path), Settings(), tool=tool, show_progress=False
+        )
+
+    (entry,) = with_tool(tool)
+    assert entry['parameters']['tool'] == tool and entry['parameters']['body_width_m'] == 0.3
+    assert with_tool(tool) == []
+    with pytest.raises(ValueError, match='made with another tool'):
+        with_tool(bodies.check_tool(plate | {'width': 0.4}))
+    wide = bodies.check_tool(plate | {'width': 0.7})
+    with pytest.raises(ValueError, match=r'excavation case 22: .*0.7 m wide.*does not fit'):
+        with_tool(wide)
+
+
 @pytest.mark.slow
-def test_pool_gives_the_same_runs(coarse_excavation, tmp_path):
-    """A pool of processes makes the same arrays as one process (full length: `spawn` reimports)."""
-    scene = coarse_excavation
-    cases = (22, 46)
-    batch.generate(scene, cases, str(tmp_path / 'pool'), Settings(), 2, show_progress=False)
+@pytest.mark.parametrize('where', ['', 'local:2'])
+def test_pool_gives_the_same_runs(coarse_excavation, tmp_path, where):
+    """Processes, here or by Dask, make the same arrays as this one (full length: they reimport)."""
+    if where:
+        pytest.importorskip('distributed')
+    scene, cases, pool = coarse_excavation, (22, 46), tmp_path / 'pool'
+    batch.generate(scene, cases, str(pool), Settings(), 2, where=where, show_progress=False)
     batch.generate(scene, cases[:1], str(tmp_path / 'one'), Settings(), 1, show_progress=False)
-    pool, one = (raw_run.read_run(str(tmp_path / name / 'run_022.npz')) for name in ('pool', 'one'))
-    np.testing.assert_array_equal(pool.positions, one.positions)
-    assert set(digests(tmp_path / 'pool')) == set(cases)
+    assert digests(tmp_path / 'one').items() <= digests(pool).items()
+    assert set(digests(pool)) == set(cases)
 
 
 @pytest.mark.slow
@@ -277,6 +317,8 @@ def test_what_is_no_run_or_manifest_is_refused(tmp_path):
         (['--scene=excavation', '--cases=999'], 'cases 1 to 250, got 999'),
         (['--scene=wheel', '--cases=some'], "numbers separated by commas, got 'some'"),
         (['--scene=wheel', '--cases=1', '--youngs_modulus=-1'], "Young's modulus"),
+        (['--scene=wheel', '--cases=1', '--friction_angle_deg=70'], 'must lie in [15, 50]'),
+        (['--scene=wheel', '--tool=nothing.json'], "No such file or directory: 'nothing.json'"),
         (
             ['--scene=wheel', '--operator_seeds=1', '--kinds=lift'],
             "unknown kinds ['lift'] of wheel",

@@ -218,6 +218,7 @@ def test_a_tool_is_read_from_its_file(tmp_path):
         ({'outline': [[0, 0], [0, float('nan')]]}, r'list of \[x, y\]'),
         ({'outline': 'blade'}, r'list of \[x, y\]'),
         ({'width': -1}, 'width must be a number'),
+        ({'width': 457}, 'width must be a number from 0.0001 to 2, got 457'),
         ({'colour': 'red'}, r"unknown entries \['colour'\]"),
         ({'outline': SQUARE, 'side_plates': {'thickness': 0.2}}, 'thicker than the tool is wide'),
         ({'friction': 9}, 'friction must be'),

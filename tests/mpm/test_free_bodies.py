@@ -1,6 +1,5 @@
 """Eq. (7): free coordinates of a body against closed forms, and at rest on the soil."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -62,6 +61,25 @@ def test_a_stiff_actuator_is_refused(coarse_excavation, excavation_packing):
         carried(coarse_excavation, excavation_packing, machine)
 
 
+@pytest.mark.parametrize(
+    ('push', 'words'),
+    [
+        (1e5, 'a free body moved by .* m where .* its load throws it, 0.000 s after the start'),
+        (40.0, r'the body left the bin at 0\.\d+ s .*: its load throws it out'),
+    ],
+)
+def test_a_load_that_throws_the_body_out_is_an_error(
+    coarse_excavation, excavation_packing, monkeypatch, push, words
+):
+    """By more than the soil that it may touch is looked for, or slowly out of the bin."""
+    machine = Machine((False, True, False), 1.0, constant(0.0, push, 0.0))
+    drive = carried(coarse_excavation, excavation_packing, machine).drive
+    motion = catalogue.Motion('test', drive, {}, 60, scenes.Ground())
+    monkeypatch.setattr(run, 'motion_of', lambda *_: motion)
+    with pytest.raises(ValueError, match=words):
+        run.run_case(coarse_excavation, 'test', excavation_packing, Settings())
+
+
 def test_soil_carries_a_tool_at_rest(coarse_excavation, excavation_packing):
     weight = 20.0 * 9.81
 
@@ -90,10 +108,26 @@ def test_soil_of_the_settings_arrives_in_the_record(
     coarse_excavation, excavation_packing, monkeypatch
 ):
     monkeypatch.setattr(scenes, 'FRAMES', 3)
-    settings = Settings(friction_angle_deg=33.0, bulk_density=1500.0, gravity=3.72)
+    settings = Settings(
+        friction_angle_deg=33.0, bulk_density=1500.0, gravity=3.72, tool_friction=0.1
+    )
     made = run.run_case(coarse_excavation, 22, excavation_packing, settings).parameters
-    assert made['friction_angle_deg'] == 33.0 and made['gravity_m_s2'] == 3.72
-    assert made['soil']['bulk_density'] == 1500.0
+    assert made['friction_angle_deg'] == made['set_friction_angle_deg'] == 33.0
+    assert made['gravity_m_s2'] == made['set_gravity_m_s2'] == 3.72
+    assert made['soil']['bulk_density'] == made['bulk_density_kg_m3'] == 1500.0
     assert made['soil']['mu_s'] == pytest.approx(math.tan(math.radians(33.0)))
-    with pytest.raises(ValueError, match='friction_angle_deg is 70'):
-        dataclasses.replace(settings, friction_angle_deg=70.0)
+    assert made['body_friction'] == made['set_tool_friction'] == 0.1
+    usual = run.run_case(coarse_excavation, 22, excavation_packing, Settings()).parameters
+    assert not [name for name in usual if name.startswith('set_')]
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('friction_angle_deg', 14.9), ('friction_angle_deg', 50.1), ('bulk_density', 400.0),
+        ('gravity', 0.0), ('tool_friction', -0.1), ('gravity', math.nan),
+    ],
+)  # fmt: skip
+def test_a_soil_outside_the_law_is_refused(name, value):
+    with pytest.raises(ValueError, match=rf'{name} is {value}, must lie in \['):
+        Settings(**{name: value})

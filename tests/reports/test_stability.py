@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from reports.stability import __main__ as stability_report
-from reports.stability import cases, nri_cases, shipped
+from reports.stability import cases, shipped
 
 
 def test_outcome_follows_figure_and_threshold():
@@ -24,21 +24,13 @@ def test_to_and_fro_turns_at_both_ends():
     assert shipped.hold(3, 5).tolist() == [0, 1, 2, 2, 2]
 
 
-def test_bound_of_the_leapfrog_is_met_and_nearly_reached():
-    """One spring of the highest frequency: the closed form of the swing, not a loose bound."""
-    for stiffness in (0.01, 0.2, 0.6):
-        drift = nri_cases.energy_drift(stiffness, 500)
-        assert 0.1 * nri_cases.swing_bound(stiffness) < drift
-        assert drift <= nri_cases.swing_bound(stiffness) * (1 + 1e-9)
-
-
 @pytest.mark.slow
 def test_report_in_miniature(tmp_path, monkeypatch):
     """All parts on the smallest cases: every promise holds, and table, JSON and pictures agree."""
     monkeypatch.setattr(shipped, 'SCENES', ('excavation',))
     parts = list(stability_report.PARTS)
     rows = stability_report.report(parts, True, str(tmp_path))
-    assert {row.outcome for row in rows} >= {cases.HOLDS, cases.REFUSED, cases.FLAGGED}
+    assert {row.outcome for row in rows} >= {cases.HOLDS, cases.MEASURED, cases.FLAGGED}
     assert not [row.name for row in rows if row.outcome == cases.FAILS]
     values = json.loads((tmp_path / stability_report.DATA).read_text())
     assert [row['name'] for row in values['rows']] == [row.name for row in rows]
@@ -46,7 +38,7 @@ def test_report_in_miniature(tmp_path, monkeypatch):
     assert all(row.name in text for row in rows)
     for picture in tmp_path.glob('*.png'):
         assert f']({picture.name})' in text
-    assert len(list(tmp_path.glob('*.png'))) == 4  # no predicted body here
+    assert len(list(tmp_path.glob('*.png'))) == 3
 
 
 def test_unknown_part_is_refused(tmp_path):

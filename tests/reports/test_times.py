@@ -134,18 +134,3 @@ def test_names_that_are_not_there_are_refused_before_the_work(judged, given, rea
     judged.model = given
     with pytest.raises(ValueError, match=reason):
         times.main(judged, None)
-
-
-def test_each_axis_joins_the_modes_of_one_method(judged, tmp_path):
-    protocol = files.read_json(judged.protocol)
-    seeds = protocol['methods'][0]['seeds']
-    about = [{'name': f'mlp, {r} modes', 'seeds': seeds} for r in (4, 8)]
-    files.write_json(judged.protocol, protocol | {'methods': protocol['methods'] + about})
-    known = {f'mlp, {r} modes': {'load_ms': r / 100, 'particles_ms': r / 10} for r in (4, 8)}
-    path = str(tmp_path / 'times.json')
-    files.write_json(path, {'models': known})
-    found, runs = times.rows(files.read_json(path), files.read_json(judged.protocol))
-    assert runs == 2
-    assert [row['name'] for row in found if 'load_ms' in row] == list(known)
-    times.draw(path, judged.protocol, str(tmp_path / 'modes.png'))
-    assert (tmp_path / 'modes.png').stat().st_size > 10_000

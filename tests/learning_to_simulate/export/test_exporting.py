@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import checkpoints, registry, rollout
-from learning_to_simulate.export import exporting
+from learning_to_simulate.export import exporting, step_functions
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 
@@ -93,7 +93,7 @@ def test_litert_says_the_same(tmp_path):
     model_path, data = make(tmp_path, 'driven')
     description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'tflite')
     assert (tmp_path / 'exported' / 'step.tflite').stat().st_size > 1000
-    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
+    assert max(description['compared']['relative_difference'].values()) <= step_functions.TOLERANCE
     assert len(description['origin']) == 4 + synthetic.N_MODES
     assert 'mean height' in description['state']
 
@@ -103,7 +103,7 @@ def test_onnx_says_the_same(tmp_path):
     pytest.importorskip('onnxruntime', reason='extra deploy')
     model_path, data = make(tmp_path, 'prescribed')
     description = exporting.export(model_path, data, str(tmp_path / 'exported'), 'onnx')
-    assert max(description['compared']['relative_difference'].values()) <= exporting.TOLERANCE
+    assert max(description['compared']['relative_difference'].values()) <= step_functions.TOLERANCE
 
 
 def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -114,8 +114,8 @@ def test_bad_input_leaves_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2onnx', None)
     with pytest.raises(ValueError, match='comes with the extra'):
         exporting.export(model_path, data, str(out), 'onnx')
-    monkeypatch.setattr(exporting, 'RECONSTRUCT_TOLERANCE', 0.0)
-    monkeypatch.setattr(exporting, 'TOLERANCE', 0.0)
+    monkeypatch.setattr(step_functions, 'RECONSTRUCT_TOLERANCE', 0.0)
+    monkeypatch.setattr(step_functions, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='differs from its source.*nothing was written'):
         exporting.export(model_path, data, str(out), 'tflite')
     assert not [p for p in tmp_path.iterdir() if 'exported' in p.name]

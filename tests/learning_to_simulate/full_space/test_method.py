@@ -201,7 +201,7 @@ def test_driven_wheel_is_trained_on_decoded_particles(folders, tmp_path):
         folder, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
     )
     row = summary['runs']['model'][0]
-    assert row['soil_mse_full'] > row['soil_mse'] > 0 and row['rigid_mse'] > 0
+    assert 1e-6 * row['soil_mm'] ** 2 > row['soil_mse'] > 0 and row['rigid_mse'] > 0
 
 
 def test_training_learns_resumes_and_refuses(folders, tmp_path):

@@ -11,7 +11,7 @@ from tests.learning_to_simulate import synthetic_rollout
 def test_long_names_stay_beside_their_rows(tmp_path):
     rollout_path, data_path, *_ = synthetic_rollout.write(str(tmp_path), 60)
     frames = rollout_frames.load(rollout_path, data_path, 'a_model_of_a_long_name')
-    view = particle_views.setup(frames, 'xy', np.arange(0, 60, 3))
+    view = particle_views.setup(frames, 'xy', np.arange(0, 54, 3))
     # The bin of the wheel: low, and its ticks have two decimals.
     flat = dataclasses.replace(view, limits=np.array([[0.08, 0.52], [0.09, 0.28]]))
     figure = rollout_figures.strip_figure(frames, flat, [0, 20, 40], dpi=50, beside=[frames])

@@ -53,37 +53,37 @@ def decoded(element):
 def test_collection_has_the_times(folder):
     sets = ElementTree.parse(os.path.join(folder, 'truth.pvd')).getroot().iter('DataSet')
     listed = [(float(entry.get('timestep')), entry.get('file')) for entry in sets]
-    assert [name for _, name in listed] == [f'truth/{t:05d}.vtp' for t in range(0, 60, 10)]
-    np.testing.assert_allclose([time for time, _ in listed], DT * np.arange(0, 60, 10))
+    assert [name for _, name in listed] == [f'truth/{t:05d}.vtp' for t in range(6, 60, 10)]
+    np.testing.assert_allclose([time for time, _ in listed], DT * np.arange(6, 60, 10))
     assert all(os.path.exists(os.path.join(folder, name)) for _, name in listed)
 
 
 def test_arrays_read_by_hand(folder, frames):
-    root = ElementTree.parse(os.path.join(folder, 'prediction', '00040.vtp')).getroot()
+    root = ElementTree.parse(os.path.join(folder, 'prediction', '00046.vtp')).getroot()
     assert root.get('type') == 'PolyData'
     piece = root.find('PolyData/Piece')
-    count = N_RIGID + frames.n_soil
+    count = N_RIGID + len(frames.start)
     assert piece.get('NumberOfPoints') == piece.get('NumberOfVerts') == str(count)
     points = decoded(piece.find('Points/DataArray'))
-    soil = frames.soil(PREDICTION, 40)
+    soil = frames.soil[PREDICTION][40]
     # float32 in the file.
     np.testing.assert_allclose(points[N_RIGID:], soil, rtol=1e-6)
-    np.testing.assert_allclose(points[:N_RIGID], frames.rigid[PREDICTION][40], rtol=1e-6)
+    np.testing.assert_allclose(points[:N_RIGID], frames.rigid[PREDICTION][46], rtol=1e-6)
     data = {e.get('Name'): decoded(e) for e in piece.find('PointData')}
     assert data.keys() == {'displacement', 'velocity', 'error', 'particle_type'}
-    assert data['particle_type'].tolist() == [3] * N_RIGID + [6] * frames.n_soil
-    way = soil - frames.soil(PREDICTION, 0)
+    assert data['particle_type'].tolist() == [3] * N_RIGID + [6] * len(frames.start)
+    way = soil - frames.start
     np.testing.assert_allclose(data['displacement'][N_RIGID:], way, atol=1e-7)
-    velocity = (soil - frames.soil(PREDICTION, 39)) / DT
+    velocity = (soil - frames.soil[PREDICTION][39]) / DT
     np.testing.assert_allclose(data['velocity'][N_RIGID:], velocity, atol=1e-6)
-    error = soil - frames.soil(TRUTH, 40)
+    error = soil - frames.soil[TRUTH][40]
     np.testing.assert_allclose(data['error'][N_RIGID:], error, atol=1e-7)
     verts = {e.get('Name'): decoded(e) for e in piece.find('Verts')}
     np.testing.assert_array_equal(verts['connectivity'], np.arange(count))
     np.testing.assert_array_equal(verts['offsets'], np.arange(1, count + 1))
     field = {e.get('Name'): decoded(e) for e in root.find('PolyData/FieldData')}
-    np.testing.assert_allclose(field['time'], 40 * DT)
-    np.testing.assert_allclose(field['force'][0], frames.force[PREDICTION][40])
+    np.testing.assert_allclose(field['time'], 46 * DT)
+    np.testing.assert_allclose(field['force'][0], frames.force[PREDICTION][46])
 
 
 def test_a_vtk_reader_agrees(folder, frames):
@@ -91,8 +91,8 @@ def test_a_vtk_reader_agrees(folder, frames):
     reader = pyvista.get_reader(os.path.join(folder, 'truth.pvd'))
     reader.set_active_time_value(reader.time_values[3])
     cloud = reader.read()[0]
-    np.testing.assert_allclose(cloud.points[N_RIGID:], frames.soil(TRUTH, 30), rtol=1e-6)
-    np.testing.assert_allclose(cloud.field_data['force'][0], frames.force[TRUTH][30])
+    np.testing.assert_allclose(cloud.points[N_RIGID:], frames.soil[TRUTH][30], rtol=1e-6)
+    np.testing.assert_allclose(cloud.field_data['force'][0], frames.force[TRUTH][36])
 
 
 def test_refuses_arrays_that_do_not_fit(tmp_path):

@@ -8,10 +8,9 @@ import tensorflow as tf
 
 import learning_to_simulate as lts
 from learning_to_simulate import rollout, rollout_status
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
-from learning_to_simulate.export_c import c_library, c_stepper
-from learning_to_simulate.live import stepping
+from learning_to_simulate.live.stepper import Stepper
+from learning_to_simulate.native import library
+from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.reading_utils import contexts_by_frame
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.trainer import Trainer
@@ -33,13 +32,13 @@ def made(tmp_path_factory):
     return model, group
 
 
-def _rolled(model, group, make_step=PlainStep, n_frame=8):
+def _rolled(model, group, n_frame=8):
     """Positions [S, n_frame, V, D]. Eagerly, to save the compilation."""
     layout = model.layout(group.n_rigid)
     state, known, context, _ = rollout.rollout_inputs(group, layout, model.simulator.scene)
     known = known.at(slice(n_frame))
     context = context if context.ndim == 2 else context[:n_frame]
-    function = rollout.RolloutFunction(model.simulator, layout, make_step=make_step)
+    function = rollout.RolloutFunction(model.simulator, layout)
     tf.config.run_functions_eagerly(True)
     try:
         offsets, _ = function(state, known, context, n_frame)
@@ -91,19 +90,15 @@ def test_single_step_is_that_of_the_numpy_twin(made):
     np.testing.assert_allclose(got, expected, atol=TOLERANCE)
 
 
-def test_rollouts_plain_and_folded_are_the_single_steps(made):
-    """All runs as a batch; in the folded form the context enters what is computed ahead."""
+def test_rollouts_are_the_single_steps(made):
+    """All runs as a batch."""
     model, group = made
     expected = _by_steps(model, group, 1, 8)
-    for make_step in (PlainStep, FoldedStep):
-        got = _rolled(model, group, make_step)
-        np.testing.assert_allclose(got[1], expected, atol=TOLERANCE)
+    np.testing.assert_allclose(_rolled(model, group)[1], expected, atol=TOLERANCE)
     frozen = dataclasses.replace(group, context=group.context[:, 0])
     assert np.abs(_rolled(model, frozen)[1] - expected).max() > 100 * TOLERANCE
     repeated = dataclasses.replace(group, context=0 * group.context + group.context[:, :1])
-    for make_step in (PlainStep, FoldedStep):
-        one, other = (_rolled(model, g, make_step) for g in (frozen, repeated))
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(_rolled(model, frozen), _rolled(model, repeated))
 
 
 def test_training_takes_it_of_the_frame_that_is_predicted(made):
@@ -131,7 +126,7 @@ def _step_through(stepper, group, run, count):
 def stepper(made):
     """Of TensorFlow, compiled once."""
     model, group = made
-    return stepping.Stepper(model, group.n_rigid)
+    return models.stepper(model, group.n_rigid)
 
 
 def test_live_steps_are_the_rollout(made, stepper):
@@ -143,12 +138,12 @@ def test_live_steps_are_the_rollout(made, stepper):
 
 
 @pytest.mark.skipif(
-    not any(map(c_library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
 )
 def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
     model, group = made
-    soil = c_stepper.CStepper(model, group.n_rigid)
-    with pytest.raises(ValueError, match='reset'):
+    soil = CSubspace.of(model, group.n_rigid)
+    with pytest.raises(ValueError, match='not started'):
         soil.set_context(group.context[0, 0])
     frames = _step_through(soil, group, 1, 12)
     expected = _step_through(stepper, group, 1, 12)
@@ -156,7 +151,7 @@ def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
         np.testing.assert_allclose(got.modes, frame.modes, atol=TOLERANCE)
     soil.prepare()  # what was computed ahead with the old context is computed again
     pose, context = group.position[1, H + 12, : group.n_rigid], 1.3 * group.context[1, H]
-    twin = c_stepper.CStepper(model, group.n_rigid)
+    twin = CSubspace.of(model, group.n_rigid)
     _step_through(twin, group, 1, 12)
     np.testing.assert_array_equal(soil.step(pose, context).modes, twin.step(pose, context).modes)
     with pytest.raises(ValueError, match='shape'):
@@ -165,7 +160,7 @@ def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
 
 def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
     model, group = made
-    n, poses = group.n_rigid, group.position[0, H:, : group.n_rigid]
+    poses = group.position[0, H:, : group.n_rigid]
     held, given = [], []
     for frames, contexts in (
         (held, [group.context[0, H], None]),
@@ -179,7 +174,7 @@ def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):
     assert frame.judgement.frame == H + 2
     with pytest.raises(ValueError, match='context'):
         stepper.step(poses[3], [9.81])
-    careful = stepping.Stepper(model, n, outside='raise', back_end=stepper._back_end)
+    careful = Stepper(stepper.computing, 'raise')
     careful.reset(group.position[0, :H], group.context[0, 0])
     with pytest.raises(ValueError, match='friction_angle_deg 80'):
         careful.step(poses[0], [9.81, 80.0])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate.live import stepping
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact
@@ -88,7 +87,7 @@ def test_the_force_is_nothing_in_the_air_and_whole_in_the_soil(tmp_path):
     n, run = group.n_rigid, int(np.ptp(group.position[:, :, 0, 1], axis=1).argmax())
     forces = []
     for one in (model, bare):
-        stepper = stepping.Stepper(one, n)
+        stepper = models.stepper(one, n)
         stepper.reset(group.position[run, :H])
         forces.append([stepper.step(points).force for points in group.position[run, H:, :n]])
     gated, whole = np.array(forces)

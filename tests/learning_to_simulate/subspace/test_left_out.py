@@ -15,9 +15,6 @@ from learning_to_simulate import (
     registry,
     rollout,
 )
-from learning_to_simulate.compiled import folded_step
-from learning_to_simulate.compiled.folded_simulator import FoldedSimulator
-from learning_to_simulate.live import stepping
 from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
@@ -67,7 +64,7 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
         tmp_path / 'data', overrides={'modes': 2, 'mode_edges': 4}
     )
     space = subspace.fit([np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))], 3)
-    stepper = stepping.Stepper(model, group.n_rigid, space)
+    stepper = models.stepper(model, group.n_rigid, space)
     stepper.reset(group.position[0, :H])
     modes = stepper.step(group.position[0, H, : group.n_rigid]).modes
     full = np.concatenate([modes, np.zeros((1, 3))])
@@ -171,12 +168,6 @@ def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path
     assert seen == {5, 11, layout.n_edge}  # None of the body's edges, those of one row, and all.
 
 
-def test_a_graph_that_follows_the_tool_is_stepped_and_rolled_out_in_its_plain_form(tmp_path):
-    model, (group, *_), _ = models.make(tmp_path, overrides={'surface_height': 0.3})
-    layout = model.layout(group.n_rigid)
-    function = folded_step.rollout_function(model.simulator, layout)
-    assert type(function) is rollout.RolloutFunction
-    with pytest.raises(ValueError, match='edges last'):
-        FoldedSimulator(model.simulator, layout)
+def test_a_tool_depth_needs_a_graph():
     with pytest.raises(ValueError, match='surface_height'):
         presets.make_config('mlp', surface_height=0.3)

@@ -8,10 +8,7 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate import evaluation, reading_utils, rollout
-from learning_to_simulate.compiled.folded_step import FoldedStep
-from learning_to_simulate.compiled.step_form import PlainStep
-from learning_to_simulate.export_c import model_data
-from learning_to_simulate.live import stepping
+from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.subspace import method
@@ -102,25 +99,6 @@ def test_a_step_is_that_of_the_numpy_twin(tmp_path, preset):
     np.testing.assert_allclose(force[0], expected_force, atol=1e-4 * size)
 
 
-def test_folded_rollouts_are_the_plain_ones(made):
-    model, group = made
-    state, known, _, _ = rollout.rollout_inputs(group, model.layout(7), model.simulator.scene)
-    known = known.at(slice(8))
-    tf.config.run_functions_eagerly(True)
-    try:
-        (offsets, forces), (folded, folded_forces) = (
-            rollout.RolloutFunction(model.simulator, model.layout(7), make_step=make_step)(
-                state, known, None, 8
-            )
-            for make_step in (PlainStep, FoldedStep)
-        )
-    finally:
-        tf.config.run_functions_eagerly(False)
-    np.testing.assert_allclose(folded, offsets, atol=1e-5)
-    assert forces.shape == (8, 4, 6)
-    np.testing.assert_allclose(folded_forces, forces, atol=1e-4 * np.abs(forces).max())
-
-
 def test_training_windows_hold_the_force_on_each(made):
     model, group = made
     trainer = Trainer(model, [group])
@@ -149,7 +127,7 @@ def test_rollout_files_hold_the_total_and_each(made, tmp_path):
 
 def test_live_steps_by_particles_give_the_force_on_each(made):
     model, group = made
-    stepper = stepping.Stepper(model, 7)
+    stepper = models.stepper(model, 7)
     assert stepper.reset(group.position[0, :H]).status == 'ok'
     frame = stepper.step(group.position[0, H, :7])
     assert frame.force.shape == (2, 3) and np.isfinite(frame.force).all()
@@ -195,7 +173,7 @@ def test_the_protocol_judges_the_force_on_each(tmp_path):
     folder = write(str(tmp_path / 'data'))
     synthetic.write_subspace(folder)
     reader = TruthReader(folder)
-    truth = next(reader.read('test'))
+    truth = next(reader.runs('test'))
     run = dataset.read_split(folder, 'test')[0]
     np.testing.assert_allclose(truth.force, run.body_force[H:].reshape(-1, 6), rtol=1e-6)
     train = dataset.read_split(folder, 'train')

@@ -4,15 +4,13 @@ import os
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, registry
 from learning_to_simulate.export import step_functions
-from learning_to_simulate.export_c import model_data
-from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
+from learning_to_simulate.native import model_data
+from learning_to_simulate.rollout import rollout_inputs
 from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.trainer import Trainer
-from learning_to_simulate.subspace.whole_state import Excitation
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
@@ -123,74 +121,15 @@ def test_a_body_whose_height_is_predicted_has_no_path_inputs(tmp_path):
         models.make(tmp_path, motion='driven', overrides={'path_inputs': True})
 
 
-def operations_and_variables(made, group):
-    """Types of the operations of a rollout, and the names of the variables."""
-    layout = made.layout(group.n_rigid)
-    function = RolloutFunction(made.simulator, layout)
-    inputs = rollout_inputs(group, layout, made.simulator.scene)
-    graph = function._run.get_concrete_function(*inputs).graph.as_graph_def()
-    nodes = [*graph.node, *(n for f in graph.library.function for n in f.node_def)]
-    return {n.op for n in nodes}, ' '.join(v.name for v in made.simulator.trainable_variables)
-
-
 def test_no_edge_and_no_embedding_exist(tmp_path):
-    """Gathers of edge ends and sums of messages are in the graph network, and here they are not."""
-    of_edges = {'GatherV2', 'Einsum'}
-    graph, (group,), _ = models.make(tmp_path / 'gns')
-    operations, names = operations_and_variables(graph, group)
-    assert of_edges <= operations and 'edge' in names and 'embedding' in names
+    graph, _, _ = models.make(tmp_path / 'gns')
+    names = ' '.join(v.name for v in graph.simulator.trainable_variables)
+    assert 'edge' in names and 'embedding' in names
     for model in MODELS:
         made, (group,), _ = make(tmp_path / model, model)
-        operations, names = operations_and_variables(made, group)
-        assert not of_edges & operations and 'edge' not in names and 'embedding' not in names
+        names = ' '.join(v.name for v in made.simulator.trainable_variables)
+        assert 'edge' not in names and 'embedding' not in names
         assert made.layout(group.n_rigid).n_edge == 0
-
-
-@pytest.mark.parametrize('model', MODELS)
-def test_batch_of_runs_equals_single_runs(tmp_path, model):
-    made, (group,), _ = make(tmp_path, model, 'driven', context=True)
-    layout = made.layout(group.n_rigid)
-    function = RolloutFunction(made.simulator, layout)
-    together = roll_out(function, group).position
-    for i in range(2):
-        alone = roll_out(RolloutFunction(made.simulator, layout), group.select(i)).position
-        np.testing.assert_allclose(together[i : i + 1, :3], alone[:, :3], atol=1e-4)
-
-
-def test_channel_excitation_is_its_closed_form():
-    """One channel in four is squeezed; gates by hand from numbers."""
-    gate = Excitation(4, of_frames=False)
-    x = np.arange(12.0, dtype=np.float32).reshape(1, 3, 4)
-    gate(tf.constant(x))
-    w1, w2 = np.full((4, 1), 0.1, np.float32), np.array([[1.0, -1.0, 0.0, 2.0]], np.float32)
-    for linear, w in ((gate._squeeze, w1), (gate._excite, w2)):
-        linear.w.assign(w)
-        linear.b.assign(np.zeros(w.shape[1]))
-    squeezed = 0.1 * (4 + 5 + 6 + 7)  # the means over three frames, all positive: relu is idle
-    expected = x / (1 + np.exp(-squeezed * w2))
-    np.testing.assert_allclose(gate(tf.constant(x)), expected, rtol=1e-6)
-
-
-def test_frame_excitation_is_added_to_that_of_the_channels():
-    both, alone = Excitation(2, of_frames=True), Excitation(2, of_frames=False)
-    x = tf.constant([[[1.0, 2.0], [3.0, -4.0], [0.0, 0.5]]])
-    both(x), alone(x)
-    for mine, other in ((alone._squeeze, both._squeeze), (alone._excite, both._excite)):
-        mine.w.assign(other.w)
-    both._frame.w.assign([[1.0], [0.5]])
-    gate = 1 / (1 + np.exp(-np.array([2.0, 1.0, 0.25])))
-    np.testing.assert_allclose(both(x) - alone(x), x * gate[None, :, None], rtol=1e-5)
-
-
-def test_mixer_sees_the_order_of_the_frames(tmp_path):
-    """A sum over frames would not: the answer to a reversed history differs."""
-    made, (group,), _ = make(tmp_path, 'mixer_scse')
-    layout = made.layout(group.n_rigid)
-    state, known, _, _ = rollout_inputs(group, layout, made.simulator.scene)
-    coming = type(known)(known.offset[0], known.velocity[0])
-    reverse = state._replace(velocity=state.velocity[:, :, ::-1])
-    a, b = (made.simulator.predict(s, coming, None, layout)[0].numpy() for s in (state, reverse))
-    assert np.abs(a - b).max() > 1e-2
 
 
 @pytest.mark.parametrize('model', ['mlp', 'mixer_scse'])
@@ -216,16 +155,6 @@ def test_training_resumes_and_rolls_out(tmp_path, model):
     other = synthetic.write_dataset(tmp_path / 'other', rigid_counts=(6,))
     with pytest.raises(ValueError, match='made for 4 rigid particles and cannot take 6'):
         registry.open_model(path, other, 'test', {})
-
-
-def test_trained_mlp_beats_the_trivial_predictors(tmp_path):
-    """As the graph network on the same soil, which follows the body by a linear law."""
-    folder = synthetic.write_dataset(tmp_path / 'data', n_run=8)
-    config = presets.make_config(
-        'mlp', num_steps=600, unroll_steps=0, latent_size=32, learning_rate=3e-3
-    )
-    summary = registry.train(folder, str(tmp_path / 'model'), config, save_every=600)
-    assert summary['soil_mse_over_best_trivial'] < 0.5
 
 
 def test_impossible_choices_are_refused():

@@ -91,17 +91,3 @@ def test_several_seeds_of_a_method_and_of_a_baseline():
     wins = summary['model']['wins']['ridge']
     assert wins['seeds'] == [1, 2] and (wins['low'], wins['high']) == (1, 2)
     assert summary['model']['median'] == over_runs.over_seeds([4.5, 2.0])
-
-
-def test_horizons_are_medians_over_runs_that_move():
-    one = document({'m': (False, [[1.0, 1.0, 1.0]])})
-    times = [None, 0.75, 0.1]
-    for run, (at, end), time in zip(
-        one['methods'][0]['seeds'][0]['runs']['test'], ((1, 2), (3, 40), (9, 99)), times
-    ):
-        run |= {'horizons_mm': {'0.5': at, 'end': end}, 'seconds_to_spacing': time}
-    found = over_runs.horizons(one, 'test', one['methods'][0])
-    assert found['median_mm']['0.5']['mean'] == 2.0
-    assert found['median_mm']['end']['mean'] == 21.0
-    assert found['runs_beyond_spacing']['mean'] == 1
-    assert found['first_beyond_spacing_s'] == 0.75

@@ -7,132 +7,61 @@ import types
 import numpy as np
 import pytest
 
-from learning_to_simulate import metrics
-from pca_tools import dataset, files, packing, particles, subspace
+from pca_tools import files
 from reports import documents, record
 from reports.protocol import baselines, document, rollouts, run_errors, tables
-from reports.protocol.truth import DECODED, PARTICLES, TruthReader
+from reports.protocol.truth import TruthReader
 from tests.learning_to_simulate import synthetic
 
 H, FRAMES, N_SOIL, STRIDE = 6, synthetic.N_FRAMES, synthetic.N_SOIL, 4
 
 
-def soil_of(reader, split, record, seed=0):
-    """Particles [T, N, 3] of a run: its modes and something that no mode holds."""
-    run = dataset.read_split(reader.folder, split)[record]
-    decoded = reader.decode(run.position[:, run.n_rigid :], np.arange(N_SOIL))
-    rest = np.random.default_rng(seed + record).normal(size=decoded.shape)
-    w = reader.subspace.components
-    rest -= w @ (w.T @ rest)  # orthogonal to the modes, axis by axis
-    return decoded + 2e-3 * rest
+def make(tmp_path):
+    """A dataset with a subspace and, as yet, no particles."""
+    path = synthetic.write_dataset(tmp_path / 'data', n_run=4)
+    synthetic.write_subspace(path)
+    return path
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """A dataset with a subspace and, as yet, no particles."""
-    path = synthetic.write_dataset(tmp_path / 'data', n_run=4)
-    rng = np.random.default_rng(1)
-    runs = [rng.normal(size=(8, N_SOIL, 3)) + np.arange(N_SOIL)[None, :, None] for _ in range(2)]
-    subspace.fit(runs, synthetic.N_MODES).save(os.path.join(path, 'subspace.npz'))
-    return path
+    return make(tmp_path)
 
 
-def with_sample(folder):
-    """Writes particle samples of valid and test; returns the reader and the chosen particles."""
-    reader = TruthReader(folder)
-    chosen = np.arange(0, N_SOIL, 3)
-    for split in ('valid', 'test'):
-        count = len(dataset.read_split(folder, split))
-        soil = [soil_of(reader, split, i)[::STRIDE, chosen] for i in range(count)]
-        packed = [(packing.pack_steps(p, soil[0][0], 1e-7), len(p)) for p in soil]
-        path = particles.sample_path(folder, split)
-        particles.write_sample(path, packed, chosen, soil[0][0], STRIDE, 1e-7)
-    return TruthReader(folder), chosen
-
-
-def held(truth):
-    """Persistence in the modes: the first predicted frame for ever."""
-    return np.repeat(truth.modes[:1], len(truth.modes), axis=0)
-
-
-def test_decoded_truth_adds_what_the_modes_cut_off(folder):
+def test_motion_and_truncation_are_those_of_the_particles(folder):
     path = os.path.join(folder, 'metadata.json')
-    metadata = files.read_json(path)
-    cut = {s: [4e-6, 9e-6] for s in ('valid', 'test')}
-    files.write_json(path, metadata | {'projection_mse': cut})
-    reader = TruthReader(folder)
-    truth = list(reader.read('test'))[1]
-    assert truth.source == DECODED and truth.truncation == pytest.approx(3.0)
-    prediction = run_errors.RunPrediction(modes=held(truth))
-    found = run_errors.run_errors(prediction, truth, reader, reader.indices('test'))
-    # Modes are orthonormal: the squared errors of scores are those of particles.
-    mse = metrics.soil_mse(held(truth)[None], truth.modes[None], 0, N_SOIL)[0]
-    assert found['modes_mm'] == pytest.approx(1e3 * np.sqrt(mse))
-    assert found['soil_mm'] == pytest.approx(1e3 * np.sqrt(mse + 9e-6))
-    exact = run_errors.RunPrediction(modes=truth.modes)
-    found = run_errors.run_errors(exact, truth, reader, reader.indices('test'))
-    assert found['soil_mm'] == pytest.approx(3.0) and found['modes_mm'] == 0.0
-
-
-def test_particles_of_the_solver_are_the_truth_where_there_are_some(folder):
-    reader, chosen = with_sample(folder)
-    truth = list(reader.read('test'))[1]
-    assert truth.source == PARTICLES and truth.cut_off == 0.0
-    assert truth.frames.tolist() == list(range(8, FRAMES, STRIDE))
-    soil = soil_of(reader, 'test', 1)
-    np.testing.assert_allclose(truth.particles, soil[8::STRIDE, chosen], atol=1e-7)
-    np.testing.assert_array_equal(reader.indices('test'), chosen)
+    files.write_json(path, files.read_json(path) | {'projection_mse': {'test': [4e-6, 9e-6]}})
+    assert list(TruthReader(folder).runs('test'))[1].truncation == pytest.approx(3.0)
+    chosen = synthetic.write_particles(folder)
+    truth = list(TruthReader(folder).runs('test'))[1]
+    soil = synthetic.soil_of(folder, 'test', 1)
     moved = soil[8::STRIDE, chosen] - soil[0, chosen]
     assert truth.motion == pytest.approx(1e3 * np.sqrt((moved**2).mean()), rel=1e-4)
     exact = run_errors.RunPrediction(modes=truth.modes)
-    found = run_errors.run_errors(exact, truth, reader, chosen)
+    found = run_errors.run_errors(exact, truth)
     assert found['soil_mm'] == pytest.approx(truth.truncation) and truth.truncation > 1.0
-    whole = run_errors.RunPrediction(particles=lambda f, p: soil[f][:, p])
-    found = run_errors.run_errors(whole, truth, reader, chosen)
-    assert found['soil_mm'] < 1e-3 and 'modes_mm' not in found
-
-
-def test_horizons_and_the_time_to_a_spacing(folder):
-    reader = TruthReader(folder)
-    truth = next(reader.read('test'))
-    # An error that grows by 1 mm a frame on every axis.
-    growth = 1e-3 * np.arange(1, FRAMES - H + 1)
-    off = truth.particles + growth[:, None, None]
-    found = run_errors.soil_errors(off, truth)
-    assert found['horizons_mm'] == pytest.approx({'0.25': 15.0, '0.5': 30.0, 'end': FRAMES - H})
-    frames = int(np.floor(truth.spacing / 1e-3)) + 1
-    assert truth.spacing < FRAMES * 1e-3 or found['seconds_to_spacing'] is None
-    near = truth.__class__(**{**vars(truth), 'spacing': 0.0105})
-    assert run_errors.soil_errors(off, near)['seconds_to_spacing'] == pytest.approx(11 / 60)
-    assert run_errors.soil_errors(truth.particles, near)['seconds_to_spacing'] is None
-    broken = off.copy()
-    broken[3:] = np.nan
-    assert run_errors.soil_errors(broken, near)['seconds_to_spacing'] == pytest.approx(4 / 60)
-    assert frames > 0
-    with pytest.raises(ValueError, match='do not fit'):
-        run_errors.soil_errors(off[:-1], truth)
 
 
 def test_force_height_and_torque_are_judged_where_both_sides_have_them(folder):
     reader = TruthReader(folder)
-    truth = next(reader.read('test'))
+    truth = next(reader.runs('test'))
     count = len(truth.force)
     full = truth.__class__(
         **{**vars(truth), 'height': np.zeros(count), 'torque': np.ones((count, 3))}
     )
-    assert full.across == 2  # it travels along x, and y is up
+    assert full.axes == (0, 1, 2)  # it travels along x, and y is up
     torque = np.zeros((count, 3))
-    torque[:, full.across] = 0.75
+    torque[:, 2] = 0.75
     prediction = run_errors.RunPrediction(
         force=1.5 * truth.force, height=np.full(count, 2e-3), torque=torque
     )
-    found = run_errors.run_errors(prediction, full, reader, reader.indices('test'))
+    found = run_errors.run_errors(prediction, full)
     assert found['force_l2'] == pytest.approx(0.5)
     assert found['force_n'] == pytest.approx(0.5 * np.sqrt((truth.force**2).mean()))
     assert found['height_mm'] == pytest.approx(2.0) and found['pitch_l2'] == pytest.approx(0.25)
     assert found['torque_l2'] == pytest.approx(np.sqrt((1 + 1 + 0.25**2) / 3))
-    found = run_errors.run_errors(prediction, truth, reader, reader.indices('test'))
-    assert set(found) == {'force_l2', 'force_n'}
+    found = run_errors.run_errors(prediction, truth)
+    assert {name.partition('_')[0] for name in found} == {'force', 'drawbar', 'vertical'}
 
 
 def write_rollout(path, truth, **more):
@@ -149,12 +78,13 @@ def write_rollout(path, truth, **more):
 
 
 def test_rollout_files_of_modes_and_of_particles(folder, tmp_path):
-    reader, chosen = with_sample(folder)
-    truths = list(reader.read('test'))
+    synthetic.write_particles(folder)
+    reader = TruthReader(folder)
+    truths = list(reader.runs('test'))
     force = truths[0].force.astype(np.float32)
     write_rollout(tmp_path / 'rollout_test_0.npz', truths[0], predicted_forces=force)
     frames = np.arange(H, FRAMES)
-    soil = soil_of(reader, 'test', 1)
+    soil = synthetic.soil_of(folder, 'test', 1)
     write_rollout(
         tmp_path / 'rollout_test_1.npz',
         truths[1],
@@ -165,21 +95,22 @@ def test_rollout_files_of_modes_and_of_particles(folder, tmp_path):
     modes, field = rollouts.read(str(tmp_path), 'test', 2, reader.metadata)
     np.testing.assert_allclose(modes.modes, truths[0].modes + 1e-3, atol=1e-5)
     assert modes.status == 'ok' and modes.height == pytest.approx(0.4)
-    errors = run_errors.run_errors(modes, truths[0], reader, chosen)
-    assert errors['force_l2'] < 1e-6 and errors['modes_mm'] > 0
-    assert run_errors.run_errors(field, truths[1], reader, chosen)['soil_mm'] < 1e-3
-    with pytest.raises(ValueError, match='lacks 1 frames'):
-        field.particles(np.array([2]), chosen)
+    errors = run_errors.run_errors(modes, truths[0])
+    assert errors['force_l2'] < 1e-6 and errors['soil_mm'] > 0
+    assert run_errors.run_errors(field, truths[1])['soil_mm'] < 1e-3
     with pytest.raises(ValueError, match='soil nodes'):
         rollouts.read(str(tmp_path), 'test', 1, reader.metadata | {'mode_number': 9})
     with pytest.raises(FileNotFoundError):
         rollouts.read(str(tmp_path), 'test', 3, reader.metadata)
 
 
-@pytest.fixture
-def judged(folder, tmp_path):
+@pytest.fixture(scope='module')
+def judged(tmp_path_factory):
     """A whole document of the small dataset: baselines and a 'model' of two seeds."""
-    reader, _ = with_sample(folder)
+    tmp_path = tmp_path_factory.mktemp('judged')
+    folder = make(tmp_path)
+    synthetic.write_particles(folder)
+    reader = TruthReader(folder)
     methods = [
         {
             'name': b.name,
@@ -200,7 +131,7 @@ def judged(folder, tmp_path):
     for seed in range(2):
         for split in document.SPLITS:
             (tmp_path / f'{seed}{split}').mkdir()
-            for truth in reader.read(split):
+            for truth in reader.runs(split):
                 name = f'rollout_{split}_{truth.record}.npz'
                 write_rollout(tmp_path / f'{seed}{split}' / name, truth)
     methods.append(
@@ -230,7 +161,7 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
     assert names == ['persistence', 'constant velocity', 'mean force', 'path ridge', 'model']
     text = json.dumps(judged, allow_nan=False)
     summary = judged['summary']['test']['all']
-    assert set(summary) == {'soil_mm', 'force_l2'}
+    assert set(summary) == {'soil_mm', 'force_l2', 'drawbar_l2'}
     assert 'model' not in summary['force_l2'] and 'mean force' not in summary['soil_mm']
     ridge = summary['soil_mm']['path ridge']
     assert ridge['mean']['mean'] < summary['soil_mm']['persistence']['mean']['mean']
@@ -241,23 +172,15 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
 
     path = str(tmp_path / 'synthetic.json')
     files.write_json(path, judged)
-    marks = (
-        'quantity {} test soil_mm', 'horizons {} test', 'runs {} test force_l2', 'facts {}',
-        'bounds {}',
-    )  # fmt: skip
+    marks = 'means {} test soil_mm force_l2', 'of_method {} test model soil_mm'
     page = '\n\n'.join(f'<!-- table: reports.protocol.tables:{m.format(path)} -->' for m in marks)
     shown = documents.render(page + '\n')
-    assert 'model (2 seeds)' in shown and '*path ridge*' in shown and '| 1 grid' not in shown
-    assert f'{ridge["mean"]["mean"]:.3g}' in shown and '2 grid' in shown
-    # Two seeds of one prediction: errors as ever, and a bound that they do not tell.
-    model, force = (
-        {m['name']: m['reliability'] for m in judged['methods']}[name]
-        for name in ('model', 'mean force')
-    )
-    assert set(model) == {'soil'} and set(force) == {'force'}
-    assert f'| {model["soil"]["error"]:.3g} | {model["soil"]["bound"]:.3g} |' in shown
+    assert 'model (2 seeds)' in shown and '*path ridge*' in shown
+    assert f'{ridge["mean"]["mean"]:.3g}' in shown
+    table = tables.quantity_table(judged, 'test', 'soil_mm')
+    assert f'{ridge["mean"]["mean"]:.3g}' in table and 'model (2 seeds)' in table
     with pytest.raises(ValueError, match='KeyError'):
-        documents.render(f'<!-- table: reports.protocol.tables:quantity {path} test none -->\n')
+        documents.render(f'<!-- table: reports.protocol.tables:means {path} none soil_mm -->\n')
 
 
 def test_errors_by_kind_are_means_over_the_runs_of_a_kind(judged):

@@ -1,0 +1,335 @@
+"""Sinkage, drawbar and torque of a wheel by Bekker, Wong and Janosi, as in the Soil Contact Model.
+
+Normal stress under a point that is pressed in by z: p = (k_c / b + k_phi) z^n (Bekker 1969; Wong
+2008, Theory of Ground Vehicles, ch. 2). Shear stress after a shear displacement j:
+tau = (c + p tan phi)(1 - exp(-j / K)) (Janosi & Hanamoto 1961). The Soil Contact Model (Krenn &
+Hirzinger 2009; Chrono's SCM) applies both to a height map: soil that was pressed in stays so, and
+comes back elastically only. Here the map is a row of bins along the travel, the wheel a rigid
+cylinder, and its height in every frame the one at which the soil bears the load.
+
+In the steady state this is Wong & Reece's (1967) integral over the contact arc, with no contact
+behind the lowest point, but for j: they follow a point of the rim, the Soil Contact Model a point
+of the soil, which the rim passes 1 / (1 - slip) times as long.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from learning_to_simulate.baselines import open_loop
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.tool.axes import hidden_height, wheel_pose
+from learning_to_simulate.tool.wheel import CONTEXT
+
+RIM_FRICTION = 0.5
+# Gravity (m/s2) and friction of the soil (28 degrees) that the default parameters were measured at.
+EARTH_GRAVITY = 9.81
+TABLE_FRICTION = 0.5317
+_BISECTIONS = 30
+# Sine of the angle at which the rim ends: beyond, it stands upright.
+_RIM_END = 0.9999
+# What `fitted` moves, and how: positive ones as logarithms.
+_FITTED = ('k_phi', 'n', 'shear_modulus', 'friction_factor')
+_FIT_STEPS = (0.7, 0.2, 0.5, -0.2, 2.0)  # of the fitted values and of the friction exponent
+_FIT_STRIDE, _FIT_BINS, _FIT_ITERATIONS = 8, 40, 160
+
+
+@dataclasses.dataclass(frozen=True)
+class TerrainParameters:
+    """Parameters of Bekker, Wong and Janosi.
+
+    The defaults are Wong's dry sand (2008, table 2.3; Land Locomotion Laboratory) without its
+    cohesion, and the shear modulus of Chrono's SCM examples. A frictional soil bears in proportion
+    to its weight (Reece 1965), so k_c and k_phi scale with gravity.
+
+    Attributes:
+      k_c: cohesive modulus, N/m^(n+1).
+      k_phi: frictional modulus, N/m^(n+2).
+      n: exponent of sinkage.
+      shear_modulus: K, m.
+      cohesion: Pa.
+      friction_factor: on the friction that limits the shear stress.
+      friction_exponent: the moduli grow with this power of tan(phi) over that of the table; 0 is
+        Bekker's law, whose moduli know no friction angle.
+      elastic: stiffness of unloading over p(z) / z of the point at its deepest.
+    """
+
+    k_c: float = 990.0
+    k_phi: float = 1528.43e3
+    n: float = 1.1
+    shear_modulus: float = 0.01
+    cohesion: float = 0.0
+    friction_factor: float = 1.0
+    friction_exponent: float = 0.0
+    elastic: float = 20.0
+
+
+class Wheels(NamedTuple):
+    """S wheels and their soils.
+
+    Attributes:
+      radius, width: [S], m.
+      load: [S] or [S, T], N.
+      gravity: [S], m/s2.
+      soil_friction: [S] tan(phi) of the soil.
+      rim_friction: [S] Coulomb coefficient between soil and rim.
+    """
+
+    radius: np.ndarray
+    width: np.ndarray
+    load: np.ndarray
+    gravity: np.ndarray
+    soil_friction: np.ndarray
+    rim_friction: np.ndarray
+
+
+class WheelMotion(NamedTuple):
+    """What the model says, per frame.
+
+    Attributes:
+      sinkage: [S, T] of the lowest point below the flat surface, m.
+      drawbar: [S, T] forward force of the soil on the wheel, N.
+      vertical: [S, T] upward force, N: the load, or less where the wheel is buried to its axle.
+      torque: [S, T] of the soil about the axle, against the turn, N m.
+    """
+
+    sinkage: np.ndarray
+    drawbar: np.ndarray
+    vertical: np.ndarray
+    torque: np.ndarray
+
+
+class _Contact(NamedTuple):
+    """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins.
+
+    Attributes:
+      arch: height of the rim above its lowest point, m; infinite beyond the rim.
+      sine, cosine: of the rim's angle from its lowest point, positive ahead.
+      deepest: sinkage so far, m.
+      shear: share of the shear strength that is mobilised, signed.
+      modulus: p / z^n, Pa/m^n.
+      friction: that limits the shear stress.
+      area: of a bin, m2.
+    """
+
+    arch: np.ndarray
+    sine: np.ndarray
+    cosine: np.ndarray
+    deepest: np.ndarray
+    shear: np.ndarray
+    modulus: np.ndarray
+    friction: np.ndarray
+    area: np.ndarray
+
+    def pressure(self, sinkage, parameters):
+        """Normal stress [S, n] (Pa) at sinkages [S] (m) of the lowest points."""
+        z = sinkage[:, None] - self.arch
+        most = np.maximum(z, self.deepest)
+        virgin = self.modulus * np.maximum(most, 0.0) ** parameters.n
+        # Unloading: a share of p is gone for each share of its depth that the rim has risen.
+        risen = (most - z) / np.maximum(most, 1e-12)
+        left = np.maximum(1.0 - parameters.elastic * risen, 0.0)
+        return np.where(z > 0, virgin * left, 0.0)
+
+    def forces(self, sinkage, parameters):
+        """Forward and upward force [S], N, and torque per radius [S], N, at sinkages [S]."""
+        pressure = self.pressure(sinkage, parameters)
+        strength = np.where(pressure > 0, parameters.cohesion + pressure * self.friction, 0.0)
+        tau = strength * self.shear
+        # A bin's share of the rim is area / cosine; stresses turn with the rim.
+        tangent = self.sine / self.cosine
+        return (
+            ((tau - pressure * tangent) * self.area).sum(axis=1),
+            ((pressure + tau * tangent) * self.area).sum(axis=1),
+            (tau / self.cosine * self.area).sum(axis=1),
+        )
+
+
+def drive(
+    wheels: Wheels, travel, rolled, parameters: TerrainParameters, n_bin: int = 160
+) -> WheelMotion:
+    """Drives wheels over flat soil, each frame in equilibrium with its load.
+
+    Args:
+      wheels: S wheels.
+      travel: [S, T] of the axle, m, forward.
+      rolled: [S, T] radius times the angle turned, m, forward.
+      parameters: of the soil.
+      n_bin: bins per radius of travel.
+
+    Returns:
+      `WheelMotion`. Frame 0 rests under the load; the soil then has no shear. A wheel whose load
+      the soil does not bear is buried to its axle; its vertical force stays below the load.
+    """
+    radius, width = (np.asarray(x, np.float64)[:, None] for x in (wheels.radius, wheels.width))
+    soil_friction = np.asarray(wheels.soil_friction, np.float64)[:, None]
+    modulus = (parameters.k_c / width + parameters.k_phi) * (
+        np.asarray(wheels.gravity)[:, None]
+        / EARTH_GRAVITY
+        * (soil_friction / TABLE_FRICTION) ** parameters.friction_exponent
+    )
+    # The rim slides before the soil shears where it is the smoother of both.
+    friction = parameters.friction_factor * np.minimum(
+        soil_friction, np.asarray(wheels.rim_friction)[:, None]
+    )
+    spacing = radius / n_bin  # [S, 1]
+    start = travel.min(axis=1, keepdims=True) - radius
+    count = int(np.ceil(((np.ptp(travel, axis=1) + 2 * radius[:, 0]) / spacing[:, 0]).max())) + 1
+    places = start + spacing * np.arange(count)  # [S, n]
+    deepest, shear = np.zeros_like(places), np.zeros_like(places)
+    loads = np.broadcast_to(np.reshape(wheels.load, (len(travel), -1)), travel.shape)
+    rows = []
+    for t in range(travel.shape[1]):
+        # Only bins under the wheel are looked at: a frame costs the same on every path.
+        first = np.floor((travel[:, t] - radius[:, 0] - start[:, 0]) / spacing[:, 0])
+        window = np.clip(first.astype(int)[:, None] + np.arange(2 * n_bin + 2), 0, count - 1)
+        ahead = np.take_along_axis(places, window, axis=1) - travel[:, t : t + 1]
+        sine = np.clip(ahead / radius, -_RIM_END, _RIM_END)
+        cosine = np.sqrt(1.0 - sine**2)
+        slip = np.take_along_axis(shear, window, axis=1)
+        if t:
+            # The rim passes the soil at omega R - v cos(angle).
+            turned = rolled[:, t : t + 1] - rolled[:, t - 1 : t]
+            slip = slip + turned - (travel[:, t : t + 1] - travel[:, t - 1 : t]) * cosine
+        contact = _Contact(
+            arch=np.where(np.abs(sine) < _RIM_END, radius * (1.0 - cosine), np.inf),
+            sine=sine,
+            cosine=cosine,
+            deepest=np.take_along_axis(deepest, window, axis=1),
+            shear=np.sign(slip) * (1.0 - np.exp(-np.abs(slip) / parameters.shear_modulus)),
+            modulus=modulus,
+            friction=friction,
+            area=width * spacing,
+        )
+        low, high = np.zeros(len(radius)), radius[:, 0].copy()
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            bears = contact.forces(middle, parameters)[1] >= loads[:, t]
+            low, high = np.where(bears, low, middle), np.where(bears, middle, high)
+        forward, upward, moment = contact.forces(high, parameters)
+        rows.append((high, forward, upward, radius[:, 0] * moment))
+        pressed = contact.pressure(high, parameters) > 0
+        reached = np.where(pressed, high[:, None] - contact.arch, 0.0)
+        np.put_along_axis(deepest, window, np.maximum(contact.deepest, reached), axis=1)
+        np.put_along_axis(shear, window, np.where(pressed, slip, 0.0), axis=1)
+    return WheelMotion(*(np.stack(x, axis=1) for x in zip(*rows, strict=True)))
+
+
+class WheelTerramechanics:
+    """The wheel's motion and force along recorded paths; the soil stays still.
+
+    Args:
+      scene: what exists; the body must be driven, the context as in `CONTEXT`.
+      axes: of the scene.
+      parameters: of the soil.
+
+    Raises:
+      ValueError: a scene that is not a wheel's.
+    """
+
+    def __init__(self, scene, axes, parameters=TerrainParameters()):  # noqa: B008
+        if scene.rigid_motion != RigidMotion.DRIVEN or not set(CONTEXT) <= set(scene.context_names):
+            raise ValueError(
+                f'Bekker, Wong and Janosi need a driven wheel with the context {CONTEXT}; the body '
+                f'is {scene.rigid_motion}, its context {scene.context_names}'
+            )
+        self.scene, self.axes, self.parameters = scene, axes, parameters
+
+    def parameters_to_json(self) -> dict:
+        """All but scene and axes, for `from_json`."""
+        return dataclasses.asdict(self.parameters)
+
+    @classmethod
+    def from_json(cls, values: dict, scene, axes) -> 'WheelTerramechanics':
+        """Rebuilds a method; raises TypeError or ValueError on foreign values."""
+        return cls(scene, axes, TerrainParameters(**{k: float(v) for k, v in values.items()}))
+
+    def drive(self, group, cases=None, stride: int = 1, n_bin: int = 160) -> WheelMotion:
+        """`WheelMotion` [S, ceil(T / stride)] of the runs of a group."""
+        body = hidden_height(group.position[:, :, : group.n_rigid], self.scene, H)
+        centre, turned, radius, width = wheel_pose(body, self.axes)
+        gravity, angle, load = (
+            group.context[..., self.scene.context_names.index(name)] for name in CONTEXT
+        )
+        if load.ndim == 2:  # soil and planet stay, the load may change
+            gravity, angle, load = gravity[:, 0], angle[:, 0], load[:, ::stride]
+        rim = [(c or {}).get('body_friction', RIM_FRICTION) for c in cases or [None] * len(load)]
+        wheels = Wheels(radius, width, load, gravity, np.tan(np.radians(angle)), np.array(rim))
+        travel = centre[..., 0] - centre[:, :1, 0]
+        rolled = radius[:, None] * turned
+        return drive(wheels, travel[:, ::stride], rolled[:, ::stride], self.parameters, n_bin)
+
+    def predict(self, group, cases=None) -> open_loop.Prediction:
+        """Frames H .. T - 1 of the S runs of a group.
+
+        The height goes on from the last given one, by the change of the sinkage since.
+
+        Args:
+          group: `RunGroup`.
+          cases: per run, its entry in the metadata's `cases`; only `body_friction` is read.
+        """
+        motion = self.drive(group, cases)
+        up = self.scene.up_axis
+        start = group.position[:, H - 1, : group.n_rigid, up].mean(axis=1)[:, None]
+        height = start - (motion.sinkage[:, H:] - motion.sinkage[:, H - 1 : H])
+        force = self._force(motion)[:, H:]
+        predicts = frozenset({open_loop.FORCE, open_loop.HEIGHT, open_loop.TORQUE})
+        position = open_loop.held_position(group, self.scene, height)
+        return open_loop.Prediction(position, force, predicts, self._torque(motion)[:, H:])
+
+    def _force(self, motion):
+        force = np.zeros((*motion.drawbar.shape, 3))
+        force[..., self.axes.axis] = self.axes.sign * motion.drawbar
+        force[..., self.axes.up] = motion.vertical
+        return force
+
+    def _torque(self, motion):
+        # Rolling along +u turns u towards -y; the soil turns it back.
+        axle = np.cross(np.eye(3)[self.axes.up], self.axes.sign * np.eye(3)[self.axes.axis])
+        return -motion.torque[..., None] * axle
+
+    def fitted(self, groups, cases=None) -> 'WheelTerramechanics':
+        """The same with k_phi, n, K, the friction factor and the friction exponent that fit the
+        runs of the groups best (Nelder-Mead on every eighth frame).
+
+        The error is the mean over runs of the force's relative L2 error and of the height's RMS
+        error over the RMS of the height's change in all runs.
+        """
+        cases = cases or [None] * len(groups)
+        up = self.scene.up_axis
+        truth = []
+        for group in groups:
+            height = group.position[:, :, : group.n_rigid, up].mean(axis=2)[:, ::_FIT_STRIDE]
+            truth.append((height - height[:, :1], group.force[:, ::_FIT_STRIDE]))
+        moved = np.sqrt(np.mean(np.concatenate([h.reshape(-1) for h, _ in truth]) ** 2))
+
+        def error(values):
+            method = WheelTerramechanics(self.scene, self.axes, self._with(values))
+            errors = []
+            for group, of_group, (height, force) in zip(groups, cases, truth, strict=True):
+                motion = method.drive(group, of_group, _FIT_STRIDE, _FIT_BINS)
+                sunk = motion.sinkage[:, :1] - motion.sinkage - height
+                off = method._force(motion) - force
+                errors.append(np.sqrt((sunk**2).mean(axis=1)) / max(moved, 1e-9))
+                errors.append(np.sqrt((off**2).sum(axis=(1, 2)) / (force**2).sum(axis=(1, 2))))
+            return float(np.concatenate(errors).mean())
+
+        start = [np.log(getattr(self.parameters, name)) for name in _FITTED]
+        start.append(self.parameters.friction_exponent)
+        simplex = np.array(
+            [start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)]
+        )
+        found = optimize.minimize(
+            error,
+            start,
+            method='Nelder-Mead',
+            options={'maxfev': _FIT_ITERATIONS, 'initial_simplex': simplex},
+        )
+        return WheelTerramechanics(self.scene, self.axes, self._with(found.x))
+
+    def _with(self, values):
+        changed = {name: float(np.exp(v)) for name, v in zip(_FITTED, values[:-1], strict=True)}
+        return dataclasses.replace(self.parameters, **changed, friction_exponent=float(values[-1]))

@@ -1,1 +1,0 @@
-"""Rollouts and live steps made fast: folded weights, two passes."""

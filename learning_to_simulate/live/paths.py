@@ -1,0 +1,281 @@
+"""Whole paths: from poses to a rollout that can be looked at, saved and drawn."""
+
+import dataclasses
+import functools
+import json
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from learning_to_simulate import reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.evaluation import total_force
+from learning_to_simulate.live import poses
+from learning_to_simulate.live.starts import Start
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.scene import RigidMotion, Scene
+from pca_tools import dataset, files
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class SoilRollout:
+    """A predicted run of T' frames after H given ones.
+
+    Attributes:
+      history: float64 [H, V, 3], m: the given frames; R nodes of the body, then r modes.
+      soils: T' soils, see `live.soil`.
+      force: float32 [T', 3], N, or None.
+      rigid_nodes: float64 [T', R, 3], m: the nodes of the body.
+      judgement: the worst status, with the first frame in which it holds and the reason.
+      frame_status: T' statuses: of each frame of a path alone; of a recorded run, from the first
+        bad frame on.
+      body: float64 [H + T', R', 3], m: all particles of the body.
+      scene: `Scene`.
+      truth: (modes [H + T', r, 3], body [H + T', R', 3], force [H + T', 3] or None) of a recorded
+        run; None of a path.
+      name: for files and titles.
+      torque: float32 [T', 3] about the body's reference point, N m, where the model predicts one.
+      true_torque: float64 [H + T', 3] of a recorded run, where there is a `torque`; else None.
+    """
+
+    history: np.ndarray
+    soils: Any
+    force: np.ndarray | None
+    rigid_nodes: np.ndarray
+    judgement: Judgement
+    frame_status: tuple[RolloutStatus, ...]
+    body: np.ndarray
+    scene: Scene
+    truth: tuple | None = None
+    name: str = 'rollout'
+    torque: np.ndarray | None = None
+    true_torque: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        reason = f' ({self.reason})' if self.reason else ''
+        return f'<rollout {self.name!r}: {len(self)} frames, {self.status}{reason}>'
+
+    def __len__(self) -> int:
+        return len(self.soils)
+
+    @property
+    def status(self) -> RolloutStatus:
+        """How far the rollout can be trusted."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    @property
+    def time(self) -> np.ndarray:
+        """float64 [T'], s after the start."""
+        return self.scene.dt * np.arange(1, len(self) + 1)
+
+    @functools.cached_property
+    def modes(self) -> np.ndarray:
+        """float64 [T', r, 3] scores, m; of a method without modes those of its particles.
+
+        Raises:
+          ValueError: of such a method, without a subspace.
+        """
+        return np.stack([soil.modes for soil in self.soils])
+
+    @property
+    def subspace(self):
+        """Of the modes, or None."""
+        return self.soils[0].subspace if len(self.soils) else None
+
+    def particles(self, frame: int | None = None) -> np.ndarray:
+        """float32 [N, 3] of a frame, or [T', N, 3] of all, m.
+
+        Raises:
+          ValueError: without a subspace.
+        """
+        if frame is None:
+            return np.stack([soil.particles() for soil in self.soils])
+        return self.soils[frame].particles()
+
+    def height_map(self, nx: int, nz: int, frame: int = -1) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.ModesSoil.height_map`.
+
+        Raises:
+          ValueError: without a subspace.
+        """
+        return self.soils[frame].height_map(nx, nz)
+
+    def save(self, path: str) -> None:
+        """Writes an `.npz` that `render_rollout` reads, whole or not at all; DeepMind's key names.
+
+        Raises:
+          OSError: it cannot be written.
+        """
+        n_rigid = self.body.shape[1]
+        kind = (
+            dataset.KINEMATIC_PARTICLE_ID
+            if self.scene.rigid_motion == RigidMotion.PRESCRIBED
+            else dataset.RIGID_PARTICLE_ID
+        )
+        modes = np.concatenate([self.history[:, self.history.shape[1] - self.scene.n_modes :],
+                                self.modes])  # fmt: skip
+        nodes = np.concatenate([self.body, modes], axis=1).astype(np.float32)
+        types = [kind] * n_rigid + [dataset.MODE_PARTICLE_ID] * self.scene.n_modes
+        arrays = {
+            'initial_positions': nodes[:H],
+            'predicted_rollout': nodes[H:],
+            'particle_types': np.array(types),
+            'scene': np.array(json.dumps(self.scene.to_json())),
+            'status': np.array(str(self.status)),
+            'first_bad_frame': np.array(self.judgement.frame),
+            'first_bad_node': np.array(self.judgement.node),
+            'status_reason': np.array(self.reason),
+        }
+        if self.force is not None:
+            arrays['predicted_forces'] = self.force
+        if self.torque is not None:
+            arrays['predicted_torques'] = self.torque
+        if self.true_torque is not None:
+            arrays['initial_torques'] = self.true_torque[:H].astype(np.float32)
+            arrays['ground_truth_torques'] = self.true_torque[H:].astype(np.float32)
+        if self.truth is not None:
+            true_modes, true_body, true_force = self.truth
+            arrays['ground_truth_rollout'] = np.concatenate(
+                [true_body, true_modes], axis=1, dtype=np.float32, casting='same_kind'
+            )[H:]
+            if true_force is not None:
+                arrays['initial_forces'] = true_force[:H].astype(np.float32)
+                arrays['ground_truth_forces'] = true_force[H:].astype(np.float32)
+        files.write_npz(path, **arrays)
+
+    def render(self, path: str, **options) -> None:
+        """Draws the rollout; the ending of the path (.png, .gif, .mp4) decides how.
+
+        Args:
+          path: file to write.
+          **options: `step_stride`, `color_by` and `plane` of `render_rollout.render`.
+
+        Raises:
+          ValueError: another ending, or a package for pictures is missing (pip install .[viz]).
+        """
+        from learning_to_simulate import render_rollout
+        from learning_to_simulate.rendering import rollout_frames
+
+        target, kind = render_rollout.target_and_format(path)
+        render_rollout.render_frames(rollout_frames.of_rollout(self), target, [kind], **options)
+
+
+def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollout:
+    """Steps a model along a path.
+
+    Args:
+      stepper: `stepper.Stepper` that flags; it is left at the end of the path.
+      path: [T, 7] or [T, 3] poses (see `poses`), T >= 2; the body is at the first when it starts.
+      velocity: at its beginning; None for that of its first two poses.
+      case: as `Stepper.start`.
+      context: likewise, or [T, C] where it changes in time.
+
+    Raises:
+      ValueError: not such a path; as `Stepper.step`.
+    """
+    engine = stepper.computing
+    scene, names = engine.scene, engine.scene.context_names
+    values = poses.numbers('path', path, (None, 7), (None, 3))
+    if len(values) < 2:
+        raise ValueError(f'a path of {len(values)} poses has no step, at least two are needed')
+    contexts = [None] * len(values)
+    if np.ndim(context) == 2 and names:
+        contexts = poses.numbers('context', context, (len(values), len(names)))
+        context = contexts[0]
+    start = Start(scene, engine.starts, scene.n_modes)
+    start.choose(case=case, context=context)
+    values = np.stack([start.read(pose) for pose in values])
+    if velocity is None:
+        velocity = velocity_between(values[0], values[1], scene.dt)
+    stepper.start(values[0], velocity, case, context)
+    start = stepper.state.start
+    known = scene.rigid_motion.is_known
+    frames = [
+        stepper.step(pose if known else None, None if k is None else k)
+        for pose, k in zip(values[1:], contexts[1:], strict=True)
+    ]
+    history, n = start.history(), len(start.kept)
+    rigid_nodes = np.stack([frame.rigid_pose for frame in frames])
+    path = np.concatenate([start.past(), values[1:]]) if known else None
+    nodes = np.concatenate([history[:, :n], rigid_nodes])
+    loads = (
+        None if part[0] is None else np.array(part, np.float32)
+        for part in zip(*((frame.force, frame.torque) for frame in frames))
+    )
+    force, torque = loads
+    return SoilRollout(
+        history=history,
+        soils=[frame.soil for frame in frames],
+        force=force,
+        rigid_nodes=rigid_nodes,
+        judgement=frames[-1].judgement,
+        frame_status=tuple(frame.now for frame in frames),
+        body=_whole_body(start, path, nodes, scene),
+        scene=scene,
+        torque=torque,
+    )
+
+
+def of_recorded_run(group, rollout, scene, soils, name: str) -> SoilRollout:
+    """The rollout of a recorded run, with its truth.
+
+    Args:
+      group: one-run `RunGroup`.
+      rollout: its `rollout.Rollout`.
+      scene: of the model.
+      soils: of its frames, see `live.soil`.
+      name: for files and titles.
+    """
+    n = group.n_rigid
+    (judgement,) = rollout.judgements
+    history = group.position[0, :H]
+    true = group.all_particles(group.position, as_recorded=True)[0]
+    predicted = group.all_particles(np.concatenate([history[None], rollout.position], axis=1))[0]
+    n_body = true.shape[1] - scene.n_modes - group.n_left_modes
+    modes = slice(n_body, n_body + scene.n_modes)
+    torque = getattr(rollout, 'torque', None)
+    bad = np.arange(H, len(true)) >= (judgement.frame if judgement.frame >= 0 else len(true))
+    return SoilRollout(
+        history=history,
+        soils=soils,
+        force=None if rollout.force is None else total_force(rollout.force[0]),
+        rigid_nodes=rollout.position[0, :, :n],
+        judgement=judgement,
+        frame_status=tuple(judgement.status if x else RolloutStatus.OK for x in bad),
+        body=predicted[:, :n_body],
+        scene=scene,
+        truth=(
+            true[:, modes],
+            true[:, :n_body],
+            None if group.force is None else total_force(group.force[0]),
+        ),
+        name=name,
+        torque=None if torque is None else torque[0],
+        true_torque=None if torque is None else group.torque[0],
+    )
+
+
+def velocity_between(first, second, seconds: float) -> np.ndarray:
+    """Linear and angular velocity [6] that lead from a pose [7] to another one in some time."""
+    turns = [Rotation.from_quat(np.roll(pose[3:], -1)) for pose in (first, second)]
+    angular = (turns[1] * turns[0].inv()).as_rotvec()
+    return np.concatenate([second[:3] - first[:3], angular]) / seconds
+
+
+def _whole_body(start, path, nodes, scene) -> np.ndarray:
+    """All particles [T, R', 3], m, of the body of a start in the frames of its poses [T, 7] (None
+    where it is predicted), of which the model placed `nodes` [T, R, 3]."""
+    if path is None:
+        fits = reading_utils.moved_with(start.body, start.kept)
+        return np.stack([fits(points) for points in nodes])
+    placed = np.stack([poses.placed(start.body, pose) for pose in path])
+    if scene.rigid_motion == RigidMotion.DRIVEN:  # the height is the model's
+        up = scene.up_axis
+        placed[..., up] += (nodes - placed[:, start.kept])[..., up].mean(axis=1, keepdims=True)
+    return placed

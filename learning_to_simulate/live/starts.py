@@ -1,0 +1,366 @@
+"""Where a run may begin: the starts of a model folder, and what a user says of a start.
+
+Beside the weights lie, so that the model runs without its dataset:
+
+  start.npz      the body's particles in its own frame, which of them are nodes, and beds at rest
+  subspace.npz   a copy of the dataset's
+
+Beds, and bodies where their size differs by case, are those of the first frames of the records; of
+records that start alike one is kept. The digests of both files are in `config.json`.
+"""
+
+import dataclasses
+import json
+import os
+import shutil
+from typing import Any
+
+import numpy as np
+
+from learning_to_simulate import checkpoints, reading_utils
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import poses
+from pca_tools import dataset, files, rigid_fit
+from pca_tools.metadata import SPLITS
+from pca_tools.subspace import Subspace
+
+START_FILE, SUBSPACE_FILE = checkpoints.START_FILE, checkpoints.SUBSPACE_FILE
+# Two records start alike where no coordinate differs by more than this, m: float32 scores of
+# several metres round to 5e-7.
+SAME_START_M = 1e-5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Starts:
+    """K ways to begin; those of a model folder cannot be written to.
+
+    Attributes:
+      cases: per start, the parameters that the dataset states of its case ({} if it states none).
+      body: float64 [K][R', D], all particles of the body in its own frame, m.
+      kept: int [K][R], which of them are nodes.
+      pose: float64 [K, 7], where the body is in the record's first frame.
+      modes: float64 [K, r', D], all modes of the dataset, m; the bed at rest.
+      context: float64 [K, C] of the first frame, or None.
+      force_limit: N, the largest force of the training runs; None where there is no force.
+    """
+
+    cases: tuple[dict, ...]
+    body: tuple[np.ndarray, ...]
+    kept: tuple[np.ndarray, ...]
+    pose: np.ndarray
+    modes: np.ndarray
+    context: np.ndarray | None
+    force_limit: float | None
+
+    def __len__(self) -> int:
+        return len(self.cases)
+
+    def __repr__(self) -> str:
+        return f'<{len(self)} starts: pose, body, modes, context and case of each>'
+
+    def index(self, case: int | None) -> int:
+        """The start of a case of the dataset; for None, the first on a bed that no run before has
+        disturbed.
+
+        Raises:
+          ValueError: there is no such case.
+        """
+        if case is None:
+            calm = (i for i, values in enumerate(self.cases) if values.get('kind') != 'disturbed')
+            return next(calm, 0)
+        numbers = [values.get('case') for values in self.cases]
+        if case not in numbers:
+            raise ValueError(f'no start of case {case!r}; there are {numbers}')
+        return numbers.index(case)
+
+
+def collect(data_path: str, nodes: dict) -> Starts:
+    """The different starts of a dataset's records.
+
+    Args:
+      data_path: dataset folder.
+      nodes: of `TrainConfig`, but for the modes: starts hold all of them.
+
+    Raises:
+      FileNotFoundError, ValueError: as `reading_utils.read_groups`.
+    """
+    metadata = dataset.read_metadata(data_path)
+    found: list[tuple] = []
+    force_limit = None
+    for split in SPLITS:
+        if not os.path.exists(dataset.split_path(data_path, split)):
+            continue
+        groups = reading_utils.read_groups(data_path, split, metadata, **nodes | {'modes': 0})
+        cases = metadata.get('cases', {}).get(split, [])
+        stated = [r.rigid_pose for r in dataset.read_split(data_path, split)]
+        forces = [g.force for g in groups if g.force is not None]
+        if split == 'train' and forces:
+            force_limit = float(max(np.linalg.norm(f, axis=-1).max() for f in forces))
+        for group in groups:
+            for run, record in enumerate(group.record):
+                case = _parameters(cases[record]) if record < len(cases) else {}
+                pose = stated[record]
+                _add(found, case, group, run, None if pose is None else pose[0].astype(float))
+    cases, bodies, kept, first, modes, contexts = zip(*found)
+    return Starts(
+        cases,
+        bodies,
+        kept,
+        np.stack(first),
+        np.stack(modes),
+        None if contexts[0] is None else np.stack(contexts),
+        force_limit,
+    )
+
+
+def _parameters(case):
+    """The numbers that tell a case from others, without how it was computed."""
+    return {
+        k: v
+        for k, v in case.items()
+        if isinstance(v, (int, float, str)) and not k.startswith(('solver', 'time_step', 'seed'))
+    }
+
+
+def _add(found, case, group, run, pose):
+    """Adds the start of a run unless one like it is there.
+
+    Where the records state no pose, the body's frame is that of the first one: its centroid, and
+    its orientation in the first frame.
+    """
+    n = group.n_rigid
+    points = group.position[run, 0, :n] if group.body is None else group.body[run][0]
+    kept = np.arange(n) if group.kept is None else group.kept[run]
+    if pose is None:
+        centre = points.mean(axis=0) if len(points) else np.zeros(3)
+        pose = np.concatenate([centre, [1.0, 0.0, 0.0, 0.0]])
+    body = (points - pose[:3]) @ poses.rotation_matrix(pose[3:])  # R^T (x - p), row by row
+    modes = group.position[run, 0, n:]
+    context = group.context_at(0, run)
+    for _, other, other_kept, _, other_modes, other_context in found:
+        if (
+            other.shape == body.shape
+            and np.array_equal(kept, other_kept)
+            and np.abs(modes - other_modes).max() <= SAME_START_M
+            and (context is None or np.array_equal(context, other_context))
+            and (len(body) < rigid_fit.MIN_POINTS or _same_body(other, body))
+        ):
+            return
+    found.append((case, body, kept, pose, modes, context))
+
+
+def _same_body(one, other):
+    return rigid_fit.fit_rigid_motion(one, other).residual <= SAME_START_M
+
+
+def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
+    """Writes the files of this module into a model folder; returns their sha256 by name.
+
+    Args:
+      model_path: model folder.
+      data_path: its dataset folder; without a subspace in it none is copied.
+      nodes: of the model's `TrainConfig`.
+    """
+    starts = collect(data_path, nodes)
+    flat = {'modes': starts.modes, 'pose': starts.pose}
+    for name in ('body', 'kept'):
+        parts = getattr(starts, name)
+        flat[name] = np.concatenate(parts)
+        flat[f'{name}_counts'] = np.array([len(p) for p in parts])
+    if starts.context is not None:
+        flat['context'] = starts.context
+    if starts.force_limit is not None:
+        flat['force_limit'] = np.array(starts.force_limit)
+    flat['cases'] = np.array([json.dumps(case) for case in starts.cases])
+    files.write_npz(os.path.join(model_path, START_FILE), **flat)
+    written = [START_FILE]
+    source = os.path.join(data_path, SUBSPACE_FILE)
+    if os.path.exists(source):
+        target = os.path.join(model_path, SUBSPACE_FILE)
+
+        def copy(name: str) -> None:
+            shutil.copyfile(source, name)
+
+        files.write_atomically(target, copy)
+        written.append(SUBSPACE_FILE)
+    return {n: files.sha256_of_file(os.path.join(model_path, n)) for n in written}
+
+
+def read(model_path: str) -> tuple[Starts, Subspace | None]:
+    """The starts and the subspace of a self-contained model folder.
+
+    Raises:
+      FileNotFoundError: the folder holds no starts.
+      ValueError: a file is damaged or is not the one of this model.
+    """
+    stored = checkpoints.read_config(model_path).get('files')
+    if not isinstance(stored, dict) or START_FILE not in stored:
+        raise FileNotFoundError(
+            f'{model_path}: holds no {START_FILE}: poses and beds to start from come with a '
+            f'training; train the model again'
+        )
+    for name in (START_FILE, SUBSPACE_FILE):
+        path = os.path.join(model_path, name)
+        if name in stored and files.sha256_of_file(path) != stored[name]:
+            raise ValueError(f'{path}: is not the file of this model (sha256 differs)')
+    starts = _parse(os.path.join(model_path, START_FILE))
+    has_space = SUBSPACE_FILE in stored
+    return starts, Subspace.load(os.path.join(model_path, SUBSPACE_FILE)) if has_space else None
+
+
+def _parse(path):
+    arrays = files.read_npz(path)
+    for values in arrays.values():  # a stepper shares them with whoever looks at them
+        values.setflags(write=False)
+    try:
+        parts = {
+            name: tuple(np.split(arrays[name], np.cumsum(arrays[f'{name}_counts'])[:-1]))
+            for name in ('body', 'kept')
+        }
+        starts = Starts(
+            cases=tuple(json.loads(str(text)) for text in arrays['cases']),
+            **parts,
+            pose=arrays['pose'],
+            modes=arrays['modes'],
+            context=arrays.get('context'),
+            force_limit=float(arrays['force_limit']) if 'force_limit' in arrays else None,
+        )
+        lengths = {len(x) for x in (starts.body, starts.kept, starts.pose, starts.modes)}
+        finite = all(np.isfinite(x).all() for x in (arrays['body'], starts.pose, starts.modes))
+        indices = all(
+            not len(kept) or kept.min() >= 0 and kept.max() < len(body)
+            for kept, body in zip(starts.kept, starts.body)
+        )
+        if lengths != {len(starts)} or starts.pose.shape[1:] != (7,) or not (finite and indices):
+            raise ValueError('shapes or values do not fit')
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f'{path}: is not the start of a model ({error})') from error
+    return starts
+
+
+class Start:
+    """Checked input of a start: a bed, a body, its first pose and velocity, the context.
+
+    Args:
+      scene: of the model.
+      starts: of the model folder.
+      n_modes: r.
+
+    Attributes:
+      index: which of the starts was chosen.
+      is_case: whether its case was asked for, whose bed it then is.
+      body, kept: particles of the body in its own frame, and which are nodes.
+      pose: float64 [7].
+      velocity: float64 [6], m/s and rad/s.
+      context: float64 [C] or None.
+    """
+
+    def __init__(self, scene, starts: Starts, n_modes: int):
+        self._scene, self._starts, self._n_modes = scene, starts, n_modes
+        self.index: int | None = None
+        self.is_case = False
+
+    def choose(self, pose=None, velocity=None, case=None, context=None) -> 'Start':
+        """Takes what a user gives, and the rest from the start of a case; returns itself.
+
+        Raises:
+          ValueError: no such case, not a pose, a velocity or a context.
+        """
+        starts, names = self._starts, self._scene.context_names
+        contexts: Any = starts.context  # there is one for every start, or the scene names none
+        index = starts.index(case)
+        if context is not None:
+            context = self.read_context(context)
+            if case is None:  # the bed of the most similar case
+                spread = contexts.std(axis=0)
+                far = (contexts - context) / np.where(spread > 0, spread, 1.0)
+                index = int((far**2).sum(axis=1).argmin())
+        elif names:
+            context = contexts[index]
+        reader = self._reader(index)
+        pose = starts.pose[index] if pose is None else reader.read(pose)
+        velocity = reader.read_velocity(velocity)
+        self.is_case = case is not None
+        self.index, self.pose, self.velocity, self.context = index, pose, velocity, context
+        self.body, self.kept = starts.body[index], starts.kept[index]
+        return self
+
+    def _reader(self, index):
+        up = self._scene.up_axis
+        across = 2 if up != 2 else 1
+        return poses.PoseReader(up, self._starts.pose[index, across])
+
+    def read(self, pose) -> np.ndarray:
+        """float64 [7] of a pose of the path; raises as `poses.PoseReader.read`."""
+        return self._reader(self.index or 0).read(pose)
+
+    def read_context(self, context) -> np.ndarray:
+        """float64 [C] of a context [C] or {name: value}.
+
+        Raises:
+          ValueError: a scene without one, other names, not numbers.
+        """
+        names = self._scene.context_names
+        if not names:
+            raise ValueError(f'the scene {self._scene.name} takes no context')
+        if isinstance(context, dict):
+            if set(context) != set(names):
+                raise ValueError(f'context names {sorted(context)}, must name {list(names)}')
+            context = [context[name] for name in names]
+        return poses.numbers('context', context, (len(names),))
+
+    def nodes(self, pose) -> np.ndarray:
+        """float64 [R, 3], m, of the body's nodes at a pose."""
+        return poses.placed(self.body[self.kept], pose)
+
+    def past(self) -> np.ndarray:
+        """float64 [H, 7]: the poses of a body on its way at constant velocity, newest last."""
+        seconds = self._scene.dt * np.arange(H - 1, -1, -1)
+        return np.stack([poses.moved_back(self.pose, self.velocity, t) for t in seconds])
+
+    def history(self) -> np.ndarray:
+        """float64 [H, V, 3], m: the bed at rest, the body on its way."""
+        modes = self._starts.modes[self.index][: self._n_modes]
+        return np.stack([np.concatenate([self.nodes(pose), modes]) for pose in self.past()])
+
+
+class RecordedStart:
+    """A start from recorded frames, whose body is told by its particles and not by a pose.
+
+    Args:
+      scene: of the model.
+      n_rigid: R.
+      history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
+      context: [C], where the scene has one.
+
+    Raises:
+      ValueError: wrong shape or kind of values, or values that are not finite in float32.
+    """
+
+    index, velocity = None, None
+
+    def __init__(self, scene, n_rigid: int, history, context=None):
+        self._scene, self._n = scene, n_rigid
+        shape = (H, n_rigid + scene.n_modes, None)
+        self._history = poses.numbers('history', history, shape)
+        self._history.setflags(write=False)
+        names = scene.context_names
+        if (context is None) == bool(names):
+            raise ValueError(f'the scene takes context {list(names)}, got {context}')
+        self.context = None if context is None else self.read_context(context)
+        self.kept = np.arange(n_rigid)
+        self.pose = None
+
+    read_context = Start.read_context
+
+    def read(self, body) -> np.ndarray:
+        """float64 [R, D] of the particles of a body."""
+        return poses.numbers('rigid_pose', body, (self._n, self._history.shape[2]))
+
+    def nodes(self, body) -> np.ndarray:
+        """The particles themselves."""
+        return body
+
+    def history(self) -> np.ndarray:
+        """float64 [H, V, D], m, as given."""
+        return self._history

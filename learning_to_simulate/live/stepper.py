@@ -1,0 +1,306 @@
+"""`Stepper`: a model that is stepped with the poses of its body, one frame per call.
+
+    stepper = lts.load('excavation').stepper()
+    stepper.start(pose, velocity)
+    frame = stepper.step(next_pose)
+    points = frame.particles()        # only where they are asked for
+
+One stepper serves every method; an engine (`engine`, `native.engines`) computes the frames. Input
+that cannot be used is refused before anything changes; input unlike the training runs is used and
+flagged, in that frame and in all that follow. After the first call nothing is compiled any more.
+"""
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.live import poses
+from learning_to_simulate.live.starts import RecordedStart, Start
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus, worse
+
+FLAG, HOLD, RAISE = 'flag', 'hold', 'raise'
+
+
+class Frame(NamedTuple):
+    """One predicted frame; its arrays cannot be written to.
+
+    Attributes:
+      force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
+      torque: [D] on the body about its reference point, N m, where the model predicts one.
+      bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
+        None where the model was not calibrated.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where it is told
+        by particles alone.
+      rigid_pose: float64 [R, D] particles of the body that are nodes, m.
+      judgement: how far the rollout can be trusted up to this frame: the worst since the start,
+        with the frame in which it began and the reason.
+      now: the status of this frame alone.
+      soil: has `particles()`, `height_map(nx, nz)` and `modes`.
+    """
+
+    force: np.ndarray | None
+    torque: np.ndarray | None
+    bound: float | None
+    pose: np.ndarray | None
+    rigid_pose: np.ndarray
+    judgement: Judgement
+    now: RolloutStatus
+    soil: Any
+
+    def __repr__(self) -> str:
+        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(values)} N, ' if values else ''
+        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start, as a rollout file would have it."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, D] scores, m; of a method without modes those of its particles.
+
+        Raises:
+          ValueError: of such a method, without a subspace.
+        """
+        return self.soil.modes
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D] positions of the soil, m.
+
+        Raises:
+          ValueError: without a subspace.
+        """
+        return self.soil.particles()
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface, m; see `soil.ModesSoil.height_map`."""
+        return self.soil.height_map(nx, nz)
+
+
+class StepperState(NamedTuple):
+    """All that a stepper knows; what is kept can be put back.
+
+    Attributes:
+      start: what the run began from.
+      frame: the newest.
+      count: frames since the start.
+      context: float64 [C] in that frame, or None.
+      of_engine: what its engine knows.
+    """
+
+    start: Any
+    frame: Frame
+    count: int
+    context: np.ndarray | None
+    of_engine: Any
+
+
+class Stepper:
+    """Steps a model frame by frame.
+
+    Args:
+      engine: computes the frames; see `engine` and `native.engines`.
+      outside: what is done with a frame that is not `ok`: 'flag' goes on and says so; 'hold' stays
+        in the frame before; 'raise' refuses it. A frame that is not finite never becomes the state.
+
+    Raises:
+      ValueError: an unknown `outside`.
+    """
+
+    def __init__(self, engine, outside: str = FLAG):
+        if outside not in (FLAG, HOLD, RAISE):
+            raise ValueError(f'outside is {outside!r}, must be one of {(FLAG, HOLD, RAISE)}')
+        self._engine, self._outside = engine, outside
+        self._lock = threading.Lock()
+        self._start: Any = None
+        self._last: Any = None
+        self._count, self._context = 0, None
+
+    @property
+    def engine(self) -> str:
+        """What computes the frames: C with its instructions, or TensorFlow and why not C."""
+        return self._engine.name
+
+    @property
+    def computing(self):
+        """The engine itself; for whole paths and for comparisons."""
+        return self._engine
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a frame where nothing else is said."""
+        return self._engine.scene.dt
+
+    @property
+    def cases(self) -> list:
+        """Numbers or names of the recorded starts' cases."""
+        return [values.get('case') for values in self._engine.starts.cases]
+
+    @property
+    def start_index(self) -> int | None:
+        """Which of the recorded starts the run began from; None before `start`."""
+        return None if self._start is None else self._start.index
+
+    def start(self, pose=None, velocity=None, case=None, context=None, **bed) -> Judgement:
+        """Begins where the body is; returns how the start is to be judged.
+
+        Args:
+          pose: of the body now (see `poses`); None for that of the case.
+          velocity: [3] linear, m/s, or [6] with the angular one, rad/s, in the world's axes; None
+            for a body at rest.
+          case: of the dataset, where beds or bodies differ by case; None for the most similar
+            context, or the first.
+          context: [C] or {name: value}, where the scene has one; None for that of the case.
+          **bed: of a swept field: `bed`, [N, 3] particles, m, or a `HeightMap`, None for that of
+            the case; `blade_width`, m, None for that of the case.
+
+        Raises:
+          ValueError: something that cannot be used; the state stays as it was.
+          RuntimeError: another thread is at work here.
+        """
+        with _Held(self._lock):
+            engine = self._engine
+            start = Start(engine.scene, engine.starts, engine.scene.n_modes)
+            start.choose(pose, velocity, case, context)
+            start.pose.setflags(write=False)
+            return self._begin(start, **bed)
+
+    def reset(self, history, context=None) -> Judgement:
+        """Starts from the last H frames, the body told by its particles; `step` then takes those.
+
+        Args:
+          history: [H, V, D] positions, m; R rigid particles, then r modes; newest last.
+          context: [C], where the scene has one.
+
+        Raises:
+          ValueError: wrong shape or kind of values, or values that are not finite in float32; the
+            state stays as it was.
+          RuntimeError: another thread uses the stepper.
+        """
+        with _Held(self._lock):
+            scene = self._engine.scene
+            shape = np.shape(history)
+            n_rigid = shape[1] - scene.n_modes if len(shape) == 3 else 0
+            return self._begin(RecordedStart(scene, max(n_rigid, 0), history, context))
+
+    def _begin(self, start, **bed):
+        first = self._engine.begin(start, **bed)
+        self._start, self._context, self._count = start, start.context, 0
+        self._last = _frame(first, first.judgement)
+        return first.judgement
+
+    def step(self, pose=None, context=None, dt: float | None = None) -> Frame:
+        """Predicts the frame in which the body reaches a pose.
+
+        Args:
+          pose: of the body in the coming frame (see `poses`), where its motion is given; of a
+            driven body the height is ignored. None where the body is predicted. After `reset` the
+            particles [R, D] of the body, m.
+          context: [C] or {name: value} in the coming frame and those after it, where it changes; of
+            a wheel's swept field only the load may. None leaves it as it was.
+          dt: s, of a swept field: how long the tool takes, in a straight line. None for the frame
+            time of the training data.
+
+        Raises:
+          ValueError: before the start; not a pose, or one where none is taken; of a swept field a
+            jump, a time that does not pass, a place beyond the bins or under the floor, another
+            soil or planet; with `outside='raise'` a frame that is not `ok`. The state stays as it
+            was.
+          RuntimeError: another thread is at work here.
+        """
+        with _Held(self._lock):
+            return self._step(pose, context, dt)
+
+    def _step(self, pose, context, dt):
+        last = self._last
+        if last is None:
+            raise ValueError('call start() before step()')
+        if context is not None:
+            context = self._start.read_context(context)
+        if pose is not None:
+            pose = self._start.read(pose)
+        proposed = self._engine.propose(H + self._count, pose, context, dt)
+        now = proposed.judgement
+        so_far = worse(last.judgement, now)
+        if now.status != RolloutStatus.OK and self._outside != FLAG:
+            if self._outside == RAISE:
+                raise ValueError(f'{now.status}: {now.reason}; the state stays as it was')
+            self._last = last._replace(judgement=so_far)
+            return self._last._replace(now=now.status)
+        frame = _frame(proposed, so_far)
+        if now.status == RolloutStatus.NON_FINITE:
+            self._last = last._replace(judgement=so_far)
+            return frame
+        self._engine.accept()
+        if context is not None:
+            self._context = context
+        self._count, self._last = self._count + 1, frame
+        return frame
+
+    @property
+    def state(self) -> StepperState:
+        """What is kept can be put back, and goes on from there to the same bits.
+
+        Raises:
+          ValueError: before `start`.
+          RuntimeError: put back while another thread is at work here.
+        """
+        frame = self._newest()
+        return StepperState(self._start, frame, self._count, self._context, self._engine.state)
+
+    @state.setter
+    def state(self, state: StepperState) -> None:
+        with _Held(self._lock):
+            self._start, self._last, self._count, self._context, of_engine = state
+            self._engine.state = of_engine
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3] of the soil in the newest frame, or at the start, m; raises as
+        `Frame.particles`, and before the start."""
+        return self._newest().particles()
+
+    def _newest(self):
+        if self._last is None:
+            raise ValueError('call start() first')
+        return self._last
+
+    def body(self, pose) -> np.ndarray:
+        """float64 [R', 3], m: all particles of the body at a pose, for drawing; raises before
+        `start`."""
+        self._newest()
+        return poses.placed(self._start.body, self._start.read(pose))
+
+    def explain(self) -> str:
+        """What the newest frame leaves out."""
+        self._newest()
+        return self._engine.explain()
+
+
+def _frame(proposed, so_far):
+    return Frame(
+        proposed.force, proposed.torque, proposed.bound, proposed.pose, proposed.nodes, so_far,
+        proposed.judgement.status, proposed.soil,
+    )  # fmt: skip
+
+
+class _Held:
+    """A lock that is held for a call, or a message: two threads would mix their paths."""
+
+    def __init__(self, lock):
+        self._lock = lock
+
+    def __enter__(self):
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError('another thread is using this stepper; give each thread its own')
+
+    def __exit__(self, *_):
+        self._lock.release()

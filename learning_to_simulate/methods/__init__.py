@@ -1,1 +1,0 @@
-"""Swept field and baselines; `learning_to_simulate.registry` lists all methods."""

@@ -1,0 +1,9 @@
+"""A trained model as C99 source, as a library called from Python, and as an FMU.
+
+`c/` holds the C that is the same for every model. `model_data` and `field_data` fold a model into
+the constants of its structure, `project` writes both as a CMake project, `fmu` as an FMU, `binding`
+calls them by ctypes, `engines` makes steppers of them, `agreement` compares them with TensorFlow.
+"""
+
+# A C project, an FMU of FMI 2.0.
+FORMATS = ('c', 'fmu')

@@ -1,0 +1,370 @@
+/* FMI 2.0 co-simulation. Written against the standard's text; the types and functions are declared here,
+ * so that no header has to be fetched. */
+#include <stddef.h>
+#include <string.h>
+
+#include "fmu_core.h"
+
+#if defined(_WIN32)
+#define FMI2_EXPORT __declspec(dllexport)
+#elif defined(__GNUC__)
+#define FMI2_EXPORT __attribute__((visibility("default")))
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard asks for all of them */
+#else
+#define FMI2_EXPORT
+#endif
+/* Importers that link sources of several FMUs together define a prefix. */
+#if defined(FMI2_FUNCTION_PREFIX)
+#define FMI2_PASTE(a, b) a##b
+#define FMI2_PASTED(a, b) FMI2_PASTE(a, b)
+#define FMI2(name) FMI2_PASTED(FMI2_FUNCTION_PREFIX, name)
+#else
+#define FMI2(name) name
+#endif
+
+typedef void *fmi2Component;
+typedef void *fmi2ComponentEnvironment;
+typedef void *fmi2FMUstate;
+typedef unsigned int fmi2ValueReference;
+typedef double fmi2Real;
+typedef int fmi2Integer;
+typedef int fmi2Boolean;
+typedef const char *fmi2String;
+typedef char fmi2Byte;
+typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal, fmi2Pending } fmi2Status;
+typedef enum { fmi2ModelExchange, fmi2CoSimulation } fmi2Type;
+typedef enum {
+  fmi2DoStepStatus,
+  fmi2PendingStatus,
+  fmi2LastSuccessfulTime,
+  fmi2Terminated
+} fmi2StatusKind;
+typedef struct {
+  void (*logger)(fmi2ComponentEnvironment, fmi2String, fmi2Status, fmi2String, fmi2String, ...);
+  void *(*allocateMemory)(size_t, size_t);
+  void (*freeMemory)(void *);
+  void (*stepFinished)(fmi2ComponentEnvironment, fmi2Status);
+  fmi2ComponentEnvironment componentEnvironment;
+} fmi2CallbackFunctions;
+
+typedef struct {
+  fmu_core core; /* the first field: a core is its component */
+  fmi2CallbackFunctions call;
+  fmi2String name;
+  int logs;
+} component;
+
+static void log_text(component *c, fmi2Status status, fmi2String category, fmi2String text) {
+  if (c->call.logger && (c->logs || status >= fmi2Error)) {
+    /* No text has a % in it: importers differ in whether they expand formats. */
+    c->call.logger(c->call.componentEnvironment, c->name, status, category, text);
+  }
+}
+
+static void warn(fmu_core *core, const char *text) {
+  log_text((component *)core, fmi2Warning, "logStatusWarning", text);
+}
+
+static fmi2Status refuse(component *c, fmi2String text) {
+  log_text(c, fmi2Error, "logStatusError", text);
+  return fmi2Error;
+}
+
+/* What a function of the core says. */
+static fmi2Status done(component *c, const char *wrong) { return wrong ? refuse(c, wrong) : fmi2OK; }
+
+/* ---- life ---- */
+
+FMI2_EXPORT const char *FMI2(fmi2GetTypesPlatform)(void) { return "default"; }
+FMI2_EXPORT const char *FMI2(fmi2GetVersion)(void) { return "2.0"; }
+
+FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, fmi2String guid,
+                                                fmi2String resources,
+                                                const fmi2CallbackFunctions *call,
+                                                fmi2Boolean visible, fmi2Boolean logs) {
+  if (!call || !call->allocateMemory || !call->freeMemory || !name || !guid) return NULL;
+  component probe;
+  memset(&probe, 0, sizeof probe);
+  probe.call = *call;
+  probe.name = name;
+  if (type != fmi2CoSimulation || strcmp(guid, FMU_GUID)) {
+    refuse(&probe, type != fmi2CoSimulation ? "this FMU is for co-simulation only"
+                                            : "the GUID is not that of this FMU");
+    return NULL;
+  }
+  /* One block: the component, its name, the model. */
+  const size_t length = strlen(name) + 1, size = fmu_soil_size();
+  char *block = (char *)call->allocateMemory(1, sizeof(component) + length + size);
+  if (!block) {
+    refuse(&probe, "out of memory");
+    return NULL;
+  }
+  component *c = (component *)(void *)block;
+  *c = probe;
+  c->name = (fmi2String)memcpy(block + sizeof *c, name, length);
+  c->logs = logs;
+  c->core.warn = warn;
+  const char *wrong = fmu_soil_make(block + sizeof *c + length, size, &c->core.soil);
+  if (wrong) {
+    refuse(c, wrong);
+    call->freeMemory(block);
+    return NULL;
+  }
+  fmu_defaults(&c->core);
+  return c;
+}
+
+FMI2_EXPORT void FMI2(fmi2FreeInstance)(fmi2Component instance) {
+  component *c = (component *)instance;
+  if (c) c->call.freeMemory(c);
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetDebugLogging)(fmi2Component instance, fmi2Boolean on, size_t n,
+                                                 const fmi2String categories[]) {
+  if (!instance) return fmi2Error;
+  ((component *)instance)->logs = on;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boolean has_tolerance,
+                                                 fmi2Real tolerance, fmi2Real start,
+                                                 fmi2Boolean has_stop, fmi2Real stop) {
+  component *c = (component *)instance;
+  if (!c) return fmi2Error;
+  if (c->core.v.now != FMU_CREATED) {
+    return refuse(c, "fmi2SetupExperiment after the initialisation");
+  }
+  c->core.v.time = start;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2EnterInitializationMode)(fmi2Component instance) {
+  component *c = (component *)instance;
+  return c ? done(c, fmu_initialise(&c->core, c->core.v.time)) : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2ExitInitializationMode)(fmi2Component instance) {
+  component *c = (component *)instance;
+  return c ? done(c, fmu_start_stepping(&c->core)) : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2Terminate)(fmi2Component instance) {
+  component *c = (component *)instance;
+  if (!c) return fmi2Error;
+  c->core.v.now = FMU_TERMINATED;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2Reset)(fmi2Component instance) {
+  component *c = (component *)instance;
+  if (!c) return fmi2Error;
+  fmu_defaults(&c->core);
+  return fmi2OK;
+}
+
+/* ---- variables ---- */
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetReal)(fmi2Component instance, const fmi2ValueReference vr[],
+                                         size_t n, fmi2Real value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  return done(c, fmu_get_reals(&c->core, vr, n, value));
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2ValueReference vr[],
+                                         size_t n, const fmi2Real value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  return done(c, fmu_set_reals(&c->core, vr, n, value));
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
+                                            size_t n, fmi2Integer value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  for (size_t i = 0; i < n; ++i) {
+    if (vr[i]) return refuse(c, "no integer variable of this value reference");
+    value[i] = c->core.v.start;
+  }
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
+                                            size_t n, const fmi2Integer value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  for (size_t i = 0; i < n; ++i) {
+    const char *wrong = vr[i] ? "no integer variable of this value reference"
+                              : fmu_set_start(&c->core, value[i]);
+    if (wrong) return refuse(c, wrong);
+  }
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
+                                            size_t n, fmi2Boolean value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  for (size_t i = 0; i < n; ++i) {
+    const char *wrong = fmu_status(&c->core, vr[i], &value[i]);
+    if (wrong) return refuse(c, wrong);
+  }
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
+                                            size_t n, const fmi2Boolean value[]) {
+  if (!instance) return fmi2Error;
+  return n ? refuse((component *)instance, "no boolean variable can be set") : fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetString)(fmi2Component instance, const fmi2ValueReference vr[],
+                                           size_t n, fmi2String value[]) {
+  component *c = (component *)instance;
+  if (!c || (n && (!vr || !value))) return fmi2Error;
+  for (size_t i = 0; i < n; ++i) {
+    if (vr[i]) return refuse(c, "no string variable of this value reference");
+    value[i] = fmu_soil_digest();
+  }
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2ValueReference vr[],
+                                           size_t n, const fmi2String value[]) {
+  if (!instance) return fmi2Error;
+  return n ? refuse((component *)instance, "no string variable can be set") : fmi2OK;
+}
+
+/* ---- steps ---- */
+
+FMI2_EXPORT fmi2Status FMI2(fmi2DoStep)(fmi2Component instance, fmi2Real time, fmi2Real h,
+                                        fmi2Boolean no_set_state) {
+  component *c = (component *)instance;
+  return c ? done(c, fmu_step(&c->core, time, h)) : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2CancelStep)(fmi2Component instance) {
+  return instance ? refuse((component *)instance, "steps are never pending") : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetRealInputDerivatives)(fmi2Component instance,
+                                                         const fmi2ValueReference vr[], size_t n,
+                                                         const fmi2Integer order[],
+                                                         const fmi2Real value[]) {
+  if (!instance) return fmi2Error;
+  return n ? refuse((component *)instance, "the velocities are inputs; derivatives are not taken")
+           : fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetRealOutputDerivatives)(fmi2Component instance,
+                                                          const fmi2ValueReference vr[], size_t n,
+                                                          const fmi2Integer order[],
+                                                          fmi2Real value[]) {
+  if (!instance) return fmi2Error;
+  return n ? refuse((component *)instance, "outputs have no derivatives") : fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetDirectionalDerivative)(
+    fmi2Component instance, const fmi2ValueReference unknown[], size_t n_unknown,
+    const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],
+    fmi2Real d_unknown[]) {
+  return instance ? refuse((component *)instance, "no directional derivatives") : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetStatus)(fmi2Component instance, const fmi2StatusKind kind,
+                                           fmi2Status *value) {
+  if (!instance || !value) return fmi2Error;
+  *value = fmi2OK;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetRealStatus)(fmi2Component instance, const fmi2StatusKind kind,
+                                               fmi2Real *value) {
+  if (!instance || !value) return fmi2Error;
+  if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+  *value = ((component *)instance)->core.v.time;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetIntegerStatus)(fmi2Component instance, const fmi2StatusKind kind,
+                                                  fmi2Integer *value) {
+  return instance ? fmi2Discard : fmi2Error;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetBooleanStatus)(fmi2Component instance, const fmi2StatusKind kind,
+                                                  fmi2Boolean *value) {
+  if (!instance || !value) return fmi2Error;
+  if (kind != fmi2Terminated) return fmi2Discard;
+  *value = 0;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetStringStatus)(fmi2Component instance, const fmi2StatusKind kind,
+                                                 fmi2String *value) {
+  return instance ? fmi2Discard : fmi2Error;
+}
+
+/* ---- state: its size, then the bytes of the core ---- */
+
+static fmi2Status room_for(component *c, size_t size, fmi2FMUstate *state) {
+  size_t had = 0;
+  if (*state) memcpy(&had, *state, sizeof had);
+  if (*state && had != size) {
+    c->call.freeMemory(*state);
+    *state = NULL;
+  }
+  if (!*state) *state = c->call.allocateMemory(1, sizeof size + size);
+  if (!*state) return refuse(c, "out of memory");
+  memcpy(*state, &size, sizeof size);
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2GetFMUstate)(fmi2Component instance, fmi2FMUstate *state) {
+  component *c = (component *)instance;
+  if (!c || !state) return fmi2Error;
+  const fmi2Status status = room_for(c, fmu_state_size(&c->core), state);
+  if (status != fmi2OK) return status;
+  return done(c, fmu_write_state(&c->core, (char *)*state + sizeof(size_t)));
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SetFMUstate)(fmi2Component instance, fmi2FMUstate state) {
+  component *c = (component *)instance;
+  size_t size;
+  if (!c || !state) return fmi2Error;
+  memcpy(&size, state, sizeof size);
+  return done(c, fmu_read_state(&c->core, (const char *)state + sizeof size, size));
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2FreeFMUstate)(fmi2Component instance, fmi2FMUstate *state) {
+  component *c = (component *)instance;
+  if (!c || !state) return fmi2Error;
+  if (*state) c->call.freeMemory(*state);
+  *state = NULL;
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SerializedFMUstateSize)(fmi2Component instance, fmi2FMUstate state,
+                                                        size_t *size) {
+  if (!instance || !state || !size) return fmi2Error;
+  memcpy(size, state, sizeof *size);
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2SerializeFMUstate)(fmi2Component instance, fmi2FMUstate state,
+                                                   fmi2Byte bytes[], size_t size) {
+  size_t needed;
+  if (!instance || !state || !bytes) return fmi2Error;
+  memcpy(&needed, state, sizeof needed);
+  if (size < needed) return fmi2Error;
+  memcpy(bytes, (const char *)state + sizeof needed, needed);
+  return fmi2OK;
+}
+
+FMI2_EXPORT fmi2Status FMI2(fmi2DeSerializeFMUstate)(fmi2Component instance, const fmi2Byte bytes[],
+                                                     size_t size, fmi2FMUstate *state) {
+  component *c = (component *)instance;
+  if (!c || !bytes || !state) return fmi2Error;
+  const fmi2Status status = room_for(c, size, state);
+  if (status == fmi2OK) memcpy((char *)*state + sizeof size, bytes, size);
+  return status;
+}

@@ -1,0 +1,174 @@
+"""Writes a model as a C project: sources, header, CMake and pkg-config files, examples."""
+
+import functools
+import glob
+import hashlib
+import os
+import re
+import shutil
+
+from learning_to_simulate.native import c_values, library
+from learning_to_simulate.scene import RigidMotion
+
+VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
+_MOTIONS = [m.value for m in (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN,
+                              RigidMotion.PREDICTED)]  # fmt: skip
+# Template in native/ -> file of the project; @NAME@ is the model's.
+_TEMPLATES = {
+    'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
+    'cmake/model.h.in': 'include/@NAME@.h',
+}
+_GRAPH_TEMPLATES = _TEMPLATES | {
+    'cmake/README.md.in': 'README.md',
+    'examples/example.cpp.in': 'examples/example.cpp',
+    'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
+    'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
+}
+_FIELD_TEMPLATES = _TEMPLATES | {
+    'cmake/README_field.md.in': 'README.md',
+    'examples/field.cpp.in': 'examples/example.cpp',
+}
+# What a project says of a blade, and of a wheel.
+_FIELD_WORDS = (
+    {
+        'TOOL': 'blade',
+        'OUT': 'force, torque',
+        'BEGIN': 'A run begins on the flat bed, on a height map, or on particles;',
+    },
+    {
+        'TOOL': 'wheel and its load',
+        'OUT': 'sinkage, force, torque',
+        'BEGIN': 'A run begins where a recorded wheel stood (`lts_field_start_wheel`);',
+    },
+)
+# Sources of both kinds of models; the others belong to one, by the beginning of their names.
+_SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
+
+
+def is_field(values: dict) -> bool:
+    """Whether values are those of a swept field, `field_data.values`."""
+    return 'n_member' in values
+
+
+def is_wheel(values: dict) -> bool:
+    """Whether values are those of a wheel's swept field."""
+    return is_field(values) and values['tool'] == library.constants()['LTS_FIELD_WHEEL']
+
+
+def struct(values: dict) -> str:
+    """Name of the C structure of a model."""
+    return 'lts_field_model' if is_field(values) else 'lts_model'
+
+
+def symbol(model_path: str) -> str:
+    """Name of a model in C: `lts_` and the last two folders of its path; with eight digits of their
+    digest where they give no letters or a name that the library has itself."""
+    path = '_'.join(os.path.abspath(model_path).split(os.sep)[-2:])
+    plain = re.sub(r'\W+', '_', path, flags=re.ASCII).strip('_').lower()
+    if plain and f'lts_{plain}' not in _library_names():
+        return f'lts_{plain}'
+    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:8]
+    return '_'.join(['lts', *[plain] * bool(plain), digest])
+
+
+@functools.cache
+def _library_names():
+    """Types, functions and files of the library."""
+    found = set()
+    for path in glob.glob(os.path.join(library.SOURCES, '*', '*')):
+        found.add(os.path.basename(path).partition('.')[0])
+        with open(path, encoding='utf-8') as file:
+            found.update(re.findall(r'\blts_\w+', file.read()))
+    return found
+
+
+def write_sources(folder: str, name: str, values: dict) -> None:
+    """The C files of a model and of the library, in one folder.
+
+    Args:
+      folder: exists.
+      name: of `symbol`.
+      values: of `model_data.values` or `field_data.values`.
+    """
+    for part in sorted(os.listdir(os.path.join(library.SOURCES, 'src'))):
+        if part.startswith(_SHARED) or part.startswith('lts_field') == is_field(values):
+            copy(f'src/{part}', folder)
+    with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
+        file.write(model_source(name, values))
+
+
+def headers(values: dict) -> list[str]:
+    """The public headers, in native/."""
+    return ['include/lts.h'] + ['include/lts_field.h'] * is_field(values)
+
+
+def model_source(name: str, values: dict) -> str:
+    """The generated C file: weights, ranges, starts and subspace as constants."""
+    kind = struct(values)
+    return (
+        f'/* Generated from a trained model; digest {values["digest"]}. */\n'
+        f'#include "{name}.h"\n#include "{kind}.h"\n\n'
+        '#if defined(__GNUC__)\n#define LTS_ALIGNED __attribute__((aligned(64)))\n'
+        '#else\n#define LTS_ALIGNED\n#endif\n\n' + c_values.Source().define(kind, name, values)
+    )
+
+
+def write(folder: str, name: str, values: dict) -> None:
+    """Writes the project.
+
+    Args:
+      folder: exists and is empty.
+      name: of `symbol`.
+      values: of `model_data.values` or `field_data.values`.
+    """
+    for part in ('include', 'src', 'examples'):
+        os.makedirs(os.path.join(folder, part))
+    for header in headers(values):
+        copy(header, os.path.join(folder, 'include'))
+    write_sources(os.path.join(folder, 'src'), name, values)
+    templates = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
+    for template, target in templates.items():
+        path = os.path.join(folder, target.replace('@NAME@', name))
+        write_template(template, path, words(name, values))
+
+
+def words(name: str, values: dict) -> dict:
+    """What the templates say of a model."""
+    found = {
+        'NAME': name,
+        'GUARD': f'{name.upper()}_H',
+        'HEADER': 'lts_field.h' if is_field(values) else 'lts.h',
+        'STRUCT': struct(values),
+        'VERSION': VERSION,
+        'DIGEST': values['digest'],
+        'SCENE': values['name'],
+        'SOIL': values.get('n_soil', 0),
+        'DT': f'{values["dt"]:.6g}',
+        'RATE': f'{1 / values["dt"]:.4g}',
+    }
+    if is_field(values):
+        return found | _FIELD_WORDS[is_wheel(values)] | {'MEMBERS': values['n_member']}
+    return found | {
+        'RIGID': values['n_rigid'],
+        'MOTION': _MOTIONS[values['motion']],
+        'MODES': values['n_modes'],
+        'STARTS': values['n_start'],
+        'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
+    }
+
+
+def copy(part: str, folder: str) -> None:
+    """Copies a file of native/ into a folder."""
+    shutil.copy(os.path.join(library.SOURCES, part), folder)
+
+
+def write_template(template: str, target: str, words: dict) -> None:
+    """Writes a file of native/ with each @WORD@ replaced.
+
+    Raises:
+      KeyError: the template has a word that is not given.
+    """
+    with open(os.path.join(library.SOURCES, template), encoding='utf-8') as file:
+        text = re.sub(r'@([A-Z_]+)@', lambda match: str(words[match[1]]), file.read())
+    with open(target, 'w', encoding='utf-8') as file:
+        file.write(text)

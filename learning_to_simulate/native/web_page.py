@@ -1,0 +1,165 @@
+"""Writes a page that needs no server: one HTML file with the C library as WebAssembly inside.
+
+Example:
+  python -m learning_to_simulate.native.web_page --model_path=models/excavation/pcg \\
+      --data_path=datasets/excavation --output_path=soil.html
+
+Needs clang with lld and the C library of WASI (Debian: apt install clang lld wasi-libc
+libclang-rt-dev-wasm32). The kernels' vectors of four become those of WebAssembly.
+"""
+
+import base64
+import glob
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+
+import numpy as np
+from absl import flags
+
+from learning_to_simulate import command
+from learning_to_simulate.native import library, project
+from pca_tools import files
+
+TARGET = ('--target=wasm32-wasi', '--sysroot={root}', '-O3', '-msimd128', '-nostartfiles',
+          '-Wl,--no-entry', '-Wl,--strip-all')  # fmt: skip
+# Where the C library of WASI may lie, below its usual prefixes.
+ROOTS = ('/usr', '/opt/wasi-sdk/share/wasi-sysroot', '/usr/share/wasi-sysroot')
+MISSING = 'apt install clang lld wasi-libc libclang-rt-dev-wasm32'
+
+
+def sysroot() -> str | None:
+    """Folder of the C library for WebAssembly, or None."""
+    marker = os.path.join('lib', 'wasm32-wasi', 'libc.a')
+    return next((root for root in ROOTS if os.path.exists(os.path.join(root, marker))), None)
+
+
+def compile_model(name: str, values: dict) -> bytes:
+    """The WebAssembly of a model.
+
+    Args:
+      name: of `project.symbol`.
+      values: of `model_data.values`.
+
+    Raises:
+      ValueError: no compiler for it, or one that does not compile it; the message has its words.
+    """
+    clang, root = shutil.which('clang'), sysroot()
+    if clang is None or root is None:
+        lacks = 'clang' if clang is None else 'the C library of WASI'
+        raise ValueError(f'{lacks} is not there, which a page needs: {MISSING}')
+    if not values.get('n_soil'):
+        raise ValueError('a page draws particles: the model has no subspace')
+    with tempfile.TemporaryDirectory() as folder:
+        project.write_sources(folder, name, values)
+        project.copy('page/page.c', folder)
+        for part in os.listdir(os.path.join(library.SOURCES, 'include')):
+            project.copy(f'include/{part}', folder)
+        with open(os.path.join(folder, f'{name}.h'), 'w', encoding='utf-8') as file:
+            file.write(f'#include "lts.h"\nextern const lts_model {name};\n')
+        wasm = os.path.join(folder, 'soil.wasm')
+        done = subprocess.run(
+            [clang, *(part.format(root=root) for part in TARGET), f'-DLTS_MODEL={name}',
+             f'-DLTS_SOIL={values["n_soil"]}', f'-I{folder}',
+             f'-I{root}/include/wasm32-wasi', *sorted(glob.glob(f'{folder}/*.c')), '-o', wasm],
+            capture_output=True, text=True,
+        )  # fmt: skip
+        if done.returncode:
+            raise ValueError(f'clang cannot compile the model for a page: {done.stderr}')
+        with open(wasm, 'rb') as file:
+            return file.read()
+
+
+def settings(session) -> dict:
+    """What the page has to know beside the model.
+
+    Args:
+      session: `live_page.session.Session` of the model, newly started.
+
+    Raises:
+      ValueError: a body whose motion is not given has nothing to steer.
+    """
+    from learning_to_simulate.live_page import drawing
+
+    steering, scene = session.steering, session.scene
+    if steering is None:
+        raise ValueError('the motion of the body is predicted: there is nothing to steer on a page')
+    up, body, rest = scene.up_axis, session.body(), session.rest
+    across = 3 - up
+    starts, (hull, faces) = session.model.starts, drawing.hull(body)
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    half = session.pose_of((0.0, 0.0, np.pi))  # its quaternion has the sign of a turn
+    travel = session.travel()
+    return {
+        'n_soil': len(rest), 'dt': scene.dt, 'up': up, 'across': across,
+        'sign': float(np.sign(half[4 + across])), 'driven': hasattr(steering, 'radius'),
+        'sliders': [{'name': n, **vars(s)} for n, s in steering.sliders.items()],
+        'radius': getattr(steering, 'radius', None), 'forwards': steering.forwards,
+        'fastest': steering.fastest.tolist(), 'level': session.level,
+        'start': session.plane.tolist(), 'low': travel[0], 'high': travel[1],
+        'lateral': float(session.moment.pose[across]),
+        # The C library names the middle of the nodes, and their attitude at the start.
+        'reference': starts.body[session.start][starts.kept[session.start]].mean(axis=0).tolist(),
+        'plan': body[:, [0, up]].tolist(), 'hull': hull.tolist(), 'faces': faces.tolist(),
+        'box': [low.tolist(), high.tolist()],
+        'spacing': float((np.prod(high - low) / len(rest)) ** (1 / 3)),
+        'force_limit': starts.force_limit or 100.0,
+    }  # fmt: skip
+
+
+def write(path: str, name: str, values: dict, session) -> None:
+    """Writes the page.
+
+    Args:
+      path: of the HTML file.
+      name, values: as of `compile_model`, whose errors this raises.
+      session: as of `settings`.
+    """
+    from learning_to_simulate import checkpoints  # loads TensorFlow
+
+    weights = os.path.join(session.model.path, checkpoints.WEIGHTS_FILE)
+    words = {
+        'TITLE': values['name'],
+        # Of the model, and not of the C values: these are products, which another processor rounds
+        # differently.
+        'DIGEST': files.sha256_of_file(weights)[:12],
+        'CONFIG': json.dumps(settings(session), separators=(',', ':')),
+        'WASM': base64.b64encode(compile_model(name, values)).decode('ascii'),
+    }
+    template = 'page/page.html.in'
+    files.write_atomically(path, lambda part: project.write_template(template, part, words))
+
+
+def run(values) -> None:
+    """Runs the command with its flags."""
+    folder = os.path.dirname(os.path.abspath(values.output_path))
+    command.writable_folder(folder)
+    if shutil.which('clang') is None or sysroot() is None:
+        raise ValueError(f'clang for WebAssembly is not there: {MISSING}')
+    command.import_tensorflow()
+    from learning_to_simulate import api, shipped
+    from learning_to_simulate.live_page import recorded
+    from learning_to_simulate.live_page.session import Session
+    from learning_to_simulate.native import model_data, starts
+
+    path = shipped.find(values.model_path, 'models')
+    trained, n_rigid, subspace, found = starts.read_model(path, values.data_path)
+    model = api.load(path)
+    os.makedirs(folder, exist_ok=True)
+    session = Session(model, recorded.of_model(model, values.data_path))
+    write(
+        values.output_path,
+        project.symbol(path),
+        model_data.values(trained, n_rigid, subspace, starts=found),
+        session,
+    )
+    print(f'wrote {values.output_path} ({os.path.getsize(values.output_path) / 1e6:.2g} MB)')
+
+
+if __name__ == '__main__':
+    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
+    flags.DEFINE_string('output_path', None, 'HTML file to write.', required=True)
+    command.start(run)

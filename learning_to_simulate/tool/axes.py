@@ -1,0 +1,209 @@
+"""The axes of a scene: along the way of travel (u), up (y), across it; and poses read from them.
+
+A tool moves in the plane of u and y. All that is known of its motion enters here, either as poses
+or as rigid particles. What a method may know of a body follows from the scene: all motion of a
+prescribed one, turn and travel of a driven one.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from learning_to_simulate.scene import RigidMotion
+
+# Particles lower than this share of the body's height make up its lowest row (and likewise above).
+_ROW_SHARE = 0.25
+
+
+@dataclasses.dataclass(frozen=True)
+class Axes:
+    """Axes of a scene.
+
+    Attributes:
+      axis: horizontal axis of the world that the tool drives along.
+      sign: +1 or -1, the way along it.
+      up: axis against gravity.
+      middle: coordinate of the bed's middle plane across the way, m.
+    """
+
+    axis: int
+    sign: int
+    up: int
+    middle: float = 0.0
+
+    @classmethod
+    def of_bodies(cls, bodies, up: int) -> 'Axes':
+        """The axis and way of the longest net travel in most of the groups of bodies
+        (each [S, T, R, D], m); `middle` is 0."""
+        found = []
+        for body in bodies:
+            centre = body.mean(axis=2)
+            travel = (centre[:, -1] - centre[:, 0]).mean(axis=0)
+            level = np.where(np.arange(len(travel)) == up, 0.0, travel)
+            axis = int(np.argmax(np.abs(level)))
+            found.append(cls(axis, 1 if travel[axis] >= 0 else -1, up))
+        return max(found, key=found.count)
+
+    @classmethod
+    def of_runs(cls, runs, up: int) -> 'Axes':
+        """The axes of records with poses: where most of their tools drive, and the middle of those.
+
+        Raises:
+          ValueError: a run without the pose of its body.
+        """
+        for i, run in enumerate(runs):
+            if run.rigid_pose is None or not run.n_rigid:
+                raise ValueError(
+                    f'record {i} holds no pose of a rigid body, from which a swept field learns; '
+                    f'convert runs that have one'
+                )
+        axes = cls.of_bodies([r.rigid_pose[None, :, None, :3].astype(np.float64) for r in runs], up)
+        middle = np.mean([run.rigid_pose[:, axes.across].mean() for run in runs])
+        return dataclasses.replace(axes, middle=float(middle))
+
+    @property
+    def across(self) -> int:
+        """The third axis."""
+        return 3 - self.axis - self.up
+
+    @property
+    def _turn(self) -> int:
+        """Sign of a torque across the way: +1 where along, up, across are right-handed."""
+        is_cyclic = (self.axis, self.up, self.across) in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+        return self.sign if is_cyclic else -self.sign
+
+    def plane(self, points) -> np.ndarray:
+        """[..., 2] u and y of points [..., D] of the world, m; D is 2 or 3."""
+        return np.stack([self.sign * points[..., self.axis], points[..., self.up]], axis=-1)
+
+    def width(self, points) -> np.ndarray:
+        """[S] extent across the way of points [S, R, D], m; 0 where there is no third axis."""
+        flat = points.shape[-1] < 3
+        return np.zeros(len(points)) if flat else np.ptp(points[..., self.across], axis=1)
+
+    def points(self, points) -> np.ndarray:
+        """Points [..., 3] of the world (m) as u, height, distance from the middle plane."""
+        return self.local(np.asarray(points, np.float64)) - np.array([0.0, 0.0, self.middle])
+
+    def local(self, vectors) -> np.ndarray:
+        """Vectors [..., 3] of the world along, up, across."""
+        return np.concatenate([self.plane(vectors), vectors[..., self.across, None]], axis=-1)
+
+    def world(self, vectors) -> np.ndarray:
+        """Vectors [..., 3] along, up, across in the world's axes; the inverse of `local`."""
+        vectors = np.asarray(vectors)
+        found = np.empty_like(vectors)
+        found[..., self.axis] = self.sign * vectors[..., 0]
+        found[..., self.up] = vectors[..., 1]
+        found[..., self.across] = vectors[..., 2]
+        return found
+
+    def poses(self, pose) -> np.ndarray:
+        """u, height (m) and lean (rad) [..., 3] of poses [..., 7]: position (m) and unit quaternion
+        (w, x, y, z) of an upright tool.
+
+        The lean is where the rotation R takes the upward axis e: atan2(-sign (R e)_axis, (R e)_up).
+        """
+        pose = np.asarray(pose, np.float64)
+        w, a, u, c = (pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across))
+        # Two elements of the rotation matrix, quadratic in the quaternion.
+        tilt = (a * u + u * a) - self.sign * self._turn * (w * c + c * w)
+        lean = np.arctan2(-self.sign * tilt, (w * w + u * u) - (a * a + c * c))
+        return np.concatenate([self.plane(pose), lean[..., None]], axis=-1)
+
+    def sideways(self, pose) -> np.ndarray:
+        """Yaw and roll [..., 2] (rad, in (-pi, pi]) of poses [..., 7]: where their rotation R takes
+        the axis across, e: atan2((R e)_along, (R e)_across) and its rise above the level. Both are
+        0 of a tool that leans or rolls in the plane of travel."""
+        pose = np.asarray(pose, np.float64)
+        w, a, u, c = (pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across))
+        turn = self.sign * self._turn  # +1 where axis, up, across are right-handed
+        along, rise = 2 * (a * c + turn * w * u), 2 * (u * c - turn * w * a)
+        across = w * w + c * c - a * a - u * u
+        yaw = np.arctan2(self.sign * along, across)
+        return np.stack([yaw, np.arctan2(rise, np.hypot(along, across))], axis=-1)
+
+    def velocities(self, velocity) -> np.ndarray:
+        """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's
+        linear and angular ones [..., 6]."""
+        velocity = np.asarray(velocity, np.float64)
+        turn = self._turn * velocity[..., 3 + self.across, None]
+        return np.concatenate([self.plane(velocity), turn], axis=-1)
+
+    def loads(self, force, torque) -> np.ndarray:
+        """Force along the way and up (N) and torque in their plane (N m), [..., 3], of the world's
+        force and torque [..., 3]; without a torque it counts as 0."""
+        force = np.asarray(force, np.float64)
+        turn = 0.0 if torque is None else self._turn * np.asarray(torque)[..., self.across]
+        return np.stack(
+            np.broadcast_arrays(self.sign * force[..., self.axis], force[..., self.up], turn), -1
+        )
+
+    def world_loads(self, loads) -> tuple[np.ndarray, np.ndarray]:
+        """Force (N) and torque (N m) [..., 3] of the world; the inverse of `loads`. A tool that is
+        symmetric across the way feels nothing else."""
+        loads = np.asarray(loads)
+        zero = np.zeros_like(loads[..., 0])
+        torque = np.zeros_like(loads)
+        torque[..., self.across] = self._turn * loads[..., 2]
+        return self.world(np.stack([loads[..., 0], loads[..., 1], zero], axis=-1)), torque
+
+
+def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a flat blade.
+
+    Args:
+      body: [S, T, R, D] particles of its face, m.
+      axes: of the scene.
+
+    Returns:
+      [S, T, 2] u and y of the middle of its lowest row of particles, m, and [S, T] lean in rad:
+      positive where the top lies behind. A body of one row has lean 0.
+    """
+    points = axes.plane(body)
+    height = points[:, 0, :, 1]
+    low, high = height.min(axis=1, keepdims=True), height.max(axis=1, keepdims=True)
+    share = (height - low) / np.maximum(high - low, 1e-12)
+    row, top = (
+        np.einsum('strd,sr->std', points, mask / np.maximum(mask.sum(axis=1, keepdims=True), 1.0))
+        for mask in ((share <= _ROW_SHARE) * 1.0, (share >= 1 - _ROW_SHARE) * 1.0)
+    )
+    across = top - row
+    flat = (high - low <= 1e-12).reshape(-1, 1)
+    return row, np.where(flat, 0.0, np.arctan2(-across[..., 0], np.where(flat, 1, across[..., 1])))
+
+
+def wheel_pose(body: np.ndarray, axes: Axes):
+    """Motion and size of a wheel.
+
+    Args:
+      body: [S, T, R, D] particles of its rim, m.
+      axes: of the scene.
+
+    Returns:
+      [S, T, 2] u and y of its centre, m; [S, T] angle in rad that it has turned since frame 0,
+      positive where it rolls forward; [S] radius and [S] width, m.
+    """
+    points = axes.plane(body)
+    centre = points.mean(axis=2)
+    spokes = points - centre[:, :, None]
+    # Phase of the first spoke against itself in frame 0, summed over all spokes: an average turn.
+    start = spokes[:, :1]
+    dot = (spokes * start).sum(axis=(2, 3))
+    cross = (spokes[..., 1] * start[..., 0] - spokes[..., 0] * start[..., 1]).sum(axis=2)
+    # Rolling towards +u turns the top forwards: clockwise with u to the right and y up.
+    turned = -np.unwrap(np.arctan2(cross, dot), axis=1)
+    radius = np.sqrt((spokes[:, 0] ** 2).sum(axis=-1)).mean(axis=1)
+    return centre, turned, radius, axes.width(body[:, 0])
+
+
+def hidden_height(body: np.ndarray, scene, history: int) -> np.ndarray:
+    """Bodies [S, T, R, D] as a method may see them: the height of a driven one is held from the
+    last given frame on, its shape and turn are kept."""
+    if scene.rigid_motion != RigidMotion.DRIVEN:
+        return body
+    centre = body[..., scene.up_axis].mean(axis=2)
+    known = np.where(np.arange(body.shape[1]) < history, centre, centre[:, history - 1 : history])
+    seen = body.copy()
+    seen[..., scene.up_axis] += (known - centre)[:, :, None]
+    return seen

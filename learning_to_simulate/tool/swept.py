@@ -1,0 +1,317 @@
+"""What a circle has swept: the state that blade and wheel share, updated frame by frame.
+
+A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
+the rim of a wheel. Bins along the way remember how deep it has been. With the circle's centre
+c = (u_c, h) and radius rho, the bins u_k and the bed s before it (numbers of docs/swept_field.md):
+
+  underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
+  profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
+  cut          q(u) = s(u) - p(u)                                                              (3)
+  swept area   A = sum_k q(u_k) du                                                             (4)
+  since        way since e(u) last was below s(u), at most `forget`                            (5)
+  foremost     the largest u_c while e(u) < s(u) somewhere
+  cone         C(v, a)_k = max_j (v_j - a |k - j|): what reaches sideways from each bin
+
+Nothing is integrated over time: two calls in a row equal one call over the joined path, one frame
+costs the same however long the path is, and shifting path and bed together changes nothing.
+Coordinates: u (m) along the way, y (m) upwards. Numpy, float64; the C form is lts_field_path.c.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+# Less than any length, m.
+TINY = 1e-37
+_NOT_BACK = 'a frame must last longer than 0 s, got {}: time does not go back'
+
+
+@dataclasses.dataclass(frozen=True)
+class SweptGrid:
+    """Bins along the way of travel, and the circle that sweeps them.
+
+    Attributes:
+      radius: of the tool's underside, m; a blade's edge has half its thickness.
+      spacing: of the bins, m.
+      behind, ahead: how far the bins reach behind and ahead of the tool's first position, m.
+      forget: distance since the last passage is cut here, m; soil that was never passed has it.
+
+    Raises:
+      ValueError: a length that is not positive, or a circle narrower than two bins: it could pass
+        between their centres.
+    """
+
+    radius: float
+    spacing: float = 0.005
+    behind: float = 0.3
+    ahead: float = 0.9
+    forget: float = 1.0
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not 0 < value < np.inf:
+                raise ValueError(f'SweptGrid.{field.name} must be positive, got {value}')
+        if self.radius < self.spacing:
+            raise ValueError(
+                f'a tool of radius {self.radius} m falls between bins of {self.spacing} m: give a '
+                f'spacing of at most its radius'
+            )
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """[n] centres of the bins relative to the first position of the tool, m; 0 is one."""
+        first = int(np.floor(self.behind / self.spacing))
+        return self.spacing * np.arange(-first, int(np.floor(self.ahead / self.spacing)) + 1)
+
+    def check_within(self, offset, radius) -> None:
+        """Refuses tools [B] of some radius (m) at offsets (m) from their first positions.
+
+        Raises:
+          ValueError: one reaches beyond the bins.
+        """
+        low, high = self.offsets[[0, -1]]
+        outside = (offset - radius < low) | (offset + radius > high)
+        if outside.any():
+            tool = int(np.argmax(outside))
+            raise ValueError(
+                f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
+                f'{np.broadcast_to(radius, outside.shape)[tool]:.3g} m the bins from {low:.3g} to '
+                f'{high:.3g} m do not hold it: begin anew from here, on the bed as it now is '
+                f'(start with bed=particles)'
+            )
+
+
+class SweptBed(NamedTuple):
+    """State of B tools; a function of all poses so far.
+
+    Attributes:
+      origin: [B] u of the first position, m; bin k lies at `origin + grid.offsets[k]`.
+      surface: [B, n] height of the bed before the tool came, m.
+      profile: [B, n] the lowest of the surface and all heights of the tool's underside so far, m.
+      last: [B, n] distance travelled at the last passage below the surface, m; `-grid.forget`
+        where there was none.
+      position: [B, 2] u and y of the circle's centre, m.
+      velocity: [B, 2] of the last frame, m/s.
+      travelled: [B] length of the path, m.
+      foremost: [B] largest u of the centre while the circle was below the surface, m; the first
+        position until then.
+    """
+
+    origin: np.ndarray
+    surface: np.ndarray
+    profile: np.ndarray
+    last: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    travelled: np.ndarray
+    foremost: np.ndarray
+
+    @property
+    def tip(self) -> np.ndarray:
+        """u [B] of the centre, m."""
+        return self.position[:, 0]
+
+
+class Bed(NamedTuple):
+    """The beds that B tools begin on.
+
+    Attributes:
+      surface: float64 [B, n] height at `grid.offsets` from the tool's first position, m.
+      level: float64 [B], the height that all heights are counted from, m.
+      end: float64 [B], u of the wall that the tool drives towards, m; far away where there is none.
+    """
+
+    surface: np.ndarray
+    level: np.ndarray
+    end: np.ndarray
+
+
+class Frame(NamedTuple):
+    """What the networks see of one or more frames of B tools.
+
+    Attributes:
+      bins: float32 [B, n, C], channels of the tool; see `blade.CHANNELS` and `wheel.CHANNELS`.
+      scalars: float32 [B, S], see `blade.SCALARS` and `wheel.SCALARS`; lengths in m from the tool's
+        first place and the level of the bed.
+    """
+
+    bins: np.ndarray
+    scalars: np.ndarray
+
+    def at(self, which) -> 'Frame':
+        """Some of the frames: an index of the first axis, or of all before the last."""
+        return Frame(self.bins[which], self.scalars[which])
+
+
+def start(grid: SweptGrid, position, surface) -> SweptBed:
+    """The state before any motion: the circle has been where it is now.
+
+    Args:
+      grid: the bins.
+      position: [B, 2] first u and y of the centre, m.
+      surface: height of the bed, m: a number, [B] or, where the bed is not flat, [B, n] at
+        `position[:, :1] + grid.offsets`.
+
+    Raises:
+      ValueError: shapes that do not fit, or values that are not finite.
+    """
+    position = checked('position', position, (None, 2))
+    surface = _checked_surface(surface, len(position), len(grid.offsets))
+    # Nothing was passed yet: all that counts as `forget` behind.
+    state = SweptBed(
+        origin=position[:, 0],
+        surface=surface,
+        profile=surface,
+        last=np.full_like(surface, -grid.forget),
+        position=position,
+        velocity=np.zeros_like(position),
+        travelled=np.zeros(len(position)),
+        foremost=position[:, 0],
+    )
+    return _cut(grid, state, position, None)
+
+
+def _checked_surface(surface, n_tool, n_bin):
+    """float64 [B, n] of a bed in one of its forms."""
+    surface = np.asarray(surface, np.float64)
+    if surface.shape not in ((), (n_tool,), (n_tool, n_bin)):
+        raise ValueError(
+            f'surface has shape {surface.shape}, a number, [{n_tool}] or [{n_tool}, {n_bin}] was '
+            f'expected'
+        )
+    if not np.isfinite(surface).all():
+        raise ValueError('surface holds NaN or infinite heights')
+    if surface.ndim == 1:
+        surface = surface[:, None]
+    return np.broadcast_to(surface, (n_tool, n_bin)).copy()
+
+
+def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
+    """Moves the tools in a straight line to their next positions.
+
+    Args:
+      grid: the bins of `start`.
+      state: before the frame; it is not changed.
+      position: [B, 2] next u and y of the centre, m.
+      dt: duration of the frame, s.
+
+    Raises:
+      ValueError: a time that does not pass; a position that is not finite, or whose underside
+        reaches beyond the bins.
+    """
+    check_time(dt)
+    position = checked('position', position, state.position.shape)
+    grid.check_within(position[:, 0] - state.origin, grid.radius)
+    return _cut(grid, state, position, dt)
+
+
+def check_time(dt) -> None:
+    """Raises ValueError for a duration (s) that is not positive and finite."""
+    if not 0 < dt < np.inf:
+        raise ValueError(_NOT_BACK.format(dt))
+
+
+def checked(name: str, values, shape) -> np.ndarray:
+    """float64 values of a shape, None for any length.
+
+    Raises:
+      ValueError: another shape, or values that are not finite.
+    """
+    values = np.asarray(values, np.float64)
+    if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape)):
+        wanted = ', '.join('B' if n is None else str(n) for n in shape)
+        raise ValueError(f'{name} has shape {values.shape}, [{wanted}] was expected')
+    if not np.isfinite(values).all():
+        tool = int(np.argwhere(~np.isfinite(values))[0][0])
+        raise ValueError(f'{name} of tool {tool} is not finite: {values[tool]}')
+    return values
+
+
+def _cut(grid, state, position, dt):
+    """The state after the circle's centre has gone straight to `position`: (2), (5)."""
+    step = position - state.position
+    travelled = state.travelled + np.hypot(step[:, 0], step[:, 1])
+    bins = state.origin[:, None] + grid.offsets
+    height = underside(bins, state.position, position, grid.radius)
+    passed = height < state.surface
+    foremost = np.maximum(state.foremost, position[:, 0])
+    return state._replace(
+        profile=np.minimum(state.profile, height),  # (2)
+        last=np.where(passed, travelled[:, None], state.last),
+        position=position,
+        velocity=state.velocity if dt is None else step / dt,
+        travelled=travelled,
+        foremost=np.where(passed.any(axis=1), foremost, state.foremost),
+    )
+
+
+def underside(u, before, after, radius) -> np.ndarray:
+    """Lowest height [B, n] at places u [B, n] of a circle of a radius (a number or [B, 1]) that
+    moves straight from one centre to another [B, 2]; infinite where it has not been. All in m.
+
+    It is (1): the lower envelope of both end circles and, between their tangent points, of the
+    common tangent.
+    """
+    height = np.full_like(u, np.inf)
+    for centre in (before, after):
+        depth = radius - np.abs(u - centre[:, :1])
+        square = depth * (2 * radius - depth)  # rho^2 - (u - u_c)^2
+        circle = centre[:, 1:] - np.sqrt(np.maximum(square, 0.0))
+        height = np.where(square >= 0, np.minimum(height, circle), height)
+    step = after - before
+    length = np.hypot(step[:, :1], step[:, 1:])
+    # Unit normal of the way, downwards: the tangent is the way moved by radius along it.
+    sign = np.where(step[:, :1] < 0, -1.0, 1.0)
+    normal = sign * np.stack([step[:, 1], -step[:, 0]], axis=1) / np.maximum(length, TINY)
+    # Its left end, and how far each place lies along it, in [0, 1].
+    left = before + radius * normal
+    along = (u - left[:, :1]) * np.sign(step[:, :1])
+    width = np.abs(step[:, :1])
+    share = along / np.maximum(width, TINY)
+    tangent = left[:, 1:] + np.clip(share, 0.0, 1.0) * step[:, 1:]
+    between = (along >= 0) & (along <= width) & (width > 0)
+    return np.where(between, np.minimum(height, tangent), height)
+
+
+def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
+    """[B] area (m2) between the untouched surface and the deepest cut: (4)."""
+    return grid.spacing * np.sum(state.surface - state.profile, axis=1)
+
+
+def cone(values, fall: float) -> np.ndarray:
+    """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
+    # The largest so far from either side, in coordinates in which the slope of a cone is level.
+    index = fall * np.arange(values.shape[1])
+    forward = np.maximum.accumulate(values + index, axis=1) - index
+    backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
+    return np.maximum(forward, backward)
+
+
+def faded(memory, velocity, dt, scales) -> np.ndarray:
+    """Memories m [B, K, V] after a frame of a velocity [B, V], one for each time scale (s).
+
+    It is (7): dm/dt = (v - m) / tau, solved exactly for a velocity that is constant within the
+    frame, so the frame rate hardly matters.
+    """
+    fade = np.exp(-dt / np.array(scales))[:, None]
+    return fade * memory + (1 - fade) * velocity[:, None]
+
+
+def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:
+    """Deepest cut so far at places u [B, ...] (m), linear between bins; height in m."""
+    places = np.asarray(u, np.float64)
+    offset = places - state.origin.reshape(-1, *[1] * (places.ndim - 1))
+    flat = offset.reshape(len(places), -1)
+    return channels_at(grid, state.profile[..., None], flat)[..., 0].reshape(places.shape)
+
+
+def channels_at(grid: SweptGrid, values, offset) -> np.ndarray:
+    """Values [B, n, C] of bins at offsets [B, P] from the first position (m), linear between bins;
+    beyond the last ones, the last ones. [B, P, C]."""
+    last = values.shape[1] - 1
+    place = np.clip((offset - grid.offsets[0]) / grid.spacing, 0.0, last)
+    low = np.minimum(place.astype(np.int64), last - 1)
+    share, row = (place - low)[..., None], np.arange(len(values))[:, None]
+    return (1.0 - share) * values[row, low] + share * values[row, low + 1]

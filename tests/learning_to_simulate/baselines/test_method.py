@@ -1,0 +1,102 @@
+"""Open-loop methods through the same command, folders and files as the networks."""
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate import evaluation, presets, registry
+from learning_to_simulate.baselines import method as method_lib
+from pca_tools import files
+from tests.learning_to_simulate import synthetic
+
+
+@pytest.fixture(scope='module')
+def trained(tmp_path_factory):
+    """(data folder, model folder) of a ridge."""
+    folder = tmp_path_factory.mktemp('open_loop')
+    data = synthetic.write_dataset(folder / 'data', n_run=6)
+    model = str(folder / 'model')
+    config = presets.make_config('path_ridge', max_samples=60)
+    registry.train(data, model, config)
+    return data, model
+
+
+def test_a_model_folder_rolls_out_to_the_files_of_every_method(trained, tmp_path):
+    data, model = trained
+    code = registry.of_folder(model).load_code()
+    opened = code.open_model(model, data, 'test')
+    results, summary = opened.evaluator.run(opened.groups, 'test')
+    evaluation.save_rollouts(str(tmp_path), 'test', results, summary, opened.metadata)
+    stored = files.read_npz(str(tmp_path / 'rollout_test_0.npz'))
+    assert stored['predicted_rollout'].shape == stored['ground_truth_rollout'].shape
+    assert {'predicted_forces', 'status'} <= stored.keys()
+    assert summary['soil_mse_over_best_trivial'] < 0.5
+    assert 'model' in evaluation.table(summary)
+    assert set(opened.one_step_errors()) == {'one_step_position_mse', 'one_step_force_mse'}
+
+
+def test_the_api_rolls_recorded_runs_out_though_the_folder_has_no_start(trained):
+    data, path = trained
+    synthetic.write_subspace(data)
+    model, runs = lts.load(path), lts.Dataset(data).test
+    rollout = model.rollout(runs[0])
+    opened = registry.open_model(path, data, 'test')
+    (result, *_), _ = opened.evaluator.run(opened.groups, 'test')
+    n = rollout.rigid_nodes.shape[1]
+    np.testing.assert_array_equal(rollout.modes, result[2].position[0, :, n:])
+    assert rollout.particles(0).shape == (synthetic.N_SOIL, 3)
+    with pytest.raises(ValueError, match='path_ridge has no live stepping and no paths'):
+        model.stepper()
+
+
+def test_a_second_call_finds_the_model_done_and_another_one_is_refused(trained):
+    data, model = trained
+    path = os.path.join(model, 'path_ridge.npz')
+    before = os.stat(path).st_mtime_ns
+    registry.train(data, model, presets.make_config('path_ridge', max_samples=60))
+    assert os.stat(path).st_mtime_ns == before
+    with pytest.raises(ValueError, match='another config'):
+        registry.train(data, model, presets.make_config('path_ridge', max_samples=61))
+
+
+def test_damaged_and_foreign_folders_are_refused(trained, tmp_path):
+    data, model = trained
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'notes.txt').write_text('x')
+    with pytest.raises(ValueError, match='not a model folder'):
+        registry.train(data, str(tmp_path / 'other'), presets.make_config('path_ridge'))
+    copy = shutil.copytree(model, tmp_path / 'copy')
+    config = json.loads((copy / 'config.json').read_text())
+    del config['scene']['dt']
+    (copy / 'config.json').write_text(json.dumps(config))
+    with pytest.raises(ValueError, match='missing, unknown or wrong'):
+        method_lib.load(str(copy))
+    with pytest.raises(ValueError, match='contradicts'):
+        method_lib.open_model(model, data, 'test', {'max_samples': 5})
+    with pytest.raises(ValueError, match='max_samples'):
+        presets.make_config('path_ridge', max_samples=0)
+
+
+@pytest.mark.parametrize('preset', ['earthmoving', 'bekker_wong_janosi_fitted'])
+def test_a_formula_of_another_scene_is_refused_before_anything_is_written(
+    trained, preset, tmp_path
+):
+    data, _ = trained
+    with pytest.raises(ValueError):
+        registry.train(data, str(tmp_path / 'model'), presets.make_config(preset))
+    assert not os.path.exists(tmp_path / 'model' / 'config.json')
+
+
+def test_a_fit_to_the_valid_runs_says_that_they_judge_no_more(trained, tmp_path, capsys):
+    data = trained[0]
+    config = presets.make_config('path_ridge_few_runs', max_samples=60)
+    registry.train(data, str(tmp_path / 'model'), config)
+    printed = capsys.readouterr().out
+    assert 'valid was trained on' in printed
+    method = method_lib.load(str(tmp_path / 'model')).method
+    left_out = min(c['error'] for c in method.choices if c['output'] == 'force')
+    assert f'force {left_out:.3g} N' in printed

@@ -1,0 +1,187 @@
+"""Bekker, Wong and Janosi against the integrals over the contact arc and against a known case."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from learning_to_simulate.baselines import wheel_terramechanics
+from learning_to_simulate.baselines.wheel_terramechanics import (
+    TerrainParameters,
+    Wheels,
+    WheelTerramechanics,
+    drive,
+)
+from learning_to_simulate.reading_utils import RunGroup
+from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.tool.axes import Axes
+
+RADIUS, WIDTH = 0.15, 0.12
+FIRM = TerrainParameters(k_c=0.0, k_phi=2e6, n=1.0, elastic=1e4)
+
+
+def wheels(load=100.0, soil_friction=0.6, rim_friction=10.0, gravity=9.81):
+    values = (RADIUS, WIDTH, load, gravity, soil_friction, rim_friction)
+    return Wheels(*(np.array([value]) for value in values))
+
+
+def straight(slip, length=0.3, n_frame=600):
+    """Travel and rolled path [1, T] at a constant slip 1 - v / (omega R)."""
+    travel = np.linspace(0.0, length, n_frame)[None]
+    return travel, travel / (1.0 - slip)
+
+
+def test_at_rest_the_soil_bears_by_its_pressure_over_both_halves_of_the_arc():
+    """No shear: W = b int k (z - rim) dx over the chord."""
+    motion = drive(wheels(), *straight(0.0, n_frame=1), FIRM, n_bin=2000)
+    z = motion.sinkage[0, 0]
+    end = np.sqrt(RADIUS**2 - (RADIUS - z) ** 2)
+    load, _ = integrate.quad(
+        lambda x: FIRM.k_phi * (z - RADIUS + np.sqrt(RADIUS**2 - x**2)), -end, end
+    )
+    assert WIDTH * load == pytest.approx(100.0, rel=1e-3)
+    assert motion.drawbar[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert motion.torque[0, 0] == 0.0
+
+
+@pytest.mark.parametrize('slip', [0.1, 0.4])
+def test_steady_driving_is_wong_and_reeces_integral(slip):
+    """sigma = k (R cos a - R cos a1)^n; j of a point of the soil: the rim passes it at
+    omega R - v cos a, while R cos a da = -v dt."""
+    # Stiff unloading: no contact behind the lowest point but in one bin.
+    parameters = dataclasses.replace(FIRM, n=1.1, shear_modulus=0.01, elastic=1e7)
+    motion = drive(wheels(), *straight(slip, 0.1, 400), parameters, n_bin=300)
+    z = motion.sinkage[0, -1]
+    entry = np.arccos(1 - z / RADIUS)
+
+    def stresses(a):
+        sigma = parameters.k_phi * (RADIUS * (np.cos(a) - np.cos(entry))) ** parameters.n
+        j = RADIUS * (
+            (np.sin(entry) - np.sin(a)) / (1 - slip)
+            - (entry - a) / 2
+            - (np.sin(2 * entry) - np.sin(2 * a)) / 4
+        )
+        return sigma, 0.6 * sigma * (1 - np.exp(-j / parameters.shear_modulus))
+
+    def integral(f):
+        return RADIUS * WIDTH * integrate.quad(lambda a: f(a, *stresses(a)), 0.0, entry)[0]
+
+    vertical = integral(lambda a, sigma, tau: sigma * np.cos(a) + tau * np.sin(a))
+    drawbar = integral(lambda a, sigma, tau: tau * np.cos(a) - sigma * np.sin(a))
+    torque = RADIUS * integral(lambda a, sigma, tau: tau)
+    # A bin is 1 % of the contact. Wong & Reece's own j would pull 7 N less at a slip of 0.4.
+    assert motion.vertical[0, -1] == pytest.approx(100.0, abs=0.1)
+    assert vertical == pytest.approx(100.0, abs=2.0)
+    assert motion.drawbar[0, -1] == pytest.approx(drawbar, abs=1.5)
+    assert motion.torque[0, -1] / RADIUS == pytest.approx(torque / RADIUS, abs=1.5)
+
+
+def test_more_slip_pulls_more_and_a_rim_that_slides_less():
+    pull = [
+        drive(wheels(), *straight(slip, n_frame=100), FIRM).drawbar[0, -1]
+        for slip in (0.0, 0.2, 0.4, 0.7)
+    ]
+    assert (np.diff(pull) > 0).all() and pull[0] < 0
+    smooth = drive(wheels(rim_friction=0.2), *straight(0.4, n_frame=100), FIRM)
+    assert smooth.drawbar[0, -1] < 0.5 * pull[2]
+
+
+def test_soil_bears_in_proportion_to_gravity_and_by_its_friction_exponent():
+    deep = drive(wheels(gravity=1.62), *straight(0.0, n_frame=1), FIRM).sinkage[0, 0]
+    light = drive(wheels(load=100.0 * 9.81 / 1.62), *straight(0.0, n_frame=1), FIRM).sinkage[0, 0]
+    assert deep == pytest.approx(light, rel=1e-6)
+    strong = dataclasses.replace(FIRM, friction_exponent=2.0)
+    firm = drive(wheels(soil_friction=2 * 0.5317), *straight(0.0, n_frame=1), strong)
+    quarter = drive(wheels(load=25.0), *straight(0.0, n_frame=1), FIRM)
+    assert firm.sinkage[0, 0] == pytest.approx(quarter.sinkage[0, 0], rel=1e-6)
+
+
+def test_a_wheel_that_rolls_back_runs_in_its_own_rut():
+    """Soil that was pressed in stays so, and bears at once: the second pass sinks a little more."""
+    there = np.linspace(0.0, 0.2, 80)
+    travel = np.concatenate([there, there[-2::-1]])[None]
+    sunk = drive(wheels(), travel, travel, dataclasses.replace(FIRM, elastic=20.0)).sinkage[0]
+    first, second = sunk[40], sunk[118]  # the same place
+    assert first < second < 1.5 * first
+
+
+def test_a_soil_too_soft_buries_the_wheel_to_its_axle():
+    soft = dataclasses.replace(FIRM, k_phi=1e2)
+    motion = drive(wheels(), *straight(0.0, n_frame=3), soft)
+    assert motion.sinkage[0] == pytest.approx(RADIUS)
+    assert (motion.vertical[0] < 100.0).all()
+
+
+def wheel_group(parameters=None, n_frame=60, seed=0):
+    """Runs of wheels towards -x whose height and force follow the model itself, if given."""
+    names = ('gravity', 'friction_angle_deg', 'load')
+    scene = Scene('wheel', 1, RigidMotion.DRIVEN, (), True, names, 10, 1 / 60)
+    rng = np.random.default_rng(seed)
+    angle = 2 * np.pi * np.arange(8) / 8
+    positions, contexts = [], []
+    for load in (60.0, 100.0, 160.0, 220.0):
+        t = np.arange(n_frame)
+        slip = rng.uniform(0.1, 0.6)
+        travel = 0.001 * t
+        turned = travel / (1 - slip) / RADIUS
+        # Towards -x the top goes to -x: anticlockwise about z.
+        rim = np.stack([np.cos(angle + turned[:, None]), np.sin(angle + turned[:, None])], axis=-1)
+        ring = np.concatenate([RADIUS * rim, np.zeros((n_frame, 8, 1))], axis=-1)
+        body = np.concatenate([ring, ring + [0, 0, WIDTH]], axis=1)
+        body[..., 0] -= travel[:, None]
+        body[..., 1] += 0.4
+        positions.append(np.concatenate([body, np.zeros((n_frame, 1, 3))], axis=1))
+        contexts.append([9.81, rng.uniform(30, 43), load])
+    group = RunGroup(
+        16, np.array([0] * 16 + [6]), np.array(positions), np.zeros((4, n_frame, 3)),
+        np.array(contexts), np.arange(4),
+    )  # fmt: skip
+    method = WheelTerramechanics(scene, Axes(0, -1, 1), parameters or TerrainParameters())
+    if parameters is not None:
+        motion = method.drive(group)
+        position = group.position.copy()
+        position[:, :, :16, 1] += (motion.sinkage[:, :1] - motion.sinkage)[:, :, None]
+        group = dataclasses.replace(group, position=position, force=method._force(motion))
+    return method, group
+
+
+def test_a_wheels_motion_follows_the_model_from_the_last_given_height():
+    parameters = TerrainParameters(k_phi=8e5, n=0.9)
+    method, group = wheel_group(parameters)
+    prediction = method.predict(group)
+    np.testing.assert_allclose(prediction.position, group.position[:, 6:], atol=1e-9)
+    np.testing.assert_allclose(prediction.force, group.force[:, 6:], atol=1e-6)
+    assert (prediction.force[:, -1, 1] > 0).all()
+    assert (prediction.torque[:, -1, 2] < 0).all(), 'soil brakes a turn about +z'
+    assert prediction.predicts == {'force', 'height', 'torque'}
+
+
+def test_the_future_height_is_not_looked_at():
+    method, group = wheel_group(TerrainParameters(k_phi=8e5))
+    changed = group.position.copy()
+    changed[:, 6:, :16, 1] += 0.05
+    other = method.predict(dataclasses.replace(group, position=changed))
+    np.testing.assert_allclose(other.position, method.predict(group).position, atol=1e-12)
+
+
+def test_the_fit_finds_a_soil_that_explains_the_runs(monkeypatch):
+    truth = TerrainParameters(k_phi=6e5, n=0.9, shear_modulus=0.006, friction_factor=0.8)
+    _, group = wheel_group(truth)
+    method, _ = wheel_group()
+    monkeypatch.setattr(wheel_terramechanics, '_FIT_STRIDE', 6)
+    fitted = method.fitted([group])
+
+    def error(one):
+        prediction = one.predict(group)
+        height = prediction.position[:, :, 0, 1] - group.position[:, 6:, 0, 1]
+        return np.abs(height).max(), np.abs(prediction.force - group.force[:, 6:]).max()
+
+    for before, after in zip(error(method), error(fitted)):
+        assert after < 0.2 * before
+
+
+def test_other_scenes_are_refused():
+    scene = Scene('x', 1, RigidMotion.DRIVEN, (), True, ('gravity',), 10, 1 / 60)
+    with pytest.raises(ValueError, match='context'):
+        WheelTerramechanics(scene, Axes(0, -1, 1))

@@ -1,0 +1,288 @@
+"""A model in a subspace in C against the numpy twins and the judgement of rollouts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from learning_to_simulate import rollout_status
+from learning_to_simulate.native import library, starts
+from learning_to_simulate.native.binding import KERNELS, CSubspace, KernelLacks
+from learning_to_simulate.rollout_status import Ranges, RolloutStatus
+from pca_tools import subspace
+from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
+
+H = 6
+SECOND_ORDER = {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
+CASES = {
+    'prescribed': {},
+    'contact': {'contact': True},
+    'wide velocity history': {'overrides': {'velocity_inputs': 5}},
+    'second order': {'overrides': SECOND_ORDER},
+    'three steps': {'overrides': {'message_passing_steps': 3, 'latent_size': 20}},
+    'driven, context': {'motion': 'driven', 'context': True},
+    'driven, second order, two steps': {
+        'motion': 'driven',
+        'overrides': SECOND_ORDER | {'message_passing_steps': 2},
+    },
+    'predicted': {'motion': 'predicted', 'rigid_counts': (6,)},
+    'thesis, context': {'preset': 'pcg_thesis', 'motion': 'predicted', 'context': True},
+    'full graph, two steps': {
+        'preset': 'fcg_original',
+        'overrides': {'message_passing_steps': 2},
+    },
+    'mlp': {'preset': 'mlp', 'overrides': {'mode_edges': 0}},
+    'mlp, contact': {'preset': 'mlp', 'contact': True, 'overrides': {'mode_edges': 0}},
+    'mlp, driven': {
+        'preset': 'mlp',
+        'motion': 'driven',
+        'context': True,
+        'overrides': {'mode_edges': 0, 'velocity_inputs': 3, 'hidden_layers': 3},
+    },
+}
+
+pytestmark = pytest.mark.skipif(
+    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+)
+
+
+def _space():
+    runs = [np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))]
+    return subspace.fit(runs, synthetic.N_MODES)
+
+
+def _context(group, run=0):
+    return None if group.context is None else group.context[run]
+
+
+def _twin_of(model, n):
+    return (Twin if model.simulator.config.model == 'gns' else WholeStateTwin)(model, n)
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory):
+    """A C stepper of a prescribed body, its model, and runs."""
+    model, (group, *_), _ = models.make(tmp_path_factory.mktemp('model'))
+    return CSubspace.of(model, group.n_rigid, _space()), model, group
+
+
+@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
+def test_every_kernel_equals_the_numpy_twin(case, tmp_path):
+    """Single steps from recorded frames; whole rollouts, with the driven height and the rigid
+    correction, are compared in `live/test_stepper.py`."""
+    model, (group,), _ = models.make(tmp_path, **case)
+    n, known = group.n_rigid, model.simulator.scene.rigid_motion.is_known
+    twin = _twin_of(model, n)
+    for kernel in KERNELS:
+        try:
+            stepper = CSubspace.of(model, n, _space(), rigid_correction=False, kernel=kernel)
+        except KernelLacks:
+            continue
+        assert stepper.kernel == kernel
+        for k in (H, H + 1, 20):
+            history = group.position[1, k - H : k]
+            expected, force = twin.step(history, group.position[1, k, :n], _context(group, 1))
+            stepper.reset(history, _context(group, 1))
+            frame = stepper.step(group.position[1, k, :n] if known else None)
+            moved = np.abs(expected - history[-1]).max()
+            got = np.concatenate([frame.rigid_pose, frame.modes])
+            # Measured 2e-6 of the displacement: float32 sums, and offsets of 1 m that keep 1e-7.
+            np.testing.assert_allclose(got, expected, atol=2e-5 * moved + 1e-7)
+            np.testing.assert_allclose(frame.force, force, atol=1e-5 * np.abs(force).max())
+            # Of every column: the last panel of a kernel is not full.
+            decoded = _space().decode(frame.modes)
+            np.testing.assert_allclose(
+                stepper.particles(), decoded, atol=2e-6 * np.abs(decoded).max()
+            )
+
+
+def _judged(group, position, force, model):
+    s = model.simulator
+    return rollout_status.judge(group, position[None], force[None], s.statistics, s.scene)[0]
+
+
+@pytest.mark.parametrize('motion', ['prescribed', 'driven'])
+def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
+    """Starts, bodies and contexts inside and outside the training range, in kind, frame, node."""
+    model, (group,), _ = models.make(tmp_path, motion=motion, context=True)
+    n = group.n_rigid
+    stepper = CSubspace.of(model, n)
+    seen = set()
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        truth, context = group.position[seed % 4].copy(), group.context[seed % 4].copy()
+        if seed % 3 == 1:
+            frame = rng.integers(0, len(truth))
+            truth[frame:, rng.integers(n), rng.integers(3)] += rng.choice([-1, 1]) * 0.3
+        if seed % 4 == 1:
+            context[rng.integers(2)] *= 1.5
+        if seed % 5 == 1:
+            truth[:H, n + rng.integers(3)] += 4.0
+        if seed % 8 == 7:  # far beyond float32's squares
+            truth[20:, :n] += 1e25
+        run = dataclasses.replace(group.select(0), position=truth[None], context=context[None])
+        stepper.reset(truth[:H], context)
+        frames = [stepper.step(pose) for pose in truth[H:, :n]]
+        alone = [_kind(frame.status) for frame in frames]
+        position = np.array([np.concatenate([f.rigid_pose, f.modes]) for f in frames])
+        expected = _judged(run, position, np.array([f.force for f in frames]), model)
+        assert stepper.judgement[:3] == expected[:3]
+        if expected.status != RolloutStatus.NON_FINITE:  # the same measure and value, in words
+            mine, theirs = (j.reason.split(' is outside') for j in (stepper.judgement, expected))
+            assert mine[0] == theirs[0].removesuffix(' m')
+        seen.add(expected.status)
+        # Of each frame alone, too.
+        ranges = Ranges(n, model.simulator.statistics, model.simulator.scene)
+        of_context = ranges.start(truth[H - 1], context, None).reason
+        for k, (frame, of_c) in enumerate(zip(frames, alone)):
+            now = ranges.judge(
+                H + k, position[k], frame.force, None, truth[H + k, :n], truth[H + k - 1, :n]
+            )
+            assert of_c == now.status or 'is outside' in of_context
+    assert len(seen) == 4
+
+
+def _kind(bits):
+    """The worst status of bits of lts.h."""
+    c = library.constants()
+    for name, status in (
+        ('LTS_NON_FINITE', RolloutStatus.NON_FINITE),
+        ('LTS_LEFT_BOUNDS', RolloutStatus.LEFT_BOUNDS),
+        ('LTS_EXTRAPOLATING', RolloutStatus.EXTRAPOLATING),
+    ):
+        if bits & c[name]:
+            return status
+    return RolloutStatus.OK
+
+
+def test_prepare_save_and_clone_change_nothing(shared):
+    stepper, _, group = shared
+    n, rng = group.n_rigid, np.random.default_rng(0)
+    stepper.reset(group.position[0, :H])
+    plain = [stepper.step(pose) for pose in group.position[0, H:, :n]]
+    stepper.reset(group.position[0, :H])
+    other = [stepper.save()]
+    for k, pose in enumerate(group.position[0, H:, :n]):
+        if rng.integers(2):
+            stepper.prepare()
+        if rng.integers(2):  # a detour, and back
+            state = stepper.save()
+            stepper.step(pose + 0.01)
+            stepper.load_state(state)
+        frame = stepper.step(pose)
+        np.testing.assert_array_equal(frame.modes, plain[k].modes)
+        np.testing.assert_array_equal(frame.force, plain[k].force)
+        other.append(stepper.save())
+    assert len({len(state) for state in other}) == 1 and len(set(other)) == len(other)
+
+
+def test_damaged_and_foreign_states_are_refused(tmp_path, shared):
+    stepper, _, group = shared
+    stepper.reset(group.position[0, :H])
+    state = stepper.save()
+    model, (foreign, *_), _ = models.make(tmp_path, overrides={'seed': 1})
+    bad = [b'', state[:-1], state[:40] + b'?' + state[41:], state[:-3] + b'???']
+    bad.append(CSubspace.of(model, foreign.n_rigid).save())
+    for value in bad:
+        with pytest.raises(ValueError, match='saved state'):
+            stepper.load_state(value)
+    assert stepper.save() == state
+
+
+def test_bad_input_is_refused_and_changes_nothing(shared):
+    stepper, model, group = shared
+    n, position = group.n_rigid, group.position[0]
+    fresh = CSubspace.of(model, n)
+    not_finite = position[H, :n].copy()
+    not_finite[2, 1] = np.nan
+    stepper.reset(position[:H])
+    before = stepper.save()
+    for act, message in (
+        (lambda: stepper.reset(position[: H - 1]), r'history has shape \(5, 7, 3\)'),
+        (lambda: stepper.reset(np.full_like(position[:H], np.inf)), 'history holds inf'),
+        (lambda: stepper.reset(position[:H], [1.0]), 'context'),
+        (lambda: stepper.step(None), 'takes a pose'),
+        (lambda: stepper.step(position[H, : n - 1]), r'must be \(4, 3\)'),
+        (lambda: stepper.step(not_finite), r'nan at \(2, 1\)'),
+        (lambda: stepper.step('here'), 'not an array'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            act()
+    assert stepper.save() == before
+    for call in (lambda: fresh.step(position[H, :n]), fresh.prepare, fresh.particles):
+        with pytest.raises(ValueError, match='not started|subspace'):
+            call()
+    with pytest.raises(ValueError, match="kernel is 'gpu'"):
+        CSubspace.of(model, n, kernel='gpu')
+    with pytest.raises(ValueError, match='subspace has'):
+        CSubspace.of(model, n, subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES))
+    with pytest.raises(ValueError, match='0 starts'):
+        stepper.start()
+
+
+def test_models_without_a_c_form_are_refused_by_name(tmp_path):
+    model, (group,), _ = models.make(tmp_path, preset='mixer_se', overrides={'mode_edges': 0})
+    with pytest.raises(ValueError, match="'mixer_se' has no C form; exported are gns, mlp"):
+        CSubspace.of(model, group.n_rigid)
+
+
+def test_particles_and_heights(shared):
+    stepper, _, group = shared
+    stepper.reset(group.position[0, :H])
+    frame = stepper.step(group.position[0, H, : group.n_rigid])
+    particles = _space().decode(frame.modes)
+    np.testing.assert_allclose(stepper.particles(), particles, atol=1e-5)
+    low, cell, shape = particles.min(axis=0)[[0, 2]] + 0.3, 0.7, (5, 4)
+    expected = np.full(shape, np.nan)
+    for x, y, z in stepper.particles().astype(float):
+        i, j = np.floor((np.array([x, z]) - low) / cell).astype(int)
+        if 0 <= i < shape[0] and 0 <= j < shape[1]:
+            expected[i, j] = np.nanmax([expected[i, j], y])
+    got = stepper.height_map(low, cell, shape)
+    np.testing.assert_array_equal(got, expected.astype(np.float32))
+    assert np.isnan(got).any() and np.isfinite(got).any()
+    for bad in ({'cell': 0.0}, {'shape': (0, 3)}, {'origin': [np.nan, 0]}, {'shape': (10**9, 3)}):
+        with pytest.raises(ValueError):
+            stepper.height_map(**{'origin': low, 'cell': cell, 'shape': shape} | bad)
+
+
+@pytest.mark.parametrize('motion', ['prescribed', 'driven', 'predicted'])
+def test_a_start_by_pose_is_a_reset_from_rest(tmp_path, motion):
+    """Poses stand for the points of the start's body, turned and moved."""
+    model, (group,), metadata = models.make(tmp_path, motion=motion, context=True)
+    n, dt = group.n_rigid, model.simulator.scene.dt
+    found = starts.read(str(tmp_path), model.simulator.config, n)
+    stepper, other = (CSubspace.of(model, n, starts=found) for _ in range(2))
+    start = found[2]
+    centre, arms = start['points'].mean(axis=0), start['points'] - start['points'].mean(axis=0)
+
+    def points(angle, shift):  # about z
+        c, s = np.cos(angle), np.sin(angle)
+        return centre + shift + arms @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+    def pose(angle, shift):
+        return np.r_[centre + shift, np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+
+    velocity, turning = np.array([-0.06, 0.012, 0.0]), 0.3
+    history = np.stack(
+        [
+            np.concatenate([points(0.1 + turning * t, velocity * t), start['modes']])
+            for t in dt * np.arange(1 - H, 1)
+        ]
+    )
+    stepper.start(-1, pose(0.1, 0.0), np.r_[velocity, 0, 0, turning], start['context'])
+    other.reset(history, start['context'])
+    for k in range(1, 5):
+        shift, angle = velocity * k * dt, 0.1 + turning * k * dt
+        if motion == 'predicted':
+            a, b = stepper.step(), other.step()
+        else:
+            a = stepper.step_at(pose(angle, shift))
+            b = other.step(points(angle, shift))
+        np.testing.assert_allclose(a.modes, b.modes, atol=1e-7)
+        np.testing.assert_allclose(a.force, b.force, rtol=1e-4, atol=1e-4)
+    for bad in ({'start': 9}, {'pose': np.zeros(7)}, {'twist': [np.inf] * 6}, {'context': [1.0]}):
+        with pytest.raises(ValueError):
+            stepper.start(**bad)

@@ -1,0 +1,355 @@
+"""The FMU by FMPy: valid, equal to the library, rolled back bit by bit, side by side."""
+
+import os
+import subprocess
+import zipfile
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.native import (
+    field_data,
+    fmu,
+    library,
+    model_data,
+    starts,
+)
+from learning_to_simulate.native.binding import CField, CSubspace
+from tests.learning_to_simulate import models
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as small_blade
+
+fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
+from fmpy import fmi2, validation  # noqa: E402
+from fmpy.fmi1 import FMICallException  # noqa: E402
+
+pytestmark = pytest.mark.skipif(
+    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+)
+CASES = {
+    'prescribed': {},
+    'driven': {'motion': 'driven', 'context': True},
+    'predicted': {'motion': 'predicted', 'context': True},
+}
+PARTS = {'pos': 'xyz', 'rot': ('e0', 'e1', 'e2', 'e3'), 'lin_vel': 'xyz', 'ang_vel': 'xyz'}
+
+
+def _write(folder, **case):
+    """(path of the FMU, model, starts, values)."""
+    model, (group, *_), metadata = models.make(folder / 'data', **case)
+    found = starts.read(str(folder / 'data'), model.simulator.config, group.n_rigid)
+    values = model_data.values(model, group.n_rigid, starts=found)
+    path = str(folder / 'soil.fmu')
+    fmu.write(path, 'lts_small', values)
+    return path, model, found, values
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory):
+    """The FMU of a driven body."""
+    return _write(tmp_path_factory.mktemp('fmu'), **CASES['driven'])
+
+
+@pytest.fixture(scope='module')
+def fields(tmp_path_factory):
+    """Name of a tool -> path of its FMU, field, what a wheel starts from."""
+    found, folder = {}, tmp_path_factory.mktemp('fields')
+    for name, small in (('blade', small_blade), ('wheel', small_wheel)):
+        field = small.make_field()
+        parts = small.two_starts(field) if name == 'wheel' else {}
+        path = str(folder / f'{name}.fmu')
+        fmu.write(path, f'lts_{name}', field_data.values(field, **parts))
+        found[name] = path, field, parts
+    return found
+
+
+class _Slave:
+    """An instance of an FMU with its variables by name."""
+
+    def __init__(self, path, folder, name='one', start=None, **inputs):
+        description = fmpy.read_model_description(path)
+        self.vr = {v.name: v.valueReference for v in description.modelVariables}
+        self.body, self.logged = _body(self.vr), []
+        self.c = fmi2.FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=fmpy.extract(path, unzipdir=str(folder)),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName=name,
+        )
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(
+            lambda env, name, status, category, message: self.logged.append(
+                (category.decode(), message.decode())
+            )
+        )
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+        self.c.instantiate(callbacks=callbacks, loggingOn=True)
+        self.c.setupExperiment(startTime=0.0)
+        self.c.enterInitializationMode()
+        if start is not None:
+            self.c.setInteger([self.vr['start']], [start])
+        self.set(**inputs)
+        self.c.exitInitializationMode()
+        self.time = 0.0
+
+    def set(self, **parts):
+        """Parts of the pose and twist of the body (`PARTS`), and other reals by name."""
+        for part, values in parts.items():
+            names = [f'{self.body}_state.{part}.{a}' for a in PARTS.get(part, ())] or [part]
+            reference = [self.vr[n] for n in names]
+            self.c.setReal(reference, [float(v) for v in np.atleast_1d(values)])
+
+    def step(self, h):
+        self.c.doStep(self.time, h)
+        self.time += h
+
+    def get(self, part):
+        return np.array(self.c.getReal([self.vr[f'{self.body}_load.{part}.{a}'] for a in 'xyz']))
+
+    def free(self):
+        self.c.terminate()
+        self.c.freeInstance()
+
+
+def _body(names):
+    return 'tool' if 'tool_state.pos.x' in names else 'wheel'
+
+
+@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
+def test_is_valid_and_simulates(case, tmp_path):
+    path, *_ = _write(tmp_path, **case)
+    assert validation.validate_fmu(path) == []
+    result = fmpy.simulate_fmu(path, stop_time=0.2, output_interval=1 / 60)
+    force = [n for n in result.dtype.names if '.force.' in n]
+    assert len(force) == 3 and all(np.isfinite(result[n]).all() for n in force)
+    assert np.abs(result[force[0]][2:]).max() > 0
+
+
+SHIPPED = [
+    *(f'{s}/{n}' for s in ('excavation', 'wheel') for n in ('pcg', 'pcg_thesis', 'fcg_original')),
+    'excavation_v2/swept_field',
+    'wheel_v2/swept_field',
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', SHIPPED)
+def test_shipped_models_are_valid(name, tmp_path):
+    path = os.path.join('models', name)
+    if name.endswith('swept_field'):
+        field, parts = field_data.read(path)
+        values = field_data.values(field, **parts)
+    else:
+        data = os.path.join('datasets', os.path.dirname(name))
+        model, n, subspace, found = starts.read_model(path, data)
+        values = model_data.values(model, n, subspace, starts=found)
+    written = str(tmp_path / 'soil.fmu')
+    fmu.write(written, 'lts_soil', values)
+    assert validation.validate_fmu(written) == []
+    result = fmpy.simulate_fmu(written, stop_time=0.1, output_interval=1 / 60)
+    assert all(np.isfinite(result[n]).all() for n in result.dtype.names)
+
+
+def _pose(start, twist, t):
+    """[7] of a body that keeps its twist [6], turning about z."""
+    half = 0.5 * t * twist[5]
+    return np.array([*(start + t * twist[:3]), np.cos(half), 0.0, 0.0, np.sin(half)])
+
+
+@pytest.mark.parametrize('case', ['prescribed', 'driven'])
+def test_equals_the_stepper_for_every_step_of_the_master(case, tmp_path):
+    """Frame by frame, in single milliseconds and in steps of three frames: frames stay whole."""
+    path, model, found, _ = _write(tmp_path, **CASES[case])
+    dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
+    first = found[0]['points'].mean(axis=0)
+    stepper = CSubspace.of(model, len(found[0]['points']), starts=found)
+    context = None if case == 'prescribed' else found[0]['context']
+    stepper.start(0, _pose(first, twist, 0.0), twist, context)
+    expected = np.array([stepper.step_at(_pose(first, twist, k * dt)).force for k in range(1, 19)])
+    for h in (dt, dt / 16, 3 * dt):
+        slave = _Slave(path, tmp_path / f'h{h:.4f}', lin_vel=twist[:3], ang_vel=twist[3:])
+        forces = []
+        for k in range(round(18 * dt / h)):
+            pose = _pose(first, twist, k * h)
+            slave.set(pos=pose[:3], rot=pose[3:])
+            slave.step(h)
+            done = (k + 1) * h / dt
+            if abs(done - round(done)) < 1e-6:
+                forces.append(slave.get('force'))
+        slave.free()
+        every = max(1, round(h / dt))
+        np.testing.assert_allclose(forces, expected[every - 1 :: every], rtol=1e-4, atol=1e-3)
+
+
+# Speeds along x and up, and the turn about z: of a wheel it slips.
+TWISTS = {
+    'blade': np.array([-0.2, -0.1, 0.0, 0.0, 0.0, 0.3]),
+    'wheel': np.array([-0.03, 0.0, 0.0, 0.0, 0.0, 0.6]),
+}
+
+
+def _load(t):
+    return 120.0 + 100.0 * t
+
+
+def _field_inputs(tool, start, t):
+    """All real inputs of a field's FMU by name; the height of a wheel is of no meaning."""
+    pose = _pose(start[:3], TWISTS[tool], t)
+    if tool == 'blade':
+        own = {}
+    else:
+        pose[1] += 0.5
+        own = {'load': _load(t)}
+    body = 'tool' if tool == 'blade' else 'wheel'
+    parts = zip(PARTS.items(), (pose[:3], pose[3:], *np.split(TWISTS[tool], 2)))
+    named = {
+        f'{body}_state.{part}.{a}': float(v)
+        for (part, axes), values in parts
+        for a, v in zip(axes, values)
+    }
+    return named | own
+
+
+def _by_the_library(tool, field, parts, start, h, n):
+    """Height lost, force and torque [n, 7] of the same motion."""
+    soil, rows, twist = CField.of(field, **parts), [], TWISTS[tool]
+    if tool == 'blade':
+        soil.start(_pose(start, twist, 0.0), twist)
+        context = None
+    else:
+        start, context = soil.start_of(0)
+        context[2] = _load(0.0)
+        soil.start(None, twist, index=0, context=context)
+    for k in range(n):
+        if context is not None:
+            context[2] = _load(k * h)
+        frame = soil.step(_pose(start[:3], twist, (k + 1) * h), h, context)
+        rows.append([start[1] - frame.point[1], *frame.force, *frame.torque])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize('tool', TWISTS)
+@pytest.mark.parametrize('h', [1 / 64, 1 / 512])
+def test_a_field_is_valid_and_equals_the_library_for_any_step(fields, tool, h):
+    path, field, parts = fields[tool]
+    assert validation.validate_fmu(path) == []
+    told = {v.name: v.start for v in fmpy.read_model_description(path).modelVariables}
+    body, n = _body(told), round(0.25 / h)
+    start = np.array([float(told[f'{body}_state.pos.{a}']) for a in 'xyz'])
+    rows = [{'time': k * h} | _field_inputs(tool, start, k * h) for k in range(n + 1)]
+    signals = np.array([(*r.values(),) for r in rows], dtype=[(name, float) for name in rows[0]])
+    loads = [f'{body}_load.{part}.{a}' for part in ('force', 'moment') for a in 'xyz']
+    got = fmpy.simulate_fmu(
+        path, stop_time=n * h, output_interval=h, input=signals, output=['sinkage', *loads],
+        start_values={} if tool == 'blade' else {'start': 0},
+    )  # fmt: skip
+    expected = _by_the_library(tool, field, parts, start, h, n)
+    assert np.ptp(expected, axis=0)[[0, 1, 2, 6]].min() > 1e-4  # a moment, too
+    found = np.stack([got[name] for name in ('sinkage', *loads)], axis=1)[1:]
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-8)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize('kind', ['graph', 'blade', 'wheel'])
+def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, fields, kind, tmp_path):
+    path, start = shared[0] if kind == 'graph' else fields[kind][0], None
+    if kind == 'wheel':
+        # It begins where the recorded one stood.
+        start, recorded = 1, fields[kind][2]['starts'].pose[1, :3]
+    slow, fast = ([v, 0, 0] for v in (-0.02, -0.06))
+    one, other = (_Slave(path, tmp_path / n, n, start, lin_vel=fast) for n in ('a', 'b'))
+    if kind == 'wheel':
+        np.testing.assert_array_equal(one.get('point'), recorded)
+    place = one.get('point')
+
+    def go(slave, time, n, lin_vel, h=0.011):
+        """Forces of n steps from a time on."""
+        slave.time, forces = time, []
+        for _ in range(n):
+            slave.set(pos=place + slave.time * np.array(lin_vel), lin_vel=lin_vel)
+            slave.step(h)
+            forces.append(slave.get('force'))
+        return np.array(forces)
+
+    go(one, 0.0, 5, fast)
+    state, time = one.c.getFMUstate(), one.time
+    saved = one.c.serializeFMUstate(state)
+    first = go(one, time, 7, fast)
+    go(other, 0.0, 5, slow)  # Another instance in between changes nothing.
+    theirs = other.c.deSerializeFMUstate(saved)
+    for slave, at in ((one, state), (other, theirs)):
+        slave.c.setFMUstate(at)
+        np.testing.assert_array_equal(go(slave, time, 7, fast), first)
+        slave.c.freeFMUstate(at)
+        slave.free()
+
+
+def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
+    path, model, found, values = shared
+    slave = _Slave(path, tmp_path / 'x')
+    ok, outside = (slave.vr[f'status.{n}'] for n in ('ok', 'extrapolating'))
+    slave.set(pos=found[0]['points'].mean(axis=0) + [3.0, 0, 0])
+    slave.step(model.simulator.scene.dt)
+    assert slave.c.getBoolean([ok, outside]) == [False, True]
+    assert {category for category, _ in slave.logged} == {'logStatusWarning'}
+    assert any('pose lies outside' in text for _, text in slave.logged)
+    wheel = _Slave(fields['wheel'][0], tmp_path / 'w', start=0)
+    described = fmpy.read_model_description(fields['wheel'][0]).modelVariables
+    causes = {v.name: v.causality for v in described}
+    assert causes['load'] == 'input' and causes['gravity'] == 'parameter'
+    for act in (
+        lambda: slave.set(pos=[np.nan, 0, 0]),
+        lambda: slave.set(step_size=0.1),
+        lambda: slave.set(gravity=9.0),
+        lambda: slave.c.setReal([999], [0.0]),
+        lambda: slave.c.doStep(slave.time, -1.0),
+        lambda: (slave.set(rot=[0, 0, 0, 0]), slave.step(0.1)),
+        lambda: wheel.set(gravity=3.0),
+        lambda: wheel.set(load=np.nan),
+        lambda: (wheel.set(load=-1.0), wheel.step(0.01)),
+    ):
+        with pytest.raises(FMICallException):
+            act()
+    slave.free()
+    wheel.free()
+    with pytest.raises(ValueError, match='needs a body'):
+        fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', values | {'n_start': 0})
+
+
+def test_sources_alone_build_the_binary(shared, tmp_path):
+    """As an importer on another machine does: one folder, no network, no flags."""
+    with zipfile.ZipFile(shared[0]) as archive:
+        archive.extractall(tmp_path)
+        names = archive.namelist()
+    assert 'binaries/linux64/lts_small.so' in names or os.name != 'posix'
+    root = ElementTree.parse(tmp_path / 'modelDescription.xml')
+    listed = [file.get('name') for file in root.iter('File')]
+    sources = [str(tmp_path / 'sources' / name) for name in listed]
+    built = str(tmp_path / 'again.so')
+    subprocess.run(
+        [*library.compiler(), '-O1', '-fPIC', '-shared', f'-I{tmp_path}/sources', *sources,
+         '-o', built, '-lm'], check=True,
+    )  # fmt: skip
+    symbols = subprocess.run(['nm', '-D', built], capture_output=True, text=True).stdout
+    assert sum(' T fmi2' in line for line in symbols.splitlines()) == 34
+
+
+def test_a_spring_and_mass_on_the_soil_stay_bounded(shared, tmp_path):
+    """A machine of 2 kg on a spring, its force from the soil, over a range of steps."""
+    path, model, found, _ = shared
+    ends = []
+    for h in (1e-3, 5e-3, model.simulator.scene.dt):
+        slave = _Slave(path, tmp_path / f's{h:.4f}')
+        x0 = found[0]['points'].mean(axis=0)
+        x, v = x0.copy(), np.zeros(3)
+        for _ in range(round(0.5 / h)):
+            slave.set(pos=x, lin_vel=v)
+            slave.step(h)
+            v = v + h * (np.clip(slave.get('force'), -5, 5) - 400 * (x - x0) - 20 * v) / 2.0
+            x = x + h * v
+        slave.free()
+        ends.append(x - x0)
+        assert np.abs(x - x0).max() < 0.1
+    assert np.abs(np.ptp(ends, axis=0)).max() < 0.02

@@ -1,0 +1,80 @@
+"""The example for ROS 2, built and run without ROS: stand-ins of its headers print what is sent."""
+
+import os
+import pathlib
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate.live.soil import surface
+from learning_to_simulate.native import exporting, library, project
+
+STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
+COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
+
+
+def to_ros(values):
+    """The model's y up as z up."""
+    values = np.asarray(values)
+    return np.stack([values[..., 0], -values[..., 2], values[..., 1]], axis=-1)
+
+
+@pytest.mark.skipif(not COMPILERS, reason='no C++ compiler')
+def test_the_node_sends_what_the_stepper_says(tmp_path):
+    folder = str(tmp_path / 'project')
+    exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
+    name = project.symbol('models/excavation/pcg')
+    built = str(tmp_path / 'lib.so')
+    library.compile_sources(built, folder)
+    program = str(tmp_path / 'node')
+    strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
+    subprocess.run(
+        [COMPILERS[0], *strict, f'-I{STAND_IN}', f'-I{folder}/include',
+         os.path.join(folder, 'examples', 'ros2_node.cpp'), built, '-o', program],
+        check=True,
+    )  # fmt: skip
+    assert name in pathlib.Path(folder, 'examples', 'ros2_node.cpp').read_text()
+    model = lts.load('excavation')
+    live, pose = model.stepper(), model.starts.pose[0]
+    path = [pose + [-8e-4 * k, -8e-4 * k, 0, 0, 0, 0, 0] for k in range(1, 41)]
+    path.append(pose + [0.5, 0, 0, 0, 0, 0, 0])  # a jump: unlike the training runs
+    # The library's poses are of the middle of the nodes; the blade does not turn here.
+    middle = model.starts.body[0][model.starts.kept[0]].mean(axis=0)
+    lines = '\n'.join(
+        ' '.join(f'{x:.17g}' for x in (*to_ros(p[:3] + middle), p[3], *to_ros(p[4:]))) for p in path
+    )
+    printed = subprocess.run(
+        [program], input=lines, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    sent = {
+        kind: [line.split()[1:] for line in printed if line.startswith(kind)]
+        for kind in ('wrench', 'cloud', 'map', 'status')
+    }
+    assert [len(x) for x in sent.values()] == [len(path)] * 4
+    live.start()
+    frames = [live.step(p) for p in path]
+    force = to_ros([frame.force for frame in frames])
+    points = to_ros([frame.rigid_pose.mean(axis=0) for frame in frames])
+    wrench = np.array(sent['wrench'], float)
+    largest = np.abs(force).max()
+    np.testing.assert_allclose(wrench[:, :3], force, atol=1e-4 * largest)
+    np.testing.assert_allclose(wrench[:, 3:], np.cross(points, force), atol=1e-3 * largest)
+    for k in (0, 39):
+        soil = to_ros(frames[k].particles())
+        count, size, *last = map(float, sent['cloud'][k])
+        assert (count, size) == (len(soil), 12 * len(soil))
+        np.testing.assert_allclose(last, soil[-1], atol=1e-5)
+        cell, x, y, nx, ny, *heights = map(float, sent['map'][k])
+        nx, ny = int(nx), int(ny)
+        extent = np.array([[x - nx * cell / 2, x + nx * cell / 2],
+                           [y - ny * cell / 2, y + ny * cell / 2]])  # fmt: skip
+        ours = surface(soil, extent, 2, nx, ny)
+        # Cell (0, 0) of grid_map is at the largest x and y.
+        theirs = np.reshape(heights, (ny, nx)).T[::-1, ::-1]
+        same = np.isclose(ours, theirs, atol=1e-5, equal_nan=True)
+        assert same.mean() > 0.99  # a particle on the line between two cells may fall into either
+    assert sent['status'][0] == ['0', 'within', 'the', 'training', 'runs']
+    assert sent['status'][-1][0] in '12'

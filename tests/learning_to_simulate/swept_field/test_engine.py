@@ -1,0 +1,378 @@
+"""Steps of a swept field, by TensorFlow and by C: against whole paths; given beds; bad input."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.live import paths
+from learning_to_simulate.live.paths import velocity_between
+from learning_to_simulate.live.stepper import Stepper
+from learning_to_simulate.native import library
+from learning_to_simulate.native.engines import CFieldEngine
+from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.swept_field.engine import FieldEngine
+from learning_to_simulate.tool.bed import HeightMap
+from tests.learning_to_simulate.swept_field import small_wheel
+from tests.learning_to_simulate.swept_field import small_world as world
+
+ENGINES = [
+    FieldEngine,
+    pytest.param(
+        CFieldEngine,
+        marks=pytest.mark.skipif(
+            not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+        ),
+    ),
+]
+
+
+@pytest.fixture(scope='module')
+def field():
+    found = world.make_field()
+    # As of a model folder; places on the edge of two slabs fall to the same side then.
+    found.rest = found.rest.astype(np.float32).astype(np.float64)
+    return found
+
+
+@pytest.fixture(scope='module')
+def wheel_field():
+    found = small_wheel.make_field()
+    found.rest = found.rest.astype(np.float32).astype(np.float64)
+    return found
+
+
+@pytest.fixture(scope='module', params=ENGINES, ids=['tensorflow', 'c'])
+def engine(request):
+    return request.param
+
+
+@pytest.fixture(scope='module')
+def live(field, engine):
+    return Stepper(engine(field, world.make_starts(field)))
+
+
+@pytest.fixture(scope='module')
+def wheel(wheel_field, engine):
+    """A stepper of two starts, cases 7 and 8."""
+    return Stepper(engine(wheel_field, **small_wheel.two_starts(wheel_field)))
+
+
+@pytest.fixture(scope='module')
+def poses():
+    return world.world_pose(world.path()[:, 0])
+
+
+def whole(field, plane, points):
+    """Loads [T, 3] and particles [T, N, 3] of a path, all frames at once."""
+    ground = field.ground(plane[0, 0, 0], np.array([field.blade.width]), points)
+    speed = (plane[1, 0] - plane[0, 0]) / world.DT
+    _, frames = field.frames(ground, plane[:, 0], world.DT, speed)
+    moved = field.displacement(frames, ground.local).mean(axis=0)
+    return field.loads(frames).mean(axis=0), ground.places + moved
+
+
+def test_steps_are_the_frames_of_a_whole_path(field, live, poses):
+    plane = world.path()
+    loads, points = whole(field, plane, field.rest)
+    live.start(poses[0], velocity_between(*poses[:2], world.DT))
+    frames = [live.step(pose) for pose in poses[1:]]
+    size = np.array([field.blade.width])
+    for t, frame in enumerate(frames, start=1):
+        force, torque = field.axes.world_loads(loads[t])
+        np.testing.assert_allclose(frame.force, force, atol=1e-2)
+        np.testing.assert_allclose(frame.torque, torque, atol=1e-3)
+        if t % 20 == 0:  # of frames that are long past, too
+            out = points[t] + field.blade.inside(points[t], plane[t, 0], size)[1]
+            there = field.axes.points(frame.particles())
+            np.testing.assert_allclose(there, out, atol=1e-5)
+            assert field.blade.inside(there, plane[t, 0], size)[0].max() < 1e-6
+    assert np.abs(loads).max() > 10
+    rollout = paths.roll_out(live, poses)
+    np.testing.assert_array_equal(rollout.force, np.float32([frame.force for frame in frames]))
+    np.testing.assert_array_equal(rollout.particles(-1), frames[-1].particles())
+
+
+@pytest.mark.parametrize('tool', ['blade', 'wheel'])
+def test_a_kept_state_holds_its_bed_and_its_body(live, wheel, poses, tool):
+    """Put back after a start on another bed with another body, it goes on to the same bits."""
+    if tool == 'blade':
+        stepper, first = live, {'pose': poses[0]}
+        other = {'pose': poses[0], 'bed': HeightMap([0.1, 0.9], [0.22, 0.22]), 'blade_width': 0.3}
+    else:
+        poses = small_wheel.world_pose(small_wheel.path()[:, 0])
+        stepper, first, other = wheel, {'pose': poses[0], 'case': 7}, {'case': 8}
+    stepper.start(**first)
+    for pose in poses[1:15]:
+        stepper.step(pose)
+    kept, index = stepper.state, stepper.start_index
+    shown = stepper.particles()
+    frames = [stepper.step(pose) for pose in poses[15:30]]
+    stepper.start(**other)
+    stepper.state = kept
+    assert stepper.start_index == index
+    np.testing.assert_array_equal(stepper.particles(), shown)
+    again = [stepper.step(pose) for pose in poses[15:30]]
+    for name in ('force', 'torque', 'pose', 'rigid_pose'):
+        np.testing.assert_array_equal(*([getattr(f, name) for f in x] for x in (again, frames)))
+    np.testing.assert_array_equal(again[-1].particles(), frames[-1].particles())
+
+
+def test_what_a_frame_shows_cannot_be_written_to(field, live, wheel, poses):
+    for stepper, pair in (
+        (live, poses),
+        (wheel, small_wheel.world_pose(small_wheel.path()[:, 0])),
+    ):
+        stepper.start(pair[0])
+        frame = stepper.step(pair[1])
+        for values in (frame.force, frame.torque, frame.pose):
+            with pytest.raises(ValueError, match='read-only'):
+                values += 1.0
+        if hasattr(frame.soil, 'swept'):
+            swept = frame.soil.swept
+            for values in (*swept.frame, swept.pose, *swept.ground[:4], *swept.ground.bed):
+                assert not values.flags.writeable
+    # What the model has, and others share, is as it was.
+    assert field.rest.flags.writeable
+
+
+def test_two_threads_are_told_so(field, poses, monkeypatch):
+    """The second one is refused while the first is at work; nothing of the first is lost."""
+    live = world.make_live(field)
+    live.start(poses[0])
+    first = live.state
+    begun, answered = threading.Event(), threading.Event()
+    loads = field.loads
+
+    def slow(*args):
+        begun.set()
+        assert answered.wait(60)
+        return loads(*args)
+
+    monkeypatch.setattr(field, 'loads', slow)
+    with ThreadPoolExecutor(1) as pool:
+        step = pool.submit(live.step, poses[1])
+        assert begun.wait(60)
+        for call in (
+            lambda: live.step(poses[1]),
+            lambda: live.start(poses[0]),
+            lambda: setattr(live, 'state', first),
+        ):
+            with pytest.raises(RuntimeError, match='another thread'):
+                call()
+        answered.set()
+        frame = step.result(60)
+    assert live.state.frame is frame and live.state.count == 1
+    live.step(poses[2])
+
+
+def test_the_state_does_not_grow(live, poses):
+    live.start(poses[0])
+
+    def size():
+        of_engine = live.state.of_engine
+        if of_engine[0] is None:  # bytes of the library
+            return len(of_engine[1][3])
+        tool = of_engine[2][0]
+        return sum(array.nbytes for array in (*tool.swept, *tool[1:]))
+
+    before = size()
+    for pose in [*poses[1:], *poses[-2::-1]] * 2:
+        live.step(pose)
+    assert size() == before > 0
+
+
+def test_a_bed_may_be_given_as_particles_or_as_heights(field, live, poses):
+    def force_on(bed):
+        live.start(poses[0], bed=bed)
+        return np.array([live.step(pose).force for pose in poses[1:40]])
+
+    flat = force_on(None)
+    np.testing.assert_array_equal(force_on(field.rest), flat)
+    places = np.linspace(0.1, 0.9, 9)
+    level = HeightMap(places, np.full(9, world.SURFACE))
+    np.testing.assert_allclose(force_on(level), flat, atol=0.5)
+    lower = force_on(HeightMap(places, np.full(9, world.SURFACE - 0.03)))
+    assert np.abs(lower - flat).max() > 5
+    # Of another number of particles: C says who steps it, and comes back.
+    force_on(field.rest[::2])
+    assert live.engine.startswith('TensorFlow')
+    kept, name = live.state, live.engine
+    np.testing.assert_array_equal(force_on(None), flat)
+    live.state = kept
+    assert live.engine == name and len(live.step(poses[40]).particles()) == len(field.rest[::2])
+    live.start(poses[0])
+
+
+def test_height_map_and_what_is_left_out(field, live, poses):
+    live.start(poses[0])
+    heights = live.state.frame.height_map(8, 4)
+    np.testing.assert_allclose(heights, field.rest[:, 1].max(), atol=1e-7)
+    assert live.explain().startswith(f'0 of {len(field.rest)}')
+    for pose in poses[1:]:
+        frame = live.step(pose)
+    assert np.nanmax(np.abs(frame.height_map(8, 4) - heights)) > 1e-3
+    with pytest.raises(ValueError, match='subspace'):
+        print(frame.modes)
+
+
+def test_what_the_field_does_not_know_is_said_and_may_be_refused(field, engine, live, poses):
+    """Ranges of training, a turn, a roll, a way across, a start beside the bed, a long frame."""
+    assert live.start(poses[0]).status == RolloutStatus.OK
+    ranges, kept = dict(field.ranges), field.ranges
+    field.ranges = ranges | {'lean': [0.0, 0.1]}
+    try:
+        narrow = Stepper(engine(field, world.make_starts(field)))
+        narrow.start(poses[0])
+        judged = narrow.step(poses[1]).judgement
+    finally:
+        field.ranges = kept
+    assert judged.status == RolloutStatus.EXTRAPOLATING and judged.reason.startswith('lean')
+    strict = Stepper(engine(field, world.make_starts(field)), 'raise')
+    half = np.radians(10.0) / 2
+    yaw, roll = (np.array([np.cos(half), *axis]) for axis in ([0, np.sin(half), 0],
+                                                              [np.sin(half), 0, 0]))  # fmt: skip
+    aside, across = poses + [0, 0, 0.5, 0, 0, 0, 0], poses.copy()
+    across[31, 2] += 0.003
+    turned, rolled = (_turned(poses, q) for q in (yaw, roll))
+    for path, name in ((aside, 'aside 0.5'), (across, 'drift'), (turned, 'yaw'), (rolled, 'roll')):
+        for stepper in (live, strict):
+            stepper.start(poses[0])
+            for pose in poses[1:31]:
+                stepper.step(pose)
+        frame = live.step(path[31])
+        assert frame.now == RolloutStatus.EXTRAPOLATING and name.split()[0] in frame.reason
+        with pytest.raises(ValueError, match=f'{name}.* is outside'):
+            strict.step(path[31])
+        assert strict.step(poses[31]).now == RolloutStatus.OK
+    assert live.start(aside[30]).status == RolloutStatus.EXTRAPOLATING
+    assert live.start(aside[0] + [0, 0.2, 0, 0, 0, 0, 0]).status == RolloutStatus.OK
+    live.start(poses[0])
+    for pose in poses[1:31]:
+        live.step(pose)
+    assert 'frame_time 1000' in live.step(poses[31], dt=1000.0).reason
+
+
+def _turned(poses, q):
+    """Poses [T, 7] with their rotation turned by a quaternion q about the world's axes."""
+    w, v, w2, v2 = q[0], q[1:], poses[:, 3], poses[:, 4:]
+    out = poses.copy()
+    out[:, 3] = w * w2 - v2 @ v
+    out[:, 4:] = w * v2 + w2[:, None] * v + np.cross(v, v2)
+    return out
+
+
+@pytest.mark.parametrize(
+    'change, message',
+    [
+        (lambda p: p + [0.2, 0, 0, 0, 0, 0, 0], 'jumps: .* at most 3.0 and 20.0 are taken'),
+        (lambda p: p - [0, 0.04, 0, 0, 0, 0, 0], 'under the floor of the bed at'),
+        (lambda p: p * np.nan, 'nan at'),
+        (lambda p: p[:4], 'shape'),
+        (lambda p: np.array([*p[:3], 2, 0, 0, 0]), 'must be 1'),
+        (lambda p: None, 'takes a pose'),
+    ],
+)
+def test_bad_poses_are_refused_and_the_state_stays(live, change, message):
+    plane = world.path(depth=0.13 if 'floor' in message else 0.04)
+    poses = world.world_pose(plane[:, 0])
+
+    def go(bad):
+        live.start(poses[0])
+        for pose in poses[1:31]:
+            live.step(pose)
+        if bad:
+            with pytest.raises(ValueError, match=message):
+                live.step(change(poses[31]))
+        return live.step(poses[30])
+
+    one, other = go(True), go(False)
+    np.testing.assert_array_equal(one.force, other.force)
+    np.testing.assert_array_equal(one.particles(), other.particles())
+
+
+def test_a_way_beyond_the_bins_names_what_to_do(field, live):
+    """Along the surface until the path's bins end."""
+    plane = np.array([[-0.85 + 0.02 * t, 0.4, 0.4] for t in range(50)])
+    poses = world.world_pose(plane)
+    live.start(poses[0])
+    with pytest.raises(ValueError, match='from .*first'):
+        for pose in poses[1:]:
+            live.step(pose)
+
+
+def test_bad_starts_are_refused(field, live, poses):
+    with pytest.raises(ValueError, match='start'):
+        world.make_live(field).step(poses[0])
+    for bed, message in (
+        (np.zeros((4, 2)), 'shape'),
+        (HeightMap([0.0, 1.0], [0.2]), 'height map'),
+        (HeightMap([0.0, 1.0], [0.2, np.nan]), 'heights holds nan'),
+        (HeightMap([0.0, 1.0], [0.2, -3.0]), 'floor'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            live.start(poses[0], bed=bed)
+    with pytest.raises(ValueError, match='blade_width'):
+        live.start(poses[0], blade_width=-1.0)
+    with pytest.raises(ValueError, match='begins from a pose'):
+        live.reset(np.zeros((6, 8, 3)))
+    live.start(poses[0])
+    with pytest.raises(ValueError, match='time must go on'):
+        live.step(poses[1], dt=-0.1)
+    with pytest.raises(ValueError, match='members'):
+        world.make_live(field, members=9)
+
+
+def test_a_wheel_finds_its_own_height_as_on_a_whole_path(wheel_field, wheel):
+    """Whatever height the user gives after the start; force, torque and soil with it."""
+    field, plane = wheel_field, small_wheel.path()[:, 0]
+    poses, contexts = small_wheel.world_pose(plane), small_wheel.contexts(plane)
+    wheel.start(poses[0], case=7)
+    size, decoded = small_wheel.SIZE, small_wheel.BentBeds(field.rest).decode(np.zeros((4, 3)))
+    ground = field.ground(field.axes.plane(poses[:1])[0, 0], size, decoded)
+    whole, frames = field.frames(ground, plane, small_wheel.DT, np.zeros(2))
+    loads = field.loads(frames).mean(axis=0)
+    for t in range(1, len(poses)):
+        frame = wheel.step(poses[t] + [0, 0.03, 0, 0, 0, 0, 0], context=contexts[t])
+        force, torque = field.axes.world_loads(loads[t, :3])
+        np.testing.assert_allclose(frame.force, force, atol=1e-2)
+        np.testing.assert_allclose(frame.torque, torque, atol=1e-3)
+        assert frame.pose[1] == pytest.approx(whole[t, 1], abs=1e-6)
+    assert np.abs(whole[:, 1] - plane[:, 1]).max() > 1e-3
+    points = field.axes.points(wheel.particles())
+    assert np.abs(points - ground.places).max() > 1e-3
+    assert field.tool.inside(points, whole[-1], size)[0].max() < 1e-6
+
+
+def test_only_the_load_of_a_wheel_may_change(wheel):
+    """In steps, at the start and on whole paths."""
+    plane = small_wheel.path()[:, 0]
+    poses, contexts = small_wheel.world_pose(plane), small_wheel.contexts(plane)
+    context = dict(zip(small_wheel.NAMES, small_wheel.CONTEXT))
+    wheel.start(poses[0], case=7)
+    wheel.step(poses[1], context=context | {'load': 150.0})
+    for changed, message in (
+        ({'gravity': 9.81}, 'gravity cannot change on the way, from 3.72 to 9.81'),
+        ({'friction_angle_deg': 30.0}, 'friction_angle_deg cannot change'),
+        ({'load': -1.0}, 'load is -1, must be positive'),
+        ({'slip': 0.2}, 'must name'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            wheel.step(poses[2], context=context | changed)
+    # What was said of the load holds on.
+    heavy = wheel.step(poses[2]).force
+    wheel.start(poses[0], case=7)
+    wheel.step(poses[1])
+    assert np.abs(heavy - wheel.step(poses[2]).force).max() > 1.0
+    with pytest.raises(ValueError, match='a blade is asked for, the tool of this field is a wheel'):
+        wheel.start(poses[0], blade_width=0.3)
+    for name, first, value, message in (
+        ('gravity', 20, 9.81, 'gravity cannot change'),
+        ('load', 60, -8.0, 'the load is -8'),
+        ('load', 0, 0.0, 'the load is 0'),
+    ):
+        wrong = contexts.copy()
+        wrong[first:, small_wheel.NAMES.index(name)] = value
+        with pytest.raises(ValueError, match=message):
+            paths.roll_out(wheel, poses, context=wrong)
