@@ -5,9 +5,6 @@ import math
 
 import numpy as np
 
-# `encoder.ENCODERS` and `decoder.DECODERS` hold what they name.
-ENCODERS, DECODERS = ('mlp', 'cnn'), ('mlp', 'rnn')
-MIN_CNN_FRAMES = 14
 # Below it the softmax saturates in float32 and the gradient vanishes.
 MIN_TEMPERATURE = 0.05
 # Eight random streams per seed in int32.
@@ -54,8 +51,6 @@ class NriConfig:
     """Every setting of a model and its training. Defaults: Kipf et al. 2018 and the thesis.
 
     Attributes:
-      encoder, decoder: 'mlp' or 'cnn', 'mlp' or 'rnn'.
-      factor_graph: whether pairs exchange messages in the encoder.
       skip_first: whether edge type 0 means that nothing is exchanged.
       symmetric: whether what acts is mutual, as a force between two objects is: both directions of
         a pair then share one type, from the mean of their logits.
@@ -64,9 +59,7 @@ class NriConfig:
       window: frames that the encoder sees.
       stride: frames of the data between two of the window.
       segment: frames that the decoder predicts on its own; a random part of the window.
-      burn_in: true frames the decoder is fed before (the RNN needs some).
       temperature: of the Gumbel-softmax, at least 0.05.
-      straight_through: sample edge types of exactly 0 and 1.
       no_edge_prior: prior probability of type 0; None for the uniform prior.
       output_variance: of the Gaussian likelihood, in normalised units.
       learning_rate, decay, decay_epochs, decay_start: rate x decay each decay_epochs, first at
@@ -80,9 +73,6 @@ class NriConfig:
       ValueError: a value outside its range, with the range.
     """
 
-    encoder: str = 'mlp'
-    decoder: str = 'mlp'
-    factor_graph: bool = True
     skip_first: bool = True
     symmetric: bool = False
     edge_types: int = 2
@@ -90,9 +80,7 @@ class NriConfig:
     window: int = 49
     stride: int = 1
     segment: int = 10
-    burn_in: int = 1
     temperature: float = 0.5
-    straight_through: bool = False
     no_edge_prior: float | None = None
     output_variance: float = 5e-5
     learning_rate: float = 5e-4
@@ -107,9 +95,6 @@ class NriConfig:
     modes: int = 0
 
     def __post_init__(self):
-        for name, choices in (('encoder', ENCODERS), ('decoder', DECODERS)):
-            if getattr(self, name) not in choices:
-                raise ValueError(f'{name} is {getattr(self, name)!r}, not one of {list(choices)}')
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if field.type is int and field.name != 'seed':
@@ -128,14 +113,10 @@ class NriConfig:
             raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
         check_temperature(self.temperature)
         log_prior(self.edge_types, self.no_edge_prior)
-        if self.burn_in + self.segment > self.window:
+        if self.segment >= self.window:
             raise ValueError(
-                f'burn_in {self.burn_in} and segment {self.segment} are more than the window of '
-                f'{self.window} frames'
-            )
-        if self.encoder == 'cnn' and self.window < MIN_CNN_FRAMES:
-            raise ValueError(
-                f'window is {self.window}, the convolutions need at least {MIN_CNN_FRAMES} frames'
+                f'a segment of {self.segment} frames and the one before it are more than the '
+                f'window of {self.window} frames'
             )
 
     @property

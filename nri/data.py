@@ -2,8 +2,7 @@
 
 A folder with `metadata.json` is a dataset of this project; its features are position and velocity
 of the modes (and of the rigid particles, if asked for). Otherwise the folder holds loc_, vel_ and
-edges_*.npy (springs, charged) or feat_ and edges_*.npy (Kuramoto), as `nri.simulate` or Kipf et
-al. write them.
+edges_*.npy, as `nri.simulate` or Kipf et al. write them.
 """
 
 import dataclasses
@@ -133,38 +132,28 @@ def _read_array(path, n_axes):
 
 
 def _load_kipf(path, split):
-    pattern = re.compile(rf'(loc|feat)_{split}_?(.*)\.npy')
-    found = [m for m in map(pattern.fullmatch, sorted(os.listdir(path))) if m]
-    if not found:
+    endings = [n[3:] for n in sorted(os.listdir(path)) if re.fullmatch(rf'loc_{split}_?.*\.npy', n)]
+    if not endings:
         raise FileNotFoundError(
             f'{path}: holds neither metadata.json (a dataset of this project) nor '
-            f'loc_{split}_*.npy or feat_{split}_*.npy (data of Kipf et al., see nri.simulate)'
+            f'loc_{split}_*.npy (data of Kipf et al., see nri.simulate)'
         )
-    if len(found) > 1:
+    if len(endings) > 1:
         raise ValueError(
-            f'{path}: holds {" and ".join(m.group() for m in found)}; one system per folder'
+            f'{path}: holds {" and ".join("loc" + e for e in endings)}; one system per folder'
         )
-    kind = found[0].group(1)
-    ending = found[0].group()[len(kind) :]
-    names = {k: os.path.join(path, k + ending) for k in (kind, 'vel', 'edges')}
-    if kind == 'feat':
-        del names['vel']
+    names = {k: os.path.join(path, k + endings[0]) for k in ('loc', 'vel', 'edges')}
     for name in names.values():
         if not os.path.exists(name):
-            raise FileNotFoundError(f'{name}: no such file, but {found[0].group()} is there')
-    if kind == 'feat':
-        features = _read_array(names['feat'], 4)
-        groups = tuple((f,) for f in range(features.shape[3]))
-    else:
-        position, velocity = _read_array(names['loc'], 4), _read_array(names['vel'], 4)
-        if position.shape != velocity.shape:
-            raise ValueError(
-                f'{names["loc"]} has shape {position.shape}, {names["vel"]} {velocity.shape}: '
-                f'they are not of the same runs'
-            )
-        features = np.concatenate([position, velocity], axis=2).transpose(0, 3, 1, 2)
-        dim = position.shape[2]
-        groups = (tuple(range(dim)), tuple(range(dim, 2 * dim)))
+            raise FileNotFoundError(f'{name}: no such file, but loc{endings[0]} is there')
+    position, velocity = _read_array(names['loc'], 4), _read_array(names['vel'], 4)
+    if position.shape != velocity.shape:
+        raise ValueError(
+            f'{names["loc"]} has shape {position.shape}, {names["vel"]} {velocity.shape}: '
+            f'they are not of the same runs'
+        )
+    features = np.concatenate([position, velocity], axis=2).transpose(0, 3, 1, 2)
+    dim = position.shape[2]
     n_run, n_node = features.shape[:2]
     relations = _read_array(names['edges'], 3)
     if relations.shape != (n_run, n_node, n_node):
@@ -176,7 +165,7 @@ def _load_kipf(path, split):
         np.ascontiguousarray(features, np.float32),
         edge_types(relations, names['edges']),
         tuple(f'node_{i}' for i in range(n_node)),
-        groups,
+        (tuple(range(dim)), tuple(range(dim, 2 * dim))),
         True,
         _digest(names.values()),
         f'{path}: {split}',
@@ -186,7 +175,7 @@ def _load_kipf(path, split):
 def edge_types(relations: np.ndarray, source: str = 'relations') -> np.ndarray:
     """Edge types of all pairs, from [S, V, V] matrices with Kipf's values.
 
-    Springs and Kuramoto hold 0 and 1, charges -1 and 1: the lower value is type 0.
+    Springs hold 0 and 1, charges -1 and 1: the lower value is type 0.
 
     Returns:
       int32 [S, V (V - 1)].

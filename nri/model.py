@@ -12,10 +12,10 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import known_shapes
-from nri import gumbel, losses, pairs
+from nri import layers, losses
 from nri.config import MAX_NODES, NriConfig, log_prior
-from nri.decoder import DECODERS, unroll
-from nri.encoder import ENCODERS
+from nri.decoder import Decoder, unroll
+from nri.encoder import Encoder
 from pca_tools import files
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
@@ -50,16 +50,12 @@ class NriModel(snt.Module):
         self._check()
         n_features = self.offset.shape[1]
         tf.random.set_seed(config.seed)
-        self.encode = ENCODERS[config.encoder](
-            config.hidden, config.edge_types, config.factor_graph
-        )
-        self.decoder = DECODERS[config.decoder](
-            n_features, config.hidden, config.edge_types, config.skip_first
-        )
+        self.encode = Encoder(config.hidden, config.edge_types)
+        self.decoder = Decoder(n_features, config.hidden, config.edge_types, config.skip_first)
         self._log_prior = log_prior(config.edge_types, config.no_edge_prior)
         frames = tf.zeros([1, len(self.node_names), config.window, n_features])
         types = tf.nn.softmax(self.both_ways(self.logits(frames, is_training=True)))
-        unroll(self.decoder, frames[:, :, :2], types)
+        self.decoder(frames[:, :, 0], types)
         self._probabilities = tf.function(
             lambda features: tf.nn.softmax(
                 self.both_ways(self.logits(self.normalized(features), is_training=False))
@@ -102,12 +98,14 @@ class NriModel(snt.Module):
           [B, V (V - 1), K]; with `symmetric` [B, V (V - 1) / 2, K], of the pairs i < j.
         """
         logits = self.encode(frames, is_training)
-        return pairs.mean_of_both_ways(logits, frames.shape[1]) if self.config.symmetric else logits
+        if self.config.symmetric:
+            return layers.mean_of_both_ways(logits, frames.shape[1])
+        return logits
 
     def both_ways(self, of_pair) -> tf.Tensor:
         """What `logits` is of, for each ordered pair: -> [B, V (V - 1), K]."""
         n_node = len(self.node_names)
-        return pairs.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
+        return layers.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
 
     def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
         """Negative evidence bound of a batch, the same in training and validation.
@@ -132,21 +130,17 @@ class NriModel(snt.Module):
             return {'loss': tf.reduce_mean(cross_entropy)}
         n_node = frames.shape[1]
         sample_seed, segment_seed = tf.unstack(tf.random.experimental.stateless_split(seed, 2))
-        types = gumbel.gumbel_softmax(logits, c.temperature, sample_seed, c.straight_through)
+        types = losses.gumbel_softmax(logits, c.temperature, sample_seed)
         types = self.both_ways(types)
-        length = c.burn_in + c.segment
         start = tf.random.stateless_uniform(
-            [tf.shape(frames)[0], 1], segment_seed, maxval=c.window - length + 1, dtype=tf.int32
+            [tf.shape(frames)[0], 1], segment_seed, maxval=c.window - c.segment, dtype=tf.int32
         )
         by_time = tf.transpose(frames, [0, 2, 1, 3])
-        segment = tf.gather(by_time, start + tf.range(length), batch_dims=1)
-        segment = tf.ensure_shape(segment, [None, length, n_node, frames.shape[3]])
+        segment = tf.gather(by_time, start + tf.range(c.segment + 1), batch_dims=1)
+        segment = tf.ensure_shape(segment, [None, c.segment + 1, n_node, frames.shape[3]])
         segment = tf.transpose(segment, [0, 2, 1, 3])
-        predictions = unroll(self.decoder, segment, types, c.burn_in)
-        own = slice(c.burn_in - 1, None)
-        nll = losses.gaussian_nll(
-            predictions[:, :, own], segment[:, :, 1:][:, :, own], c.output_variance
-        )
+        predictions = unroll(self.decoder, segment[:, :, 0], types, c.segment)
+        nll = losses.gaussian_nll(predictions, segment[:, :, 1:], c.output_variance)
         nll *= (c.window - 1) * frames.shape[3]
         kl = losses.kl_to_prior(logits, self._log_prior)
         kl = tf.reduce_mean(tf.reduce_sum(kl, axis=1)) / n_node

@@ -1,8 +1,8 @@
-"""Springs, charged particles and Kuramoto oscillators (Kipf et al. 2018, appendix B), in float64.
+"""Springs and charged particles (Kipf et al. 2018, appendix B), in float64.
 
-All simulations of a batch advance together. Springs and charges move in a box with elastic walls
-and are integrated by the leapfrog, which is stable up to omega dt = 2; phases by Runge-Kutta 4. A
-time step above the limit is refused before anything is simulated.
+All simulations of a batch advance together. They move in a box with elastic walls and are
+integrated by the leapfrog, which is stable up to omega dt = 2. A time step above the limit is
+refused before anything is simulated.
 """
 
 import dataclasses
@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 LEAPFROG_LIMIT = 2.0  # of omega dt
-RUNGE_KUTTA_LIMIT = 2.785  # of |eigenvalue| dt on the real axis
 
 
 def _check_positive(system):
@@ -22,11 +21,11 @@ def _check_positive(system):
         raise ValueError(f'n_objects is {system.n_objects}, a relation needs at least 2')
 
 
-def _check_step(rate, dt, limit, what):
-    if not rate * dt < limit:
+def _check_step(omega, dt, what):
+    if not omega * dt < LEAPFROG_LIMIT:
         raise ValueError(
-            f'time step {dt:.4g} is unstable: {what} = {rate:.4g}, times dt = {rate * dt:.4g}, '
-            f'must be below {limit}; largest stable step {limit / rate:.4g}'
+            f'time step {dt:.4g} is unstable: {what} = {omega:.4g}, times dt = {omega * dt:.4g}, '
+            f'must be below {LEAPFROG_LIMIT}; largest stable step {LEAPFROG_LIMIT / omega:.4g}'
         )
 
 
@@ -62,7 +61,7 @@ class Springs:
     def __post_init__(self):
         _check_positive(self)
         omega = math.sqrt(self.interaction_strength * self.n_objects)
-        _check_step(omega, self.dt, LEAPFROG_LIMIT, 'highest frequency sqrt(k V)')
+        _check_step(omega, self.dt, 'highest frequency sqrt(k V)')
 
     def relations(self, rng, n_run):
         """[S, V, V], 1 where a spring joins two objects."""
@@ -110,7 +109,7 @@ class Charged:
     def __post_init__(self):
         _check_positive(self)
         omega = math.sqrt(2.0 * self.interaction_strength * self.n_objects / self.core_radius**3)
-        _check_step(omega, self.dt, LEAPFROG_LIMIT, 'highest frequency sqrt(2 k V / core^3)')
+        _check_step(omega, self.dt, 'highest frequency sqrt(2 k V / core^3)')
 
     def relations(self, rng, n_run):
         """[S, V, V], product of two objects' charges: 1 repels, -1 attracts."""
@@ -138,39 +137,7 @@ class Charged:
         return 0.5 * (velocity**2).sum((1, 2)) + potential
 
 
-@dataclasses.dataclass(frozen=True)
-class Kuramoto:
-    """Phase oscillators d phi_i / dt = omega_i + k sum_j e_ij sin(phi_i - phi_j).
-
-    Attributes:
-      n_objects: V.
-      dt: time step.
-      interaction_strength: k.
-
-    Raises:
-      ValueError: a value that is not positive, or k V dt at or above the limit of Runge-Kutta 4.
-    """
-
-    n_objects: int = 5
-    dt: float = 0.01
-    interaction_strength: float = 1.0
-
-    def __post_init__(self):
-        _check_positive(self)
-        rate = self.interaction_strength * self.n_objects
-        _check_step(rate, self.dt, RUNGE_KUTTA_LIMIT, 'highest rate k V')
-
-    def relations(self, rng, n_run):
-        """[S, V, V], 1 where two oscillators are coupled."""
-        return _random_graphs(rng, n_run, self.n_objects)
-
-    def rate(self, phase, frequency, relations):
-        """d phi / dt [S, V] from phases and frequencies [S, V] and relations [S, V, V]."""
-        pull = relations * np.sin(phase[:, :, None] - phase[:, None])
-        return frequency + self.interaction_strength * pull.sum(2)
-
-
-SYSTEMS = {'springs': Springs, 'charged': Charged, 'kuramoto': Kuramoto}
+SYSTEMS = {'springs': Springs, 'charged': Charged}
 
 
 def reflect(position, velocity, box_size):
@@ -232,25 +199,3 @@ def simulate_particles(system, n_run, n_steps, sample_every, rng):
     velocity = rng.normal(size=shape)
     velocity *= system.speed / np.linalg.norm(velocity, axis=-1, keepdims=True)
     return (*leapfrog(system, position, velocity, relations, n_steps, sample_every), relations)
-
-
-def simulate_phases(system, n_run, n_steps, sample_every, rng):
-    """Draws initial states and relations of `Kuramoto` and simulates them.
-
-    Returns:
-      features [S, T, V, 3]: d phi / dt, sin phi, frequency; relations [S, V, V].
-    """
-    relations = system.relations(rng, n_run)
-    frequency = rng.uniform(1.0, 10.0, (n_run, system.n_objects))
-    phase = rng.uniform(0.0, 2.0 * np.pi, (n_run, system.n_objects))
-    frames = []
-    for step in range(1, n_steps + 1):
-        one = system.rate(phase, frequency, relations)
-        two = system.rate(phase + 0.5 * system.dt * one, frequency, relations)
-        three = system.rate(phase + 0.5 * system.dt * two, frequency, relations)
-        four = system.rate(phase + system.dt * three, frequency, relations)
-        phase = phase + system.dt / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-        if step % sample_every == 0:
-            rate = system.rate(phase, frequency, relations)
-            frames.append(np.stack([rate, np.sin(phase), frequency], axis=-1))
-    return np.stack(frames, 1), relations

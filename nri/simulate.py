@@ -1,13 +1,11 @@
-"""Makes the springs, charged and Kuramoto data of Kipf et al. 2018 as `.npy` files.
+"""Makes the springs and charged data of Kipf et al. 2018 as `.npy` files.
 
 Examples:
   python -m nri.simulate --system=springs --n_objects=5 --output_path=/tmp/springs5
   python -m nri.simulate --system=charged --n_objects=10 --num_train=10000 --output_path=/tmp/c10
-  python -m nri.simulate --system=kuramoto --dt=0.01 --sample_freq=10 --length=500 \\
-      --output_path=/tmp/kuramoto5
 
 Writes loc_, vel_ and edges_{train,valid,test}_<system><V>.npy, float32 (S, T, 2, V), (S, T, 2, V)
-and (S, V, V); for Kuramoto feat_ (S, V, T, 3) and edges_. T = length / sample_freq - 1, as Kipf's.
+and (S, V, V). T = length / sample_freq - 1, as Kipf's.
 """
 
 import dataclasses
@@ -39,27 +37,21 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
       progress: called with the number of runs done, or None.
 
     Returns:
-      {'loc', 'vel', 'edges'} or {'feat', 'edges'}: float32 arrays, shapes in the module docstring.
+      {'loc', 'vel', 'edges'}: float32 arrays, shapes in the module docstring.
     """
     parts = []
     for index, start in enumerate(range(0, n_run, CHUNK)):
         key = [seed, SPLITS.index(split), index]
         rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(key)))
         count = min(CHUNK, n_run - start)
-        if isinstance(system, particle_systems.Kuramoto):
-            features, relations = particle_systems.simulate_phases(
-                system, count, n_steps - sample_every, sample_every, rng
-            )
-            arrays = {'feat': features.transpose(0, 2, 1, 3), 'edges': relations}
-        else:
-            position, velocity, relations = particle_systems.simulate_particles(
-                system, count, n_steps - sample_every, sample_every, rng
-            )
-            arrays = {
-                'loc': position.transpose(0, 1, 3, 2),
-                'vel': velocity.transpose(0, 1, 3, 2),
-                'edges': relations,
-            }
+        position, velocity, relations = particle_systems.simulate_particles(
+            system, count, n_steps - sample_every, sample_every, rng
+        )
+        arrays = {
+            'loc': position.transpose(0, 1, 3, 2),
+            'vel': velocity.transpose(0, 1, 3, 2),
+            'edges': relations,
+        }
         parts.append({k: v.astype(np.float32) for k, v in arrays.items()})
         if progress:
             progress(count)

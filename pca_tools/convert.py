@@ -93,7 +93,8 @@ def convert(
     if match_particles:
         runs.match_particles(None if space is None else space.initial)
     runs.check(check_units, progress_bar)
-    if runs.scene['rigid_motion'] != 'none' and runs[0].pose is None and runs[0].body_pose is None:
+    without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
+    if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(
             f'{raw_path}: its runs have no `pose` [T, 7] of the body: models of modes can be '
             'trained on them, the swept field cannot',

@@ -32,47 +32,32 @@ RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
 MODE_PARTICLE_ID = 6
 NUM_PARTICLE_TYPES = 9
-# Series beside `position` -> shape of a frame; None: as many as the scene has. Readers of the
-# published formats ignore those that they do not know.
-FRAME_SERIES = {
-    'step_context': (None,), 'force': (DIM,), 'torque': (DIM,), 'rigid_pose': (7,),
-    'body_force': (None, DIM), 'body_pose': (None, 7),
-    'target': (DIM,), 'external': (DIM,), 'subframe_force': (4, DIM),
-}  # fmt: skip
 # Scores are packed to within half of it, m; float32 resolves 2.4e-7 of scores near 3 m.
 SCORE_RESOLUTION = 1e-6
 # Largest distance (m) of a rigid particle from where the pose puts it for it to be left out.
 POSE_TOLERANCE = 2e-6
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One run in the subspace: T frames of V = R + r nodes.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FrameSeries:
+    """What a run may have beside positions, float32 with T frames first, each or None.
 
     Attributes:
-        key: number of the run in its file (0 in all records of the authors).
-        particle_type: int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode.
-        position: float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes.
-        force: float32 [T, 3] on the rigid body in newtons, or None.
-        step_context: float32 [T, C], or None.
-        torque: float32 [T, 3] on the rigid body about the position of `rigid_pose`, newton metres,
-            or None.
-        rigid_pose: float32 [T, 7], position (metres) and unit quaternion (w, x, y, z), or None.
-        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None.
-        body_pose: float32 [T, B, 7] of each of several bodies, as `rigid_pose`, or None.
-        target: float32 [T, 3], place (m) along and up and angle (rad) that the actuators of a free
-            body pull towards, or None.
-        external: float32 [T, 3], force (N, N, N m) on the same three of a free body beside soil and
-            actuators, at the end of each frame, or None.
-        subframe_force: float32 [T, 4, 3], force on a free body in the quarters of each frame,
-            newtons, or None.
+        step_context: [T, C], global context.
+        force: [T, 3] on the rigid body, newtons; of several bodies their sum.
+        torque: [T, 3] on the body about the position of `rigid_pose`, newton metres.
+        rigid_pose: [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z).
+        body_force: [T, B, 3] on each of several bodies, newtons.
+        body_pose: [T, B, 7] of each of several bodies, as `rigid_pose`.
+        target: [T, 3], place (m) along and up and angle (rad) that the actuators of a free body
+            pull towards.
+        external: [T, 3], force (N, N, N m) on the same three of a free body beside soil and
+            actuators, at the end of each frame.
+        subframe_force: [T, 4, 3], force on a free body in the quarters of each frame, newtons.
     """
 
-    key: int
-    particle_type: np.ndarray
-    position: np.ndarray
-    force: np.ndarray | None = None
     step_context: np.ndarray | None = None
+    force: np.ndarray | None = None
     torque: np.ndarray | None = None
     rigid_pose: np.ndarray | None = None
     body_force: np.ndarray | None = None
@@ -80,6 +65,30 @@ class Trajectory:
     target: np.ndarray | None = None
     external: np.ndarray | None = None
     subframe_force: np.ndarray | None = None
+
+
+# Name -> shape of a frame; None: as many as the scene has. Readers of the published formats ignore
+# those that they do not know.
+FRAME_SERIES = {
+    'step_context': (None,), 'force': (DIM,), 'torque': (DIM,), 'rigid_pose': (7,),
+    'body_force': (None, DIM), 'body_pose': (None, 7),
+    'target': (DIM,), 'external': (DIM,), 'subframe_force': (4, DIM),
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trajectory(FrameSeries):
+    """One run in the subspace: T frames of V = R + r nodes.
+
+    Attributes:
+        key: number of the run in its file (0 in all records of the authors).
+        particle_type: int64 [V]; 3 rigid and prescribed, 0 rigid and predicted, 6 mode.
+        position: float32 [T, V, 3]; metres for rigid particles, scores (metres) for modes.
+    """
+
+    key: int
+    particle_type: np.ndarray
+    position: np.ndarray
 
     @property
     def n_rigid(self) -> int:
@@ -167,12 +176,7 @@ def read_records_as_trajectories(path: str) -> list[Trajectory]:
 
 
 def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> Trajectory:
-    if len(record.particle_type) % 8 or not record.particle_type:
-        raise ValueError(
-            f'{where}: particle_type has {len(record.particle_type)} bytes, a positive multiple '
-            'of 8 (int64) was expected'
-        )
-    particle_type = np.frombuffer(record.particle_type, '<i8').astype(np.int64)
+    particle_type = node_types(record, where)
     if record.packed:
         try:
             series = _unpacked(record.packed, particle_type)
@@ -183,7 +187,7 @@ def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> T
         widths = {'position': len(particle_type) * DIM}
         widths |= {n: math.prod(s) for n, s in FRAME_SERIES.items() if None not in s}
         series = {
-            name: _stack_frames(record.frames[name], widths.get(name), f'{where}: {name}')
+            name: stack_frames(record.frames[name], widths.get(name), f'{where}: {name}')
             for name in names
         }
     for name, shape in {'position': (None, DIM), **FRAME_SERIES}.items():
@@ -241,7 +245,21 @@ def _rigid_shape(rigid: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
     return shape if apart < POSE_TOLERANCE else None
 
 
-def _stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
+def node_types(record: tfrecord_io.SequenceRecord, where: str) -> np.ndarray:
+    """Returns the particle types of a record, int64 [V].
+
+    Raises:
+        ValueError: they are no row of int64; `where` names the record.
+    """
+    if len(record.particle_type) % 8 or not record.particle_type:
+        raise ValueError(
+            f'{where}: particle_type has {len(record.particle_type)} bytes, a positive multiple '
+            'of 8 (int64) was expected'
+        )
+    return np.frombuffer(record.particle_type, '<i8').astype(np.int64)
+
+
+def stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
     """Stacks per-frame float32 buffers to [T, values]; None takes the size of the first frame."""
     if not frames:
         raise ValueError(f'{where}: has no frames')
@@ -302,13 +320,13 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
     for name in FRAME_SERIES.keys() - {'force', 'step_context'}:
         values = getattr(trajectory, name)
         if values is not None:
-            if not _has_shape(values, trajectory.n_frames, FRAME_SERIES[name]):
+            if not has_shape(values, trajectory.n_frames, FRAME_SERIES[name]):
                 problems.append(f'{name} has {values.shape} for {trajectory.n_frames} frames')
             problems += _non_finite_problems(values, name)
     return problems + _non_finite_problems(trajectory.position, 'position')
 
 
-def _has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
+def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
     """Whether a series has so many frames of a shape, where None is any number."""
     return values.ndim == 1 + len(of_frame) and all(
         wanted in (None, size) for wanted, size in zip((n_frames, *of_frame), values.shape)
@@ -355,7 +373,7 @@ def _records_of(
             values = getattr(trajectory, name)
             if values is None:
                 continue
-            if not _has_shape(values, trajectory.n_frames, shape):
+            if not has_shape(values, trajectory.n_frames, shape):
                 raise ValueError(
                     f'{where}: {name} has shape {values.shape}, {trajectory.n_frames} frames of '
                     f'{shape} were expected'

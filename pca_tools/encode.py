@@ -167,21 +167,13 @@ def make_trajectory(
     context = run.step_context
     if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
+    series = {name: getattr(run, name) for name in dataset.FRAME_SERIES} | {'step_context': context}
+    types.append(np.full(scores.shape[1], dataset.MODE_PARTICLE_ID))
     return dataset.Trajectory(
-        key=key,
-        particle_type=np.concatenate(
-            [*types, np.full(scores.shape[1], dataset.MODE_PARTICLE_ID)]
-        ).astype(np.int64),
-        position=np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
-        force=run.force,
-        step_context=context,
-        torque=run.torque,
-        rigid_pose=run.pose,
-        body_force=run.body_force,
-        body_pose=run.body_pose,
-        target=run.target,
-        external=run.external,
-        subframe_force=run.subframe_force,
+        key,
+        np.concatenate(types).astype(np.int64),
+        np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
+        **series,
     )
 
 

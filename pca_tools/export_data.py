@@ -90,12 +90,17 @@ def full_space_of(
     if rollouts is not None:
         runs = _rollout_runs(rollouts, space, particle_stride)
         source = f'the rollouts {rollouts}'
-    elif raw_path is not None:
-        runs = _raw_runs(RawRuns(raw_path), metadata, data_path, splits, particle_stride)
-        source = f'the raw runs {raw_path}'
     else:
-        runs = _decoded_runs(data_path, metadata, space, splits, particle_stride)
-        source = f'{data_path}, decoded from {space.n_modes} modes'
+        raw = None if raw_path is None else RawRuns(raw_path)
+
+        def runs() -> Iterator[FullSpaceRun]:
+            for split, case, run in _records(data_path, metadata, splits):
+                own = raw and _own_soil(raw, case)
+                soil = space.decode(run.position[:, run.n_rigid :]) if own is None else own
+                yield _with_soil(run, soil, split, case, particle_stride)
+
+        source = f'{data_path}, decoded from {space and space.n_modes} modes'
+        source = source if raw is None else f'the raw runs {raw_path}'
     context = metadata.get('context_mean', [])
     return FullSpaceData(
         source=source,
@@ -109,36 +114,21 @@ def full_space_of(
     )
 
 
-def _decoded_runs(folder, metadata, space, splits, stride):
-    def runs() -> Iterator[FullSpaceRun]:
-        for split in splits:
-            if not os.path.exists(dataset.split_path(folder, split)):
-                continue
+def _records(folder: str, metadata: dict[str, Any], splits: Sequence[str]):
+    """Yields (split, case, record) of the splits that a dataset has."""
+    for split in splits:
+        if os.path.exists(dataset.split_path(folder, split)):
             cases = metadata.get('dataset_split', {}).get(split, [])
             for index, run in enumerate(dataset.read_split(folder, split)):
-                case = cases[index] if index < len(cases) else index
-                yield _with_soil(
-                    run, space.decode(run.position[:, run.n_rigid :]), split, case, stride
-                )
-
-    return runs
+                yield split, cases[index] if index < len(cases) else index, run
 
 
-def _raw_runs(raw: RawRuns, metadata, folder, splits, stride):
-    places = {str(case): index for index, case in enumerate(raw.cases)}
-
-    def runs() -> Iterator[FullSpaceRun]:
-        for split in splits:
-            if not os.path.exists(dataset.split_path(folder, split)):
-                continue
-            cases = metadata.get('dataset_split', {}).get(split, [])
-            for case, run in zip(cases, dataset.read_split(folder, split), strict=True):
-                if str(case) not in places:
-                    raise ValueError(f'{raw.folder}: lacks the case {case} of {split}')
-                soil = raw[places[str(case)]].positions
-                yield _with_soil(run, soil, split, case, stride)
-
-    return runs
+def _own_soil(raw: RawRuns, case) -> np.ndarray:
+    """Returns the particles of a raw run."""
+    places = {str(known): index for index, known in enumerate(raw.cases)}
+    if str(case) not in places:
+        raise ValueError(f'{raw.folder}: lacks the case {case} of the dataset')
+    return raw[places[str(case)]].positions
 
 
 def _with_soil(run: dataset.Trajectory, soil, split, case, stride) -> FullSpaceRun:

@@ -150,16 +150,23 @@ def _reason(error: Exception) -> str:
     return text if text and isinstance(error, ValueError) else f'{type(error).__name__}: {text}'
 
 
+def read_npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Returns shape, whether the order is Fortran's, and type of the `.npy` array that begins here.
+
+    Raises:
+        ValueError: it is none, or of a format that is not read.
+    """
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0(file)
+    if version == (2, 0):
+        return np.lib.format.read_array_header_2_0(file)
+    raise ValueError(f'.npy format {version} is not read')
+
+
 def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
     """Reads one array after holding its header (shape x item size) against its `size` in bytes."""
-    version = np.lib.format.read_magic(file)
-    readers = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
-    if version not in readers:
-        raise ValueError(f'.npy format {version} is not read')
-    shape, fortran_order, dtype = readers[version](file)
+    shape, fortran_order, dtype = read_npy_header(file)
     if dtype.hasobject:
         raise ValueError('it holds Python objects, which are not read')
     promised, held = math.prod(shape) * dtype.itemsize, size - file.tell()

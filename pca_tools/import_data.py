@@ -65,7 +65,7 @@ def import_data(
         )
         counts = {split: len(ids) for split, ids in metadata['dataset_split'].items()}
         return '\n'.join([f'{output_path}: a dataset of {counts} records of {folder}', *notes])
-    data = detect.FORMATS[kind].read(folder, full_space.ReadOptions(dt=dt))
+    data = detect.FORMATS[kind].read(folder, dt)
     body = body or full_space.body_motion(data)
     bounds = _three_bounds(data.bounds, length_scale)
     up, note = _up_axis(data, bounds) if up_axis is None else (up_axis, None)
@@ -117,7 +117,7 @@ def explain(folder: str, format_name: str | None = None) -> str:
     kind = format_name or detect.detect(folder)
     text = detect.explain(kind, folder)
     if kind in detect.FORMATS:
-        data = detect.FORMATS[kind].read(folder, full_space.ReadOptions())
+        data = detect.FORMATS[kind].read(folder)
         lacking = _lacking(data, *((0, None) if data.bounds else _up_axis(data, None)))
         text += ''.join(f' {flag}' for flag in lacking)
     return text

@@ -13,45 +13,21 @@ Examples:
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import sys
 import time
 from collections.abc import Sequence
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 from matplotlib.figure import Figure
 
-from pca_tools import dataset, files
+from pca_tools import command, dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
 from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
+from pca_tools.storage import markdown
 from pca_tools.subspace import DIM, Subspace
-
-# Columns of the printed table.
-_NAME_WIDTH = 52
-
-
-@dataclasses.dataclass(frozen=True)
-class ReductionRow:
-    """One measured row of the comparison of reductions.
-
-    Attributes:
-        method: name.
-        modes: components r.
-        train_mse: mean squared error on the frames of the fit, m^2.
-        test_mse: the same on held-out runs.
-        fit_seconds: CPU seconds of the fit.
-        decode_ms: CPU milliseconds to rebuild the particles of one frame.
-    """
-
-    method: str
-    modes: int
-    train_mse: float
-    test_mse: float
-    fit_seconds: float
-    decode_ms: float
 
 
 def plot_energy_and_error(space: Subspace, path: str) -> None:
@@ -123,7 +99,7 @@ def _save(figure: Figure, path: str) -> None:
 
 def compare_reductions(
     space: Subspace, runs: RawRuns, gamma: float, alphas: Sequence[float], max_rows: int
-) -> list[ReductionRow]:
+) -> list[dict]:
     """Measures PCA and kernel PCA on held-out runs.
 
     Args:
@@ -134,7 +110,9 @@ def compare_reductions(
         max_rows: rows (frame x axis) of the fit; frames are thinned evenly to this.
 
     Returns:
-        A row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA.
+        A row for the stored subspace, for a PCA of the thinned frames, and for each kernel PCA:
+        `method`, `modes`, `train_mse` on the frames of the fit and `test_mse` on held-out runs
+        (m^2), CPU `fit_seconds`, and CPU `decode_ms` to rebuild the particles of a frame.
 
     Raises:
         ValueError: the raw folder has no training run or no held-out run of this subspace.
@@ -150,22 +128,33 @@ def compare_reductions(
         )
     train = _thinned_rows(space, runs, training, max_rows)
     test = _thinned_rows(space, runs, held_out, max_rows)
-    rows = []
     models = {
         'PCA, the stored subspace': _StoredSubspace(space.components),
         'PCA of the thinned frames': decomposition.PCA(
             space.n_modes, svd_solver='arpack', random_state=0
         ),
-    }
-    for alpha in alphas:
-        name = f'kernel PCA of the same (RBF {gamma:g}, ridge {alpha:g})'
-        models[name] = decomposition.KernelPCA(
+    } | {
+        f'kernel PCA of the same (RBF {gamma:g}, ridge {alpha:g})': decomposition.KernelPCA(
             space.n_modes, kernel='rbf', gamma=gamma, fit_inverse_transform=True, alpha=alpha
         )
+        for alpha in alphas
+    }
+    rows = []
     for name, model in models.items():
         start = time.process_time()
         model.fit(train)
-        rows.append(_measure(name, space.n_modes, model, time.process_time() - start, train, test))
+        fitted = time.process_time()
+        train_mse, test_mse = (
+            float(np.mean((model.inverse_transform(model.transform(part)) - part) ** 2))
+            for part in (train, test)
+        )
+        scores, decoding = model.transform(test), time.process_time()
+        model.inverse_transform(scores)
+        decode = 1e3 * (time.process_time() - decoding) * DIM / len(test)
+        rows.append({
+            'method': name, 'modes': space.n_modes, 'train_mse': train_mse, 'test_mse': test_mse,
+            'fit_seconds': fitted - start, 'decode_ms': decode,
+        })  # fmt: skip
     return rows
 
 
@@ -196,37 +185,27 @@ class _StoredSubspace:
         return scores @ self._components.T
 
 
-def _measure(method, modes, model, fit_seconds, train, test) -> ReductionRow:
-    errors = [
-        float(np.mean((model.inverse_transform(model.transform(rows)) - rows) ** 2))
-        for rows in (train, test)
-    ]
-    scores = model.transform(test)
-    start = time.process_time()
-    model.inverse_transform(scores)
-    seconds = time.process_time() - start
-    return ReductionRow(method, modes, *errors, fit_seconds, 1e3 * seconds * DIM / len(test))
-
-
-def table(space: Subspace, reductions: Sequence[ReductionRow]) -> str:
+def table(space: Subspace, reductions: Sequence[dict]) -> str:
     """Returns the numbers as text."""
-    lines = ['modes   energy of the mode   energy left out   RMS [mm]']
-    floors = space.projection_floors
-    for count in range(1, space.n_modes + 1):
-        lines.append(
-            f'{count:>5}{100 * space.explained_variance_ratio[count - 1]:>19.4f}%'
-            f'{100 * floors[count] / floors[0]:>17.4f}%{1e3 * floors[count] ** 0.5:>11.3f}'
-        )
-    if reductions:
-        lines += ['', f'{"reduction":<{_NAME_WIDTH}}  r  train RMS [mm]  held-out RMS [mm]'
-                      '  held-out MSE [m^2]  fit [CPU s]  decode [CPU ms]']  # fmt: skip
-    for row in reductions:
-        lines.append(
-            f'{row.method:<{_NAME_WIDTH}}{row.modes:>3}{1e3 * row.train_mse**0.5:>16.3f}'
-            f'{1e3 * row.test_mse**0.5:>19.3f}{row.test_mse:>20.3e}{row.fit_seconds:>13.2f}'
-            f'{row.decode_ms:>17.3f}'
-        )
-    return '\n'.join(lines)
+    floors, shares = space.projection_floors, space.explained_variance_ratio
+    text = markdown.table(
+        ('modes', 'energy of the mode [%]', 'energy left out [%]', 'RMS [mm]'),
+        [
+            (n, 100 * shares[n - 1], 100 * floors[n] / floors[0], 1e3 * floors[n] ** 0.5)
+            for n in range(1, space.n_modes + 1)
+        ],
+        aligned=True,
+    )
+    if not reductions:
+        return text
+    header = ('reduction', 'r', 'train RMS [mm]', 'held-out RMS [mm]', 'fit [CPU s]',
+              'decode [CPU ms]')  # fmt: skip
+    rows = [
+        (row['method'], row['modes'], 1e3 * row['train_mse'] ** 0.5, 1e3 * row['test_mse'] ** 0.5,
+         row['fit_seconds'], row['decode_ms'])
+        for row in reductions
+    ]  # fmt: skip
+    return text + '\n\n' + markdown.table(header, rows, aligned=True)
 
 
 def define_flags() -> None:
@@ -238,38 +217,33 @@ def define_flags() -> None:
     flags.DEFINE_integer('kernel_rows', 1500, 'Rows (frame x axis) kernel PCA is fitted on.')
 
 
-def main(argv: Sequence[str]) -> None:
+def main(values, arguments: Sequence[str]) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    if len(argv) != 2:
+    if not arguments:
         sys.exit('usage: python -m pca_tools.plot_modes DATASET --output_path=PLOTS')
-    try:
-        up_axis = dataset.read_metadata(argv[1]).get('scene', {}).get('up_axis', 1)
-        space = Subspace.load(os.path.join(argv[1], SUBSPACE_NAME))
-        reductions: list[ReductionRow] = []
-        if values.raw_path:
-            reductions = compare_reductions(
-                space,
-                RawRuns(values.raw_path),
-                values.kernel_gamma,
-                [float(alpha) for alpha in values.kernel_alpha],
-                values.kernel_rows,
-            )
-        os.makedirs(values.output_path, exist_ok=True)
-        plot_energy_and_error(space, os.path.join(values.output_path, 'energy_and_error.png'))
-        plot_modes(space, os.path.join(values.output_path, 'modes.png'), up_axis)
-        numbers = {
-            'explained_variance_ratio': space.explained_variance_ratio.tolist(),
-            'projection_floors': space.projection_floors.tolist(),
-            'reductions': [dataclasses.asdict(row) for row in reductions],
-        }
-        files.write_json(os.path.join(values.output_path, 'modes.json'), numbers)
-    except (ValueError, OSError) as error:
-        sys.exit(f'error: {files.printable(error)}')
+    (folder,), out = arguments, values.output_path
+    up_axis = dataset.read_metadata(folder).get('scene', {}).get('up_axis', 1)
+    space = Subspace.load(os.path.join(folder, SUBSPACE_NAME))
+    reductions: list[dict] = []
+    if values.raw_path:
+        alphas = [float(alpha) for alpha in values.kernel_alpha]
+        runs = RawRuns(values.raw_path)
+        reductions = compare_reductions(
+            space, runs, values.kernel_gamma, alphas, values.kernel_rows
+        )
+    os.makedirs(out, exist_ok=True)
+    plot_energy_and_error(space, os.path.join(out, 'energy_and_error.png'))
+    plot_modes(space, os.path.join(out, 'modes.png'), up_axis)
+    numbers = {
+        'explained_variance_ratio': space.explained_variance_ratio.tolist(),
+        'projection_floors': space.projection_floors.tolist(),
+        'reductions': reductions,
+    }
+    files.write_json(os.path.join(out, 'modes.json'), numbers)
     print(table(space, reductions))
-    print(f'\n{values.output_path}: energy_and_error.png, modes.png, modes.json')
+    print(f'\n{out}: energy_and_error.png, modes.png, modes.json')
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start_quietly(main, 1)

@@ -13,25 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from pca_tools.dataset import FRAME_SERIES, has_shape
 from pca_tools.matching import median_spacing
 from pca_tools.metadata import AXES, DIM, bounds_problems, is_number, scene_problems, short
 
-# Arrays with a first axis of frames -> number of axes, length of the last one (None: one value for
-# each of the scene's context_names).
-SERIES = {
-    'positions': (3, DIM),
-    'rigid_positions': (3, DIM),
-    'force': (2, DIM),
-    'torque': (2, DIM),
-    'pose': (2, 7),
-    'step_context': (2, None),
-    # Of several bodies: [T, bodies, 3] and [T, bodies, 7].
-    'body_force': (3, DIM),
-    'body_pose': (3, 7),
-    # Of a body that is free: what pulls it, and its force in the quarters of a frame, [T, 4, 3].
-    'target': (2, DIM),
-    'external': (2, DIM),
-    'subframe_force': (3, DIM),
+# Arrays with a first axis of frames -> shape of a frame; None: as many as the scene has.
+SERIES = {'positions': (None, DIM), 'rigid_positions': (None, DIM)} | {
+    name.removeprefix('rigid_'): shape for name, shape in FRAME_SERIES.items()
 }
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
@@ -114,20 +102,17 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
     faults = [f'lacks the arrays {lacking}'] if lacking else []
     soil = arrays.get('positions', np.empty(0))
     frames = len(soil) if soil.ndim else 0
-    for name, (ndim, width) in SERIES.items():
+    for name, shape in SERIES.items():
         if name not in arrays or (name == 'rigid_positions' and scene['rigid_motion'] == 'none'):
             continue
-        values = arrays[name]
-        width = width or len(scene['context_names'])
-        if (
-            values.dtype.kind not in 'fiu'
-            or values.ndim != ndim
-            or len(values) != frames
-            or values.shape[-1] != width
-            or not values.size
-        ):
+        values, ndim = arrays[name], 1 + len(shape)
+        if name == 'step_context':
+            shape = (len(scene['context_names']),)
+        is_there = values.size and values.dtype.kind in 'fiu'
+        if not is_there or not has_shape(values, frames, shape):
+            wanted = ' x '.join('any' if size is None else str(size) for size in shape)
             faults.append(
-                f'{name} has shape {values.shape}, {values.dtype} for {frames} frames of {width} '
+                f'{name} has shape {values.shape}, {values.dtype} for {frames} frames of {wanted} '
                 'values'
             )
         elif not np.all(np.isfinite(values)):
@@ -146,9 +131,6 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
             f'has {body.shape[1]} rigid points, its bodies '
             f'{ {b["name"]: b["points"] for b in bodies} }'
         )
-    quarters = arrays.get('subframe_force', np.empty((0, 4, 0)))
-    if quarters.ndim == 3 and quarters.shape[1] != 4:
-        faults.append(f'subframe_force has {quarters.shape[1]} parts of a frame, 4 were expected')
     for name in ('body_force', 'body_pose'):
         values = arrays.get(name, np.empty(0))
         if values.ndim == 3 and values.shape[1] != len(bodies):

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from pca_tools import files, matching, raw_checks
+from pca_tools.dataset import FrameSeries
 from pca_tools.metadata import AXES
 from pca_tools.raw_checks import SERIES
 
 
-@dataclasses.dataclass(frozen=True)
-class RawRun:
+@dataclasses.dataclass(frozen=True, eq=False)
+class RawRun(FrameSeries):
     """One run of the solver, T frames.
 
     Attributes:
@@ -29,33 +30,15 @@ class RawRun:
         positions: float32 [T, N, 3] soil particles, metres.
         rigid_positions: float32 [T, R, 3] points fixed to the rigid body, metres; R = 0 without
             one.
-        force: float32 [T, 3] on the body, newtons, or None.
         context: float64 [C] global context values.
         parameters: all parameters of the case and of the solver.
-        torque: float32 [T, 3] on the body about the position of `pose`, newton metres, or None.
-        pose: float32 [T, 7] of the body, position (metres) and unit quaternion (w, x, y, z), or
-            None.
-        step_context: float32 [T, C], context of every frame where it changes in time, or None.
-        body_force: float32 [T, B, 3] on each of several bodies, newtons, or None; `force` is then
-            their sum.
-        body_pose: float32 [T, B, 7] of each of several bodies, or None.
-        target, external, subframe_force: of a free body, as of `pca_tools.dataset.Trajectory`.
     """
 
     case: int | str
     positions: np.ndarray
     rigid_positions: np.ndarray
-    force: np.ndarray | None
     context: np.ndarray
     parameters: dict[str, Any]
-    torque: np.ndarray | None = None
-    pose: np.ndarray | None = None
-    step_context: np.ndarray | None = None
-    body_force: np.ndarray | None = None
-    body_pose: np.ndarray | None = None
-    target: np.ndarray | None = None
-    external: np.ndarray | None = None
-    subframe_force: np.ndarray | None = None
 
 
 class RawRuns(Sequence):
@@ -128,7 +111,7 @@ class RawRuns(Sequence):
         if faults:
             raise ValueError(f'{path}: ' + '; '.join(faults))
         run = self._run_of(arrays, entry['case'])
-        shape = (run.positions.shape[1], run.torque is not None, run.pose is not None)
+        shape = (run.positions.shape[1], run.torque is not None, run.rigid_pose is not None)
         if self._shape is None:
             self._shape = shape
         if shape != self._shape:
@@ -151,10 +134,9 @@ class RawRuns(Sequence):
         self._reference = self[0].positions[0] if reference is None else reference
 
     def _run_of(self, arrays: dict[str, np.ndarray], case: int | str) -> RawRun:
-        series = {
-            name: np.asarray(arrays[name], np.float32) if name in arrays else None
-            for name in SERIES
-        }
+        series = {name: np.asarray(arrays[name], np.float32) for name in SERIES if name in arrays}
+        if 'pose' in series:
+            series['rigid_pose'] = series.pop('pose')
         if not self.scene['force']:
             series['force'] = None
         if self.scene['rigid_motion'] == 'none':

@@ -7,7 +7,7 @@ format maps its own to these.
 from __future__ import annotations
 
 import dataclasses
-import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from pca_tools import files, raw_checks
 from pca_tools.dataset import KINEMATIC_PARTICLE_ID, RIGID_PARTICLE_ID
+from pca_tools.metadata import METADATA_NAME, SPLITS, bounds_problems, is_number
 
 SOIL_TYPE = 6
 BODY_TYPES = (RIGID_PARTICLE_ID, KINEMATIC_PARTICLE_ID)
@@ -70,53 +71,53 @@ class FullSpaceData:
     notes: list[str] = dataclasses.field(default_factory=list)
 
 
-@dataclasses.dataclass(frozen=True)
-class ReadOptions:
-    """What a person may say of a folder that it does not say itself; None: nothing."""
+class Foreign:
+    """`metadata.json` of another project."""
 
-    dt: float | None = None
+    def __init__(self, folder: str):
+        """Reads it.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is no JSON object.
+        """
+        self.path = os.path.join(folder, METADATA_NAME)
+        self.values = files.read_json(self.path)
+        if not isinstance(self.values, dict):
+            raise ValueError(f'{self.path}: a JSON object was expected')
+
+    def number(self, key: str) -> float | None:
+        """Returns a finite number as float, None where the key is absent or null."""
+        value = self.values.get(key)
+        if value is not None and not is_number(value):
+            raise ValueError(f'{self.path}: {key} is {value!r}, a number was expected')
+        return None if value is None else float(value)
+
+    def described(self, source: str, runs: Callable, dt: float | None, **others) -> FullSpaceData:
+        """Returns data with bounds, time step (unless a person gives it) and radius of the file."""
+        return FullSpaceData(
+            source, runs, dt or self.number('dt'), bounds_of(self.values, self.path),
+            radius=self.number('default_connectivity_radius'), **others,
+        )  # fmt: skip
 
 
-def read_foreign_json(path: str) -> dict[str, Any]:
-    """Reads metadata of another project.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is no JSON object.
-    """
-    metadata = files.read_json(path)
-    if not isinstance(metadata, dict):
-        raise ValueError(f'{path}: a JSON object was expected')
-    return metadata
-
-
-def number_of(metadata: Mapping[str, Any], key: str, where: str) -> float | None:
-    """Returns a finite number of the metadata as float, None where the key is absent or null."""
-    value = metadata.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f'{where}: {key} is {value!r}, a number was expected')
-    return float(value)
+def split_files(folder: str, ending: str) -> Iterator[tuple[str, str]]:
+    """Yields (split, path) of the files `<split>.<ending>` that a folder has."""
+    for split in SPLITS:
+        path = os.path.join(folder, f'{split}.{ending}')
+        if os.path.exists(path):
+            yield split, path
 
 
 def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | None:
-    """Returns `bounds` of the metadata, None where absent."""
+    """Returns `bounds` of the metadata, of two or three axes, None where absent."""
     bounds = metadata.get('bounds')
     if bounds is None:
         return None
-    try:
-        array = np.asarray(bounds, np.float64) if isinstance(bounds, list) else np.empty(0)
-    except (ValueError, TypeError, OverflowError):  # texts, or rows of different lengths
-        array = np.empty(0)
-    if (
-        array.ndim != 2
-        or array.shape[1] != 2
-        or not np.all(array[:, 0] < array[:, 1])
-        or not np.all(np.isfinite(array))
-    ):
-        raise ValueError(f'{where}: bounds is {bounds!r}, pairs [low, high] were expected')
-    return array.tolist()
+    third = [[0.0, 1.0]] * (isinstance(bounds, list) and len(bounds) == 2)
+    if problems := bounds_problems(bounds + third if third else bounds):
+        raise ValueError(f'{where}: {problems[0]}')
+    return [[float(low), float(high)] for low, high in bounds]
 
 
 def check_run(run: FullSpaceRun, where: str) -> FullSpaceRun:
@@ -161,7 +162,7 @@ def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | 
     """Infers the axis against gravity from where the soil lies in the bounds."""
     extent = raw_checks.Extent()
     for run in data.runs():
-        soil = _three(run.positions[:1, ~np.isin(run.particle_type, BODY_TYPES)])
+        soil = in_space(run.positions[:1, ~np.isin(run.particle_type, BODY_TYPES)])
         if soil.size:
             extent.add(soil, np.empty((1, 0, 3)), 1.0, None)
     return raw_checks.infer_up_axis(extent, bounds)
@@ -236,34 +237,56 @@ def body_motion(data: FullSpaceData) -> str:
     return 'prescribed' if KINEMATIC_PARTICLE_ID in types else 'none'
 
 
-def motion_moments(runs: Iterable[FullSpaceRun]) -> dict[str, list[float]]:
-    """Returns DeepMind's `vel_mean, vel_std, acc_mean, acc_std` of training runs.
+def by_split(data: FullSpaceData) -> dict[str, Callable[[], Iterator[FullSpaceRun]]]:
+    """Returns split -> a function that gives an iterator over its runs; only splits with runs."""
 
-    Per frame, not divided by dt, over all particles that are not kinematic; float64 sums, one run
-    in memory at a time.
+    def runs_of(split: str) -> Callable[[], Iterator[FullSpaceRun]]:
+        return lambda: (run for run in data.runs() if run.split == split)
+
+    return {split: runs_of(split) for split in SPLITS if next(runs_of(split)(), None) is not None}
+
+
+def length_of(lengths: Iterable[int]) -> int:
+    """Returns the number of frames that all runs have.
+
+    Raises:
+        ValueError: they have different ones.
     """
+    found = sorted(set(lengths))
+    if len(found) != 1:
+        raise ValueError(f'runs have {found} frames, this format holds runs of one length')
+    return found[0]
+
+
+def common_metadata(data: FullSpaceData, train: Iterable[FullSpaceRun]) -> dict[str, Any]:
+    """Returns what the metadata of all formats hold, with DeepMind's `vel_mean, vel_std, acc_mean,
+    acc_std` of training runs: per frame, not divided by dt, over all particles that are not
+    kinematic; float64 sums, one run in memory at a time."""
     sums: dict[str, list[Any]] = {'vel': [0, 0.0, 0.0], 'acc': [0, 0.0, 0.0]}
-    for run in runs:
-        moving = run.particle_type != KINEMATIC_PARTICLE_ID
-        positions = run.positions[:, moving].astype(np.float64)
-        for order, name in ((1, 'vel'), (2, 'acc')):
+    for run in train:
+        positions = run.positions[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
+        for order, held in enumerate(sums.values(), start=1):
             change = np.diff(positions, n=order, axis=0).reshape(-1, positions.shape[-1])
-            held = sums[name]
             held[0] += len(change)
             held[1] = held[1] + change.sum(axis=0)
             held[2] = held[2] + np.sum(change**2, axis=0)
     moments = {}
     for name, (count, total, squares) in sums.items():
-        if not count:
-            return {}
-        mean = total / count
-        moments[f'{name}_mean'] = mean.tolist()
-        moments[f'{name}_std'] = np.sqrt(np.maximum(squares / count - mean**2, 0.0)).tolist()
-    return moments
+        if count:
+            variance = np.maximum(squares / count - (total / count) ** 2, 0.0)
+            moments[f'{name}_mean'] = (total / count).tolist()
+            moments[f'{name}_std'] = np.sqrt(variance).tolist()
+    return {
+        'bounds': data.bounds,
+        'default_connectivity_radius': data.radius or 0.025,
+        'dim': next(data.runs()).positions.shape[2],
+        'dt': data.dt,
+        **moments,
+    }
 
 
-def _three(positions: np.ndarray) -> np.ndarray:
-    """Adds a third coordinate of 0 to positions in the plane."""
+def in_space(positions: np.ndarray) -> np.ndarray:
+    """Adds a third coordinate of 0 to positions [..., 2] in the plane."""
     if positions.shape[-1] == 3:
         return positions
-    return np.concatenate([positions, np.zeros((*positions.shape[:-1], 1))], axis=-1)
+    return np.concatenate([positions, np.zeros_like(positions[..., :1])], axis=-1)

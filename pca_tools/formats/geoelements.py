@@ -16,17 +16,16 @@ import numpy as np
 
 from pca_tools import files, legacy_pickles
 from pca_tools.formats.full_space import (
+    Foreign,
     FullSpaceData,
     FullSpaceRun,
-    ReadOptions,
-    bounds_of,
+    by_split,
     check_run,
-    motion_moments,
-    number_of,
-    read_foreign_json,
+    common_metadata,
+    split_files,
     type_column,
 )
-from pca_tools.metadata import METADATA_NAME, SPLITS
+from pca_tools.metadata import METADATA_NAME
 
 NAME = 'geoelements'
 TITLE = 'geoelements/gns (npz)'
@@ -35,30 +34,22 @@ KEY = 'gns_data'
 _SECTIONS = ('train', 'rollout')
 
 
-def read(folder: str, options: ReadOptions) -> FullSpaceData:
+def read(folder: str, dt: float | None = None) -> FullSpaceData:
     """Opens a folder; arguments as of all formats."""
-    path = os.path.join(folder, METADATA_NAME)
-    metadata = read_foreign_json(path)
+    metadata = Foreign(folder)
     for section in _SECTIONS:
-        if isinstance(metadata.get(section), dict) and 'bounds' in metadata[section]:
-            metadata = metadata[section]
+        held = metadata.values.get(section)
+        if isinstance(held, dict) and 'bounds' in held:
+            metadata.values = held
             break
 
     def runs() -> Iterator[FullSpaceRun]:
-        for split in SPLITS:
-            file = os.path.join(folder, f'{split}.npz')
-            if os.path.exists(file):
-                for index, item in enumerate(read_trajectories(file)):
-                    yield _run_of(item, f'{split}_{index}', split, f'{file}: trajectory {index}')
+        for split, path in split_files(folder, 'npz'):
+            for index, item in enumerate(read_trajectories(path)):
+                yield _run_of(item, f'{split}_{index}', split, f'{path}: trajectory {index}')
 
-    return FullSpaceData(
-        source=f'{folder} ({TITLE})',
-        runs=runs,
-        dt=options.dt or number_of(metadata, 'dt', path),
-        bounds=bounds_of(metadata, path),
-        up_axis=1 if metadata.get('dim') == 2 else None,
-        radius=number_of(metadata, 'default_connectivity_radius', path),
-    )
+    up = 1 if metadata.values.get('dim') == 2 else None
+    return metadata.described(f'{folder} ({TITLE})', runs, dt, up_axis=up)
 
 
 def read_trajectories(path: str) -> list[Any]:
@@ -88,14 +79,7 @@ def read_trajectories(path: str) -> list[Any]:
 
 
 def _objects(file, where: str) -> Any:
-    version = np.lib.format.read_magic(file)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f'{where}: .npy format {version} is not read')
-    header = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }[version]
-    shape, _, dtype = header(file)
+    shape, _, dtype = files.read_npy_header(file)
     if not dtype.hasobject:
         raise ValueError(
             f'{where}: is an array of {dtype}, {shape}; a trajectory is an object array '
@@ -133,39 +117,25 @@ def write(folder: str, data: FullSpaceData) -> None:
     Raises:
         ValueError: a material property in some trajectories and not in others.
     """
-    lengths, with_material = [], set()
-    for split in SPLITS:
+    lengths, with_material, splits = set(), set(), by_split(data)
+    for split, runs in splits.items():
         trajectories = []
-        for run in data.runs():
-            if run.split != split:
-                continue
+        for run in runs():
             parts = [np.asarray(run.positions, np.float32), run.particle_type.astype(np.int64)]
             if run.material is not None:
                 parts.append(np.asarray(run.material, np.float64))
             with_material.add(run.material is not None)
+            lengths.add(len(run.positions))
             trajectories.append(tuple(parts))
-            lengths.append(len(run.positions))
-        if not trajectories:
-            continue
         held = np.empty(len(trajectories), dtype=object)
         held[:] = trajectories
         with open(os.path.join(folder, f'{split}.npz'), 'wb') as file:
             np.savez_compressed(file, **{KEY: held})
     if len(with_material) != 1:
         raise ValueError('a material property must be there in all trajectories or in none')
-    first = next(data.runs())
-    metadata = {
-        'bounds': data.bounds,
-        # All frames, unlike DeepMind's; null: as long as each trajectory is.
-        'sequence_length': lengths[0] if len(set(lengths)) == 1 else None,
-        'default_connectivity_radius': data.radius or 0.025,
-        'boundary_augment': 1.0,
-        'material_feature_len': int(with_material.pop()),
-        'nnode_in': None,
-        'nedge_in': None,
-        'dim': first.positions.shape[2],
-        'dt': data.dt,
-        **motion_moments(run for run in data.runs() if run.split == 'train'),
-    }
-    metadata = {k: v for k, v in metadata.items() if v is not None or k == 'sequence_length'}
+    metadata = common_metadata(data, splits['train']() if 'train' in splits else ())
+    metadata |= {'boundary_augment': 1.0, 'material_feature_len': int(with_material.pop())}
+    metadata = {key: value for key, value in metadata.items() if value is not None}
+    # All frames, unlike DeepMind's; null: as long as each trajectory is.
+    metadata['sequence_length'] = lengths.pop() if len(lengths) == 1 else None
     files.write_json(os.path.join(folder, METADATA_NAME), metadata)

@@ -14,17 +14,17 @@ import numpy as np
 from pca_tools import files
 from pca_tools.formats.full_space import (
     SOIL_TYPE,
+    Foreign,
     FullSpaceData,
     FullSpaceRun,
-    ReadOptions,
-    bounds_of,
+    by_split,
     check_run,
-    motion_moments,
-    number_of,
-    read_foreign_json,
+    common_metadata,
+    length_of,
+    split_files,
     type_column,
 )
-from pca_tools.metadata import METADATA_NAME, SPLITS
+from pca_tools.metadata import METADATA_NAME
 
 NAME = 'lagrangebench'
 TITLE = 'LagrangeBench (HDF5)'
@@ -33,23 +33,13 @@ _TYPES = {0: SOIL_TYPE, 1: 3, 2: 3, 3: 0}
 _PADDING = -1
 
 
-def read(folder: str, options: ReadOptions) -> FullSpaceData:
+def read(folder: str, dt: float | None = None) -> FullSpaceData:
     """Opens a folder; arguments as of all formats."""
-    path = os.path.join(folder, METADATA_NAME)
-    metadata = read_foreign_json(path)
-    dt, every = number_of(metadata, 'dt', path), number_of(metadata, 'write_every', path)
-
-    def runs() -> Iterator[FullSpaceRun]:
-        for split in SPLITS:
-            file = os.path.join(folder, f'{split}.h5')
-            if os.path.exists(file):
-                yield from _runs_of(file, split)
-
-    notes = []
-    periodic = metadata.get('periodic_boundary_conditions') or []
+    metadata, notes = Foreign(folder), []
+    periodic = metadata.values.get('periodic_boundary_conditions') or []
     if not isinstance(periodic, list):
         raise ValueError(
-            f'{path}: periodic_boundary_conditions is {periodic!r}, a list was expected'
+            f'{metadata.path}: periodic_boundary_conditions is {periodic!r}, a list was expected'
         )
     if any(periodic):
         notes.append(
@@ -58,15 +48,14 @@ def read(folder: str, options: ReadOptions) -> FullSpaceData:
         )
     if os.path.exists(os.path.join(folder, 'force.py')):
         notes.append('its force.py (an external force) was not run and is left out')
-    return FullSpaceData(
-        source=f'{folder} ({TITLE})',
-        runs=runs,
-        # dt is the solver's; a frame is stored every so many of its steps.
-        dt=options.dt or (None if dt is None else dt * (every or 1.0)),
-        bounds=bounds_of(metadata, path),
-        radius=number_of(metadata, 'default_connectivity_radius', path),
-        notes=notes,
-    )
+
+    def runs() -> Iterator[FullSpaceRun]:
+        for split, path in split_files(folder, 'h5'):
+            yield from _runs_of(path, split)
+
+    # dt is the solver's; a frame is stored every so many of its steps.
+    of_frame = (metadata.number('dt') or 0.0) * (metadata.number('write_every') or 1.0)
+    return metadata.described(f'{folder} ({TITLE})', runs, dt or of_frame or None, notes=notes)
 
 
 def _runs_of(path: str, split: str) -> Iterator[FullSpaceRun]:
@@ -134,55 +123,35 @@ def write(folder: str, data: FullSpaceData) -> None:
     """
     import h5py
 
-    counts: dict[str, list[int]] = {split: [] for split in SPLITS}
-    largest = 0
-    for split in SPLITS:
-        runs = (run for run in data.runs() if run.split == split)
-        first = next(runs, None)
-        if first is None:
-            continue
+    lengths, largest, splits = {}, 0, by_split(data)
+    for split, runs in splits.items():
+        counts = []
         with h5py.File(os.path.join(folder, f'{split}.h5'), 'w') as file:
-            for index, run in enumerate(_again(first, runs)):
-                counts[split].append(len(run.positions))
+            for index, run in enumerate(runs()):
+                counts.append(len(run.positions))
                 largest = max(largest, run.positions.shape[1])
                 group = file.create_group(f'{index:05d}')
-                group.create_dataset(
-                    'position', data=np.asarray(run.positions, np.float32), compression='gzip'
-                )
+                positions = np.asarray(run.positions, np.float32)
+                group.create_dataset('position', data=positions, compression='gzip')
                 group.create_dataset('particle_type', data=_theirs(run))
-        if len(set(counts[split])) != 1:
-            raise ValueError(
-                f'{split}: runs have {sorted(set(counts[split]))} frames, this format holds runs '
-                'of one length'
-            )
-    first = next(data.runs())
-    train = next(split for split in SPLITS if counts[split])
-    held_out = next((split for split in ('test', 'valid') if counts[split]), train)
-    dim = first.positions.shape[2]
+        lengths[split] = length_of(counts), len(counts)
+    train = next(iter(splits))
+    held_out = next((split for split in ('test', 'valid') if split in splits), train)
     metadata = {
         'case': os.path.basename(folder),
         'solver': 'material point method',
-        'dim': dim,
-        'dx': data.radius or 0.025,
-        'dt': data.dt,
-        't_end': None if data.dt is None else data.dt * (counts[train][0] - 1),
-        'sequence_length_train': counts[train][0],
-        'num_trajs_train': len(counts[train]),
-        'sequence_length_test': counts[held_out][0],
-        'num_trajs_test': len(counts[held_out]),
+        **common_metadata(data, splits[train]()),
+        't_end': None if data.dt is None else data.dt * (lengths[train][0] - 1),
+        'sequence_length_train': lengths[train][0],
+        'num_trajs_train': lengths[train][1],
+        'sequence_length_test': lengths[held_out][0],
+        'num_trajs_test': lengths[held_out][1],
         'num_particles_max': largest,
-        'periodic_boundary_conditions': [False] * dim,
-        'bounds': data.bounds,
-        'default_connectivity_radius': data.radius or 0.025,
-        **motion_moments(run for run in data.runs() if run.split == train),
         'description': f'exported from {data.source}',
     }
+    metadata['dx'] = metadata['default_connectivity_radius']
+    metadata['periodic_boundary_conditions'] = [False] * metadata['dim']
     files.write_json(os.path.join(folder, METADATA_NAME), metadata)
-
-
-def _again(first: FullSpaceRun, rest: Iterator[FullSpaceRun]) -> Iterator[FullSpaceRun]:
-    yield first
-    yield from rest
 
 
 def _theirs(run: FullSpaceRun) -> np.ndarray:

@@ -18,8 +18,8 @@ from pca_tools.formats.full_space import (
     SOIL_TYPE,
     FullSpaceData,
     FullSpaceRun,
-    ReadOptions,
     check_run,
+    in_space,
 )
 
 NAME = 'mpm_ngf'
@@ -46,8 +46,8 @@ def frames_of(folder: str) -> list[str]:
     return [os.path.join(folder, numbered[number]) for number in sorted(numbered)]
 
 
-def read(folder: str, options: ReadOptions) -> FullSpaceData:
-    """Opens a folder; `options.dt` is needed, the frames do not say it."""
+def read(folder: str, dt: float | None = None) -> FullSpaceData:
+    """Opens a folder; `dt` is needed, the frames do not say it."""
 
     def runs() -> Iterator[FullSpaceRun]:
         for name in cases(folder):
@@ -56,7 +56,7 @@ def read(folder: str, options: ReadOptions) -> FullSpaceData:
     return FullSpaceData(
         source=f'{folder} ({TITLE})',
         runs=runs,
-        dt=options.dt,
+        dt=dt,
         up_axis=1,
         rigid_motion='prescribed',
         notes=['all runs go to train, valid and test as the converter deals them'],
@@ -109,10 +109,7 @@ def write(folder: str, data: FullSpaceData) -> None:
         frames = os.path.join(folder, run.name, 'frames')
         os.makedirs(frames)
         flags = (run.particle_type != SOIL_TYPE).astype(np.float64)
-        points = run.positions
-        if points.shape[2] == 2:
-            points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=2)
-        for index, frame in enumerate(points):
+        for index, frame in enumerate(in_space(run.positions)):
             force = np.zeros(3) if run.force is None else run.force[index]
             rows = np.zeros((len(frame) + 1, _COLUMNS + 1))
             rows[0, :3] = force

@@ -19,7 +19,6 @@ from pca_tools.formats.full_space import (
     SOIL_TYPE,
     FullSpaceData,
     FullSpaceRun,
-    ReadOptions,
     bounds_of,
     check_run,
     type_column,
@@ -37,11 +36,11 @@ def run_files(folder: str) -> list[str]:
     return sorted(name for name in os.listdir(folder) if name.endswith('.npz'))
 
 
-def read(folder: str, options: ReadOptions) -> FullSpaceData:
-    """Opens a folder; `options.dt` is needed where the files have no `dt`.
+def read(folder: str, dt: float | None = None) -> FullSpaceData:
+    """Opens a folder; `dt` is needed where the files have no `dt`.
 
     Raises:
-        ValueError: the files state different dt (and `options` none), upward axes or motions of the
+        ValueError: the files state different dt (and none is given), upward axes or motions of the
             body, or bounds that are none.
     """
     names = run_files(folder)
@@ -70,7 +69,7 @@ def read(folder: str, options: ReadOptions) -> FullSpaceData:
     return FullSpaceData(
         source=f'{folder} ({TITLE})',
         runs=runs,
-        dt=options.dt or _only(folder, 'dt', stated['dt']),
+        dt=dt or _only(folder, 'dt', stated['dt']),
         bounds=union_of_bounds(bounds) if bounds else None,
         context_names=[f'context_{i}' for i in range(0 if context is None else context.shape[-1])],
         rigid_motion=_only(folder, 'rigid_motion', stated['rigid_motion']),

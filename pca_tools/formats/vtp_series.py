@@ -12,8 +12,8 @@ from pca_tools.formats.full_space import (
     SOIL_TYPE,
     FullSpaceData,
     FullSpaceRun,
-    ReadOptions,
     check_run,
+    in_space,
     type_column,
 )
 from pca_tools.formats.vtp_files import (
@@ -58,8 +58,8 @@ def _frames(folder: str) -> list[tuple[None, str]]:
     return [(None, os.path.join(folder, name)) for name in sorted(names, key=number)]
 
 
-def read(folder: str, options: ReadOptions) -> FullSpaceData:
-    """Opens a folder; `options.dt` is needed where no `.pvd` gives the times."""
+def read(folder: str, dt: float | None = None) -> FullSpaceData:
+    """Opens a folder; `dt` is needed where no `.pvd` gives the times."""
     series = series_of(folder)
     dts = {name: _dt(name, [time for time, _ in frames]) for name, frames in series.items()}
     stated = sorted({dt for dt in dts.values() if dt is not None})
@@ -71,7 +71,7 @@ def read(folder: str, options: ReadOptions) -> FullSpaceData:
             yield _run_of(name, [path for _, path in frames])
 
     return FullSpaceData(
-        source=f'{folder} ({TITLE})', runs=runs, dt=options.dt or (stated[0] if stated else None)
+        source=f'{folder} ({TITLE})', runs=runs, dt=dt or (stated[0] if stated else None)
     )
 
 
@@ -104,11 +104,8 @@ def write(folder: str, data: FullSpaceData) -> None:
     """Writes `<run>.pvd` and `<run>/00000.vtp` and on for every run."""
     for run in data.runs():
         os.mkdir(os.path.join(folder, run.name))
-        points = run.positions
-        if points.shape[2] == 2:
-            points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=2)
         listed = []
-        for index, frame in enumerate(np.asarray(points, np.float32)):
+        for index, frame in enumerate(np.asarray(in_space(run.positions), np.float32)):
             time = index * (data.dt or 1.0)
             fields = {'time': np.array([time])}
             if run.force is not None:

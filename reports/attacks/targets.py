@@ -334,7 +334,7 @@ def _writer(name: str) -> Callable[[str], None]:
 
 def _reader(name: str) -> Callable[[str], list]:
     def read(folder: str) -> list:
-        data = detect.FORMATS[name].read(folder, full_space.ReadOptions(dt=0.1))
+        data = detect.FORMATS[name].read(folder, 0.1)
         return [(run.positions, run.particle_type, run.force, run.context) for run in data.runs()]
 
     return read
@@ -442,7 +442,7 @@ def _possible_model(value) -> bool:
 
 
 def _write_nri(folder: str) -> None:
-    config = NriConfig(hidden=4, window=6, segment=2, factor_graph=False)
+    config = NriConfig(hidden=4, window=6, segment=2)
     offset = np.zeros((1, 4))
     nri_model.NriModel(config, ('a', 'b', 'c'), offset, offset + 1.0, 'digest').save(folder)
 

@@ -27,8 +27,6 @@ PUBLISHED = {
     ('springs', 10): 0.984,
     ('charged', 5): 0.821,
     ('charged', 10): 0.708,
-    ('kuramoto', 5): 0.960,
-    ('kuramoto', 10): 0.757,
 }
 # A constant, high rate until the edges are found, then a late decay; small batches.
 RECIPE = {'hidden': 64, 'batch_size': 64, 'learning_rate': 1e-3}
@@ -72,8 +70,7 @@ def run(system, n_objects, work_path, counts, config):
     name = f'{system}{n_objects}'
     data_path = os.path.join(work_path, f'data_{name}')
     if not os.path.exists(os.path.join(data_path, f'simulation_{name}.json')):
-        fine = {'dt': 0.01} if system == 'kuramoto' else {}
-        made = particle_systems.SYSTEMS[system](n_objects=n_objects, **fine)
+        made = particle_systems.SYSTEMS[system](n_objects=n_objects)
         sample_every = round(0.1 / made.dt)
         simulate.write_dataset(made, system, counts, 50 * sample_every, sample_every, 42, data_path)
     model_path = os.path.join(work_path, f'model_{name}')

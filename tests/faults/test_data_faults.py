@@ -270,7 +270,7 @@ def test_particle_types_that_are_no_whole_numbers_are_refused(types):
 def test_periodic_boundaries_that_are_no_list_are_refused(tmp_path):
     (tmp_path / 'metadata.json').write_text('{"periodic_boundary_conditions": 3}')
     with pytest.raises(ValueError, match='metadata.json: periodic_boundary_conditions is 3'):
-        lagrangebench.read(str(tmp_path), full_space.ReadOptions(dt=0.1))
+        lagrangebench.read(str(tmp_path), 0.1)
 
 
 def test_numbers_that_numpy_has_not_are_refused(tmp_path):
@@ -283,7 +283,7 @@ def test_numbers_that_numpy_has_not_are_refused(tmp_path):
         h5py.h5d.create(run.id, b'position', kind, h5py.h5s.create_simple((4, 2, 3)))
     (tmp_path / 'metadata.json').write_text('{}')
     with pytest.raises(ValueError, match='train.h5: 00000: position holds numbers that numpy has'):
-        list(lagrangebench.read(str(tmp_path), full_space.ReadOptions(dt=0.1)).runs())
+        list(lagrangebench.read(str(tmp_path), 0.1).runs())
 
 
 @pytest.mark.parametrize('name', ['a\0b', '\ud800', 'two\nlines'])

@@ -75,7 +75,7 @@ def test_other_methods_are_held_to_their_weights_too(folder, made):
         ('config', {'hidden': 4096}, 'not the weights'),
         ('config', {'window': 5000}, 'not the weights'),
         ('config', {'hidden': 'x'}, 'hidden is'),
-        ('config', {'factor_graph': 'yes'}, 'factor_graph is'),
+        ('config', {'symmetric': 'yes'}, 'symmetric is'),
         ('', {'node_names': ['n'] * 3000}, '3000 node names'),
         ('', {'scale': [[0.0] * 4]}, 'no finite normalisation'),
         ('', {'offset': 'x'}, 'could not convert'),

@@ -19,10 +19,6 @@ def relu(x):
     return np.maximum(x, 0)
 
 
-def sigmoid(x):
-    return 1 / (1 + np.exp(-x))
-
-
 class Twin:
     """Reads the weights by the end of their names."""
 
@@ -64,98 +60,40 @@ def pairs_of(n_node):
     return [(i, j) for i in range(n_node) for j in range(n_node) if i != j]
 
 
-def factor_graph(twin, of_pair, n_node, is_factor):
-    pairs = pairs_of(n_node)
-    last = []
-    for e, (i, j) in enumerate(pairs):
-        if is_factor:
-            incoming = [
-                np.mean([of_pair[k] for k, (r, _) in enumerate(pairs) if r == node], axis=0)
-                for node in (i, j)
-            ]
-            ends = [twin.mlp('messages/middle', x) for x in incoming]
-            hidden = twin.ends('messages/ends', *ends)
-        else:
-            hidden = twin.linear('messages/ends', twin.mlp('messages/middle', of_pair[e]))
-        hidden = hidden + twin.linear('skip', of_pair[e])
-        last.append(twin.linear('logits', twin.after_first('last', hidden)))
-    return np.stack(last)
-
-
-def mlp_encoder(module, features, is_factor):
+def encode(module, features):
     """Logits [V (V - 1), K] of one sample [V, T, F]."""
     twin = Twin(module)
+    pairs = pairs_of(len(features))
     nodes = [twin.mlp('of_node', x.reshape(-1)) for x in features]
     of_pair = [
-        twin.after_first('of_pair', twin.ends('encoder/ends', nodes[i], nodes[j]))
-        for i, j in pairs_of(len(features))
+        twin.after_first('of_pair', twin.ends('encoder/ends', nodes[i], nodes[j])) for i, j in pairs
     ]
-    return factor_graph(twin, of_pair, len(features), is_factor)
+    logits = []
+    for e, ends in enumerate(pairs):
+        incoming = [
+            np.mean([of_pair[k] for k, (r, _) in enumerate(pairs) if r == node], axis=0)
+            for node in ends
+        ]
+        hidden = twin.ends('messages/ends', *(twin.mlp('messages/middle', x) for x in incoming))
+        hidden = hidden + twin.linear('skip', of_pair[e])
+        logits.append(twin.linear('logits', twin.after_first('last', hidden)))
+    return np.stack(logits)
 
 
-def cnn_encoder(module, features, is_factor):
-    """Logits [V (V - 1), K] of one sample [V, T, F]."""
+def decode(module, frame, types, count, first_type):
+    """The next `count` frames [V, count, F] of one sample's frame [V, F]."""
     twin = Twin(module)
-
-    def convolve(name, x):
-        kernel = twin[f'{name}/w']
-        bias = twin[f'{name}/b'] if twin.has_bias(name) else 0.0
-        return np.stack(
-            [np.einsum('kf,kfo->o', x[t : t + 5], kernel) + bias for t in range(len(x) - 4)]
-        )
-
-    of_pair = []
-    for i, j in pairs_of(len(features)):
-        x = relu(convolve('receiver', features[i]) + convolve('sender', features[j]))
-        x = twin.norm('first_norm', x)
-        x = x[: len(x) // 2 * 2].reshape(-1, 2, x.shape[1]).max(1)
-        x = twin.norm('second_norm', relu(convolve('second', x)))
-        score = twin.linear('attention', x)[:, 0]
-        share = np.exp(score - score.max())
-        x = (share / share.sum()) @ twin.linear('value', x)
-        of_pair.append(twin.mlp('of_pair', x))
-    return factor_graph(twin, of_pair, len(features), is_factor)
-
-
-def _update(twin, x):
-    for i in range(3):
-        x = twin.linear(f'update/linear_{i}', x)
-        x = relu(x) if i < 2 else x
-    return x
-
-
-def _received(twin, nodes, types, first_type, activation):
-    total = np.zeros((len(nodes), twin.w_width))
-    for e, (i, j) in enumerate(pairs_of(len(nodes))):
-        for k in range(first_type, types.shape[1]):
-            hidden = activation(twin.ends(f'first_{k}', nodes[i], nodes[j]))
-            total[i] += types[e, k] * activation(twin.linear(f'second_{k}', hidden))
-    return total
-
-
-def decode(module, frames, types, kind, skip_first, burn_in):
-    """Predictions [V, T - 1, F] of one sample's frames [V, T, F]."""
-    twin = Twin(module)
-    first_type = 1 if skip_first else 0
-    twin.w_width = len(twin[f'second_{first_type}/b'])
-    n_node = len(frames)
-    memory = np.zeros((n_node, twin.w_width))
-    out, frame = [], frames[:, 0]
-    for t in range(frames.shape[1] - 1):
-        if 0 < t < burn_in:
-            frame = frames[:, t]
-        if kind == 'mlp':
-            received = _received(twin, frame, types, first_type, relu)
-            change = _update(twin, np.concatenate([frame, received], -1))
-        else:
-            received = _received(twin, memory, types, first_type, np.tanh) / (n_node - 1)
-            of_frame = np.split(twin.linear('of_frame', frame), 3, -1)
-            of_received = np.split(twin.linear('of_received', received), 3, -1)
-            reset = sigmoid(of_frame[0] + of_received[0])
-            keep = sigmoid(of_frame[1] + of_received[1])
-            new = np.tanh(of_frame[2] + reset * of_received[2])
-            memory = (1 - keep) * new + keep * memory
-            change = _update(twin, memory)
-        frame = frame + change
+    out = []
+    for _ in range(count):
+        received = np.zeros((len(frame), len(twin[f'second_{first_type}/b'])))
+        for e, (i, j) in enumerate(pairs_of(len(frame))):
+            for k in range(first_type, types.shape[1]):
+                hidden = relu(twin.ends(f'first_{k}', frame[i], frame[j]))
+                received[i] += types[e, k] * relu(twin.linear(f'second_{k}', hidden))
+        x = np.concatenate([frame, received], -1)
+        for layer in range(3):
+            x = twin.linear(f'update/linear_{layer}', x)
+            x = relu(x) if layer < 2 else x
+        frame = frame + x
         out.append(frame)
     return np.stack(out, 1)

@@ -32,9 +32,9 @@ def model(held, **settings):
     return NriModel(config, held.node_names, offset, scale, held.digest)
 
 
-def write_springs(folder, n_objects=3, counts=(32, 16, 16), system='springs'):
+def write_springs(folder, n_objects=3, counts=(32, 16, 16)):
     """Writes Kipf's files of 15 frames; returns the folder as a string."""
-    made = particle_systems.SYSTEMS[system](n_objects=n_objects, dt=0.02)
+    made = particle_systems.Springs(n_objects=n_objects, dt=0.02)
     counts = dict(zip(simulate.SPLITS, counts, strict=True))
-    simulate.write_dataset(made, system, counts, 80, 5, 0, str(folder))
+    simulate.write_dataset(made, 'springs', counts, 80, 5, 0, str(folder))
     return str(folder)

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from nri.particle_systems import (
-    Charged,
-    Kuramoto,
-    Springs,
-    leapfrog,
-    simulate_particles,
-    simulate_phases,
-)
+from nri.particle_systems import Charged, Springs, leapfrog, simulate_particles
 
 
 def rng(seed=0):
@@ -77,7 +70,6 @@ def test_above_the_limit_energy_explodes():
         (lambda: Springs(n_objects=2, dt=2.0, interaction_strength=0.5), 'largest stable step 2'),
         (lambda: Springs(dt=0.1, interaction_strength=1e20), 'unstable'),
         (lambda: Charged(dt=0.021), 'unstable'),
-        (lambda: Kuramoto(dt=0.6), 'unstable'),
         (lambda: Springs(n_objects=1), 'at least 2'),
         (lambda: Springs(dt=-1.0), 'dt is -1.0'),
         (lambda: Charged(interaction_strength=float('nan')), 'nan'),
@@ -164,29 +156,8 @@ def test_momentum_is_kept_without_walls():
         np.testing.assert_allclose(momentum[:, 0], momentum[:, 1], atol=1e-11)
 
 
-def test_phases_against_another_integrator():
-    system = Kuramoto(n_objects=3)
-    features, relations = simulate_phases(system, 2, 100, 50, rng(4))
-    g = rng(4)
-    np.testing.assert_array_equal(system.relations(g, 2), relations)
-    frequency, phase = g.uniform(1, 10, (2, 3)), g.uniform(0, 2 * np.pi, (2, 3))
-    for run in range(2):
-
-        def rate(_, phi, run=run):
-            return [
-                frequency[run, i]
-                + sum(relations[run, i, j] * np.sin(phi[i] - phi[j]) for j in range(3))
-                for i in range(3)
-            ]
-
-        phi = solve_ivp(rate, (0, 1), phase[run], rtol=1e-10, atol=1e-10).y[:, -1]
-        np.testing.assert_allclose(features[run, -1, :, 1], np.sin(phi), atol=1e-5)
-        np.testing.assert_allclose(features[run, -1, :, 0], rate(0, phi), atol=1e-5)
-        np.testing.assert_array_equal(features[run, :, :, 2], np.stack([frequency[run]] * 2))
-
-
 def test_relations_are_symmetric_and_half_of_all():
-    for system in (Springs(), Kuramoto(), Charged()):
+    for system in (Springs(), Charged()):
         relations = system.relations(rng(5), 2000)
         np.testing.assert_array_equal(relations, relations.transpose(0, 2, 1))
         off = relations[:, ~np.eye(5, dtype=bool)]

@@ -5,7 +5,6 @@ import pytest
 
 from nri import particle_systems, simulate
 from pca_tools import files
-from tests.nri import small
 from tests.pca_tools.commands import run_command
 
 
@@ -51,12 +50,6 @@ def test_runs_are_a_function_of_seed_and_split():
     ]
     np.testing.assert_array_equal(make[0], make[1])
     assert (make[0] != make[2]).all() and (make[0] != make[3]).all()
-
-
-def test_phases_have_their_own_file(tmp_path):
-    small.write_springs(tmp_path, system='kuramoto')
-    assert np.load(tmp_path / 'feat_train_kuramoto3.npy').shape == (32, 3, 15, 3)
-    assert not list(tmp_path.glob('loc_*'))
 
 
 def test_too_few_frames_are_refused(tmp_path):

@@ -34,7 +34,7 @@ def test_round_trip_keeps_every_bit(excavation, raw_excavation, tmp_path, name):
     out = written(excavation, raw_excavation, tmp_path, name)
     assert detect.detect(out) == name
     truth = list(full_space_of(excavation, raw_excavation).runs())
-    data = detect.FORMATS[name].read(out, full_space.ReadOptions(dt=1 / 60))
+    data = detect.FORMATS[name].read(out, 1 / 60)
     read = list(data.runs())
     assert len(read) == len(truth) == 12 and data.dt == pytest.approx(1 / 60)
     if name in ('mpm_ngf', 'npz', 'vtp'):  # these name their runs, the others count them
@@ -138,7 +138,7 @@ def test_both_layouts_and_other_writings_of_geoelements(tmp_path):
     (folder / 'metadata.json').write_text(json.dumps(metadata))
     np.savez(folder / 'train.npz', simulation_7=item)
     np.savez_compressed(folder / 'test.npz', gns_data=several)
-    data = detect.FORMATS['geoelements'].read(str(folder), full_space.ReadOptions())
+    data = detect.FORMATS['geoelements'].read(str(folder))
     first, *rest = data.runs()
     assert data.dt == 0.01 and data.up_axis == 1 and len(rest) == 2
     np.testing.assert_array_equal(first.positions, positions)
@@ -312,7 +312,7 @@ def test_decoded_and_thinned_exports_and_rollouts(excavation, tmp_path):
     )  # fmt: skip
     export_data(excavation, str(tmp_path / 'dm'), 'deepmind', rollouts=str(tmp_path / 'rolled'))
     (again,) = (
-        detect.FORMATS['deepmind'].read(str(tmp_path / 'dm'), full_space.ReadOptions()).runs()
+        detect.FORMATS['deepmind'].read(str(tmp_path / 'dm')).runs()
     )
     (decoded,) = full_space_of(excavation, splits=['test']).runs()
     np.testing.assert_array_equal(again.positions, decoded.positions)
