@@ -190,7 +190,7 @@ def _bobbing(rng, box, wheel) -> Levels:
 
     times, heights = [0.0, 0.1], [base + 0.004] * 2
     times.append(rng.uniform(0.5, 1.2))
-    heights.append(base - abs(sinkage()))
+    heights.append(base - min(abs(sinkage()), DEEPEST))
     while times[-1] < _DURATION:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None

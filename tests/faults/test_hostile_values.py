@@ -9,7 +9,6 @@ from absl import flags, logging
 
 from learning_to_simulate import command, metrics, normalization, presets, reading_utils
 from pca_tools import dataset
-from pca_tools.storage import messages
 from tests.learning_to_simulate import synthetic
 
 
@@ -36,11 +35,6 @@ def test_a_command_leaves_out_the_remarks_of_libraries_unless_asked(monkeypatch,
         flags.FLAGS['verbosity'].unparse()
         logging.set_verbosity(before)
     assert found == [level]
-
-
-def test_messages_are_escaped_and_cut():
-    assert messages.printable('x\x1b[2Jy\n') == 'x\\x1b[2Jy\n'
-    assert len(messages.printable('x' * 30_000)) < 5000
 
 
 @pytest.mark.parametrize('value', [0.0, 7.25, 1e-12])

@@ -84,16 +84,11 @@ def test_grip_grows_with_the_way_until_coulombs_limit():
     assert np.linalg.norm(grip) == pytest.approx(limit - DT) and force[0] < 0.0
 
 
-def test_grip_is_kept_while_nothing_moves():
-    grip, force, _ = touch(MIDDLE, STILL, WHEEL, below(1e-3), grip=(1e-4, 0.0, -2e-4))
+def test_grip_along_the_surface_is_kept_while_nothing_moves():
+    grip, force, load = touch(MIDDLE, STILL, WHEEL, below(1e-3), grip=(1e-4, 3e-4, -2e-4))
     np.testing.assert_allclose(grip, [1e-4, 0.0, -2e-4], atol=1e-18)
     np.testing.assert_allclose(force, [-1.0, -10.0, 2.0], atol=1e-9)
-
-
-def test_grip_turns_with_the_surface():
-    """Only what lies along the surface is kept."""
-    _, _, load = touch(MIDDLE, STILL, WHEEL, below(1e-3), grip=(1e-4, 3e-4, 0.0))
-    np.testing.assert_allclose(load[:3], [1.0, 10.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(load[:3], -force, atol=1e-12)
 
 
 def test_spin_drags_soil_along_the_rim():
@@ -112,7 +107,7 @@ def test_body_that_moves_with_the_soil_drags_nothing():
     np.testing.assert_allclose(grip, 0.0, atol=1e-18)
 
 
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', range(5))
 @pytest.mark.parametrize('friction', [0.0, 0.5])
 def test_force_lies_in_the_cone_and_its_moment_balances(seed, friction):
     """On a leaning blade, anywhere near its surface, against sums over what the soil gets."""

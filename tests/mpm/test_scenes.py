@@ -1,34 +1,30 @@
 """Tables of cases against nested loops written out."""
 
+import itertools
+
 import pytest
 
 from mpm import scenes
 
-
-def test_excavation_numbers_are_nested_loops():
-    case = 0
-    for depth in (0.02, 0.04, 0.05, 0.08, 0.10):
-        for speed in (0.01, 0.04, 0.08, 0.10, 0.15):
-            for angle in (0.0, 3.8, 10.0, 30.8, 45.0):
-                for motion in (1, 2):
-                    case += 1
-                    found = scenes.EXCAVATION.parameters(case)
-                    assert tuple(found.values()) == (depth, speed, angle, motion)
-                    assert scenes.EXCAVATION.case_id(**found) == case
-    assert scenes.EXCAVATION.case_count == case == 250
+LEVELS = {
+    'excavation': (
+        (0.02, 0.04, 0.05, 0.08, 0.10), (0.01, 0.04, 0.08, 0.10, 0.15),
+        (0.0, 3.8, 10.0, 30.8, 45.0), (1, 2),
+    ),
+    'wheel': (
+        (1.62, 3.72, 9.81), (20, 40, 70), (100.0, 164.0, 225.0), (0.05, 0.15, 0.30),
+        (30.0, 37.0, 43.0),
+    ),
+}  # fmt: skip
 
 
-def test_wheel_numbers_are_nested_loops():
-    case = 0
-    for gravity in (1.62, 3.72, 9.81):
-        for slip in (20, 40, 70):
-            for load in (100.0, 164.0, 225.0):
-                for diameter in (0.05, 0.15, 0.30):
-                    for friction in (30.0, 37.0, 43.0):
-                        case += 1
-                        found = scenes.WHEEL.parameters(case)
-                        assert tuple(found.values()) == (gravity, slip, load, diameter, friction)
-    assert scenes.WHEEL.case_count == case == 243
+@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
+def test_numbers_are_nested_loops(scene):
+    expected = list(itertools.product(*LEVELS[scene.name]))
+    assert scene.case_count == len(expected)
+    for case, values in enumerate(expected, 1):
+        found = scene.parameters(case)
+        assert tuple(found.values()) == values and scene.case_id(**found) == case
 
 
 def test_published_wheel_contexts():
@@ -39,6 +35,8 @@ def test_published_wheel_contexts():
         ground = scenes.ground_of(scenes.WHEEL, parameters)
         found = ground.gravity, ground.friction_angle_deg, scenes.wheel_load(parameters)
         assert found == pytest.approx(values)
+    small = scenes.WHEEL.parameters(122) | {'diameter_m': 0.05}
+    assert scenes.wheel_load(small) == pytest.approx(164.0 / 9)
 
 
 @pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
@@ -60,11 +58,6 @@ def test_demo_case_is_no_corner_of_the_grid(scene):
     for name, values in scene.levels.items():
         if len(values) > 2:
             assert parameters[name] not in (values[0], values[-1])
-
-
-def test_small_wheel_carries_a_ninth():
-    parameters = scenes.WHEEL.parameters(122) | {'diameter_m': 0.05}
-    assert scenes.wheel_load(parameters) == pytest.approx(164.0 / 9)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,10 @@ def test_wave_speed_is_that_of_the_elastic_solid(soil):
 
 
 def test_too_long_a_step_is_refused_with_its_numbers(soil):
+    steps = stability.steps_in(1 / 60, soil, 0.01)
+    stability.check_time_step(1 / 60 / steps, soil, 0.01)
+    with pytest.raises(stability.UnstableTimeStepError):
+        stability.check_time_step(1 / 60 / (steps - 1), soil, 0.01)
     limit = stability.max_time_step(soil, 0.01)
     stability.check_time_step(limit, soil, 0.01)
     with pytest.raises(stability.UnstableTimeStepError) as error:
@@ -44,18 +48,6 @@ def test_a_run_refuses_a_given_step_above_the_limit(coarse_excavation, excavatio
         )
 
 
-def test_frame_is_divided_into_the_fewest_stable_steps(soil):
-    steps = stability.steps_in(1 / 60, soil, 0.01)
-    stability.check_time_step(1 / 60 / steps, soil, 0.01)
-    with pytest.raises(stability.UnstableTimeStepError):
-        stability.check_time_step(1 / 60 / (steps - 1), soil, 0.01)
-
-
-def test_bad_cell_size_is_refused(soil):
-    with pytest.raises(ValueError, match='cell size'):
-        stability.max_time_step(soil, 0.0)
-
-
 def disturbance(scene, soil, particles, factor):
     """Largest speed (m/s) of soil at rest after 0.15 s in steps of `factor` times the CFL limit."""
     experiment = experiments.Experiment(scene.bin, scene.bin, soil)
@@ -72,10 +64,9 @@ def disturbance(scene, soil, particles, factor):
     return float(np.abs(experiment.particles[:, columns.V : columns.V + 3]).max())
 
 
-@pytest.mark.parametrize('modulus', [1.5e5, 1.5e6, 1.5e7])
-def test_soil_at_rest_stays_calm_at_the_limit(coarse_excavation, modulus):
-    """Measured 3 mm/s at 0.15 MPa, 1 to 2 mm/s when stiffer; 0.15 s of fall are 1.5 m/s."""
-    soil = make_soil(modulus, 0.76)
+def test_soft_soil_at_rest_stays_calm_at_the_limit(coarse_excavation):
+    """Measured 3 mm/s at 0.15 MPa; 0.15 s of fall are 1.5 m/s."""
+    soil = make_soil(1.5e5, 0.76)
     particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
     assert disturbance(coarse_excavation, soil, particles, 1.0) < 0.02
 
@@ -88,6 +79,7 @@ def test_soil_diverges_above_the_limit(coarse_excavation):
     soil = make_soil(1.5e7, 0.76)
     particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
     calm = disturbance(coarse_excavation, soil, particles, 1.0)
+    assert calm < 0.02
     assert disturbance(coarse_excavation, soil, particles, 1.8) > 100 * calm
     assert disturbance(coarse_excavation, soil, particles, 4.0) == math.inf
 

@@ -118,7 +118,10 @@ def test_scatter_equals_its_definition(particles, soil, dtype):
     assert not expected[outside].any()
 
 
-def test_mass_and_momentum_are_conserved(particles, soil):
+@pytest.mark.parametrize('in_one_cell', [False, True])
+def test_mass_and_momentum_are_conserved(particles, soil, in_one_cell):
+    if in_one_cell:
+        particles[:, :3] = CORNER + 0.05  # all at one place
     _, nodes, _ = scatter(particles, soil)
     mass = VOLUME * soil.bulk_density
     found = field(nodes.velocity)
@@ -204,15 +207,6 @@ def test_volume_follows_the_divergence(particles, soil):
     np.testing.assert_allclose(ratio, 1.0003, rtol=1e-12)
 
 
-def test_coincident_particles_and_one_full_cell(soil):
-    particles = packing.lattice(BOX, seed=0)
-    particles[:, :3] = CORNER + 0.05
-    _, nodes, _ = scatter(particles, soil)
-    assert np.isfinite(nodes.velocity).all()
-    total = VOLUME * soil.bulk_density * len(particles)
-    assert field(nodes.velocity)[..., 3].sum() == pytest.approx(total, rel=1e-12)
-
-
 @pytest.mark.parametrize('axis', [0, 1, 2])
 @pytest.mark.parametrize('place', [-1.0, 5.0, np.nan, np.inf])
 def test_particle_off_the_grid_is_reported(particles, soil, axis, place):
@@ -231,11 +225,11 @@ def test_particle_off_the_grid_is_reported(particles, soil, axis, place):
     assert not experiment.solver.nodes.velocity.any() and not experiment.solver.nodes.force.any()
 
 
-@pytest.mark.parametrize('ratio', [0.0, -0.5, np.nan])
+@pytest.mark.parametrize('ratio', [0.0, -1e-3, -0.9, np.nan])
 def test_particle_turned_inside_out_is_reported(particles, soil, ratio):
     experiment = experiments.Experiment(BOX, BOX, soil)
     experiment.particles[7, columns.VOLUME_RATIO] = ratio
-    with pytest.raises(ValueError, match='inside out'):
+    with pytest.raises(ValueError, match='inside out at'):
         experiment.advance(1e-3)
 
 

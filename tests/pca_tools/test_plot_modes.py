@@ -24,15 +24,15 @@ def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     stored, same, kernel = rows
     training = [run.positions for run in runs if str(run.case) in space.runs]
     held_out = [run.positions for run in runs if str(run.case) not in space.runs]
-    for parts, found in ((training, stored.train_mse), (held_out, stored.test_mse)):
+    for parts, found in ((training, stored['train_mse']), (held_out, stored['test_mse'])):
         x = np.concatenate(parts)
         expected = np.mean((space.decode(space.encode(x)) - x) ** 2)
         assert found == pytest.approx(expected, rel=1e-6)
     # all frames were kept, so the PCA of them is the stored one
-    assert same.train_mse == pytest.approx(stored.train_mse, rel=1e-6)
-    assert same.test_mse == pytest.approx(stored.test_mse, rel=1e-3)
+    assert same['train_mse'] == pytest.approx(stored['train_mse'], rel=1e-6)
+    assert same['test_mse'] == pytest.approx(stored['test_mse'], rel=1e-3)
     # thesis 2.4.2: kernel PCA with a ridge pre-image reconstructs worse
-    assert kernel.test_mse > 10 * stored.test_mse
+    assert kernel['test_mse'] > 10 * stored['test_mse']
 
 
 def test_both_kinds_of_runs_are_needed(space, raw_excavation, tmp_path):

@@ -1,35 +1,23 @@
-"""Every test that the tables of README.md name exists, and none of this folder is left out."""
+"""The tables of tests/stiff and tests/faults: every named test exists, no file is left out."""
 
 import pathlib
 import re
 
-FOLDER = pathlib.Path(__file__).parent
-ROOT = FOLDER.parents[1]
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[2]
 
 
-def named_tests():
-    """(file, function) of each reference in README.md; a bare `::name` repeats the file."""
+@pytest.mark.parametrize('folder', ['stiff', 'faults'])
+def test_named_tests_exist_and_each_file_is_named(folder):
+    here, files, missing = ROOT / 'tests' / folder, set(), []
+    text = (here / 'README.md').read_text()
     file = None
-    for path, name in re.findall(r'`([\w/]*\.py)?::(\w+)`', (FOLDER / 'README.md').read_text()):
-        file = path or file
-        yield (ROOT / file if '/' in file else FOLDER / file), name
-
-
-def test_all_named_tests_exist():
-    missing = [
-        f'{path}::{name}'
-        for path, name in named_tests()
-        if not path.is_file() or f'def {name}(' not in path.read_text()
-    ]
+    for path, name in re.findall(r'`([\w/]*\.py)?(?:::(\w+))?`', text):
+        if path:
+            file = ROOT / path if '/' in path else here / path
+            files.add(file)
+        if file and not (file.is_file() and (not name or f'def {name}(' in file.read_text())):
+            missing.append(f'{file}::{name}')
     assert not missing
-
-
-def test_all_tests_of_this_folder_are_named():
-    named = set(named_tests())
-    files = [path for path in FOLDER.glob('test_*.py') if path.name != pathlib.Path(__file__).name]
-    tests = {
-        (path, name)
-        for path in files
-        for name in re.findall(r'^def (test_\w+)', path.read_text(), re.M)
-    }
-    assert not tests - named
+    assert set(here.glob('test_*.py')) - {pathlib.Path(__file__)} <= files

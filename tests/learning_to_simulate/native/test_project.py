@@ -73,7 +73,7 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
         np.testing.assert_array_equal(a.force, b.force)
     assert soils[0].description.digest.decode() == values['digest']
     for path, symbol in (('none.so', 'lts_small'), (built, 'lts_other')):
-        with pytest.raises(ValueError, match='no built of the model'):
+        with pytest.raises(ValueError, match='no library of the model'):
             CSubspace.open(path, symbol)
 
 
@@ -162,7 +162,7 @@ def test_names_of_models_are_not_those_of_the_library():
     assert project.symbol('models/excavation/pcg') == 'lts_excavation_pcg'
     assert project.symbol('/a/Wheel 2/best-one') == 'lts_wheel_2_best_one'
     # Types, a function, and files; then names that leave no letter.
-    taken = ('/model', '/field/model', '/field/frame', '/kernels', '/field/places')
+    taken = ('/model', '/field/model', '/field/frame', '/kernels', '/field/table')
     others = ('/a/\u571f/\u7802', '/a/\u7802/\u571f', '/--/..-', '/')
     names = [project.symbol(path) for path in taken + others]
     assert len(set(names)) == len(names)

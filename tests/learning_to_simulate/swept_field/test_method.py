@@ -144,15 +144,16 @@ def test_the_evaluation_is_what_steps_say_in_the_same_frames(data_path, model_pa
     rollout = opened.evaluator.roll_out(opened.groups[0].select(0))
     episode = opened.evaluator.episode(0)
     run = dataset.read_split(data_path, 'test')[0]
-    live = lts.load(model_path).stepper()
+    live = lts.load(model_path).stepper(engine='tensorflow')
     live.start(run.rigid_pose[0].astype(float), bed=opened.evaluator.reader.points(run, 0))
     compared = dict(zip(rollout.arrays['particle_frames'].tolist(),
                         rollout.arrays['predicted_particles']))  # fmt: skip
     for frame, pose in enumerate(run.rigid_pose.astype(float)[1:], start=1):
         force = live.step(pose).force
         if frame in compared:
-            swept = live.state.frame.modes._replace(ground=episode.ground)
-            np.testing.assert_allclose(live.soil.particles(swept), compared[frame], atol=1e-5)
+            soil = live.state.frame.soil
+            swept = soil.swept._replace(ground=episode.ground)
+            np.testing.assert_allclose(soil.of.particles(swept), compared[frame], atol=1e-5)
         if frame >= H:
             np.testing.assert_allclose(rollout.force[0, frame - H], force, atol=1e-2)
     moves = np.diff(rollout.arrays['predicted_particles'], axis=0)

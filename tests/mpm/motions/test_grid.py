@@ -37,11 +37,6 @@ def test_published_blade_motion():
     assert path[1, 0] - path[0, 0] == pytest.approx(0.5672 - 0.7005, abs=1e-4)
 
 
-def test_unknown_motion_is_refused():
-    with pytest.raises(ValueError, match='motion'):
-        grid.blade_displacement(3, 0.1, 0.1, np.zeros(1))
-
-
 @pytest.mark.parametrize(('slip', 'ratio'), [(20, 0.2), (40, 0.385), (70, 0.7)])
 @pytest.mark.parametrize('diameter', [0.05, 0.15, 0.3])
 def test_wheel_slips_as_much_as_it_says(slip, ratio, diameter):
@@ -50,21 +45,6 @@ def test_wheel_slips_as_much_as_it_says(slip, ratio, diameter):
     first, second = drive.pose(np.array([0.0, 1.0]))
     travel, turn = first[0] - second[0], second[2] - first[2]
     assert 1 - travel / (turn * diameter / 2) == pytest.approx(ratio, abs=0.001)
-
-
-@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
-def test_bodies_stay_within_the_bounds(scene):
-    """Every case, at every frame, with a margin of a cell."""
-    times = np.arange(scenes.FRAMES) / scenes.FRAME_RATE
-    low, high = np.array(scene.bin.bounds).T
-    for case in range(1, scene.case_count + 1):
-        drive = grid.make_drive(scene, scene.parameters(case))
-        poses = drive.pose(times)
-        for pose in poses[[0, 80, 160, 240, 320]]:
-            if drive.machine is not None:
-                pose[1] = scene.bin.surface + drive.body.radius
-            points = bodies.sample_points(drive.body, pose)
-            assert (points > low + scene.bin.dx).all() and (points < high - scene.bin.dx).all()
 
 
 @pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)

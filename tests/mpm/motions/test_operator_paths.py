@@ -38,7 +38,7 @@ class Path(NamedTuple):
     def leans(self):
         """The range of its kind of tool, deg."""
         is_polygon = len(self.drive.body.outline) > 2
-        return (-5.0, 25.0) if is_polygon else (0.0, bodies.MAX_LEAN_DEG)
+        return operator_paths.BUCKET_LEANS if is_polygon else (0.0, bodies.MAX_LEAN_DEG)
 
 
 @pytest.fixture(scope='module', params=KINDS)
