@@ -21,7 +21,7 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
 from learning_to_simulate.live import starts
-from learning_to_simulate.native import exporting, library
+from learning_to_simulate.native import agreement, exporting, library
 from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
@@ -133,7 +133,7 @@ def _export(folder: str) -> None:
         flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
         quick = functools.partial(library.compile_flat, flags=flags)
         with (
-            mock.patch.object(exporting.comparing, 'graph', return_value={'skipped': 'here'}),
+            mock.patch.object(agreement, 'of_project', return_value={'skipped': 'here'}),
             mock.patch.object(library, 'compile_flat', quick),
         ):
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')

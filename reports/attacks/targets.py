@@ -109,8 +109,10 @@ def _trajectories():
     types = np.array([0] * R + [6] * MODES)
     return [
         dataset.Trajectory(
-            key, types, rng.random((FRAMES, R + MODES, 3), np.float32),
-            rng.random((FRAMES, 3), np.float32), np.full((FRAMES, 1), 9.8, np.float32),
+            key=key, particle_type=types,
+            position=rng.random((FRAMES, R + MODES, 3), np.float32),
+            force=rng.random((FRAMES, 3), np.float32),
+            step_context=np.full((FRAMES, 1), 9.8, np.float32),
         )
         for key in range(2)
     ]  # fmt: skip

@@ -94,7 +94,7 @@ def test_soil_that_leaves_the_training_runs_is_told_of_before_the_page_stops(mon
     low, high = shown.model.model.simulator.statistics.position_range
     monkeypatch.setattr(session, 'FAR', 0.6)
     last = run(shown, 30)[-1]
-    modes = shown._live._stepper._last.modes
+    modes = shown._live._last.modes
     far = np.abs(2 * modes - (low + high)[1:])[:, 0] / (high - low)[1:, 0]
     assert far.max() > 0.6 and last.lamp == OUTSIDE
     assert last.reason.startswith('the soil has moved') and 'at 2 times' in last.reason
