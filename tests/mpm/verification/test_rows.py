@@ -69,4 +69,4 @@ def test_record_holds_rows_that_the_command_makes():
     """The README shows the record as it is (`tests/test_documents.py`)."""
     made = list(verify.rows_of('raw'))
     kept = Table(str(ROOT / 'mpm' / 'verification' / 'verify.json')).entries
-    assert list(kept) == [name for name in made if name in kept]
+    assert kept and set(kept) <= set(made)
