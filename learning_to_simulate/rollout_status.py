@@ -147,7 +147,7 @@ class Ranges:
           torque: [D], N m, or None.
           body, before: [R, D], m, the body as it was given in this frame and in the one before;
             None where its motion is predicted.
-          context: [C] in this frame, or None where it is that of before.
+          context: [C] in this frame, or None where it is that of the last frame.
         """
         predicted = self._predicted(frame, position, force, torque)
         if predicted is not OK:

@@ -248,7 +248,7 @@ class Start:
 
     Attributes:
       index: which of the starts was chosen.
-      is_case: whether its case was asked for, whose bed it then is.
+      is_case: whether the caller named the case; then the bed is that of the case.
       body, kept: particles of the body in its own frame, and which are nodes.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
@@ -325,7 +325,7 @@ class Start:
 
 
 class RecordedStart:
-    """A start from recorded frames, whose body is told by its particles and not by a pose.
+    """A start from recorded frames, whose body is given by its particles, not by a pose.
 
     Args:
       scene: of the model.

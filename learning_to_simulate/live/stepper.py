@@ -31,8 +31,8 @@ class Frame(NamedTuple):
       torque: [D] on the body about its reference point, N m, where the model predicts one.
       bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
         None where the model was not calibrated.
-      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where it is told
-        by particles alone.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the
+        body is given by its particles.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       judgement: how far the rollout can be trusted up to this frame: the worst since the start,
         with the frame in which it began and the reason.

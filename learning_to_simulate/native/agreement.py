@@ -1,9 +1,8 @@
 """Compares models in C with the same models by TensorFlow: of an exported project over a recorded
 run, and over whole test runs, every frame, run by run.
 
-How much of a difference of a model in a subspace is round-off that the model makes larger is told
-by a third rollout: that of TensorFlow from a start in which every coordinate is one unit of
-float32's last place higher.
+A model in a subspace makes round-off larger. A third rollout shows by how much: that of TensorFlow
+from a start in which every coordinate is one unit of float32's last place higher.
 
 Example:
   python -m learning_to_simulate.native.agreement --output=build/agreement.json \\

@@ -4,6 +4,7 @@ They are thin: what a user steps is a `live.stepper.Stepper` (`engines`). Here a
 so far that C survives them, and every call has the name that lts.h or lts_field.h gives it.
 """
 
+import abc
 import ctypes
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ class KernelLacks(ValueError):
     """This machine lacks the instructions of a kernel."""
 
 
-class CInstance:
+class CInstance(abc.ABC):
     """One run of a model, in memory of its own.
 
     Args:
@@ -172,9 +173,9 @@ class CInstance:
         reason += f'[{found.low:.4g}, {found.high:.4g}] of training'
         return Judgement(kind, found.frame, found.node, reason)
 
+    @abc.abstractmethod
     def _measure(self, found):
         """What left its range."""
-        raise NotImplementedError
 
     def save(self) -> bytes:
         """The state, for `load_state`."""

@@ -80,7 +80,7 @@ class CStep:
 
     def propose(self, body, displacement, context=None):
         """The next frame; arguments and results as of `live.engine.TfStep.propose`, the
-        displacement is not needed: the library knows the body of before."""
+        displacement is not needed: the library keeps the body of the last frame."""
         del displacement
         if self._is_proposed:
             self._soil.copy_state(self._before)

@@ -18,7 +18,6 @@ Sources:
 
 import dataclasses
 import itertools
-import json
 import math
 import os
 import sys
@@ -37,7 +36,7 @@ from mpm.motions.grid import REST_FRAMES, under_load
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import convergence
-from mpm.versions import SOLVER_VERSION
+from mpm.verification.rows import read_kept
 from pca_tools.storage import markdown
 
 RIM_SPEED = 0.04  # m/s
@@ -266,13 +265,7 @@ def draw(path: str, output: str) -> None:
 
 
 def _read(path) -> dict:
-    content = {'solver_version': SOLVER_VERSION}
-    if os.path.exists(path):
-        with open(path, encoding='utf-8') as file:
-            content = json.load(file)
-    if content.get('solver_version') != SOLVER_VERSION:
-        raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another')
-    return {'wheels': {}, 'balls': {}, 'records': {}} | content
+    return {'wheels': {}, 'balls': {}, 'records': {}} | read_kept(path)
 
 
 def make(path: str) -> None:

@@ -29,6 +29,7 @@ from mpm.constitutive import make_soil
 from mpm.motions import catalogue
 from mpm.simulation import Settings
 from mpm.verification.density import moved_density
+from mpm.verification.rows import read_kept
 from mpm.verification.surfaces import surface
 from mpm.versions import SOLVER_VERSION
 from pca_tools.storage import markdown
@@ -268,13 +269,7 @@ def draw(path: str, output: str) -> None:
 
 
 def _read(path) -> dict:
-    if not os.path.exists(path):
-        return {}
-    with open(path, encoding='utf-8') as file:
-        content = json.load(file)
-    if content.get('solver_version') != SOLVER_VERSION:
-        raise ValueError(f'{path} is not a ladder of solver version {SOLVER_VERSION}; name another')
-    return content['cases']
+    return read_kept(path).get('cases', {})
 
 
 def _write(path, content) -> None:

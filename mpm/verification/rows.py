@@ -40,6 +40,21 @@ def reported(name: str, figure: float, note: str) -> Check:
     return Check(name, figure, None, 0.0, note)
 
 
+def read_kept(path: str) -> dict:
+    """Returns what a report keeps in a JSON file; without a file nothing but the version.
+
+    Raises:
+        ValueError: the file is no JSON, or of another version of the solver.
+    """
+    if not os.path.exists(path):
+        return {'solver_version': SOLVER_VERSION}
+    with open(path, encoding='utf-8') as file:
+        content = json.load(file)
+    if not isinstance(content, dict) or content.get('solver_version') != SOLVER_VERSION:
+        raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another file')
+    return content
+
+
 class Table:
     """Checks by the name of what made them, written to a file after each.
 

@@ -221,7 +221,7 @@ def wheel_slip(raw_path: str) -> list[Check]:
 
 
 PRESS_SPEEDS = (0.01, 0.04, 0.16)  # m/s
-PRESS_FROM, PRESS_BAND = 0.016, (0.012, 0.016)  # m: above the bed, and depths whose force counts
+PRESS_FROM, PRESS_BAND = 0.004, (0.012, 0.016)  # m: above the bed, and depths whose force counts
 FREE_MASS = 20.0  # kg
 
 
@@ -245,9 +245,9 @@ def press_rate() -> list[Check]:
     """Dry soil answers a press as strongly when it is fast: F ~ v^n with n near 0."""
     forces = []
     for speed in PRESS_SPEEDS:
-        simulation = _upright_blade(lambda t, speed=speed: PRESS_FROM / 4 - speed * t)
+        simulation = _upright_blade(lambda t, speed=speed: PRESS_FROM - speed * t)
         seen = []
-        while (depth := (simulation.time * speed) - PRESS_FROM / 4) < PRESS_BAND[1]:
+        while (depth := (simulation.time * speed) - PRESS_FROM) < PRESS_BAND[1]:
             simulation.frame()
             quarters = depth + speed / scenes.FRAME_RATE * (np.arange(4) + 0.5) / 4
             is_in = (quarters >= PRESS_BAND[0]) & (quarters <= PRESS_BAND[1])

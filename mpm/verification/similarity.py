@@ -10,7 +10,6 @@ those of the ground truth (scaled with the tool), so that a run takes seconds.
 """
 
 import dataclasses
-import json
 import math
 import os
 import sys
@@ -26,6 +25,7 @@ from mpm.motions.drive import Drive
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import convergence
+from mpm.verification.rows import read_kept
 from mpm.versions import SOLVER_VERSION
 from pca_tools.storage import markdown
 
@@ -122,13 +122,7 @@ def table(path: str) -> str:
 
 
 def _read(path) -> dict:
-    if not os.path.exists(path):
-        return {}
-    with open(path, encoding='utf-8') as file:
-        content = json.load(file)
-    if content.get('solver_version') != SOLVER_VERSION:
-        raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another')
-    return content['worlds']
+    return read_kept(path).get('worlds', {})
 
 
 def define_flags():

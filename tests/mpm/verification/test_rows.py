@@ -6,7 +6,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from mpm import verify
+from mpm import verify, versions
+from mpm.verification import rows
 from mpm.verification.rows import Check, Table, reported
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
@@ -70,3 +71,12 @@ def test_record_holds_rows_that_the_command_makes():
     made = list(verify.rows_of('raw'))
     kept = Table(str(ROOT / 'mpm' / 'verification' / 'verify.json')).entries
     assert kept and set(kept) <= set(made)
+
+
+def test_reports_of_another_solver_are_refused(tmp_path):
+    path = tmp_path / 'ladder.json'
+    assert rows.read_kept(str(path)) == {'solver_version': versions.SOLVER_VERSION}
+    for text in ('{"solver_version": "4", "cases": {}}', '[]'):
+        path.write_text(text)
+        with pytest.raises(ValueError, match='is not of solver version'):
+            rows.read_kept(str(path))
