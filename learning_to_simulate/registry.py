@@ -1,7 +1,7 @@
 """The methods: what `--model` can be. The only list of them; nothing else asks for a name.
 
-A method is an entry of `METHODS` and the modules that it names, which are imported when they are
-needed: a look at the list loads no TensorFlow. The module of its `code` has three functions:
+The modules of a method are imported when they are needed: a look at the list loads no TensorFlow.
+The module of its `code` has three functions:
 
   train(data_path, model_path, config, options: TrainOptions) -> dict
       See `train` below. Leaves a model folder: `config.json` with `schema_version` and, under
@@ -10,7 +10,6 @@ needed: a look at the list loads no TensorFlow. The module of its `code` has thr
       A trained model with the runs of a split; refuses overrides {field: value} that contradict
       the model, and data that it does not fit.
   load(model_path) -> model
-      The model alone.
 
 Its settings are a frozen dataclass with the fields `preset` and `model`; `presets` lists those of
 all methods.
@@ -45,7 +44,7 @@ class Method:
         """Whether its models start from a bed at rest and take poses, live or as whole paths."""
         return self.code == _SUBSPACE or self.live is not None
 
-    def refuse_raw_path(self, raw_path: str | None) -> None:
+    def check_raw_path(self, raw_path: str | None) -> None:
         """Raises ValueError where raw runs are given to a method that takes records."""
         if raw_path and not self.takes_raw_runs:
             names = [name for name, method in METHODS.items() if method.takes_raw_runs]
@@ -98,17 +97,10 @@ class TrainOptions:
 _SUBSPACE = 'learning_to_simulate.subspace.method'
 _OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
-    'gns': Method(
-        'graph network on modes and body (Usmani & Skonieczny 2023)',
-        _SUBSPACE,
-    ),
-    'mlp': Method(
-        'plain MLP on the subspace state (Holden et al. 2019)',
-        _SUBSPACE,
-    ),
+    'gns': Method('graph network on modes and body (Usmani & Skonieczny 2023)', _SUBSPACE),
+    'mlp': Method('plain MLP on the subspace state (Holden et al. 2019)', _SUBSPACE),
     'mixer_se': Method(
-        'Motion-Mixer with squeeze-and-excitation (Bouazizi et al. 2022)',
-        _SUBSPACE,
+        'Motion-Mixer with squeeze-and-excitation (Bouazizi et al. 2022)', _SUBSPACE
     ),
     'mixer_scse': Method('Motion-Mixer with scSE', _SUBSPACE),
     'full_space': Method(
@@ -132,17 +124,6 @@ METHODS = {
 }
 
 
-def get(name: str) -> Method:
-    """The method of a name.
-
-    Raises:
-      ValueError: there is none of that name.
-    """
-    if name not in METHODS:
-        raise ValueError(f'unknown model {name!r}; there are {", ".join(METHODS)}')
-    return METHODS[name]
-
-
 def train(data_path: str, model_path: str, config, **options) -> dict:
     """Trains the method of `config` to its end, or goes on with a training, or finds it done.
 
@@ -161,8 +142,8 @@ def train(data_path: str, model_path: str, config, **options) -> dict:
       OSError: a file could not be read or written.
       SystemExit: with 130 after Ctrl-C, 143 after SIGTERM, where steps are saved on the way.
     """
-    method, how = get(config.model), TrainOptions(**options)
-    method.refuse_raw_path(how.raw_path)
+    method, how = METHODS[config.model], TrainOptions(**options)
+    method.check_raw_path(how.raw_path)
     return method.load_code().train(data_path, model_path, config, how)
 
 
@@ -175,7 +156,7 @@ def open_model(
 ) -> OpenedModel:
     """The model of any method with the runs of a split; see above."""
     method = of_folder(model_path)
-    method.refuse_raw_path(raw_path)
+    method.check_raw_path(raw_path)
     return method.load_code().open_model(model_path, data_path, split, overrides, raw_path)
 
 

@@ -21,7 +21,7 @@ from scipy import optimize
 from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool.axes import hidden_height, wheel_pose
+from learning_to_simulate.tool.axes import Axes, hidden_height, wheel_pose
 from learning_to_simulate.tool.wheel import CONTEXT
 
 RIM_FRICTION = 0.5
@@ -238,14 +238,16 @@ class WheelTerramechanics:
             )
         self.scene, self.axes, self.parameters = scene, axes, parameters
 
-    def parameters_to_json(self) -> dict:
-        """All but scene and axes, for `from_json`."""
-        return dataclasses.asdict(self.parameters)
+    def parts(self) -> tuple[dict, dict]:
+        """Values for JSON, and no arrays; `of_parts` is the inverse."""
+        both = {'axes': self.axes, 'parameters': self.parameters}
+        return {name: dataclasses.asdict(value) for name, value in both.items()}, {}
 
     @classmethod
-    def from_json(cls, values: dict, scene, axes) -> 'WheelTerramechanics':
-        """Rebuilds a method; raises TypeError or ValueError on foreign values."""
-        return cls(scene, axes, TerrainParameters(**{k: float(v) for k, v in values.items()}))
+    def of_parts(cls, values: dict, arrays: dict, scene) -> 'WheelTerramechanics':
+        """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
+        parameters = {k: float(v) for k, v in values['parameters'].items()}
+        return cls(scene, Axes(**values['axes']), TerrainParameters(**parameters))
 
     def drive(self, group, cases=None, stride: int = 1, n_bin: int = 160) -> WheelMotion:
         """`WheelMotion` [S, ceil(T / stride)] of the runs of a group."""
@@ -319,9 +321,7 @@ class WheelTerramechanics:
 
         start = [np.log(getattr(self.parameters, name)) for name in _FITTED]
         start.append(self.parameters.friction_exponent)
-        simplex = np.array(
-            [start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)]
-        )
+        simplex = np.array([start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)])
         found = optimize.minimize(
             error,
             start,

@@ -1,12 +1,11 @@
 """Where a body touches no soil it feels none: the share of its force that a body may show.
 
-A network that was never told where the soil ends shows a few newtons in the air. What the modes say
-of the surface does tell: its height at places along the way is nearly linear in their scores, and
-soil stands no steeper than a heap does. So the clearance of a body is one product and a minimum; it
-is a function of a frame alone, and every form of a model computes it alike.
+A network alone shows a few newtons in the air. The modes say where the soil ends: the height of the
+surface at places along the way is nearly linear in their scores, and soil stands no steeper than a
+heap does. So the clearance of a body is one product and a minimum, a function of a frame alone.
 
 It is fitted to the training runs, where some of them take the tool out of the soil, and is kept in
-the model's statistics. A model without it has no such share, and no operation for it.
+the model's statistics.
 """
 
 import dataclasses
@@ -51,17 +50,8 @@ class Contact:
 
     @classmethod
     def of_statistics(cls, contact, surface, scene) -> 'Contact':
-        """The reader of `to_statistics`.
-
-        Raises:
-          ValueError: shapes that do not fit the modes.
-        """
-        surface, width = np.asarray(surface, np.float32), 2 + 3 * scene.n_modes
-        if np.shape(contact) != (2,) or surface.ndim != 2 or surface.shape[1] != width:
-            raise ValueError(
-                f'the statistics contact and surface have shapes {np.shape(contact)} and '
-                f'{surface.shape}, (2,) and (P, {width}) were expected'
-            )
+        """The reader of `to_statistics`."""
+        surface = np.asarray(surface, np.float32)
         weights = surface[:, 2:].T.reshape(scene.n_modes, -1, len(surface))
         axis, clear = map(float, contact)
         return cls(int(axis), scene.up_axis, clear, surface[:, 0], surface[:, 1], weights)

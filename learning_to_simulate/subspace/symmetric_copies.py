@@ -1,13 +1,12 @@
-"""More runs out of symmetries of the bed: what moves along a flat bed, or is mirrored across the
-way, is a run as well.
+"""More runs out of symmetries of the bed: a run that is shifted along a flat bed, or mirrored
+across the way, is a run as well.
 
 A field of displacements that is shifted by d along the way moves the particle at x as the field
 moved the one at x - d. Displacements are linear in the scores, and so is the shift: with modes W
 [N, r] and weights S [N, N] that interpolate between the nearest particles, scores s counted from
-the resting bed become W^T S W s, a product with an [r, r] matrix. The same holds for the mirror,
-which also turns the sign of what points across. Bodies are moved exactly; walls do not move, so a
-body stays where bodies of training have been. The packing is random: a shift is true of what soil
-does on the whole and not of single particles, most of which the modes do not hold anyway.
+the resting bed become W^T S W s, a product with an [r, r] matrix. So does the mirror, which also
+turns the sign of what points across. Walls do not move, so a body stays where bodies of training
+have been. The packing is random: a shift is true of the soil as a whole, not of single particles.
 """
 
 import dataclasses

@@ -1,9 +1,9 @@
 """`WholeStateSimulator`: one frame from a network that takes the whole state at once, no graph: the
 MLP and the Motion-Mixers.
 
-Features, normalisation, integration, losses, noise, training and rollouts are those of
-`LearnedSimulator`; there are no edges and no node embeddings, because the place of a value in the
-input says whose it is. Such a network fits one number of rigid particles.
+All but the network is as of `LearnedSimulator`. There are no edges and no node embeddings, because
+the place of a value in the input says whose it is. Such a network fits one number of rigid
+particles.
 """
 
 import functools
@@ -63,36 +63,30 @@ class WholeStateSimulator(LearnedSimulator):
     def _decoded(self, state, known, context, layout):
         n_graph = state.offset.shape[0]
         view = features.View(self, state, known, context, layout)
-        # The place of a value says whose it is: no node needs a name.
         found = {
             f.name: features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
         }
-        velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
-        values = list(found.values())
-        values = [
-            tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
-            for v in values
-        ]
+        # [B, V, K D] of velocities -> [B, K, V D], a frame behind the other.
         count = self.config.velocity_inputs if self.config.state_inputs else 0
+        velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
         history = tf.reshape(velocities, [n_graph, layout.n_node, count, self.dim])
         history = tf.transpose(history, [0, 2, 1, 3])
         history = tf.reshape(history, [n_graph, count, layout.n_node * self.dim])
-        if not values:  # the published inputs without a context are the velocities alone
-            values = [tf.zeros([n_graph, 0])]
-        decoded = self._network(history, tf.concat(values, axis=-1))
-        body, n_row, n_mode = self._rigid_rows(), layout.n_rigid, self.scene.n_modes
-        size = (body + n_mode) * self.dim
-        load, decoded = decoded[:, size:], tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])
-        moved = decoded[:, :body]
-        if body != n_row:
-            moved = self._all_particles(moved, n_row)
-        target = tf.concat([moved, decoded[:, body:]], axis=1)
-        return target, load if self.scene.has_force else None
-
-    def _all_particles(self, body, n_rigid):
-        """The body's one row for all its particles; zeros where its motion is given."""
-        shape = [body.shape[0], n_rigid, self.dim]
-        return tf.broadcast_to(body, shape) if body.shape[1] else tf.zeros(shape)
+        # The published inputs without a context are the velocities alone.
+        others = [tf.zeros([n_graph, 0])]
+        for values in found.values():
+            flat = tf.reshape(values, [values.shape[0], -1])
+            others.append(tf.broadcast_to(flat, [n_graph, flat.shape[1]]))
+        decoded = self._network(history, tf.concat(others, axis=-1))
+        body, n = self._rigid_rows(), layout.n_rigid
+        size = (body + self.scene.n_modes) * self.dim
+        rows = tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])
+        moved = rows[:, :body]
+        if body != n:  # one row for all particles; zeros where the motion is given
+            shape = [n_graph, n, self.dim]
+            moved = tf.broadcast_to(moved, shape) if body else tf.zeros(shape)
+        target = tf.concat([moved, rows[:, body:]], axis=1)
+        return target, decoded[:, size:] if self.scene.has_force else None
 
 
 class StateMLP(snt.Module):
@@ -212,13 +206,13 @@ class MotionMixer(snt.Module):
         return self._output(tf.reshape(x, [x.shape[0], -1]))
 
 
+def _maker(make_network, **options):
+    return functools.partial(WholeStateSimulator, functools.partial(make_network, **options))
+
+
 # `TrainConfig.model` -> called with the arguments of `LearnedSimulator`, makes a simulator.
 SIMULATORS = {
-    'mlp': functools.partial(WholeStateSimulator, StateMLP),
-    'mixer_se': functools.partial(
-        WholeStateSimulator, functools.partial(MotionMixer, of_frames=False)
-    ),
-    'mixer_scse': functools.partial(
-        WholeStateSimulator, functools.partial(MotionMixer, of_frames=True)
-    ),
+    'mlp': _maker(StateMLP),
+    'mixer_se': _maker(MotionMixer, of_frames=False),
+    'mixer_scse': _maker(MotionMixer, of_frames=True),
 }

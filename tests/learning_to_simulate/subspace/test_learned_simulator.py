@@ -157,7 +157,7 @@ def test_message_passing_equals_graph_nets():
     senders, receivers = rng.integers(0, n_node, (2, n_edge)).astype(np.int32)
 
     def make():
-        return graph_network._mlp(width, 2)
+        return graph_network.mlp(width, 2)
 
     ours = graph_network._InteractionNetwork(make, 'processor')
     incidence = (np.arange(n_node)[:, None] == receivers).astype(np.float32)

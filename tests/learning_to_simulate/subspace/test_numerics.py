@@ -68,9 +68,10 @@ def test_one_step_loss_is_equation_13():
     expected = np.mean([((p - t)[2:] ** 2).sum() / 3 for p, t in zip(predicted, target)]) + np.mean(
         [((p - t) ** 2).sum() for p, t in zip(predicted_force, force)]
     )
-    values = trainer.one_step_loss(target, predicted, force, predicted_force, moving)
+    error, loads = (predicted - target)[:, None], (predicted_force[:, None], force[:, None])
+    values = trainer.training_loss(error, moving, *loads, [1.0])
     np.testing.assert_allclose(values['loss'], expected, rtol=1e-5)
-    without = trainer.one_step_loss(target, predicted, None, None, moving)
+    without = trainer.training_loss(error, moving, None, None, [])
     assert set(without) == {'loss', 'loss_mse'}
 
 
