@@ -60,10 +60,6 @@ class Trainer(GradientTraining):
             self.gates = EdgeGates(self.simulator.scene.n_modes)
         self._steps = {}
 
-    def is_gated(self, step: int) -> bool:
-        """Whether the edges are still being learned in training step `step`."""
-        return self.gates is not None and step < self.config.gate_steps
-
     def fix_edges(self, mode_mask) -> None:
         """Goes on with the edges of a bool [receiver, sender] mask [r, r]; the others leave."""
         self._model.fix_mode_edges(mode_mask)
@@ -73,7 +69,8 @@ class Trainer(GradientTraining):
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
         group = self._group_of(step)
-        key = group, step >= self.config.single_steps, self.is_gated(step)
+        is_gated = self.gates is not None and step < self.config.gate_steps
+        key = group, step >= self.config.single_steps, is_gated
         if key not in self._steps:
             self._steps[key] = self._compile(self._tensors[group], *key[1:])
         return self._steps[key](tf.constant(step, tf.int32))

@@ -53,7 +53,7 @@ class Case:
         loss = twin.unrolled_loss if unrolled else twin.single_loss
         config = self.model.simulator.config
         self.rate = UNROLLED_RATE if unrolled else config.learning_rate
-        self.loss = loss(twin.named(twin.weights), 0)
+        self.loss = loss(0)
         self.gradient = twin.gradient(loss, 0)
 
     def step(self, mutate=None):
@@ -192,7 +192,7 @@ def test_mistake_is_found(case, monkeypatch, mistake, name):
 def test_noise_is_as_large_as_the_config_says_and_never_on_the_body(case):
     """The walk itself: its last value has `noise_std` of each mode's own velocity."""
     twin = case('single step').twin
-    noise = twin.noise(0, 2000, 1.0)
+    noise = twin.noise(0, 2000)
     assert not noise[:, :, : twin.n].any()
     std = noise[:, -1, twin.n :].std(axis=0)
     np.testing.assert_allclose(std, 0.5 * twin.s.velocity_std[1:], rtol=0.1)
