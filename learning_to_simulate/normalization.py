@@ -157,23 +157,19 @@ class Statistics(Arrays):
         require(has_load or not predict_torque, 'predict_torque', predict_torque)
 
 
-def compute_statistics(
-    positions, forces, contexts, metadata, scene: Scene, config: TrainConfig, torques=None
-) -> Statistics:
+def compute_statistics(groups, metadata, scene: Scene, config: TrainConfig) -> Statistics:
     """Statistics of the training runs in float64.
 
     Args:
-      positions: list of float64 [S, T, V, D], one per rigid node count; the last r nodes are modes.
-      forces: list of [S, T, D], or None.
-      contexts: list of [S, C] or [S, T, C], or None; all of one kind.
+      groups: list of `RunGroup`; the last r nodes are modes.
       metadata: validated metadata; the published presets take their statistics from it.
       scene: the scene.
-      config: decides the family.
-      torques: list of [S, T, D], or None where the torque is not predicted.
+      config: decides the family, and whether the torque is predicted.
 
     Raises:
       ValueError: runs shorter than three frames, or a rate that is scaled with a body at rest.
     """
+    positions = [group.position for group in groups]
     if min(p.shape[1] for p in positions) < 3:  # for an acceleration, x_2 - 2 x_1 + x_0
         raise ValueError('statistics need at least three frames per run')
     r, up = scene.n_modes, scene.up_axis
@@ -213,15 +209,16 @@ def compute_statistics(
                 'runs'
             )
     if scene.context_names:
-        context = _rows(contexts)
+        context = _rows(_contexts(groups))
         values |= _of_context('context', context)
         if not config.is_published and (context > 0).all():
             values |= _of_context('log_context', np.log(context))
-    for name, load in (('force', forces if scene.has_force else None), ('torque', torques)):
-        if load is not None:
-            mean, std = _of_load(name, _rows(load), metadata, scene, config)
+    for name, is_there in (('force', scene.has_force), ('torque', config.predict_torque)):
+        if is_there:
+            load = _rows([getattr(group, name) for group in groups])
+            mean, std = _of_load(name, load, metadata, scene, config)
             values |= {f'{name}_mean': mean, f'{name}_std': std}
-    return Statistics(**values, **_ranges(positions, contexts, scene))
+    return Statistics(**values, **_ranges(groups, scene))
 
 
 def node_classes(n_rigid: int, n_modes: int) -> np.ndarray:
@@ -327,8 +324,20 @@ def _displacements(positions, origin, n_modes):
     return mean + origin[None, :] - origin[:, None], floored(std)
 
 
-def _ranges(positions, contexts, scene):
+def _contexts(groups):
+    """[..., C] of groups; where one changes in time, all count by frame."""
+    contexts = [group.context for group in groups]
+    if all(c.ndim == 2 for c in contexts):
+        return contexts
+    return [
+        np.broadcast_to(c if c.ndim == 3 else c[:, None], (*g.position.shape[:2], c.shape[-1]))
+        for c, g in zip(contexts, groups, strict=True)
+    ]
+
+
+def _ranges(groups, scene):
     """Least and greatest of what the training runs covered, whatever the model is."""
+    positions = [group.position for group in groups]
     classes = _by_class(positions, scene.n_modes)
     ends = [[f(samples, axis=0) for samples in classes] for f in (np.min, np.max)]
     found = {'position_range': np.stack(ends)}
@@ -347,5 +356,5 @@ def _ranges(positions, contexts, scene):
         add('body_extent', [np.ptp(body, axis=2) for body in bodies])
         add('body_speed', map(_speeds, moves))
     if scene.context_names:
-        add('context', contexts)
+        add('context', _contexts(groups))
     return found

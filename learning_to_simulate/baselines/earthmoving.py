@@ -28,25 +28,17 @@ _BETA = np.radians(np.linspace(5.0, 60.0, 111))
 
 @dataclasses.dataclass(frozen=True)
 class BladeGeometry:
-    """The solver's blade, in its own axes.
+    """The solver's blade, in its own axes, m."""
 
-    Attributes:
-      along: from the lowest row of its particles up the face to the middle of the round edge, m.
-      behind: from the face back to it, m.
-      radius: of the edge, m.
-      points_width: extent of the row across, m, and `width`, m, of the blade that it stands for:
-        blades of other widths have their points in proportion.
-      height: of the blade, m.
-      friction: between blade and soil.
-    """
-
-    along: float = 0.0115
-    behind: float = EDGE_RADIUS
-    radius: float = EDGE_RADIUS
+    along: float = 0.0115  # from the lowest row of its particles up the face to the edge's middle
+    behind: float = EDGE_RADIUS  # from the face back to the edge's middle
+    radius: float = EDGE_RADIUS  # of the round edge
+    # Extent of the row across, and width of the blade that it stands for: blades of other widths
+    # have their points in proportion.
     points_width: float = 0.4
     width: float = 0.457
-    height: float = 0.305
-    friction: float = 0.3
+    height: float = 0.305  # of the face
+    friction: float = 0.3  # between blade and soil
 
     def edge(self, row, lean):
         """Middle of the edge [..., 2] for rows [..., 2] (u, y) at a lean [...] (rad), m."""
@@ -62,23 +54,14 @@ BLADE = BladeGeometry()
 
 @dataclasses.dataclass(frozen=True)
 class BladeSoil:
-    """What the equation needs to know of soil and blade.
+    """What the equation needs to know of soil and blade."""
 
-    Attributes:
-      unit_weight: density x gravity, N/m3.
-      friction_angle: phi of the soil, rad.
-      wall_angle: delta between soil and blade, rad.
-      repose_angle: of the heap, rad.
-      width: of the blade, m.
-      height: of its face, m; a heap is no higher.
-    """
-
-    unit_weight: float
-    friction_angle: float
-    wall_angle: float
-    repose_angle: float
-    width: float
-    height: float = BLADE.height
+    unit_weight: float  # density x gravity, N/m3
+    friction_angle: float  # phi of the soil, rad
+    wall_angle: float  # delta between soil and blade, rad
+    repose_angle: float  # of the heap, rad
+    width: float  # of the blade, m
+    height: float = BLADE.height  # of its face, m; a heap is no higher
 
     @classmethod
     def of_case(cls, case: dict, gravity: float, width: float) -> 'BladeSoil':

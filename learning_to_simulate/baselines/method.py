@@ -179,14 +179,8 @@ def train(data_path, model_path, config, options) -> dict:
 
 def _save(path, config, scene, method, groups, metadata, data):
     """Writes the model folder, config.json last: it says that the rest is there."""
-    statistics = normalization.compute_statistics(
-        [g.position for g in groups],
-        [g.force for g in groups],
-        reading_utils.contexts_by_frame(groups),
-        metadata,
-        scene,
-        presets.PRESETS['pcg'],
-    )
+    usual = presets.PRESETS['pcg']
+    statistics = normalization.compute_statistics(groups, metadata, scene, usual)
     values, arrays = method.parts()
     if arrays:
         files.write_npz(os.path.join(path, ARRAYS_FILE), **arrays)

@@ -13,29 +13,20 @@ import tensorflow as tf
 
 
 class MlpWeights(NamedTuple):
-    """Variables of one MLP.
+    """Variables of one MLP."""
 
-    Attributes:
-      layers: (w [in, out], b [out]) of each linear layer, the last one without ReLU.
-      scale, offset: of the LayerNorm behind it, [out]; None for the decoder.
-    """
-
-    layers: tuple
-    scale: tf.Variable | None
+    layers: tuple  # (w [in, out], b [out]) of each linear layer, the last one without ReLU
+    scale: tf.Variable | None  # of the LayerNorm behind it, [out]; None for the decoder
     offset: tf.Variable | None
 
 
 class NetworkWeights(NamedTuple):
-    """Variables of the whole network by their role.
-
-    Attributes:
-      node_encoder, edge_encoder, decoder: `MlpWeights`.
-      processors: per message-passing step (edge model, node model); the first layer of an edge
-        model acts on [edge, receiver, sender], that of a node model on [received, node].
-    """
+    """Variables of the whole network by their role."""
 
     node_encoder: MlpWeights
     edge_encoder: MlpWeights
+    # Per message-passing step (edge model, node model); the first layer of an edge model acts on
+    # [edge, receiver, sender], that of a node model on [received, node].
     processors: tuple
     decoder: MlpWeights
 
@@ -129,14 +120,9 @@ class EncodeProcessDecode(snt.Module):
     """
 
     def __init__(
-        self,
-        latent_size,
-        hidden_layers,
-        message_passing_steps,
-        output_size,
-        mean_aggregation,
+        self, latent_size, hidden_layers, message_passing_steps, output_size, mean_aggregation,
         name=None,
-    ):
+    ):  # fmt: skip
         super().__init__(name=name)
 
         def make():

@@ -41,24 +41,14 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
     driven = rigid_motion is None and scene.rigid_motion == RigidMotion.DRIVEN
     if config.predict_driven_body and driven:
         scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
-    torques = None
     if config.predict_torque:
         scene.check_one_body('predict_torque')
-        torques = [g.torque for g in groups]
         stated = scene.has_force and 'rigid_body_torque_mean' in metadata
-        if not stated or any(torque is None for torque in torques):
+        if not stated or any(g.torque is None for g in groups):
             raise ValueError(
                 f'predict_torque: {data_path} does not hold force and torque of every training run'
             )
-    statistics = normalization.compute_statistics(
-        [g.position for g in groups],
-        [g.force for g in groups],
-        reading_utils.contexts_by_frame(groups),
-        metadata,
-        scene,
-        config,
-        torques,
-    )
+    statistics = normalization.compute_statistics(groups, metadata, scene, config)
     further = {}
     if config.path_inputs:
         memory = _path_memory(data_path, metadata, groups, scene)

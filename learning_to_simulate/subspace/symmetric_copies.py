@@ -10,6 +10,7 @@ have been. The packing is random: a shift is true of the soil as a whole, not of
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from scipy import spatial
@@ -23,19 +24,12 @@ LARGEST_SHIFT = 0.3  # m
 SHIFTS = 32  # different ones of a training; each costs a product with all particles
 
 
-@dataclasses.dataclass(frozen=True)
-class Shift:
-    """A shift along the way, with the mirror or not.
+class Shift(NamedTuple):
+    """A shift along the way, with the mirror or not."""
 
-    Attributes:
-      distance: m along the axis of travel.
-      is_mirrored: whether it is mirrored across the way as well.
-      matrix: float64 [r, r], of scores counted from the resting bed.
-    """
-
-    distance: float
-    is_mirrored: bool
-    matrix: np.ndarray
+    distance: float  # m along the axis of travel
+    is_mirrored: bool  # across the way as well
+    matrix: np.ndarray  # float64 [r, r], of scores counted from the resting bed
 
 
 def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> Shift:

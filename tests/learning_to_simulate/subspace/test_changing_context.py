@@ -11,7 +11,7 @@ from learning_to_simulate import rollout_status
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CSubspace
-from learning_to_simulate.reading_utils import contexts_by_frame
+from learning_to_simulate.normalization import compute_statistics
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.subspace.trainer import Trainer
 from tests.learning_to_simulate import models
@@ -35,10 +35,15 @@ def test_groups_hold_it_by_frame_and_what_is_constant_once(tmp_path, made):
     _, group = made
     assert group.context.shape == (*group.position.shape[:2], 2)
     np.testing.assert_array_equal(group.context_at(9), group.context[:, 9])
-    _, (constant,), _ = models.make(tmp_path, motion='driven', context=True)
+    model, (constant,), metadata = models.make(tmp_path, motion='driven', context=True)
     assert constant.context.shape == (len(constant.position), 2)
-    assert [c.ndim for c in contexts_by_frame([group, constant])] == [3, 3]
-    assert contexts_by_frame([constant]) == [constant.context]
+    # Side by side both count by frame.
+    s = compute_statistics(
+        [group, constant], metadata, model.simulator.scene, model.simulator.config
+    )
+    by_frame = np.repeat(constant.context, group.position.shape[1], axis=0)
+    both = np.concatenate([group.context.reshape(-1, 2), by_frame])
+    np.testing.assert_allclose(s.context_mean, both.mean(axis=0))
 
 
 def test_statistics_are_those_of_all_frames(made):
