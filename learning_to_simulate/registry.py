@@ -25,19 +25,12 @@ from learning_to_simulate import checkpoints, command
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """How a method is reached, and what of the shared settings it has a use for.
+    """How a method is reached, and what of the shared settings it has a use for."""
 
-    Attributes:
-      about: one line for `--help`.
-      code: module with `train`, `open_model` and `load`.
-      takes_raw_runs: whether it reads raw runs of a dataset (`raw_path`), not records alone.
-      live: module of its engine for live use; None: that of models in the subspace.
-    """
-
-    about: str
-    code: str
-    live: str | None = None
-    takes_raw_runs: bool = False
+    about: str  # one line for `--help`
+    code: str  # module with `train`, `open_model` and `load`
+    live: str | None = None  # module of its engine for live use; None: of models in the subspace
+    takes_raw_runs: bool = False  # of a dataset (`raw_path`), not records alone
 
     @property
     def steps(self) -> bool:
@@ -60,38 +53,23 @@ class Method:
 
 @dataclasses.dataclass
 class OpenedModel:
-    """A trained model with the runs that it is judged on.
+    """A trained model with the runs that it is judged on."""
 
-    Attributes:
-      model: of the method's `load`.
-      groups: list of `RunGroup`.
-      metadata: of the dataset.
-      evaluator: `run(groups, split, progress) -> (results, summary)`, as `evaluation.Evaluator`.
-      one_step_errors: called without arguments it gives {name: error} of single steps.
-    """
-
-    model: Any
-    groups: list
-    metadata: dict
-    evaluator: Any
-    one_step_errors: Any
+    model: Any  # of the method's `load`
+    groups: list  # of `RunGroup`
+    metadata: dict  # of the dataset
+    evaluator: Any  # as `evaluation.Evaluator`: `run(groups, split, progress)`
+    one_step_errors: Any  # called without arguments it gives {name: error} of single steps
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
-    """How a training is run, beside what is trained.
+    """How a training is run, beside what is trained."""
 
-    Attributes:
-      rigid_motion: override of the scene's, or None.
-      save_every: steps between checkpoints; None for a tenth of all.
-      take_over_lock: whether a lock that a process of another machine left may be taken.
-      raw_path: raw runs of the dataset, for models on particles; None to decode its records.
-    """
-
-    rigid_motion: str | None = None
-    save_every: int | None = None
-    take_over_lock: bool = False
-    raw_path: str | None = None
+    rigid_motion: str | None = None  # override of the scene's
+    save_every: int | None = None  # steps between checkpoints; None for a tenth of all
+    take_over_lock: bool = False  # that a process of another machine left
+    raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'

@@ -48,24 +48,16 @@ PROFILE_BINS = 15
 
 @dataclasses.dataclass(frozen=True)
 class PathInputs:
-    """Reads the inputs of a scene's runs.
-
-    Attributes:
-      scene: what exists.
-      axes: of the training runs.
-      surface: height of the resting bed, m.
-      reach: [2] smallest and largest travel of the training runs from their start, m; the profile
-        of `swept` is spread over it.
-      places: [2] smallest and largest place along the way of the training runs, m; of `bed`.
-      grid: bins of the swept profile.
-    """
+    """Reads the inputs of a scene's runs."""
 
     scene: Scene
-    axes: Axes
-    surface: float
+    axes: Axes  # of the training runs
+    surface: float  # height of the resting bed, m
+    # Smallest and largest travel of the training runs from their start, over which the profile of
+    # `swept` is spread, and place along the way, for `bed`, m.
     reach: tuple[float, float]
     places: tuple[float, float]
-    grid: swept.SweptGrid
+    grid: swept.SweptGrid  # bins of the swept profile
 
     @classmethod
     def of(cls, groups, scene: Scene, surface=None) -> 'PathInputs':
@@ -171,28 +163,17 @@ class PathInputs:
 
 @dataclasses.dataclass(frozen=True)
 class Regression:
-    """A fitted kernel ridge: y(x) = offset + sum_i dual_i k(x', x'_i), x' = (x - shift) / scale.
+    """A fitted kernel ridge: y(x) = offset + sum_i dual_i k(x', x'_i), x' = (x - shift) / scale."""
 
-    Attributes:
-      inputs: which inputs it sees, a name of `SETS`.
-      gamma: width of the kernel on scaled inputs, 1 / (2 length²).
-      alpha: ridge.
-      kernel: a name of `KERNELS`.
-      shift, scale: [I].
-      samples: [n, I] scaled inputs of training.
-      dual: [n, O].
-      offset: [O], the mean of training; None where the output is the change since the last given
-        frame.
-    """
-
-    inputs: str
-    gamma: float
-    alpha: float
-    kernel: str
-    shift: np.ndarray
-    scale: np.ndarray
-    samples: np.ndarray
-    dual: np.ndarray
+    inputs: str  # which inputs it sees, a name of `SETS`
+    gamma: float  # width of the kernel on scaled inputs, 1 / (2 length²)
+    alpha: float  # ridge
+    kernel: str  # a name of `KERNELS`
+    shift: np.ndarray  # [I]
+    scale: np.ndarray  # [I]
+    samples: np.ndarray  # [n, I] scaled inputs of training
+    dual: np.ndarray  # [n, O]
+    # [O], the mean of training; None where the output is the change since the last given frame.
     offset: np.ndarray | None = None
 
     @classmethod

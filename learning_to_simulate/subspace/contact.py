@@ -31,22 +31,14 @@ RIDGE = 1e-4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contact:
-    """Reads the clearance of a body from its particles and the modes.
+    """Reads the clearance of a body from its particles and the modes."""
 
-    Attributes:
-      axis, up: of the way, and against gravity.
-      clear: m, the clearance from which the force fades; after `RAMP` more it is exactly 0.
-      places: float32 [P], m, along the way.
-      heights: float32 [P], m, of the surface at the modes' origin.
-      weights: float32 [r, D, P], its change with their offsets.
-    """
-
-    axis: int
-    up: int
-    clear: float
-    places: np.ndarray
-    heights: np.ndarray
-    weights: np.ndarray
+    axis: int  # of the way
+    up: int  # against gravity
+    clear: float  # m, the clearance from which the force fades; after `RAMP` more it is exactly 0
+    places: np.ndarray  # float32 [P], m, along the way
+    heights: np.ndarray  # float32 [P], m, of the surface at the modes' origin
+    weights: np.ndarray  # float32 [r, D, P], its change with their offsets
 
     @classmethod
     def of_statistics(cls, contact, surface, scene) -> 'Contact':

@@ -43,30 +43,20 @@ def data_digests(data_path: str) -> dict[str, str]:
 class EdgeList:
     """Directed edges between V named nodes.
 
-    Attributes:
-      mask: bool [V, V], entry [receiver, sender].
-      node_names: V different names.
-      probabilities: float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method
-        has none.
-      method: one of `METHODS`.
-      threshold: edges have a probability above it; None where a number of edges was asked for.
-      digests: sha256 of `model` (None for correlation) and of the `DATA_FILES` it was found on.
-      degenerate: 'empty' or 'saturated' where that was allowed, else None.
-      report: what the method has to say about itself (spread over runs, entropy); free JSON.
-
     Raises:
       ValueError: on construction, for a field of the wrong kind, or a graph that is empty or
         saturated without saying so.
     """
 
-    mask: np.ndarray
-    node_names: tuple[str, ...]
+    mask: np.ndarray  # bool [V, V], entry [receiver, sender]
+    node_names: tuple[str, ...]  # V different names
+    # float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method has none.
     probabilities: np.ndarray
-    method: str
-    threshold: float | None
-    digests: dict[str, str | None]
-    degenerate: str | None = None
-    report: dict[str, Any] = dataclasses.field(default_factory=dict)
+    method: str  # one of `METHODS`
+    threshold: float | None  # edges lie above it; None where a number of edges was asked for
+    digests: dict[str, str | None]  # sha256 of `model` and of the `DATA_FILES` it was found on
+    degenerate: str | None = None  # 'empty' or 'saturated' where that was allowed
+    report: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the method; free JSON
 
     def __post_init__(self):
         n = len(self.node_names)
@@ -246,17 +236,11 @@ def read_mask(path: str) -> np.ndarray:
 
 
 class ModeEdges(NamedTuple):
-    """The part of the graph that a config leaves to data.
+    """The part of the graph that a config leaves to data."""
 
-    Attributes:
-      mode_mask: bool [r, r], to be completed by Algorithm 2; None for the two others.
-      loaded_mask: bool [V, V], used as it is; None if there is none.
-      source: where the edges come from, for the log and config.json.
-    """
-
-    mode_mask: np.ndarray | None
-    loaded_mask: np.ndarray | None
-    source: str
+    mode_mask: np.ndarray | None  # bool [r, r], to be completed by Algorithm 2
+    loaded_mask: np.ndarray | None  # bool [V, V], used as it is
+    source: str  # where the edges come from, for the log and config.json
 
 
 def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:

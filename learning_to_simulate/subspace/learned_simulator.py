@@ -25,15 +25,10 @@ RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own moti
 
 
 class SimulatorState(NamedTuple):
-    """State of B graphs.
+    """State of B graphs."""
 
-    Attributes:
-      offset: float32 [B, V, D], position minus origin, m.
-      velocity: float32 [B, V, H - 1, D], displacement of the last H - 1 frames, newest last.
-    """
-
-    offset: tf.Tensor
-    velocity: tf.Tensor
+    offset: tf.Tensor  # float32 [B, V, D], position minus origin, m
+    velocity: tf.Tensor  # float32 [B, V, H - 1, D], of the last frames, m/frame, newest last
 
 
 class Layout:

@@ -14,16 +14,12 @@ class KnownMotion(NamedTuple):
 
     Where the motion is driven, the up component holds the shape only: its mean over the R particles
     is 0, and the predicted height is added to it.
-
-    Attributes:
-      offset: float32 [B, R, D], m.
-      velocity: float32 [B, R, D], m/frame.
-      path: float32 [B, P], `path_memory` of the coming frame, for models that have it as an input.
-      start: float32 [B, r, D], offset of the modes in the last given frame, m, for the same.
     """
 
-    offset: tf.Tensor
-    velocity: tf.Tensor
+    offset: tf.Tensor  # float32 [B, R, D], m
+    velocity: tf.Tensor  # float32 [B, R, D], m/frame
+    # For models that have the path as an input: `path_memory` of the coming frame, float32 [B, P],
+    # and the offset of the modes in the last given frame, float32 [B, r, D], m.
     path: tf.Tensor | None = None
     start: tf.Tensor | None = None
 

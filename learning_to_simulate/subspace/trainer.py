@@ -212,22 +212,14 @@ class Trainer(GradientTraining):
 
 
 class Windows(NamedTuple):
-    """B windows of K frames.
+    """B windows of K frames."""
 
-    Attributes:
-      offset, velocity: [B, K, V, D].
-      load: [B, K, F], normalised, or None.
-      context: called with a frame of the windows it gives [B, C] or None.
-      load_weights: for each load [B], see `training_loss`.
-      path, start: [B, K, P] and [B, r, D] of `KnownMotion`, or None.
-    """
-
-    offset: tf.Tensor
-    velocity: tf.Tensor
-    load: tf.Tensor | None
-    context: Callable
-    load_weights: list
-    path: tf.Tensor | None
+    offset: tf.Tensor  # [B, K, V, D]
+    velocity: tf.Tensor  # [B, K, V, D]
+    load: tf.Tensor | None  # [B, K, F], normalised
+    context: Callable  # called with a frame of the windows it gives [B, C] or None
+    load_weights: list  # for each load [B], see `training_loss`
+    path: tf.Tensor | None  # [B, K, P] and [B, r, D] of `KnownMotion`
     start: tf.Tensor | None
 
 
