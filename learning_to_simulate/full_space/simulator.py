@@ -110,16 +110,8 @@ def typical_radius(soil) -> float:
 
 
 def neighbour_list(position, radius: float, n_rigid: int):
-    """Edges between particles within the radius, both ways; no self-edges, none within the body.
-
-    Args:
-      position: [V, D], m.
-      radius: m.
-      n_rigid: R, the first particles.
-
-    Returns:
-      senders, receivers: int32 [E].
-    """
+    """Senders and receivers, int32 [E], of the edges between particles [V, D] within the radius, m,
+    both ways; no self-edges, none within the body of the first R particles."""
     pairs = cKDTree(position).query_pairs(radius, output_type='ndarray')
     pairs = pairs[(pairs >= n_rigid).any(axis=1)].astype(np.int32)
     return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])
@@ -226,8 +218,7 @@ class ParticleSimulator(snt.Module):
         return without_height(displacement, self.scene.up_axis)
 
     def decode(self, nodes, edges, senders, receivers):
-        """Normalised outputs of the network, differentiable: values of each node [V, D], forces of
-        each node [V, D] or None."""
+        """Normalised values and forces (or None) of each node [V, D]; differentiable."""
         decoded = self._compiled(nodes, edges, senders, receivers)
         return decoded[:, : self.dim], decoded[:, self.dim :] if self.scene.has_force else None
 
@@ -272,14 +263,8 @@ def history_of(group, run: int, end: int):
 
 
 class ParticleNetwork(snt.Module):
-    """Encoder, M residual interaction networks, node decoder (Sanchez-Gonzalez et al. 2020).
-
-    Args:
-      latent_size: L.
-      hidden_layers: ReLU layers per MLP.
-      message_passing_steps: M.
-      output_size: values per node.
-    """
+    """Encoder, M residual interaction networks, node decoder (Sanchez-Gonzalez et al. 2020); sizes
+    as of `graph_network.EncodeProcessDecode`, whose messages it sums by receiver."""
 
     def __init__(self, latent_size, hidden_layers, message_passing_steps, output_size, name=None):
         super().__init__(name=name)
@@ -294,16 +279,8 @@ class ParticleNetwork(snt.Module):
         self._decode = snt.nets.MLP([latent_size] * hidden_layers + [output_size], name='decode')
 
     def __call__(self, nodes, edges, senders, receivers):
-        """Runs the network on one graph, or on several side by side.
-
-        Args:
-          nodes: float32 [V, F].
-          edges: float32 [E, G].
-          senders, receivers: int32 [E].
-
-        Returns:
-          float32 [V, output_size].
-        """
+        """float32 [V, output_size] of one graph, or of several side by side: nodes float32 [V, F],
+        edges float32 [E, G], senders and receivers int32 [E]."""
         nodes, edges = self._encode_nodes(nodes), self._encode_edges(edges)
         for edge_model, node_model in zip(self._edge_models, self._node_models, strict=True):
             ends = [edges, tf.gather(nodes, receivers), tf.gather(nodes, senders)]

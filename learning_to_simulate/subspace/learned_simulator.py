@@ -148,7 +148,7 @@ class LearnedSimulator(snt.Module):
 
     @property
     def network(self) -> graph_network.EncodeProcessDecode:
-        """The graph network, for code that rewrites it."""
+        """The graph network."""
         return self._network
 
     @property

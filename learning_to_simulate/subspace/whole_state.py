@@ -95,10 +95,6 @@ class StateMLP(snt.Module):
     After Holden et al. 2019 (Subspace Neural Physics, SCA): the scores of all modes, their
     velocities and the motion of the body go in, the next displacement of all modes and the force
     come out.
-
-    Args:
-      config: `TrainConfig`.
-      output_size: values of the output.
     """
 
     def __init__(self, config, output_size, name='state_mlp'):
@@ -122,10 +118,6 @@ class Excitation(snt.Module):
     Channels: sigmoid(W2 relu(W1 mean over frames)), one gate per channel (Hu et al. 2018, eq. 2-4).
     Frames: sigmoid(w . x_t), one gate per frame; the two gated sequences are added (Roy et al.
     2018, eq. 3).
-
-    Args:
-      n_channel: C.
-      of_frames: whether frames are gated as well.
     """
 
     def __init__(self, n_channel, of_frames, name='excitation'):
@@ -172,15 +164,9 @@ class MotionMixer(snt.Module):
 
     After Bouazizi et al. 2022 (MotionMixer, IJCAI), whose poses of joints are here the velocities
     of modes and rigid particles. A block mixes the channels of every frame, then the frames of
-    every channel, each with a residual and an excitation: of the channels alone
-    (squeeze-and-excitation, Hu et al. 2018), or of channels and frames at once (scSE, Roy et al.
-    2018). What is known of the coming frame and has no history (positions, motion of the body,
-    context) is one more frame.
-
-    Args:
-      config: `TrainConfig`; `latent_size` channels, `hidden_layers` per mixing.
-      output_size: values of the output.
-      of_frames: scSE instead of SE.
+    every channel, each with a residual and an `Excitation` (with `of_frames` scSE instead of SE).
+    What is known of the coming frame and has no history (positions, motion of the body, context) is
+    one more frame. There are `latent_size` channels and `hidden_layers` per mixing.
     """
 
     def __init__(self, config, output_size, of_frames, name='motion_mixer'):

@@ -51,7 +51,7 @@ def fitted(tmp_path_factory):
 def test_it_finds_what_the_path_decides(fitted, motion):
     method, scene, group = fitted(motion)
     prediction, truth = method.predict(group), group.position[:, H:]
-    still, n = open_loop.persistence(group, scene).position, group.n_rigid
+    still, n = open_loop.held_position(group, scene), group.n_rigid
     ours, theirs = (
         metrics.soil_mse(p, truth, n, scene.n_soil).mean() for p in (prediction.position, still)
     )
