@@ -18,7 +18,7 @@ from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import graph_network
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
 
-NEIGHBOURS = 14  # the radius is the mean distance of so many-th neighbours in the first frames
+NEIGHBOURS = 14  # the radius is the mean distance of the 14th neighbours in the first frames
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

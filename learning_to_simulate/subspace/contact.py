@@ -22,8 +22,8 @@ SLOPE = 0.5  # m per m: soil so far away counts as so much lower
 RAMP = 0.005  # m of clearance over which the force fades
 # A force below this share of the root mean square one counts as none.
 NONE_BELOW = 0.01
-# Of the frames with a force, at most so many lie above the clearance that is found; a gate that no
-# such share of all frames is beyond would do nothing but harm.
+# Largest share of the frames with a force that lies above the clearance. A gate that a smaller
+# share of all frames than the second is beyond would do nothing but harm.
 LOST, LEAST_CLEAR = 0.001, 0.01
 STRIDE = 8  # of the training frames whose surface is looked at
 RIDGE = 1e-4

@@ -316,8 +316,8 @@ def training_loss(error, moving, load, true_load, load_weights) -> dict[str, tf.
     motion = tf.reduce_mean(tf.reduce_sum(error**2 * moving, axis=[2, 3]) * weight / n_moving)
     parts = {}
     if true_load is not None:
-        squares = tf.split((load - true_load) ** 2, len(load_weights), axis=-1)
-        for name, square, weight in zip(loads.NAMES, squares, load_weights, strict=False):
-            of_graph = tf.reduce_mean(tf.reduce_sum(square, axis=-1), axis=1)
-            parts[f'loss_{name}_mse'] = tf.reduce_mean(of_graph * weight)
+        of_loads = tf.split(load - true_load, len(load_weights), axis=-1)
+        for name, off, of_run in zip(loads.NAMES, of_loads, load_weights, strict=False):
+            of_graph = tf.reduce_mean(tf.reduce_sum(off**2, axis=-1), axis=1)
+            parts[f'loss_{name}_mse'] = tf.reduce_mean(of_graph * of_run)
     return {'loss': sum(parts.values(), motion), 'loss_mse': motion, **parts}

@@ -179,7 +179,7 @@ def _refuse_non_finite(losses, end, trainer, model_path):
     step = end - len(losses) + at
     raise ValueError(
         f'loss is {float(losses[at])} at step {step}, batch of (record, first frame) '
-        f'{trainer.batch_of(step)}; training stopped, the checkpoint of before stays in '
+        f'{trainer.batch_of(step)}; training stopped, the last checkpoint stays in '
         f'{model_path}'
     )
 

@@ -142,7 +142,7 @@ class TrainingState:
 
         Raises:
           ValueError: a variable is not finite; nothing is written.
-          OSError: the disk is full or the folder is gone; the checkpoints of before stay.
+          OSError: the disk is full or the folder is gone; older checkpoints stay.
         """
         bad = [v.name for v in self._variables if not np.isfinite(v.numpy()).all()]
         if bad:
@@ -162,7 +162,7 @@ class TrainingState:
             reason = getattr(error, 'message', None) or error
             raise OSError(
                 f'{self._path}: the checkpoint of step {step} could not be written ({reason}); '
-                'those of before stay'
+                'older ones stay'
             ) from error
         self._remove_old()
 
