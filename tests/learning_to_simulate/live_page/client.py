@@ -1,4 +1,4 @@
-"""`Client`: what a browser does on the wire, for the benchmark and the tests."""
+"""`Client`: what a browser does on the wire."""
 
 import threading
 import time
@@ -16,23 +16,13 @@ CAMERA = {
 }  # fmt: skip
 
 
-def decoded(data: bytes) -> list[dict]:
-    """The messages of a packet from the server; arrays are left as references."""
-    size = int.from_bytes(data[8:16], 'little')
-    return msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))['messages']
-
-
 class Client:
-    """A connection that reads, or one that is too slow to.
-
-    Args:
-      port: of the page.
-      reads: whether packets are read; if not, they pile up as with a browser that hangs.
+    """A connection that reads, or, as a browser that hangs, does not.
 
     Attributes:
       frames: updates of the soil that came.
-      received: bytes that came.
       gui: label -> id of sliders and buttons.
+      texts: HTML that came.
     """
 
     def __init__(self, port: int, reads: bool = True):
@@ -40,7 +30,7 @@ class Client:
             f'ws://localhost:{port}', subprotocols=[f'viser-v{viser.__version__}'],
             compression=None, max_size=None, max_queue=16 if reads else 1,
         )  # fmt: skip
-        self.frames, self.received, self.gui = 0, 0, {}
+        self.frames, self.gui, self.texts = 0, {}, []
         self.send(CAMERA)  # the server counts a client from its first camera on
         if reads:
             threading.Thread(target=self._read, daemon=True).start()
@@ -49,27 +39,20 @@ class Client:
         """Sends a message of viser's protocol."""
         self._socket.send(msgspec.msgpack.encode(message))
 
-    def slide(self, label: str, value: float) -> None:
-        """Moves a slider; raises KeyError where there is none of that label."""
+    def slide(self, label: str, value) -> None:
+        """Moves a slider, or chooses from a list."""
         update = {'uuid': self.gui[label], 'updates': {'value': value}}
         self.send({'type': 'GuiUpdateMessage', **update})
 
-    def drag(self, position, wxyz=(1.0, 0.0, 0.0, 0.0)) -> None:
+    def drag(self, position) -> None:
         """Holds the handle at a place; it is not let go."""
-        self.send({'type': 'TransformControlsDragStartMessage', 'name': '/handle'})
-        self.send(
-            {
-                'type': 'TransformControlsUpdateMessage', 'name': '/handle',
-                'position': tuple(map(float, position)), 'wxyz': tuple(map(float, wxyz)),
-            }
-        )  # fmt: skip
+        handle = {'name': '/handle'}
+        self.send({'type': 'TransformControlsDragStartMessage', **handle})
+        place = {'position': tuple(map(float, position)), 'wxyz': (1.0, 0.0, 0.0, 0.0)}
+        self.send({'type': 'TransformControlsUpdateMessage', **handle, **place})
 
-    def wait(self, condition, seconds: float = 60.0) -> None:
-        """Waits until `condition()` holds.
-
-        Raises:
-          TimeoutError: it did not.
-        """
+    def wait(self, condition, seconds: float = 120.0) -> None:
+        """Waits until `condition()` holds; raises TimeoutError where it does not."""
         end = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > end:
@@ -83,11 +66,13 @@ class Client:
     def _read(self):
         try:
             for data in self._socket:
-                self.received += len(data)
-                for message in decoded(data):
-                    if message.get('name') == '/soil' and 'points' in message.get('updates', {}):
-                        self.frames += 1
-                    elif message['type'].startswith('Gui') and 'label' in message.get('props', {}):
-                        self.gui[message['props']['label']] = message['uuid']
+                size = int.from_bytes(data[8:16], 'little')
+                packet = msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))
+                for message in packet['messages']:
+                    changes = message.get('updates', message.get('props', {}))
+                    self.frames += message.get('name') == '/soil' and 'points' in changes
+                    self.texts += [changes['content']] if 'content' in changes else []
+                    if message['type'].startswith('Gui') and 'label' in changes:
+                        self.gui[changes['label']] = message['uuid']
         except ConnectionClosed:
             pass
