@@ -146,7 +146,7 @@ def test_pictures_have_the_scale_of_their_legends():
     assert 'within the training runs' in said and 'torque' not in said
     live = session_of('excavation_v2').advance()
     said = drawing.lamp(session_of('excavation_v2'), 60.0)
-    assert f'&plusmn; {live.bound:.0f} N' in said and 'torque 0.00 N m' in said
+    assert f'&plusmn; {live.bound:.0f} N' in said and f'torque {live.torque[2]:.2f} N m' in said
 
 
 def test_bad_input_is_refused_at_the_door(monkeypatch):
