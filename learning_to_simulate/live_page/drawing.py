@@ -82,7 +82,7 @@ def _legend(name, colours, low, high):
     bar = f'<span style="flex:1;background:linear-gradient(to right, {stops})"></span>'
     return (
         f'<div style="padding:2px 12px;font-size:12px">{name}, mm<div style="display:flex;gap:6px">'
-        f'{1e3 * low:+.0f}{bar}{1e3 * high:+.0f}</div></div>'
+        f'{1e3 * low:.0f}{bar}{1e3 * high:.0f}</div></div>'
     )
 
 

@@ -197,7 +197,7 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         notes.append(f'The prediction is not finite from frame {length} on; drawn up to there.')
     split, record = _place(rollout_path, arrays)
     reader = _reader(data_path, metadata)
-    has_soil = not has_modes or (reader is not None and reader.subspace is not None)
+    has_soil = not has_modes or reader.subspace is not None
     if not has_soil:
         notes.append('Without subspace.npz there are no particles to draw.')
         if not n_rigid:
@@ -207,13 +207,10 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
             )
     scores = {which: values[:, n_rigid:] for which, values in nodes.items()}
     recorded = scores.get(TRUTH, scores[PREDICTION])
-    if not has_modes:
-        found = soil_truth.of_nodes(recorded, recorded.shape[1], space=soil_truth.PARTICLES)
-    elif reader is not None:
+    if has_modes:
         found = reader.read(split, record, recorded, metadata.get('n_soil'))
     else:
-        floor = soil_truth.of_run(metadata.get('projection_mse'), split, record)
-        found = soil_truth.of_nodes(recorded, metadata.get('n_soil') or recorded.shape[1], floor)
+        found = soil_truth.of_nodes(recorded, recorded.shape[1], space=soil_truth.PARTICLES)
     own = arrays if has_soil and TRUTH in nodes else {}
     predicted = found.of_rollout(scores[PREDICTION][start:length], own)
     frames = found.frames[found.frames < length]
@@ -392,10 +389,10 @@ def _nodes(path: str, arrays: dict[str, np.ndarray]):
     )
 
 
-def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader | None:
+def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader:
     """Of the dataset folder, whose subspace must be that of the rollout."""
     if data_path is None:
-        return None
+        return soil_truth.TruthReader(None, metadata)
     if not os.path.isdir(data_path):
         raise FileNotFoundError(f'{data_path}: no such dataset folder')
     # A rollout of the API states its scene alone.

@@ -60,7 +60,7 @@ def test_a_slider_and_the_handle_move_the_tool_and_all_tabs_see_it(shown):
     first.wait(lambda: np.allclose(session.plane[:2], place[:2], atol=1e-6))
     assert not np.allclose(start[:2], place[:2]) and session.moment.force.any()
     first.wait(lambda: any('force' in text and ' up' in text for text in first.texts))
-    assert any('way that soil has moved' in text and '+80' in text for text in first.texts)
+    assert any('way that soil has moved' in text and '80<' in text for text in first.texts)
     first.close()
     second.close()
 
@@ -140,7 +140,7 @@ def test_pictures_have_the_scale_of_their_legends():
     moved = rest + [[0.0, 0, 0], [0, drawing.MOVED, 0]]
     colours = drawing.soil_colours(moved, rest, np.ones((2, 1)))
     assert colours.tolist() == drawing.SOIL[[0, -1]].tolist()
-    for word in ('-80', '+50', 'rgb(70 42 20)', 'rgb(245 225 130)'):
+    for word in ('-80<', '50<', 'rgb(70 42 20)', 'rgb(245 225 130)'):
         assert word in drawing.LEGENDS
     said = drawing.lamp(session_of('excavation_v2'), 60.0)
     assert 'within the training runs' in said and 'torque' not in said
