@@ -140,12 +140,12 @@ class _Truths:
 
     def of(self, group, nodes):
         """Of a one-run group whose soil nodes are [T, r, 3]."""
-        folder, split = group.source or (None, self._split)
-        if folder is None and not self._metadata:
+        folder, split = group.source or ('', self._split)
+        if not folder and not self._metadata:
             found = soil_truth.of_nodes(nodes, self._n_soil, space=soil_truth.PARTICLES)
         else:
             if folder not in self._readers:
-                metadata = self._metadata if folder is None else None
+                metadata = None if folder else self._metadata
                 self._readers[folder] = soil_truth.TruthReader(folder, metadata)
             reader = self._readers[folder]
             found = reader.read(split, int(group.record[0]), nodes, self._n_soil)

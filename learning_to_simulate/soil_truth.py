@@ -114,7 +114,7 @@ class TruthReader:
     """Reads the soil of the runs of a dataset.
 
     Args:
-      folder: dataset folder; None where there are records alone.
+      folder: dataset folder; '' where there are records alone.
       metadata: of it; read where it is not given.
 
     Attributes:
@@ -124,12 +124,11 @@ class TruthReader:
       FileNotFoundError, ValueError: no dataset, or a damaged or foreign file.
     """
 
-    def __init__(self, folder: str | None, metadata: dict | None = None):
+    def __init__(self, folder: str, metadata: dict | None = None):
         self.folder = folder
         self.metadata = dataset.read_metadata(folder) if metadata is None else metadata
-        path = os.path.join(folder or '', 'subspace.npz')
-        there = folder is not None and os.path.exists(path)
-        self.subspace = Subspace.load(path) if there else None
+        path = os.path.join(folder, 'subspace.npz')
+        self.subspace = Subspace.load(path) if folder and os.path.exists(path) else None
         self._samples: dict[str, Any] = {}
 
     def sample(self, split: str):

@@ -118,11 +118,11 @@ class BladeSteering:
         self.fastest = np.array([speed, rise, TURN]) * scene.dt
         self.target = np.array(start, np.float64)
         low, high = 1e3 * (level - np.array(ranges.edge))[::-1]
-        angle = np.rad2deg(ranges.angle)
+        least, most = np.rad2deg(ranges.angle)
         self.sliders = {
             'depth': Slider('depth, mm', low, high, 1.0, 0.0),
             'speed': Slider('speed, mm/s', 0.0, 1e3 * speed, 1.0, 0.0),
-            'angle': Slider('angle, degrees', *angle, 1.0, np.rad2deg(start[2])),
+            'angle': Slider('angle, degrees', least, most, 1.0, np.rad2deg(start[2])),
         }
         self._show()
 

@@ -392,7 +392,7 @@ def _nodes(path: str, arrays: dict[str, np.ndarray]):
 def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader:
     """Of the dataset folder, whose subspace must be that of the rollout."""
     if data_path is None:
-        return soil_truth.TruthReader(None, metadata)
+        return soil_truth.TruthReader('', metadata)
     if not os.path.isdir(data_path):
         raise FileNotFoundError(f'{data_path}: no such dataset folder')
     # A rollout of the API states its scene alone.

@@ -1,4 +1,4 @@
-"""The page: on the wire with the extra `live`, and in a real browser where one is there."""
+"""The page with the extra `live`: frame by frame, and in a real browser where one is there."""
 
 import functools
 import shutil
@@ -19,7 +19,6 @@ from learning_to_simulate.live_page import drawing
 viser = pytest.importorskip('viser', reason='the extra `live` is not installed')
 
 from learning_to_simulate.live_page import gui, page  # noqa: E402
-from tests.learning_to_simulate.live_page.client import Client  # noqa: E402
 
 CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
 # WebGL without a graphics card.
@@ -35,80 +34,83 @@ def load(name):
     return session
 
 
+def free_port():
+    with socket.create_server(('localhost', 0)) as server:
+        return server.getsockname()[1]
+
+
 @pytest.fixture
 def shown():
-    """A page of the blade whose frames are computed by a thread; its port."""
-    with socket.create_server(('localhost', 0)) as server:
-        port = server.getsockname()[1]
-    made = page.Page(load, ['excavation', 'wheel', 'nothing'], 'excavation', port=port)
-    made.port, thread = port, threading.Thread(target=made.run, daemon=True)
+    """A page of the blade whose frames are computed by a thread."""
+    made = page.Page(load, ['excavation'], 'excavation', port=free_port())
+    thread = threading.Thread(target=made.run, daemon=True)
     thread.start()
     yield made
     made.stop()
     thread.join()
 
 
-def test_a_slider_and_the_handle_move_the_tool_and_all_tabs_see_it(shown):
-    first, second = Client(shown.port), Client(shown.port)
-    first.wait(lambda: first.frames > 5 and second.frames > 5)
-    session = shown.session
-    first.slide('depth, mm', 20.0)
-    second.wait(lambda: session.steering.sliders['depth'].value == 20.0)
-    start = session.plane
-    place = session.moment.pose[:3] + [0.05 * session.forwards, -0.02, 0.0]
-    second.drag(place)
-    first.wait(lambda: np.allclose(session.plane[:2], place[:2], atol=1e-6))
-    assert not np.allclose(start[:2], place[:2]) and session.moment.force.any()
-    first.wait(lambda: any('force' in text and ' up' in text for text in first.texts))
-    assert any('way that soil has moved' in text and '80<' in text for text in first.texts)
-    first.close()
-    second.close()
+@pytest.fixture
+def seen(monkeypatch):
+    """A page with one browser that is looked at frame by frame, without a network."""
+    made = page.Page(load, ['excavation', 'wheel', 'nothing'], 'excavation', port=free_port())
+    made.notices, browser = [], SimpleNamespace(camera=SimpleNamespace())
+    browser.add_notification = lambda title, text, color: made.notices.append(text)
+    made.clients = {0: browser}
+    monkeypatch.setattr(made.server, 'get_clients', lambda: made.clients)
+    yield made
+    made.stop()
 
 
-def test_slow_tabs_hold_up_nobody_and_without_a_browser_the_tool_stands(shown):
-    slow, quick = Client(shown.port, reads=False), Client(shown.port)
-    session = shown.session
-    quick.wait(lambda: quick.frames > 30)
-    quick.slide('speed, mm/s', 50.0)
-    quick.drag(session.moment.pose[:3] + [0.02 * session.forwards, 0.0, 0.0])
-    quick.close()  # in the middle of a drag
-    slow.wait(lambda: not shown._dragging)
-    at = session.moment.frame
-    slow.wait(lambda: session.moment.frame > at + 10)
-    slow.close()
-    slow.wait(lambda: not shown.server.get_clients())
-    turns = shown.turns
-    slow.wait(lambda: shown.turns > turns + 5)
-    kept = session.moment.frame
-    again = Client(shown.port)
-    turns = shown.turns
-    again.wait(lambda: shown.turns > turns + 5)
-    assert session.moment.frame == kept and 'paused' in shown.panel._said
-    shown.do(shown.pause)
-    again.wait(lambda: session.moment.frame > kept + 5)
-    assert len(session.path()) == session.moment.frame + 1
-    again.close()
+def test_sliders_and_handle_move_the_tool_and_nothing_moves_without_a_browser(seen):
+    session = seen.session
+    seen.panel._steer('depth', 20.0)
+    seen.panel._nudge('speed', 50.0)
+    place = session.plane + [0.02 * session.forwards, -0.02, 0.0]
+    seen.do(lambda: seen._aim(place))
+    for _ in range(30):
+        seen.frame()
+    np.testing.assert_allclose(session.plane, place, atol=1e-9)
+    np.testing.assert_allclose(seen._body.position, session.moment.pose[:3], atol=1e-6)
+    points = seen._soil.points + seen._middle  # sent in half precision
+    np.testing.assert_allclose(points, session.moment.particles, atol=3e-4)
+    assert seen.panel.chart.data[0][-1] == pytest.approx(0.5) and seen.panel._rows[-1][1] != 0.0
+    assert session.steering.sliders['speed'].value == 0.0 and 'N m' not in seen.panel._said
+    assert seen.panel._sliders['depth'].value == session.steering.sliders['depth'].value != 20.0
+    seen.clients.clear()
+    seen._dragging = True
+    seen._left(None)  # in the middle of a drag
+    seen.frame()
+    seen.clients[0] = 0
+    seen.frame()
+    assert not seen._dragging and session.moment.frame == 30 and 'paused' in seen.panel._said
+    seen.pause()
+    seen.frame()
+    assert session.moment.frame == 31 == len(session.path()) - 1
 
 
-def test_another_model_and_one_that_is_not_there(shown):
-    tab = Client(shown.port)
-    tab.wait(lambda: tab.frames > 2)
-    tab.slide('scene / model', 'nothing')
-    tab.wait(lambda: shown.panel.model.value == 'excavation')
-    tab.slide('scene / model', 'wheel')
-    tab.wait(lambda: shown.session.scene.name == 'wheel')
-    tab.wait(lambda: 'slip, %' in tab.gui and shown.session.moment.frame > 5)
-    assert abs(shown.session.plane[2]) > 0.01  # it has turned, its arrow has not
-    assert tuple(shown._handle.wxyz) == (1.0, 0.0, 0.0, 0.0)
-    lightest = float(shown.session.model.starts.context[:, 2].min())
-    tab.slide('load (restarts)', lightest)
-    tab.wait(lambda: shown.session.context['load'] == pytest.approx(lightest))
-    tab.slide('path', next(iter(shown.session.recorded.runs)))
-    tab.wait(lambda: shown.session.run is not None)
-    tab.slide('slip, %', 30.0)  # whoever touches the tool takes it over
-    tab.wait(lambda: shown.panel.run.value == gui.BY_HAND)
-    assert shown.session.run is None
-    tab.close()
+def test_another_model_and_one_that_is_not_there(seen):
+    seen.choose_model('nothing')
+    assert 'nothing: no folder' in seen.notices[0] and seen.panel.model.value == 'excavation'
+    seen.choose_model('wheel')
+    for _ in range(6):
+        seen.frame()
+    session = seen.session
+    assert session.scene.name == 'wheel' and {'rotation', 'slip'} < seen.panel._sliders.keys()
+    assert abs(session.plane[2]) > 0.01  # it has turned, its arrow has not
+    assert tuple(seen._handle.wxyz) == (1.0, 0.0, 0.0, 0.0) and 'sinkage' in seen.panel._said
+    lightest = float(session.model.starts.context[:, 2].min())
+    seen.panel._context('load', lightest)
+    assert session.context['load'] == pytest.approx(lightest)
+    run = next(iter(session.recorded.runs))
+    seen.reset(run)
+    seen.panel.run.value = run
+    seen.frame()
+    assert session.run is not None and seen._ghost.visible and len(seen.panel._rows[-1]) == 5
+    seen.panel._steer('slip', 30.0)  # whoever touches the tool takes it over
+    assert session.run is None and seen.panel.run.value == gui.BY_HAND and not seen._ghost.visible
+    seen.reset('test 99')
+    assert 'no recorded run' in seen.notices[1]
 
 
 def test_lost_frames_do_not_come_at_once_and_an_error_ends_the_page():
@@ -194,7 +196,7 @@ def test_in_a_browser_sliders_keys_handle_and_reset(shown, tab, tmp_path):
         tab.screenshot(path=str(tmp_path / name))
         return np.asarray(image.open(tmp_path / name).convert('RGB'), float)[:, :660]
 
-    tab.goto(f'http://localhost:{shown.port}')
+    tab.goto(f'http://localhost:{shown.server.get_port()}')
     reset = tab.get_by_role('button', name='Reset', exact=True)
     reset.wait_for()
     wait(lambda: session.moment.frame > 10)
