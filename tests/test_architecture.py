@@ -130,7 +130,7 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/subspace/test_numerics.py',
     'learning_to_simulate/native/test_ros2_node.py',
     'mpm/test_two_bodies.py', 'mpm/test_free_bodies.py',
-    'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
+    'nri/test_networks.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip
