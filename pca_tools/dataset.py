@@ -23,15 +23,9 @@ import numpy as np
 from pca_tools import files, packing, rigid_fit, tfrecord_io
 from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, read_metadata
 
-__all__ = [
-    'KINEMATIC_PARTICLE_ID', 'MODE_PARTICLE_ID', 'RIGID_PARTICLE_ID', 'SPLITS', 'Trajectory',
-    'read_metadata', 'read_split', 'split_path', 'trajectory_problems', 'write_split',
-]  # fmt: skip
-
 RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
 MODE_PARTICLE_ID = 6
-NUM_PARTICLE_TYPES = 9
 # Scores are packed to within half of it, m; float32 resolves 2.4e-7 of scores near 3 m.
 SCORE_RESOLUTION = 1e-6
 # Largest distance (m) of a rigid particle from where the pose puts it for it to be left out.
@@ -118,14 +112,11 @@ def split_path(folder: str, split: str) -> str:
 
 
 def read_split(folder: str, split: str) -> list[Trajectory]:
-    """Reads all runs of a split and checks each against the metadata and the manifest.
+    """Returns all runs of a split, in file order, each checked against metadata and manifest.
 
     Args:
         folder: dataset folder, ours or the authors' (which have neither manifest nor scene).
         split: train, valid or test.
-
-    Returns:
-        The runs, in file order.
 
     Raises:
         FileNotFoundError: the folder, its metadata or the split is missing.
@@ -320,15 +311,12 @@ def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> l
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
-    """Writes runs as a TFRecord file, whole or not at all.
+    """Writes runs as a TFRecord file, whole or not at all; returns the number of records.
 
     Args:
         path: `<folder>/<split>.tfrecord`.
         trajectories: the runs, in file order.
         packed: the form of the records, see above.
-
-    Returns:
-        The number of records.
 
     Raises:
         ValueError: shapes that do not fit each other, or NaN.

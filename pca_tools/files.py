@@ -84,8 +84,7 @@ def read_npz(
 
     Args:
         path: the file.
-        max_bytes: a file whose arrays together unpack to more than this is refused before it is
-            unpacked.
+        max_bytes: a file whose arrays unpack to more together is refused before it is unpacked.
         only: names of the arrays to read, those of them that are there; None for all.
 
     Raises:
@@ -138,11 +137,7 @@ def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, i
 
 
 def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
-    """Reads a `.npy` file, without pickles and never more than the file holds.
-
-    Args:
-        path: the file.
-        max_bytes: a larger file is refused before it is read.
+    """Reads a `.npy` file of at most `max_bytes`, without pickles and never more than it holds.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -202,13 +197,12 @@ def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
 
 
 def refuse_git_lfs_pointer(path: str) -> None:
-    """Raises if a file is missing, empty, or the small text that git-lfs leaves in place of a large
-    file.
+    """Refuses what is no file, empty, or the small text that git-lfs leaves for a large file.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is empty or a pointer; the message says how large the real file is and
-            how to get it.
+        ValueError: a folder, an empty file, or a pointer: how large the real file is and how to get
+            it.
     """
     if os.path.isdir(path):
         raise ValueError(f'{path}: is a folder, a file was expected')
@@ -248,9 +242,6 @@ def write_manifest(
         files: file name (no folders) -> facts to record beside bytes and sha256, such as
             `{'records': 32}`.
         name: of the manifest, for a folder that has several.
-
-    Raises:
-        FileNotFoundError: a listed file is missing.
     """
     entries = {
         file: {**fingerprint(os.path.join(folder, file)), **facts} for file, facts in files.items()
@@ -269,12 +260,10 @@ def check_manifest(
         manifest_name: of the manifest, for a folder that has several.
 
     Returns:
-        file name -> its manifest entry, or None if the folder has no manifest (the authors'
-        folders).
+        file name -> its manifest entry, or None if the folder has no manifest (the authors').
 
     Raises:
-        ValueError: a file is missing, unlisted, or differs in bytes or sha256; the message has both
-            values.
+        ValueError: a file is missing, unlisted, or differs in bytes or sha256.
     """
     path = os.path.join(folder, manifest_name)
     if not os.path.exists(path):
@@ -313,6 +302,5 @@ def _check_entry(path: str, entry: dict[str, Any]) -> None:
     if sha256_of_file(path) != entry['sha256']:
         raise ValueError(
             f'{path}: its content differs from the manifest (sha256 {entry["sha256"][:12]}... '
-            'expected); '
-            'copy or make it again'
+            'expected); copy or make it again'
         )

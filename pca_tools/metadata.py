@@ -33,13 +33,7 @@ _REQUIRED = (
 
 
 def read_metadata(folder: str) -> dict[str, Any]:
-    """Reads and checks the metadata of a dataset folder, ours or the authors'.
-
-    Args:
-        folder: dataset folder with `metadata.json`.
-
-    Returns:
-        The metadata as written; nothing is added or changed.
+    """Returns the checked metadata of a dataset folder, ours or the authors', as written.
 
     Raises:
         FileNotFoundError: the folder or the file is missing.

@@ -95,13 +95,8 @@ class SequenceRecord:
 
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
-    """Walks the record headers of a TFRecord file without reading its data.
-
-    Args:
-        path: the file.
-
-    Returns:
-        (offset, data length) in bytes of every record.
+    """Returns (offset, data length) in bytes of every record of a TFRecord file, by walking its
+    headers without reading its data.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -169,12 +164,9 @@ def read_records(path: str) -> Iterator[SequenceRecord]:
 def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
     """Parses one serialised SequenceExample.
 
-    Args:
-        data: the serialised message.
-        where: file and record, for messages.
-
     Raises:
-        ValueError: the message is foreign or lacks a feature of the schema.
+        ValueError: the message is foreign or lacks a feature of the schema; `where` names file and
+            record.
     """
     tf = _tensorflow()
     from google.protobuf.message import DecodeError
