@@ -63,7 +63,7 @@ def append(
         runs = RawRuns(raw_path)
         if match_particles:
             runs.match_particles(held.space.initial)
-        runs.check(check_units)
+        runs.check(check_units, held.space)
         convert.refuse_other_scene(data_path, held.metadata, runs)
         added = _encode_new(runs, held, data_path)
         together = held.with_parts(

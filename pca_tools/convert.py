@@ -94,7 +94,7 @@ def convert(
     base, space = (None, None) if like is None else encode.load_space(like)
     if match_particles:
         runs.match_particles(space and space.initial)
-    runs.check(check_units)
+    runs.check(check_units, space)
     without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
     if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(

@@ -17,14 +17,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pca_tools import dataset, files, matching, packing, particles
-from pca_tools.metadata import (
-    DIM,
-    METADATA_NAME,
-    PROJECTION_KEYS,
-    SCHEMA_VERSION,
-    union_of_bounds,
-)
+from pca_tools import dataset, files, packing, particles
+from pca_tools.metadata import METADATA_NAME, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.statistics import motion_statistics
 from pca_tools.storage.folder_lock import LOCK_NAME
@@ -102,12 +96,11 @@ def encode_runs(
         sampled: int [P], particles to keep as such.
 
     Raises:
-        ValueError: a run is damaged, or its particles are not those of the subspace.
+        ValueError: a run is damaged.
     """
     kept, encoded = space.truncated(n_modes), []
     for index in tqdm(indices, desc='encode', unit='run'):
         run = runs[index]
-        _refuse_other_particles(run, space)
         scores = space.encode(run.positions)
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
         sample = run.positions[:: particles.FRAME_STRIDE, sampled]
@@ -122,17 +115,6 @@ def encode_runs(
             )
         )
     return encoded
-
-
-def _refuse_other_particles(run: RawRun, space: Subspace) -> None:
-    """Raises if column i is not the same particle as in the subspace."""
-    if run.positions.shape[1] != space.n_soil:
-        raise ValueError(
-            f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
-        )
-    first = f'case {space.runs[0]}'
-    if fault := matching.order_fault(run.positions[0], space.initial, first):
-        raise ValueError(f'case {run.case}: {fault}')
 
 
 def projection_details(
@@ -341,7 +323,7 @@ def make_metadata(
         # Only where the runs differ in length: sequence_length is then the longest.
         **({'frames_of_runs': lengths} if differ else {}),
         'default_connectivity_radius': CONNECTIVITY_RADIUS,
-        'dim': DIM,
+        'dim': 3,
         'dt': world['dt'],
         'units': {
             'position': 'm',

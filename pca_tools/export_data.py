@@ -117,6 +117,7 @@ def full_space_of(
         context_names=scene.get('context_names') or [f'context_{i}' for i in range(len(context))],
         rigid_motion=scene.get('rigid_motion'),
         radius=metadata['default_connectivity_radius'],
+        name=scene.get('name', 'soil'),
     )
 
 

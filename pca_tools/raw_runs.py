@@ -18,17 +18,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pca_tools import files, matching
+from pca_tools import files, matching, metadata
 from pca_tools.dataset import FRAME_SERIES, FrameSeries, has_shape, non_finite_problems
-from pca_tools.metadata import (
-    AXES,
-    DIM,
-    WORLD_CHECKS,
-    is_number,
-    problems_of,
-    scene_problems,
-    short,
-)
+from pca_tools.metadata import AXES, DIM
+from pca_tools.subspace import Subspace
 
 # Arrays with a first axis of frames -> shape of a frame; None: as many as the scene has.
 SERIES = {'positions': (None, DIM), 'rigid_positions': (None, DIM)} | {
@@ -174,7 +167,7 @@ class RawRuns(Sequence):
         listed = self._entries[index].get('parameters')
         return listed if isinstance(listed, dict) else self[index].parameters
 
-    def check(self, check_units: bool = True) -> None:
+    def check(self, check_units: bool = True, space: Subspace | None = None) -> None:
         """Opens every run and refuses the folder with all that is wrong with it.
 
         A scene that does not say which axis points up gets the one that gravity or the bounds tell,
@@ -182,11 +175,14 @@ class RawRuns(Sequence):
 
         Args:
             check_units: whether positions and dt must be plausible in metres and seconds.
+            space: whose particles the runs must have, in its order; default: those of the first.
 
         Raises:
-            ValueError: faults of any run, implausible units, or no telling which axis points up.
+            ValueError: faults of any run, other particles, implausible units, or no telling which
+                axis points up.
         """
-        extent, faults, first = Extent(), [], None
+        extent, faults = Extent(), []
+        reference = space and (space.initial, f'case {space.runs[0]}')
         for index in tqdm(range(len(self)), desc='check', unit='run'):
             try:
                 run = self[index]
@@ -194,11 +190,10 @@ class RawRuns(Sequence):
                 faults.append(str(error))
                 continue
             extent.add(run.positions, run.rigid_positions, self.dt)
-            first = first or run
-            begin, name = first.positions[0], f'case {first.case}'
-            if fault := matching.order_fault(run.positions[0], begin, name):
+            reference = reference or (run.positions[0], f'case {run.case}')
+            if fault := matching.order_fault(run.positions[0], *reference):
                 faults.append(f'case {run.case}: {fault}')
-        if first is not None:
+        if np.all(np.isfinite(extent.low)):
             if check_units:
                 faults += unit_faults(extent, self.bounds, self.dt)
             faults += self._up_axis_faults(extent)
@@ -257,13 +252,13 @@ def manifest_faults(manifest: Any) -> list[str]:
     if not isinstance(manifest, dict) or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys():
         return ['is not a manifest of raw runs (scene, dt, bounds, runs)']
     scene, runs = manifest['scene'], manifest['runs']
-    faults = problems_of(manifest, WORLD_CHECKS)
+    faults = metadata.problems_of(manifest, metadata.WORLD_CHECKS)
     lacking = [key for key in SCENE_KEYS if isinstance(scene, dict) and key not in scene]
-    faults += [f'scene {scene!r} lacks {lacking}'] if lacking else scene_problems(scene)
+    faults += [f'scene {scene!r} lacks {lacking}'] if lacking else metadata.scene_problems(scene)
     if not isinstance(runs, list) or not runs:
         return [*faults, 'lists no runs; let the solver finish at least one']
     wrong = [
-        f'a run is listed as {short(entry)}, not with {sorted(ENTRY_KEYS)}; '
+        f'a run is listed as {metadata.short(entry)}, not with {sorted(ENTRY_KEYS)}; '
         '`python -m pca_tools.convert --rehash` fills in what follows from the files'
         for entry in runs
         if not isinstance(entry, dict)
@@ -440,7 +435,7 @@ def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int
         The axis or None, and what says so: the gravity vector; or that the soil lies at the bottom
         of the bounds, with free space above it, on that axis much more than on the others.
     """
-    if isinstance(gravity, list) and len(gravity) == DIM and all(map(is_number, gravity)):
+    if isinstance(gravity, list) and len(gravity) == DIM and all(map(metadata.is_number, gravity)):
         if not any(gravity):
             return None, 'gravity is zero'
         return int(np.argmax(np.abs(gravity))), f'gravity is {gravity}'

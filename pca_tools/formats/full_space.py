@@ -57,6 +57,7 @@ class FullSpaceData:
         context_names: names of the context values, if any.
         rigid_motion: of the body, where the data say more than its type does, else None.
         radius: connectivity radius of the metadata, or None.
+        name: of the scene.
         notes: sentences for the person who imports.
     """
 
@@ -68,6 +69,7 @@ class FullSpaceData:
     context_names: list[str] = dataclasses.field(default_factory=list)
     rigid_motion: str | None = None
     radius: float | None = None
+    name: str = 'soil'
     notes: list[str] = dataclasses.field(default_factory=list)
 
 

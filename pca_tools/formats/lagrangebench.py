@@ -123,7 +123,7 @@ def write(folder: str, data: FullSpaceData) -> None:
     train = next(iter(splits))
     held_out = next((split for split in ('test', 'valid') if split in splits), train)
     metadata = {
-        'case': os.path.basename(folder),
+        'case': data.name,
         'solver': 'material point method',
         **full_space.common_metadata(data, splits[train]()),
         't_end': None if data.dt is None else data.dt * (lengths[train][0] - 1),

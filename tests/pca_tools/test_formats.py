@@ -120,7 +120,7 @@ def of_geoelements(folder, tmp_path):
 def of_lagrangebench(folder, tmp_path):
     """A group per run, in the order of their names; 0 is fluid, 2 a moving wall."""
     metadata = json.loads((folder / 'metadata.json').read_text())
-    assert metadata['num_particles_max'] == 160
+    assert metadata['num_particles_max'] == 160 and metadata['case'] == 'excavation'
     assert metadata['periodic_boundary_conditions'] == [False] * 3
     assert metadata['sequence_length_train'] == 24 and metadata['num_trajs_train'] == 10
     for split in ('train', 'valid', 'test'):
