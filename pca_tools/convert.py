@@ -115,7 +115,7 @@ def convert(
     else:
         refuse_other_scene(like, base, runs)
         _refuse_trained_on(like, base, runs)
-        dealt, wide = {'test': range(len(runs))}, space
+        dealt, wide = {'test': list(range(len(runs)))}, space
     sampled = particles.choose_particles(space.initial)
     parts = {
         name: encode.encode_runs(runs, part, wide, space.n_modes, sampled)

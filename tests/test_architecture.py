@@ -85,7 +85,7 @@ IMPORTS_WITHOUT = [
         ('numpy', 'mpm'),
     ),
     (
-        ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
+        ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.convert', 'pca_tools.inspect'),
         ('tensorflow', 'matplotlib'),
     ),
     (
