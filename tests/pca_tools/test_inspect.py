@@ -4,11 +4,12 @@ import dataclasses
 import json
 import os
 import shutil
+import types
 
 import numpy as np
 import pytest
 
-from pca_tools import convert, dataset, files, subset
+from pca_tools import convert, dataset, files, inspect, subset
 from pca_tools.inspect import ERROR, OK, WARN, inspect_folder, report
 from pca_tools.statistics import trivial_errors
 from pca_tools.subspace import Subspace
@@ -95,10 +96,9 @@ def test_authors_folders_pass_with_their_defects_named(original):
     assert np.mean(errors) == pytest.approx(expected, rel=5e-3)
 
 
-def test_command_line_exit_codes(excavation, tmp_path):
-    good = run_command('pca_tools.inspect', '--modes=3', excavation)
-    assert good.returncode == 0, good.stderr
-    assert '0 ERROR' in good.stdout
+def test_exit_codes(excavation, tmp_path, capsys):
+    assert inspect.main(types.SimpleNamespace(modes=3), [excavation]) == 0
+    assert '0 ERROR' in capsys.readouterr().out
     bad = run_command('pca_tools.inspect', str(tmp_path))
     assert bad.returncode == 1 and 'metadata.json: no such file' in bad.stdout
 
