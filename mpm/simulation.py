@@ -46,6 +46,7 @@ class Settings:
 
     def __post_init__(self):
         for name, low, high in (
+            ('youngs_modulus', 1e4, 1e9),
             ('friction_angle_deg', 15.0, 50.0),
             ('bulk_density', 500.0, 4000.0),
             ('gravity', 0.5, 100.0),

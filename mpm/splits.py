@@ -85,7 +85,7 @@ def _splits_of_grid(name: str) -> dict[int, str]:
         for case in cases:
             depth, speed, _, motion = np.unravel_index(case - 1, (5, 5, 5, 2))
             paths.setdefault((int(depth), int(speed), int(motion)), case)
-        for number, case in enumerate(sorted(paths.values())[:GRID_RUNS[scene.name]]):
+        for number, case in enumerate(sorted(paths.values())[: GRID_RUNS[scene.name]]):
             found[case] = 'test' if number % 4 == 1 else 'valid' if number % 8 == 3 else 'train'
         return found
     chosen = [*scene.published, scene.demo_case]

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from mpm import bodies, scenes
-from mpm.motions.drive import Drive
+from mpm.motions.drive import Drive, poses
 from mpm.motions.grid import REST_FRAMES, under_load
 
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
@@ -169,7 +169,7 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
     def pose(at):
         at = np.clip(np.asarray(at, np.float64), 0.0, times[-1])
         x, y, angle_deg, z = (curve(at) for curve in curves)
-        return np.stack([x, y, np.radians(angle_deg), z], axis=1)
+        return poses(at, x, y, np.radians(angle_deg), z)
 
     with open(recording.path, 'rb') as file:
         digest = hashlib.file_digest(file, 'sha256').hexdigest()
