@@ -91,7 +91,7 @@ class _Job:
         common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
         return self.settings.recorded() | common
 
-    def simulate(self, case, on_frame=None) -> dict | str:
+    def simulate(self, case, on_frame=lambda frame: None) -> dict | str:
         """Makes one run; returns its entry of the manifest, or why there is none."""
         try:
             packed = _packed(self.scene.bin, self.settings, self.folder)

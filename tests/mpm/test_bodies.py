@@ -222,6 +222,13 @@ def test_a_tool_is_read_from_its_file(tmp_path):
         ({'colour': 'red'}, r"unknown entries \['colour'\]"),
         ({'outline': SQUARE, 'side_plates': {'thickness': 0.2}}, 'thicker than the tool is wide'),
         ({'friction': 9}, 'friction must be'),
+        ({'side_plates': 0.02}, 'side_plates must be a JSON object'),
+        ({'side_plates': {'thickness': 0.02}}, 'no side plates without an outline'),
+        (
+            {'outline': SQUARE, 'side_plates': {'thick': 0.02}},
+            r"entries \['thick'\] of side_plates",
+        ),
+        ({'radius': 0.1}, r"unknown entries \['edge_radius', 'outline'\] of the tool"),
     ],
 )
 def test_a_wrong_tool_is_refused_with_its_file(tmp_path, change, words):
@@ -229,3 +236,18 @@ def test_a_wrong_tool_is_refused_with_its_file(tmp_path, change, words):
     path.write_text(json.dumps(PLATE | change))
     with pytest.raises(ValueError, match=f'tool.json is not a tool: .*({words})'):
         bodies.read_tool(str(path))
+
+
+@pytest.mark.parametrize(
+    ('bars', 'words'),
+    [
+        ([12], 'grousers must be a JSON object'),
+        ({'count': 7.5, 'height': 0.01, 'thickness': 0.004}, 'must be a whole number, got 7.5'),
+        ({'count': 60, 'height': 0.01, 'thickness': 0.008}, 'overlap'),
+        ({'count': 8, 'height': 0.001, 'thickness': 0.008}, 'must exceed half the thickness'),
+        ({'count': 8, 'height': 0.01}, 'thickness must be a number'),
+    ],
+)
+def test_wrong_grousers_are_refused(bars, words):
+    with pytest.raises(ValueError, match=words):
+        bodies.check_tool({'radius': 0.05, 'width': 0.1, 'grousers': bars})
