@@ -170,12 +170,9 @@ def wheel_edges() -> tuple:
 
     They join each point with its two neighbours on its ring, both directions.
     """
-    edges = []
-    for ring in range(2):
-        here = ring * WHEEL_RING_POINTS
-        for i in range(WHEEL_RING_POINTS):
-            edges += [(here + j % WHEEL_RING_POINTS, here + i) for j in (i - 1, i + 1)]
-    return tuple(edges)
+    n = WHEEL_RING_POINTS
+    near = [(j % n, i) for i in range(n) for j in (i - 1, i + 1)]
+    return tuple((ring * n + j, ring * n + i) for ring in range(2) for j, i in near)
 
 
 # Tools from a file

@@ -5,9 +5,11 @@ import math
 
 import numpy as np
 
-from mpm import bodies, columns, packing
+from mpm import bodies, packing
+from mpm.columns import VOLUME_RATIO, C, S, V
 from mpm.constitutive import Soil, make_soil
 from mpm.grid import Grid, make_grid
+from mpm.motions.drive import poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin, Scene, sampled
 from mpm.solver import EXCHANGE, Solver
 
@@ -20,33 +22,6 @@ def coarse(scene: Scene) -> Scene:
     return dataclasses.replace(scene, bin=sampled(size, dx, dx, 1, box.height, box.bounds))
 
 
-def energy(particles, soil: Soil, volume: float, cell, gravity: float) -> float:
-    """Returns kinetic, elastic and potential energy of soil in J, heights from the floor.
-
-    The affine part of a particle's motion carries 1/2 m C D C^T with the inertia D of quadratic
-    B-splines. The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
-
-    Args:
-        particles: float64 [N, COLUMNS].
-        soil: their soil.
-        volume: m3 of packed soil per particle.
-        cell: its sides [3], m.
-        gravity: m/s2.
-    """
-    q = particles
-    ratio, s = q[:, columns.VOLUME_RATIO], q[:, columns.S : columns.S + 6]
-    motion = (q[:, columns.V : columns.V + 3] ** 2).sum()
-    inertia = np.tile(np.asarray(cell) ** 2 / 4, 3)
-    motion += (inertia * q[:, columns.C : columns.C + 9] ** 2).sum()
-    pressed = np.minimum(ratio, 1.0)
-    bulk = soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
-    shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
-    elastic = bulk + (ratio * shear).sum() / (4.0 * soil.shear_modulus)
-    height = (q[:, 1] - CORNER).sum()
-    mass = volume * soil.bulk_density
-    return float(mass * (0.5 * motion + gravity * height) + volume * elastic)
-
-
 class Experiment:
     """A block of soil in a box, stepped by hand.
 
@@ -57,29 +32,17 @@ class Experiment:
     """
 
     def __init__(
-        self,
-        room: Bin,
-        block: Bin,
-        soil: Soil,
-        lift: float = 0.0,
-        smooth_sides: bool = False,
-        steps: int = 0,
+        self, room: Bin, block: Bin, soil: Soil, lift: float = 0.0, smooth_sides: bool = False
     ):
-        """Fills the lower corner of `room` with `block`, raised by `lift` m.
+        """Fills the lower corner of the box `room` with the soil of `block`, raised by `lift` m.
 
-        Args:
-            room: the box.
-            block: the soil in it.
-            soil: what it is.
-            lift: m.
-            smooth_sides: whether the walls across z are smooth.
-            steps: per exchange interval; 0: from the CFL limit.
+        `smooth_sides`: whether the walls across z are smooth.
         """
         grid = make_grid(room)
         grid = grid._replace(walls=grid.walls[:5] + (int(smooth_sides),))
         self.particles = packing.lattice(block, seed=0)
         self.particles[:, 1] += lift
-        self.solver = Solver(grid, soil, packing.particle_volume(block), steps)
+        self.solver = Solver(grid, soil, packing.particle_volume(block))
         self.impulse = np.zeros(6)
 
     @property
@@ -94,12 +57,24 @@ class Experiment:
 
     def momentum(self) -> np.ndarray:
         """Returns the momentum [3] of the soil, N s."""
-        return self.mass * self.particles[:, columns.V : columns.V + 3].sum(axis=0)
+        return self.mass * self.particles[:, V : V + 3].sum(axis=0)
 
     def energy(self, gravity: float = EARTH_GRAVITY) -> float:
-        """Returns the `energy` of the soil, J."""
-        s = self.solver
-        return energy(self.particles, s.soil, s.volume, s.grid.cell, gravity)
+        """Returns kinetic, elastic and potential energy of the soil in J, heights from the floor.
+
+        The affine part of a particle's motion carries 1/2 m C D C^T with the inertia D of quadratic
+        B-splines. The pressure K (1 / J - 1) is the derivative of K (J - 1 - ln J).
+        """
+        q, soil = self.particles, self.solver.soil
+        ratio, s = q[:, VOLUME_RATIO], q[:, S : S + 6]
+        inertia = np.tile(self.grid.cell**2 / 4, 3)
+        motion = (q[:, V : V + 3] ** 2).sum() + (inertia * q[:, C : C + 9] ** 2).sum()
+        pressed = np.minimum(ratio, 1.0)
+        bulk = soil.bulk_modulus * (pressed - 1.0 - np.log(pressed)).sum()
+        shear = (s[:, :3] ** 2).sum(axis=1) + 2.0 * (s[:, 3:] ** 2).sum(axis=1)
+        elastic = bulk + (ratio * shear).sum() / (4.0 * soil.shear_modulus)
+        height = (q[:, 1] - CORNER).sum()
+        return float(self.mass * (0.5 * motion + gravity * height) + self.solver.volume * elastic)
 
     def keep(self, rows: np.ndarray) -> None:
         """Leaves only the particles of a mask or a list of rows."""
@@ -114,12 +89,7 @@ class Experiment:
     ) -> float:
         """Advances by whole exchange intervals, at least `seconds`; returns how far, s.
 
-        Args:
-            seconds: s.
-            gravity: m/s2.
-            body: a body, if there is one.
-            pose: function of times [T] (s, from the start of this call) that returns x, y (m) and
-                angle (rad) and z (m) of its reference point, [T, 4].
+        A `body` moves along `pose`: times [T] (s, from the start of this call) -> its poses [T, 4].
 
         Raises:
             ValueError: if a particle leaves the grid.
@@ -137,25 +107,26 @@ class Experiment:
         return intervals * EXCHANGE
 
 
-def blade_in_weightless_soil(
-    modulus: float = 1.5e6, steps: int = 0, dz: float = 0.04, body: bodies.Body | None = None
-) -> tuple[Experiment, float]:
+def weightless_soil(modulus: float = 1.5e6) -> Experiment:
+    """Returns a block of soil, far from all walls, for a blade that stands beside it."""
+    room = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (0, 0, 0), 1, 0.5, ())
+    block = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (30, 8, 60), 1, 0.5, ())
+    experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15)
+    across = experiment.particles[:, [0, 2]]
+    experiment.keep(np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1)
+    return experiment
+
+
+def blade_in_weightless_soil(modulus: float = 1.5e6) -> tuple[Experiment, float]:
     """Shoots a blade through soil at 2 m/s; returns what is left of it, and the blade's speed.
 
     It ends before the first grain is a cell and a half from a wall, which would take momentum, too.
     """
-    room = Bin((0.4, 0.1, 0.8), 0.02, dz, (0, 0, 0), 1, 0.5, ())
-    block = Bin((0.4, 0.1, 0.8), 0.02, dz, (30, 8, 60), 1, 0.5, ())
-    experiment = Experiment(room, block, make_soil(modulus, 0.76), lift=0.15, steps=steps)
-    across = experiment.particles[:, [0, 2]]
-    experiment.keep(np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1)
-    speed = 2.0
+    experiment, speed = weightless_soil(modulus), 2.0
 
     def pose(times):
-        path = np.full((len(times), 4), -math.radians(20.0))
-        path[:, 0], path[:, 1] = CORNER + 0.35 - speed * times, CORNER + 0.15
-        path[:, 3] = CORNER + 0.4
-        return path
+        x = CORNER + 0.35 - speed * times
+        return poses(times, x, CORNER + 0.15, -math.radians(20.0), CORNER + 0.4)
 
-    experiment.advance(0.08, 0.0, body or bodies.make_blade(), pose)
+    experiment.advance(0.08, 0.0, bodies.make_blade(), pose)
     return experiment, speed

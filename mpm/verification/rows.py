@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from mpm.versions import SOLVER_VERSION
 from pca_tools import command
+from pca_tools.files import read_json
 from pca_tools.storage import markdown
 from pca_tools.storage.text_files import write_text
 
@@ -73,11 +74,7 @@ def read_kept(path: str) -> dict:
     """
     if not os.path.exists(path):
         return {'solver_version': SOLVER_VERSION}
-    try:
-        with open(path, encoding='utf-8') as file:
-            content = json.load(file)
-    except ValueError as error:
-        raise ValueError(f'{path} is no JSON: {error}') from error
+    content = read_json(path)
     if not isinstance(content, dict) or content.get('solver_version') != SOLVER_VERSION:
         raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another file')
     return content

@@ -159,11 +159,7 @@ def moment(rows, mass, cell, about=0.0):
 
 def tipped(friction, rate):
     """A blade tips by 9 degrees into weightless soil: the share of its moment not accounted for."""
-    room = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (0, 0, 0), 1, 0.5, ())
-    block = Bin((0.4, 0.1, 0.8), 0.02, 0.04, (30, 8, 60), 1, 0.5, ())
-    experiment = experiments.Experiment(room, block, SOIL, lift=0.15)
-    across = experiment.particles[:, [0, 2]]
-    experiment.keep(np.abs(across - CORNER - [0.2, 0.4]).max(axis=1) < 0.1)
+    experiment = experiments.weightless_soil()
     edge = np.array([CORNER + 0.32, CORNER + 0.1, CORNER + 0.4])
 
     def pose(times):

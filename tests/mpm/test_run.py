@@ -73,21 +73,6 @@ def test_wheel_that_the_soil_does_not_carry_is_an_error(made, monkeypatch):
         made(small.WHEEL, 'slip_0004', scenes.FRAMES)
 
 
-def test_draft_and_torque_belong_together(made):
-    """The resultant acts within the part of the blade that is in the soil."""
-    found = made(small.BLADE, 182, 161)  # upright, 8 cm
-    force, torque = found.force[100:].mean(axis=0), found.torque[100:].mean(axis=0)
-    assert force[0] > 50.0
-    # About the edge torque_z = x F_y - y F_x; the face stands 14 mm ahead of it. The draft acts
-    # between the round edge and the middle of the 8 cm that are in the soil (measured -1 mm).
-    height = (-0.014 * force[1] - torque[2]) / force[0]
-    assert -0.014 < height < 0.04
-    # Roll and yaw are those of a draft that acts within half a cell of the middle: with two
-    # particles a cell they hang on where the grains lie, and change their sign with a mirrored bed
-    # (`test_simulation.py::test_no_side_is_preferred`). Measured 17 mm of 20.
-    assert np.abs(torque[:2]).max() < 0.5 * small.BLADE.bin.dx * force[0]
-
-
 def test_a_free_run_says_what_drove_it(made):
     found = made(small.BLADE, 'free_0000', 9)
     assert found.target.shape == found.external.shape == (9, 3)

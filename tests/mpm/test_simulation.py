@@ -71,19 +71,6 @@ def test_a_load_that_throws_the_body_out_is_an_error(monkeypatch, push, words):
         run.run_case(small.BLADE, 'test', small.packed(small.BLADE), Settings())
 
 
-def test_soil_carries_a_tool_at_rest():
-    weight = 20.0 * 9.81
-
-    def force(times):
-        return np.outer(np.clip(times / 0.4, 0.0, 1.0), [0.0, -weight, 0.0])
-
-    motion = carried(Machine((False, True, False), 20.0, force), small.BLADE.bin.surface + 0.02)
-    simulation = small.simulation(small.BLADE, motion)
-    loads = small.frames(simulation, 150)
-    assert loads[-30:, 1].mean() == pytest.approx(weight, rel=0.02)
-    assert abs(simulation.free.state[1, 1]) < 5e-3  # m/s
-
-
 @pytest.mark.parametrize(
     ('name', 'value'),
     [

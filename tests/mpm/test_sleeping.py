@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from mpm import bodies, sleeping
 from mpm.grid import make_grid
@@ -12,22 +11,6 @@ from tests.mpm import small
 GRID = make_grid(Bin((0.4, 0.2, 0.4), 0.02, 0.04, (0, 0, 0), 1, 0.4, ()))
 BLADE = bodies.make_blade(0.2)
 MIDDLE = CORNER + 0.2
-
-
-@pytest.mark.parametrize(('first', 'last'), [(-3, 3), (0, 2)])
-def test_dilation_is_that_of_scipy(first, last):
-    mask = np.random.default_rng(0).random((9, 12, 7)) < 0.02
-    width = last - first + 1
-    expected = ndimage.binary_dilation(
-        mask, np.ones((width,) * 3), origin=(-1 if first == 0 else 0,) * 3
-    )
-    if first == 0:  # spread upwards only
-        expected = np.zeros_like(mask)
-        for i, j, k in np.argwhere(mask):
-            expected[i : i + 3, j : j + 3, k : k + 3] = True
-    for axis in range(3):
-        mask = sleeping._spread(mask, axis, first, last)
-    np.testing.assert_array_equal(mask, expected)
 
 
 def test_nodes_asleep_are_those_with_a_weight():
