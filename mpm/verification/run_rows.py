@@ -3,6 +3,7 @@ pairs of runs that should agree."""
 
 import math
 import os
+from collections.abc import Callable
 from functools import cache, partial
 
 import numpy as np
@@ -45,7 +46,7 @@ def rows_of(raw_path: str) -> dict:
     Args:
         raw_path: folder of the raw runs of both scenes; runs that a row needs are made there.
     """
-    rows = {}
+    rows: dict[str, Callable[[], list[Check]]] = {}
     for case in HALVED_CASES:
         rows[f'halved_{case}'] = partial(halved_step, EXCAVATION, case, HALVED_FRAMES)
     for case in EARTHMOVING_CASES:

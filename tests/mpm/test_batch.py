@@ -21,18 +21,31 @@ from tests.mpm import small
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-# Runs a coarse, short version of a scene in its own process: frames, folder, cases, processes.
+# Runs a coarse, short version of a scene in processes of its own: frames, folder, cases, processes.
 SHORT = """
 import sys
 from mpm import batch, scenes
 from mpm.simulation import Settings
 from mpm.experiments import coarse
+scenes.FRAMES = int(sys.argv[1])
 if __name__ == '__main__':
-    scenes.FRAMES = int(sys.argv[1]) or scenes.FRAMES
-    cases = tuple(int(case) if case.isdecimal() else case for case in sys.argv[3].split(','))
+    cases = tuple(int(case) for case in sys.argv[3].split(','))
     scene, number = coarse(scenes.EXCAVATION), int(sys.argv[4])
     batch.generate(scene, cases, sys.argv[2], Settings(), number, show_progress=False)
 """
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Returns the command of such runs into the folder `out`."""
+    (tmp_path / 'script.py').write_text(SHORT)
+    return lambda *options: [
+        sys.executable,
+        tmp_path / 'script.py',
+        options[0],
+        tmp_path / 'out',
+        *options[1:],
+    ]
 
 
 @pytest.fixture
@@ -147,52 +160,15 @@ def test_a_run_with_another_tool_is_not_taken_for_the_finished_one(tmp_path, sho
         make(tmp_path, 22, tool=plate(0.7))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('where', ['', 'local:2'])
-def test_pool_gives_the_same_runs(tmp_path, where):
-    """Processes, here or by Dask, make the same arrays as this one (full length: they reimport)."""
-    if where:
-        pytest.importorskip('distributed')
-    scene, cases, pool = small.BLADE, (22, 46), tmp_path / 'pool'
-    batch.generate(scene, cases, str(pool), Settings(), 2, where=where, show_progress=False)
+def test_processes_make_the_same_runs(tmp_path, command, short):
+    environment = os.environ | {'PYTHONPATH': str(ROOT)}
+    subprocess.run(command('5', '22,46', '2'), check=True, env=environment)
     make(tmp_path / 'one', 22)
-    assert digests(tmp_path / 'one').items() <= digests(pool).items()
-    assert set(digests(pool)) == set(cases)
+    found = digests(tmp_path / 'out')
+    assert set(found) == {22, 46} and digests(tmp_path / 'one')[22] == found[22]
 
 
-@pytest.mark.slow
-def test_generation_killed_anywhere_resumes(tmp_path):
-    """SIGKILL at random times, also while files are written; then the same content, bit for bit."""
-    cases = '22,186,lift_0003,stops_0001'
-
-    def command(folder):
-        return [sys.executable, '-c', SHORT, '12', str(tmp_path / folder), cases, '1']
-
-    started = time.monotonic()
-    subprocess.run(command('whole'), check=True, cwd=ROOT)
-    duration = time.monotonic() - started
-    rng = np.random.default_rng(0)
-    kept = {}
-    for _ in range(4):
-        process = subprocess.Popen(command('killed'), cwd=ROOT)
-        try:
-            process.wait(rng.uniform(0.2, 0.9) * duration)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-        if (tmp_path / 'killed' / 'manifest.json').exists():
-            now = digests(tmp_path / 'killed')
-            assert kept.items() <= now.items()  # nothing that was finished is lost
-            kept = now
-    subprocess.run(command('killed'), check=True, cwd=ROOT)
-    expected = digests(tmp_path / 'whole')
-    assert set(expected) == {22, 186, 'lift_0003', 'stops_0001'}
-    assert digests(tmp_path / 'killed') == expected
-    names = sorted(os.listdir(tmp_path / 'whole'))
-    assert sorted(os.listdir(tmp_path / 'killed')) == names  # and no temporary file is left
-
-
-def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path):
+def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path, command):
     """A limit on the size of files in place of a full disk: the packing is there, no run fits."""
     folder = tmp_path / 'out'
     folder.mkdir()
@@ -202,8 +178,8 @@ def test_disk_that_fills_up_stops_with_the_name_and_loses_nothing(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
     full = subprocess.run(
-        [sys.executable, '-c', SHORT, '40', str(folder), '22', '1'],
-        preexec_fn=limit, capture_output=True, text=True, cwd=ROOT,
+        command('40', '22', '1'), preexec_fn=limit, capture_output=True, text=True,
+        env=os.environ | {'PYTHONPATH': str(ROOT)},
     )  # fmt: skip
     assert full.returncode != 0
     assert 'cannot write' in full.stderr and 'run_022.npz: File too large' in full.stderr
@@ -249,11 +225,10 @@ def test_changed_file_is_not_taken_for_the_finished_run(tmp_path, short):
         make(tmp_path / 'out', mine)
 
 
-def test_killed_worker_is_an_error_and_not_a_wait(tmp_path):
+def test_killed_worker_is_an_error_and_not_a_wait(command):
     """A process of the pool that the system kills (memory) ends the command with a message."""
-    (tmp_path / 'script.py').write_text(SHORT)
     process = subprocess.Popen(
-        [sys.executable, tmp_path / 'script.py', '0', tmp_path / 'out', '22,186', '2'],
+        command('321', '22,186', '2'),
         stderr=subprocess.PIPE, text=True, env=os.environ | {'PYTHONPATH': str(ROOT)},
     )  # fmt: skip
     deadline = time.monotonic() + 60

@@ -17,7 +17,7 @@ from tests.mpm import small
 def made(monkeypatch):
     """Makes a run of some frames."""
 
-    def make(scene, case, count, settings=None, on_frame=None):
+    def make(scene, case, count, settings=None, on_frame=lambda frame: None):
         monkeypatch.setattr(scenes, 'FRAMES', count)
         return run.run_case(scene, case, small.packed(scene), settings or Settings(), on_frame)
 

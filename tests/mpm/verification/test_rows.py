@@ -49,7 +49,9 @@ def test_figure_outside_its_bounds_fails(figure):
 def test_files_of_others_are_refused(tmp_path, content):
     path = tmp_path / 'verify.json'
     path.write_text(content)
-    with pytest.raises(ValueError, match='verify.json(: is not a JSON file| is not of solver version)'):
+    with pytest.raises(
+        ValueError, match='verify.json(: is not a JSON file| is not of solver version)'
+    ):
         rows.make(str(path), {})
 
 
