@@ -26,7 +26,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mpm.columns import JIT
 
@@ -320,6 +319,8 @@ def _crossing(points):
 
 def _hull(points) -> list:
     """The convex hull of points, counter-clockwise from the leftmost one on."""
+    from scipy.spatial import ConvexHull  # slow to load, and help does not wait for it
+
     if np.linalg.matrix_rank(np.subtract(points, points[0])) < 2:
         raise ValueError('a plate has no side plates without an outline of their own')
     ring = ConvexHull(points).vertices
