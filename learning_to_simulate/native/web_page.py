@@ -142,19 +142,15 @@ def run(values) -> None:
     from learning_to_simulate import api, shipped
     from learning_to_simulate.live_page import recorded
     from learning_to_simulate.live_page.session import Session
-    from learning_to_simulate.native import model_data, starts
+    from learning_to_simulate.native import agreement
 
     path = shipped.find(values.model_path, 'models')
-    trained, n_rigid, subspace, found = starts.read_model(path, values.data_path)
-    model = api.load(path)
+    model, opened = api.load(path), agreement.Opened.of(path)
+    if opened.field is not None:
+        raise ValueError(f'{path}: a page without a server takes models in the subspace')
     os.makedirs(folder, exist_ok=True)
     session = Session(model, recorded.of_model(model, values.data_path))
-    write(
-        values.output_path,
-        project.symbol(path),
-        model_data.values(trained, n_rigid, subspace, starts=found),
-        session,
-    )
+    write(values.output_path, project.symbol(path), opened.values(), session)
     print(f'wrote {values.output_path} ({os.path.getsize(values.output_path) / 1e6:.2g} MB)')
 
 

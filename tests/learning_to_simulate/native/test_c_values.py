@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.native import c_values, fold, library
+from tests.learning_to_simulate.native import worlds
 
 
+@worlds.needs_c
 def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path):
-    if not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))):
-        pytest.skip('no C compiler')
     lines = [
         '#include <stdio.h>',
         '#include <stddef.h>',
@@ -42,12 +42,12 @@ def test_numbers_come_back_bit_by_bit():
     rng = np.random.default_rng(0)
     bits = rng.integers(0, 2**32, 4000, dtype=np.uint32).view(np.float32)
     for value in bits[np.isfinite(bits)]:
-        text = c_values._number(value, ctypes.c_float)
+        text = c_values.number(value, ctypes.c_float)
         assert text.endswith('f') and np.float32(text[:-1]) == value
     for value in (0.1, 1e-300, -3.0, 1 / 3):
-        assert float(c_values._number(value, ctypes.c_double)) == value
+        assert float(c_values.number(value, ctypes.c_double)) == value
     with pytest.raises(ValueError, match='nan'):
-        c_values._number(np.nan, ctypes.c_float)
+        c_values.number(np.nan, ctypes.c_float)
 
 
 def test_unknown_fields_are_refused_and_digests_follow_the_numbers():

@@ -8,25 +8,18 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from learning_to_simulate.native import (
-    field_data,
-    fmu,
-    library,
-    model_data,
-    starts,
-)
+from learning_to_simulate.live.stepper import Stepper
+from learning_to_simulate.native import agreement, field_data, fmu, library
 from learning_to_simulate.native.binding import CField, CSubspace
-from tests.learning_to_simulate import models
-from tests.learning_to_simulate.swept_field import small_wheel
-from tests.learning_to_simulate.swept_field import small_world as small_blade
+from learning_to_simulate.swept_field.engine import FieldEngine
+from tests.learning_to_simulate.native import worlds
+from tests.learning_to_simulate.swept_field import small_world
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
 from fmpy import fmi2, validation  # noqa: E402
 from fmpy.fmi1 import FMICallException  # noqa: E402
 
-pytestmark = pytest.mark.skipif(
-    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
-)
+pytestmark = worlds.needs_c
 CASES = {
     'prescribed': {},
     'driven': {'motion': 'driven', 'context': True},
@@ -36,13 +29,11 @@ PARTS = {'pos': 'xyz', 'rot': ('e0', 'e1', 'e2', 'e3'), 'lin_vel': 'xyz', 'ang_v
 
 
 def _write(folder, **case):
-    """(path of the FMU, model, starts, values)."""
-    model, (group, *_), metadata = models.make(folder / 'data', **case)
-    found = starts.read(str(folder / 'data'), model.simulator.config, group.n_rigid)
-    values = model_data.values(model, group.n_rigid, starts=found)
+    """(path of the FMU, `worlds.Graph`)."""
+    made = worlds.graph(folder / 'data', **case)
     path = str(folder / 'soil.fmu')
-    fmu.write(path, 'lts_small', values)
-    return path, model, found, values
+    fmu.write(path, 'lts_small', made.values)
+    return path, made
 
 
 @pytest.fixture(scope='module')
@@ -53,11 +44,10 @@ def shared(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def fields(tmp_path_factory):
-    """Name of a tool -> path of its FMU, field, what a wheel starts from."""
+    """Name of a tool -> path of its FMU, field, starts and subspace by name."""
     found, folder = {}, tmp_path_factory.mktemp('fields')
-    for name, small in (('blade', small_blade), ('wheel', small_wheel)):
-        field = small.make_field()
-        parts = small.two_starts(field) if name == 'wheel' else {}
+    for name in worlds.FIELDS:
+        field, parts = worlds.field(name)
         path = str(folder / f'{name}.fmu')
         fmu.write(path, f'lts_{name}', field_data.values(field, **parts))
         found[name] = path, field, parts
@@ -137,14 +127,7 @@ SHIPPED = [
 @pytest.mark.slow
 @pytest.mark.parametrize('name', SHIPPED)
 def test_shipped_models_are_valid(name, tmp_path):
-    path = os.path.join('models', name)
-    if name.endswith('swept_field'):
-        field, parts = field_data.read(path)
-        values = field_data.values(field, **parts)
-    else:
-        data = os.path.join('datasets', os.path.dirname(name))
-        model, n, subspace, found = starts.read_model(path, data)
-        values = model_data.values(model, n, subspace, starts=found)
+    values = agreement.Opened.of(f'models/{name}').values()
     written = str(tmp_path / 'soil.fmu')
     fmu.write(written, 'lts_soil', values)
     assert validation.validate_fmu(written) == []
@@ -161,11 +144,11 @@ def _pose(start, twist, t):
 @pytest.mark.parametrize('case', ['prescribed', 'driven'])
 def test_equals_the_stepper_for_every_step_of_the_master(case, tmp_path):
     """Frame by frame, in single milliseconds and in steps of three frames: frames stay whole."""
-    path, model, found, _ = _write(tmp_path, **CASES[case])
+    path, (model, group, starts, values) = _write(tmp_path, **CASES[case])
     dt, twist = model.simulator.scene.dt, np.array([-0.06, -0.02, 0.0, 0.0, 0.0, 0.4])
-    first = found[0]['points'].mean(axis=0)
-    stepper = CSubspace.of(model, len(found[0]['points']), starts=found)
-    context = None if case == 'prescribed' else found[0]['context']
+    first = values['starts'][0]['points'].mean(axis=0)
+    stepper = CSubspace.of(model, group.n_rigid, starts=starts)
+    context = None if case == 'prescribed' else values['starts'][0]['context']
     stepper.start(0, _pose(first, twist, 0.0), twist, context)
     expected = np.array([stepper.step_at(_pose(first, twist, k * dt)).force for k in range(1, 19)])
     for h in (dt, dt / 16, 3 * dt):
@@ -219,7 +202,7 @@ def _by_the_library(tool, field, parts, start, h, n):
         soil.start(_pose(start, twist, 0.0), twist)
         context = None
     else:
-        start, context = soil.start_of(0)
+        start, context = parts['starts'].pose[0], parts['starts'].context[0].copy()
         context[2] = _load(0.0)
         soil.start(None, twist, index=0, context=context)
     for k in range(n):
@@ -286,15 +269,82 @@ def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, fiel
         slave.free()
 
 
+def _turned(axis):
+    """A change of a pose: turned by 10 degrees about an axis of the world."""
+
+    def turned(pose):
+        half, (w, *v) = np.radians(10.0) / 2, pose[3:]
+        q, e = np.cos(half), np.sin(half) * np.eye(3)[axis]
+        return np.r_[pose[:3], q * w - e @ v, q * np.array(v) + w * e + np.cross(e, v)]
+
+    return turned
+
+
+OUTSIDE = {
+    'yaw': (_turned(1), 1 / 60),
+    'roll': (_turned(0), 1 / 60),
+    'aside': (lambda pose: pose + [0, 0, 0.5, 0, 0, 0, 0], 1 / 60),
+    'drift': (lambda pose: pose + [0, 0, 0.003, 0, 0, 0, 0], 1 / 60),
+    'frame_time': (lambda pose: pose, 1000.0),
+}
+
+
+def test_what_a_field_does_not_know_has_the_status_and_the_reason_of_python_and_c(fields, tmp_path):
+    path, field, parts = fields['blade']
+    poses = small_world.world_pose(small_world.path()[:, 0])
+    at = {'pos': poses[0, :3], 'rot': poses[0, 3:]}
+    slave = _Slave(path, tmp_path, **at)
+    soil, python = CField.of(field, **parts), Stepper(FieldEngine(field, *parts.values()))
+    for one in (soil, python):
+        one.start(poses[0])
+    for pose in poses[1:31]:
+        slave.set(pos=pose[:3], rot=pose[3:])
+        for step in (soil.step, python.step):
+            step(pose)
+        slave.step(1 / 60)
+    ok, outside = (slave.vr[f'status.{name}'] for name in ('ok', 'extrapolating'))
+    assert slave.c.getBoolean([ok, outside]) == [True, False] and not slave.logged
+    kept, of_c, of_python, time = slave.c.getFMUstate(), soil.save(), python.state, slave.time
+    for name, (change, h) in OUTSIDE.items():
+        pose = change(poses[31])
+        slave.set(pos=pose[:3], rot=pose[3:])
+        slave.step(h)
+        soil.step(pose, h)
+        judged = python.step(pose, dt=h).judgement
+        assert judged.reason.startswith(f'{name} ') and judged.reason == soil.judgement.reason
+        assert judged.status == soil.judgement.status == 'extrapolating'
+        assert slave.c.getBoolean([ok, outside]) == [False, True]
+        ((category, text),) = slave.logged
+        assert category == 'logStatusWarning' and text.endswith(judged.reason)
+        slave.logged.clear()
+        slave.c.setFMUstate(kept)
+        soil.load_state(of_c)
+        python.state, slave.time = of_python, time
+    slave.free()
+
+
+def test_a_bed_of_other_heights_is_said_at_the_start(tmp_path):
+    field, parts = worlds.field('blade')
+    field.ranges['bed_high'] = [0.1, 0.2]
+    path = str(tmp_path / 'blade.fmu')
+    fmu.write(path, 'lts_blade', field_data.values(field, **parts))
+    pose = small_world.world_pose(small_world.path()[0, 0]) - [0, 0.03, 0, 0, 0, 0, 0]
+    slave = _Slave(path, tmp_path / 'x', pos=pose[:3], rot=pose[3:])
+    judged = CField.of(field, **parts).start(pose)
+    assert slave.c.getBoolean([slave.vr['status.extrapolating']]) == [True]
+    assert judged.reason.startswith('bed_high ') and slave.logged[0][1].endswith(judged.reason)
+    slave.free()
+
+
 def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
-    path, model, found, values = shared
+    path, made = shared
     slave = _Slave(path, tmp_path / 'x')
     ok, outside = (slave.vr[f'status.{n}'] for n in ('ok', 'extrapolating'))
-    slave.set(pos=found[0]['points'].mean(axis=0) + [3.0, 0, 0])
-    slave.step(model.simulator.scene.dt)
+    slave.set(pos=made.values['starts'][0]['points'].mean(axis=0) + [3.0, 0, 0])
+    slave.step(made.model.simulator.scene.dt)
     assert slave.c.getBoolean([ok, outside]) == [False, True]
     assert {category for category, _ in slave.logged} == {'logStatusWarning'}
-    assert any('pose lies outside' in text for _, text in slave.logged)
+    assert any('pose lies outside' in t and 'coordinate x (m)' in t for _, t in slave.logged)
     wheel = _Slave(fields['wheel'][0], tmp_path / 'w', start=0)
     described = fmpy.read_model_description(fields['wheel'][0]).modelVariables
     causes = {v.name: v.causality for v in described}
@@ -315,7 +365,7 @@ def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
     slave.free()
     wheel.free()
     with pytest.raises(ValueError, match='needs a body'):
-        fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', values | {'n_start': 0})
+        fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', made.values | {'n_start': 0})
 
 
 def test_sources_alone_build_the_binary(shared, tmp_path):
@@ -338,11 +388,11 @@ def test_sources_alone_build_the_binary(shared, tmp_path):
 
 def test_a_spring_and_mass_on_the_soil_stay_bounded(shared, tmp_path):
     """A machine of 2 kg on a spring, its force from the soil, over a range of steps."""
-    path, model, found, _ = shared
+    path, made = shared
     ends = []
-    for h in (1e-3, 5e-3, model.simulator.scene.dt):
+    for h in (1e-3, 5e-3, made.model.simulator.scene.dt):
         slave = _Slave(path, tmp_path / f's{h:.4f}')
-        x0 = found[0]['points'].mean(axis=0)
+        x0 = made.values['starts'][0]['points'].mean(axis=0)
         x, v = x0.copy(), np.zeros(3)
         for _ in range(round(0.5 / h)):
             slave.set(pos=x, lin_vel=v)

@@ -144,18 +144,18 @@ def test_live_steps_in_c_are_those_of_tensorflow(made, stepper):
     model, group = made
     soil = CSubspace.of(model, group.n_rigid)
     with pytest.raises(ValueError, match='not started'):
-        soil.set_context(group.context[0, 0])
+        soil.call('set_context', group.context[0, 0])
     frames = _step_through(soil, group, 1, 12)
     expected = _step_through(stepper, group, 1, 12)
     for got, frame in zip(frames, expected, strict=True):
         np.testing.assert_allclose(got.modes, frame.modes, atol=TOLERANCE)
-    soil.prepare()  # what was computed ahead with the old context is computed again
+    soil.call('prepare')  # what was computed ahead with the old context is computed again
     pose, context = group.position[1, H + 12, : group.n_rigid], 1.3 * group.context[1, H]
     twin = CSubspace.of(model, group.n_rigid)
     _step_through(twin, group, 1, 12)
     np.testing.assert_array_equal(soil.step(pose, context).modes, twin.step(pose, context).modes)
     with pytest.raises(ValueError, match='shape'):
-        soil.set_context([1.0])
+        soil.step(pose, [1.0])
 
 
 def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):

@@ -96,8 +96,9 @@ struct lts_field_model {
   const lts_dense *load_last;   /* [M] -> 3, and the logarithm of their gain; of a wheel the height */
   float displacement, force, torque, full_width; /* units of what they say; of the width */
   float gain_limit, unused_limit;
-  /* Status: limits [2][n_scalar + LTS_FIELD_CONDITIONS] and the bit of each; weights of the bound: constant, of the spread over
-   * members and of the size of the force, or null. */
+  /* Status: limits [4][n_scalar + LTS_FIELD_CONDITIONS], the least and the most that is well, then the
+   * range of training, and the bit of each; weights of the bound: constant, of the spread over members
+   * and of the size of the force, or null. */
   double least_speed; /* m/s, below which a drift is a share of it */
   const double *limits;
   const int32_t *bits;

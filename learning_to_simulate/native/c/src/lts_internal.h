@@ -76,8 +76,8 @@ void lts_network_now(lts_instance *soil);
 /* lts_features.c */
 int lts_needs_pose(const lts_model *model, int kind);
 void lts_context_features(lts_instance *soil);
-void lts_node_features(const lts_instance *soil, int node, float *out);
-void lts_whole_features(const lts_instance *soil, float *out);
+/* Of nodes [first, last) side by side, kind by kind: of one node, or of all. */
+void lts_features(const lts_instance *soil, int first, int last, float *out);
 void lts_node_offset(const lts_instance *soil, int node, float out[3]);
 
 /* lts_status.c: checks of one frame of the start or of the rollout; return bits, and keep the first

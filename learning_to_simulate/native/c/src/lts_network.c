@@ -107,7 +107,9 @@ static void encode_nodes(lts_instance *soil, int kind) {
   for (int done = 0; done < n; done += LTS_TILE_ROWS) {
     const int rows = smaller(LTS_TILE_ROWS, n - done), first = first_node(m, kind) + done;
     float *feature = soil->feature + (size_t)first * m->n_feature;
-    for (int i = 0; i < rows; ++i) lts_node_features(soil, first + i, feature + i * m->n_feature);
+    for (int i = 0; i < rows; ++i) {
+      lts_features(soil, first + i, first + i + 1, feature + i * m->n_feature);
+    }
     soil->run->dense(&m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_NORMED, NULL,
                      NULL);
     soil->run->sum_relu(soil->b, m->node_bias + (size_t)first * stride, NULL, rows * stride, soil->a);
@@ -225,7 +227,7 @@ static void process(lts_instance *soil) {
 
 static void run_whole(lts_instance *soil) {
   const lts_model *m = soil->model;
-  lts_whole_features(soil, soil->feature);
+  lts_features(soil, 0, lts_n_node(m), soil->feature);
   const float *x = soil->feature;
   for (int i = 0; i < m->n_whole_hidden; ++i) {
     soil->run->dense(&m->whole_hidden[i], x, 0, 1, soil->b, 0, LTS_RELU, NULL, NULL);

@@ -64,8 +64,7 @@ static int nearest_start(const lts_model *m, const double *context) {
 
 int lts_start(lts_instance *soil, int start, const lts_pose *pose, const lts_twist *twist,
               const double *context) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
   const int n_node = lts_n_node(m);
   for (int i = 0; context && i < m->n_context; ++i) {
@@ -93,8 +92,7 @@ int lts_start(lts_instance *soil, int start, const lts_pose *pose, const lts_twi
 }
 
 int lts_frame_at(lts_instance *soil, const lts_pose *pose, lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   if (!lts_is_given(m)) return pose ? LTS_ERROR_CALL : lts_frame(soil, NULL, result);
   if (!pose) return LTS_ERROR_NULL;
@@ -107,8 +105,7 @@ int lts_frame_at(lts_instance *soil, const lts_pose *pose, lts_result *result) {
 
 int lts_advance(lts_instance *soil, double h, const lts_pose *pose, const lts_twist *twist,
                 lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   const int given = lts_is_given(m);
   lts_head *head = soil->state.head;

@@ -107,8 +107,7 @@ int lts_check(const lts_instance *soil) {
 }
 
 int lts_check_started(const lts_instance *soil) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   return soil->state.head->started ? LTS_OK : LTS_ERROR_CALL;
 }
 
@@ -118,8 +117,7 @@ int lts_kernel(const lts_instance *soil) {
 }
 
 int lts_reset(lts_instance *soil, const double *history, const double *context) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
   const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
   if (!history || (m->n_context && !context)) return LTS_ERROR_NULL;
@@ -188,8 +186,7 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
 }
 
 int lts_set_context(lts_instance *soil, const double *context) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   if (!m->n_context) return LTS_ERROR_CALL;
   if (!context) return LTS_ERROR_NULL;
@@ -206,39 +203,30 @@ size_t lts_state_size(const lts_model *model) {
 }
 
 int lts_save(const lts_instance *soil, void *bytes, size_t size) {
-  const int error = lts_check(soil);
-  if (error) return error;
-  if (!bytes) return LTS_ERROR_NULL;
-  if (size < lts_state_size(soil->model)) return LTS_ERROR_MEMORY;
-  const size_t n = lts_state_bytes(soil->model);
-  lts_write_header(LTS_MAGIC, soil->model->digest, soil->state.head, n, bytes);
-  memcpy((char *)bytes + LTS_HEADER_SIZE, soil->state.head, n);
-  return LTS_OK;
+  LTS_TRY(lts_check(soil));
+  const lts_model *m = soil->model;
+  return lts_write_state(LTS_MAGIC, m->digest, soil->state.head, lts_state_bytes(m), bytes, size);
 }
 
 int lts_load(lts_instance *soil, const void *bytes, size_t size) {
-  const int error = lts_check(soil);
-  if (error) return error;
-  if (!bytes) return LTS_ERROR_NULL;
-  if (size < lts_state_size(soil->model)) return LTS_ERROR_STATE;
-  const char *state = (const char *)bytes + LTS_HEADER_SIZE;
-  size_t n;
-  if (!lts_read_header(LTS_MAGIC, soil->model->digest, bytes, &n)) return LTS_ERROR_STATE;
-  if (n != lts_state_bytes(soil->model) || !lts_is_whole(bytes, state, n)) return LTS_ERROR_STATE;
+  LTS_TRY(lts_check(soil));
+  const lts_model *m = soil->model;
+  const size_t n = lts_state_bytes(m);
   lts_head head;
+  LTS_TRY(lts_check_state(LTS_MAGIC, m->digest, bytes, size, n));
+  const char *state = (const char *)bytes + LTS_HEADER_SIZE;
   memcpy(&head, state, sizeof head);
   /* A checksum can be forged: the index and the clock are what could lead astray. */
-  if (head.start < -1 || head.start >= soil->model->n_start) return LTS_ERROR_STATE;
-  if (!(fabs(head.elapsed) <= 2.0 * soil->model->dt)) return LTS_ERROR_STATE;
+  if (head.start < -1 || head.start >= m->n_start) return LTS_ERROR_STATE;
+  if (!(fabs(head.elapsed) <= 2.0 * m->dt)) return LTS_ERROR_STATE;
   memcpy(soil->state.head, state, n);
   soil->prepared = 0;
-  if (soil->state.head->started) lts_context_features(soil);
+  if (head.started) lts_context_features(soil);
   return LTS_OK;
 }
 
 int lts_clone(lts_instance *to, const lts_instance *from) {
-  const int error = lts_check(to) ? lts_check(to) : lts_check(from);
-  if (error) return error;
+  LTS_TRY(lts_check(to) ? lts_check(to) : lts_check(from));
   if (to->model != from->model) return LTS_ERROR_STATE;
   if (to == from) return LTS_OK;
   memcpy(to->state.head, from->state.head, lts_state_bytes(to->model));

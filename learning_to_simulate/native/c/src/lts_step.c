@@ -5,8 +5,7 @@
 #include "lts_internal.h"
 
 int lts_prepare(lts_instance *soil) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!soil->prepared) lts_network_ahead(soil);
   soil->prepared = 1;
   return LTS_OK;
@@ -177,8 +176,7 @@ static void move_predicted_body(lts_instance *soil) {
 }
 
 int lts_frame(lts_instance *soil, const double *points, lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   lts_head *head = soil->state.head;
   if (lts_is_given(m) != (points != NULL)) return points ? LTS_ERROR_CALL : LTS_ERROR_NULL;
