@@ -63,19 +63,18 @@ def export(
         if n_particles is not None:
             raise ValueError('n_particles is for a swept field')
         exported = StepFunctions.of_dataset(model_path, data_path, n_rigid)
-    concrete = export_formats.concrete(exported.functions(kind), kind)
+    functions = exported.functions(kind)
+    concrete = export_formats.concrete(functions, kind)
     weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
+
+    def rows(tensors):
+        return {k: [list(t.shape), t.dtype.name, exported.meaning[k]] for k, t in tensors.items()}
+
     description = {
         'format': kind,
         'signatures': {
-            name: {
-                side: {k: [list(t.shape), t.dtype.name, exported.meaning[k]] for k, t in given}
-                for side, given in (
-                    ('inputs', exported.functions(kind)[name][1].items()),
-                    ('outputs', function.structured_outputs.items()),
-                )
-            }
-            for name, function in concrete.items()
+            name: {'inputs': rows(functions[name][1]), 'outputs': rows(found.structured_outputs)}
+            for name, found in concrete.items()
         },
         'weights_sha256': files.sha256_of_file(weights),
         **exported.describe(),
@@ -88,21 +87,15 @@ def export(
         description['load_s'] = time.perf_counter() - start
         samples = exported.samples()
         description['compared'] = compare(exported, loaded, samples)
-        arrays: dict[str, list] = {}
-        for name, array in (pair for rows in samples.values() for r in rows for pair in _named(r)):
-            arrays.setdefault(name, []).append(array)
-        files.write_npz(
-            os.path.join(folder, SAMPLE_FILE), **{k: np.stack(v) for k, v in arrays.items()}
-        )
+        arrays: dict[str, np.ndarray] = {}
+        for calls in samples.values():
+            rows = [inputs | outputs for inputs, outputs in calls]
+            arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]} | arrays
+        files.write_npz(os.path.join(folder, SAMPLE_FILE), **arrays)
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
 
     files.write_folder_atomically(output_path, fill)
     return description
-
-
-def _named(sample):
-    """Name and array of the inputs and outputs of a call."""
-    return [*sample[0].items(), *sample[1].items()]
 
 
 def compare(exported, loaded, samples) -> dict:

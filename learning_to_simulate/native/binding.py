@@ -158,7 +158,9 @@ class CInstance(abc.ABC):
         Raises:
           ValueError: an error of lts.h, in its words.
         """
-        given = (x.ctypes if isinstance(x, np.ndarray) else x for x in values)
+        given = (
+            np.ascontiguousarray(x).ctypes if isinstance(x, np.ndarray) else x for x in values
+        )
         code = self._function(name)(self._soil, *given)
         if code < 0:
             raise ValueError(self._c.lts_error_text(code).decode())
@@ -346,7 +348,7 @@ class CField(CInstance):
             made.n, parts = len(places), {'places': places[order], 'heights': heights[order]}
         else:
             points = numbers('bed', bed, (self.description.n_soil, 3))
-            parts = {'particles': points.astype(np.float32)}
+            parts = {'particles': np.ascontiguousarray(points, np.float32)}
         for name, array in parts.items():
             setattr(made, name, array.ctypes.data_as(dict(made._fields_)[name]))
         made.alive = parts

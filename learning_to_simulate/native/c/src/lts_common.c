@@ -16,6 +16,20 @@ int lts_all_finite(const double *values, size_t n) {
   return 1;
 }
 
+void lts_centroid(const double *points, int n, double out[3]) {
+  out[0] = out[1] = out[2] = 0.0;
+  for (int i = 0; i < 3 * n; ++i) out[i % 3] += points[i] / n;
+}
+
+double lts_far(const double *one, const double *other, const double *scale, int n) {
+  double far = 0.0;
+  for (int i = 0; i < n; ++i) {
+    const double d = (one[i] - other[i]) / scale[i];
+    far += d * d;
+  }
+  return far;
+}
+
 const char *lts_error_text(int error) {
   switch (error) {
     case LTS_ERROR_NULL: return "a pointer that is needed is null";

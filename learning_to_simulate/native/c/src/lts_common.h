@@ -18,6 +18,10 @@
 size_t lts_aligned(size_t n, size_t to);
 int lts_all_finite(const double *values, size_t n);
 
+/* Mean of n points [n][3]. */
+void lts_centroid(const double *points, int n, double out[3]);
+/* How far two contexts are apart, each value counted by its scale, squared. */
+double lts_far(const double *one, const double *other, const double *scale, int n);
 void lts_rotate(const double q[4], const double v[3], double out[3]);
 /* 0 where `q` stands for no rotation: not finite, or hardly longer than zero. */
 int lts_unit_quaternion(const double q[4], double out[4]);

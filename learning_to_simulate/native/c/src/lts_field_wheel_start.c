@@ -24,11 +24,7 @@ static int nearest(const lts_field_model *m, const double *context) {
   double least = HUGE_VAL;
   int best = 0;
   for (int i = 0; context && i < m->n_start; ++i) {
-    double far = 0.0;
-    for (int k = 0; k < m->n_context; ++k) {
-      const double away = (m->starts[i].context[k] - context[k]) / m->context_scale[k];
-      far += away * away;
-    }
+    const double far = lts_far(context, m->starts[i].context, m->context_scale, m->n_context);
     if (far < least) best = i;
     if (far < least) least = far;
   }

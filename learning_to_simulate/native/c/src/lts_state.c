@@ -39,13 +39,7 @@ size_t lts_state_bytes(const lts_model *model) { return lay_out_state(model, NUL
 size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   const size_t n_node = (size_t)lts_n_node(m), tile = LTS_TILE_ROWS;
   const size_t latent = (size_t)LTS_PADDED(m->latent);
-  size_t columns = 0, width = latent, out = LTS_PANEL * n_node;
-  for (int i = 0; i < m->n_step; ++i) {
-    for (int kind = 0; kind < 2; ++kind) {
-      const size_t total = (size_t)m->steps[i].columns[kind].total;
-      columns = total > columns ? total : columns;
-    }
-  }
+  size_t width = latent, out = LTS_PANEL * n_node;
   for (int i = 0; i < m->n_whole_hidden; ++i) {
     const size_t n = (size_t)m->whole_hidden[i].columns;
     width = n > width ? n : width;
@@ -63,7 +57,7 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
   TAKE(weight, (size_t)m->n_edge)
   TAKE(gate, n_node)
-  TAKE(columns, n_node * columns)
+  TAKE(columns, n_node * (size_t)lts_column_stride(m))
   TAKE(received, m->is_graph ? n_node * (latent + LTS_PANEL) : 0)
   TAKE(feature, n_feature)
   TAKE(a, m->is_graph ? tile * width : width)
@@ -165,11 +159,9 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   }
   if (n_rigid) memcpy(s->given, newest, 3 * n_rigid * sizeof *newest);
   if (m->correction) {
-    double centroid[3] = {0.0, 0.0, 0.0};
-    for (size_t i = 0; i < 3 * n_rigid; ++i) {
-      s->shape[i] = (double)s->offset[i] + m->origin[i];
-      centroid[i % 3] += s->shape[i] / (double)n_rigid;
-    }
+    double centroid[3];
+    for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] = (double)s->offset[i] + m->origin[i];
+    lts_centroid(s->shape, m->n_rigid, centroid);
     for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] -= centroid[i % 3];
   }
   lts_context_features(soil);
@@ -181,7 +173,7 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   }
   head->result.frame = head->frame;
   head->result.status = status;
-  for (size_t i = 0; i < 3 * n_rigid; ++i) head->result.point[i % 3] += newest[i] / (double)n_rigid;
+  lts_centroid(newest, m->n_rigid, head->result.point);
   return status;
 }
 

@@ -44,18 +44,11 @@ int lts_check_start(lts_instance *soil, int frame, const double *nodes) {
   return bits;
 }
 
-/* Mean height of the points of a driven body, which is not given; else 0. */
-static double height_of(const lts_model *m, const double *points) {
-  double height = 0.0;
-  if (m->motion != LTS_DRIVEN) return 0.0;
-  for (int i = 0; i < m->n_rigid; ++i) height += points[3 * i + m->up_axis] / m->n_rigid;
-  return height;
-}
-
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points) {
   const lts_model *m = soil->model;
   const int n = m->n_rigid;
-  const double height = height_of(m, points), rise = before ? height - height_of(m, before) : 0.0;
+  const double height = lts_ungiven_height(m, points, NULL);
+  const double rise = before ? lts_ungiven_height(m, points, before) : 0.0;
   double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
   double square = 0.0;
   int bits = 0;
