@@ -244,7 +244,7 @@ def _first_outside(status, values, limits, frame, first_node=0, name='coordinate
     if not bad.any():
         return None
     node, axis = (int(i) for i in np.argwhere(bad)[0])
-    low, high = np.broadcast_to(limits[2:], (2, *values.shape))[:, node, axis]
+    low, high = (np.broadcast_to(x, values.shape)[node, axis] for x in limits[2:])
     measure = f'{name} {"xyz"[axis]} (m)' if values.shape[1] == 3 else f'{name} (m)'
     reason = outside(status, measure, values[node, axis], low, high)
     return Judgement(status, frame, node + first_node, reason)

@@ -105,9 +105,9 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
     for seed in range(24):
         rng = np.random.default_rng(seed)
         truth, context = group.position[seed % 4].copy(), group.context[seed % 4].copy()
-        if seed % 3 == 1:
-            frame = rng.integers(0, len(truth))
-            truth[frame:, rng.integers(n), rng.integers(3)] += rng.choice([-1, 1]) * 0.3
+        if seed % 3:  # far enough for the soil to leave its bounds, or too fast for a frame
+            frame, size = rng.integers(0, len(truth)), 0.3 if seed % 3 == 1 else 0.01
+            truth[frame:, rng.integers(n), rng.integers(3)] += rng.choice([-1, 1]) * size
         if seed % 4 == 1:
             context[rng.integers(2)] *= 1.5
         if seed % 5 == 1:
