@@ -85,6 +85,7 @@ def outside(status: RolloutStatus, measure: str, value: float, low: float, high:
     """Why a value has a status; low and high are the range of training, not the wider one in which
     all is well."""
     twice = 'twice ' if status == RolloutStatus.LEFT_BOUNDS else ''
+    value += 0.0  # a 0 without sign
     return f'{measure} {value:.4g} is outside {twice}[{low:.4g}, {high:.4g}] of training'
 
 

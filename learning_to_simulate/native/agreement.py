@@ -69,15 +69,17 @@ class Opened(NamedTuple):
         """A stepper by C, of a compiled project or of this machine's library, and one by
         TensorFlow."""
         model, starts, space, n = self
-        if library_path is None:
-            by_c = engines.of(model, starts, space, engines.C, n)
-        elif self.field is not None:
-            soil = CField.open(library_path, symbol)
-            by_c = engines.CFieldEngine(self.field, starts, space, soil)
+
+        def make(*_):
+            if library_path is not None:
+                return CSubspace.open(library_path, symbol)
+            return CSubspace.of(model, n, subspace=space)
+
+        if self.field is None:
+            by_c = engines.c_subspace_engine(model, starts, space, n, make)
         else:
-            by_c = engines.c_subspace_engine(
-                model, starts, space, n, lambda *_: CSubspace.open(library_path, symbol)
-            )
+            soil = None if library_path is None else CField.open(library_path, symbol)
+            by_c = engines.CFieldEngine(self.field, starts, space, soil)
         return [Stepper(by_c), Stepper(engines.of(model, starts, space, engines.TENSORFLOW, n))]
 
 
@@ -178,7 +180,7 @@ def compare(ours: Stepper, theirs: Stepper, steps) -> dict:
     """Largest differences of two steppers that have begun alike.
 
     Args:
-      ours, theirs: two steppers of one model.
+      ours, theirs: two steppers of one model, by C and by TensorFlow.
       steps: poses and contexts, or None, of `Stepper.step`.
 
     Returns:
@@ -217,8 +219,10 @@ def compare(ours: Stepper, theirs: Stepper, steps) -> dict:
         for name in ('force', 'torque', 'bound'):
             note(name, getattr(mine, name), getattr(frame, name))
         if draws and k % every == 0:
+            # In a subspace steppers decode particles themselves: here those of the library count.
+            drawn = ours.computing.step if has_modes else mine
             points = frame.particles()
-            note('particles', mine.particles(), points, points - first.particles())
+            note('particles', drawn.particles(), points, points - first.particles())
     shares = {k: apart[k] / sizes[k] if sizes[k] > 0 else apart[k] for k in apart}
     particles = {'particles_m': apart['particles']}
     return {'frames': count, 'same_status': same} | particles | shares

@@ -93,6 +93,10 @@ class CStep:
         frame = self._soil.step(body, context)
         return np.concatenate([frame.rigid_pose, frame.modes]), frame.force
 
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3], m, of the frame that was computed last, as the library decodes them."""
+        return self._soil.particles()
+
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
         self._is_proposed = False

@@ -56,7 +56,6 @@ def values(field, starts=None, subspace=None) -> dict:
         'scalar_names': ','.join(limits.names),
         'middle': axes.middle,
         'dt': field.scene.dt,
-        'start_height': float(axes.points(field.rest)[:, 1].max() + field.spacing / 2),
         'n_bin': len(grid.offsets),
         'n_pad': 2 + int(reach / grid.spacing),
         'n_behind': int(np.flatnonzero(grid.offsets == 0)[0]),
@@ -106,13 +105,16 @@ def values(field, starts=None, subspace=None) -> dict:
 
 def _of_blade(field):
     """The fields that are a blade's."""
-    tool = field.tool
-    along = field.axes.points(field.rest)[:, 0]
-    # How far from the end of the bed a tool usually begins, m.
+    tool, (u, height, _) = field.tool, field.axes.points(field.rest).max(axis=0)
+    end, level = u + field.spacing / 2, height + field.spacing / 2
+    # Where a blade may begin: as far from the end of the bed as usual, 1 cm over it, m.
     from_end = float(np.mean(field.ranges['end']))
+    start = field.axes.world([end - from_end, level + tool.radius + 0.01, 0.0])
+    start[field.axes.across] = field.axes.middle
     return {
         'tool': library.constants()['LTS_FIELD_BLADE'],
-        'start_u': float(along.max() + field.spacing / 2 - from_end),
+        'level': level,
+        'start': start,
         'n_scale': len(blade.TIME_SCALES),
         'time_scales': np.array(blade.TIME_SCALES),
         'reach': blade.REACH,
@@ -160,6 +162,8 @@ def _of_wheel(field, starts, subspace):
         'load': names.index('load'),
         'context_scale': np.where(spread > 0, spread, 1.0),
         'bed_mean': field.rest,
+        'level': field.axes.points(field.rest)[:, 1].max() + field.spacing / 2,
+        'start': starts.pose[0, :3],
         'n_mode': 0 if subspace is None else subspace.n_modes,
     }
     if subspace is not None:

@@ -12,8 +12,6 @@ import zipfile
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-import numpy as np
-
 from learning_to_simulate.native import library, project
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
@@ -92,9 +90,10 @@ def reals(values: dict) -> list[Variable]:
         moment, bound = '0: the model has learned no torque', '0: the model has no bound'
         frame = 'a frame of the model; never split'
     sinkage = 'output' if body(values) == 'wheel' else 'local'
+    place = values['start'] if is_field else values['starts'][0]['points'].mean(axis=0)
     return [
         *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
-          for a, v in zip('xyz', _first_place(values))),
+          for a, v in zip('xyz', place)),
         *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
         *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
         *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
@@ -111,18 +110,6 @@ def reals(values: dict) -> list[Variable]:
 
 def _vector(name, *rest):
     return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
-
-
-def _first_place(values):
-    if project.is_wheel(values):
-        return values['starts'][0]['pose'][:3]
-    if not project.is_field(values):
-        return values['starts'][0]['points'].mean(axis=0)
-    place = np.empty(3)
-    place[values['axis']] = values['sign'] * values['start_u']
-    place[values['up']] = values['start_height'] + values['blade_radius'] + 0.01
-    place[3 - values['axis'] - values['up']] = values['middle']
-    return place
 
 
 def _context(values):

@@ -128,8 +128,8 @@ void lts_say(const lts_judgement *found, const char *measure, char *text, size_t
   } else if (found->status & LTS_NON_FINITE) {
     snprintf(text, size, "%s is not finite", measure);
   } else {
-    snprintf(text, size, "%s %.4g is outside %s[%.4g, %.4g] of training", measure, found->value, twice,
-             found->low, found->high);
+    snprintf(text, size, "%s %.4g is outside %s[%.4g, %.4g] of training", measure,
+             found->value + 0.0 /* a 0 without sign */, twice, found->low, found->high);
   }
 }
 

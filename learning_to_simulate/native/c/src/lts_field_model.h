@@ -58,7 +58,8 @@ struct lts_field_model {
   int32_t axis, sign, up, turn; /* turn: sign of a torque across the way */
   const char *name, *digest, *scalar_names;
   double middle, dt;
-  double start_u, start_height; /* see lts_field_description.start */
+  double level;        /* of the flat bed, m */
+  const double *start; /* [3] see lts_field_description */
   /* Bins, and the circle that sweeps them. */
   int32_t n_bin, n_scale, n_pad, n_behind; /* n_pad: bins that a place around a particle is away;
                                             * n_behind: bins behind the tool's first place */

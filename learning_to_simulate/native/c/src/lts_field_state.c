@@ -35,11 +35,8 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.floor = HUGE_VAL;
   for (int i = 0; i < m->n_soil; ++i) d.floor = fmin(d.floor, m->rest[3 * i + m->up]);
   d.floor -= 0.5 * m->spacing;
-  d.level = m->start_height;
-  d.start[m->axis] = m->sign * m->start_u;
-  d.start[m->up] = m->start_height + m->blade_radius + 0.01;
-  d.start[3 - m->axis - m->up] = m->middle;
-  if (m->n_start) memcpy(d.start, m->starts[0].pose, sizeof d.start);
+  d.level = m->level;
+  memcpy(d.start, m->start, sizeof d.start);
   d.name = m->name;
   d.digest = m->digest;
   d.scalar_names = m->scalar_names;
