@@ -5,7 +5,7 @@ Both are steppers, so that what is compared is what a user gets.
 
 import os
 import tempfile
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,9 +38,9 @@ class Opened(NamedTuple):
       n_rigid: R of the graph of a model in a subspace.
     """
 
-    model: object
+    model: Any
     starts: live_starts.Starts
-    subspace: object
+    subspace: Any
     n_rigid: int
 
     @classmethod
