@@ -158,9 +158,7 @@ class CInstance(abc.ABC):
         Raises:
           ValueError: an error of lts.h, in its words.
         """
-        given = (
-            np.ascontiguousarray(x).ctypes if isinstance(x, np.ndarray) else x for x in values
-        )
+        given = (np.ascontiguousarray(x).ctypes if isinstance(x, np.ndarray) else x for x in values)
         code = self._function(name)(self._soil, *given)
         if code < 0:
             raise ValueError(self._c.lts_error_text(code).decode())
@@ -171,6 +169,7 @@ class CInstance(abc.ABC):
 
     def _function(self, name):
         return getattr(self._c, self.PREFIX + name)
+
 
 def _given(name, values, shape):
     """float64 values of a user, or None."""

@@ -195,9 +195,7 @@ def test_bad_input_is_refused_and_changes_nothing(shared):
     with pytest.raises(ValueError, match="kernel is 'gpu'"):
         CSubspace.of(model, n, kernel='gpu')
     with pytest.raises(ValueError, match='subspace has'):
-        CSubspace.of(
-            model, n, subspace=subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES)
-        )
+        CSubspace.of(model, n, subspace=subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES))
     with pytest.raises(ValueError, match='outside its range'):
         stepper.start()
 
