@@ -20,9 +20,8 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid
-from mpm.motions.drive import Drive
-from mpm.motions.levels import Levels
-from mpm.motions.operator_paths import STEPS_CHECKED, TRIES
+from mpm.motions.drive import Drive, poses
+from mpm.motions.levels import Levels, Track
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'height', 'wheels', 'grousers')
@@ -37,26 +36,17 @@ DEEPEST = 0.012  # m
 _SMALL = 0.1  # m, diameter
 _MOON = 2.0  # m/s2
 
-_FRAMES = scenes.FRAMES
-_DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
 
-
-class _Story:
-    """A drive while it is drawn: levels of rim speed and travel (m/s) at common times."""
+class _Story(Track):
+    """A drive while it is drawn: its rim speed and travel, m/s."""
 
     def __init__(self, rng):
+        super().__init__(rim=0.0, travel=0.0)
         self._rng = rng
-        self.times, self.rims, self.travels = [0.0], [0.0], [0.0]
-
-    @property
-    def time(self) -> float:
-        return self.times[-1]
 
     def go(self, seconds, rim, slip) -> None:
         """Goes to a rim speed (m/s, forward) at a slip in `seconds`."""
-        self.times.append(self.time + seconds)
-        self.rims.append(rim)
-        self.travels.append(rim * (1.0 - slip))
+        self.add(seconds, rim=rim, travel=rim * (1.0 - slip))
 
     def roll(self, seconds, direction=1.0) -> None:
         """Goes to a rim speed and slip that are drawn."""
@@ -67,24 +57,14 @@ class _Story:
 def free_drive(
     scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
 ) -> tuple[Drive, dict]:
-    """Draws a drive.
-
-    Args:
-        scene: of the wheel; its grid gives the contexts, its bin limits the travel.
-        kind: one of `KINDS`.
-        seed: not negative.
-        tool: a wheel, `bodies.check_tool`; None: one of the grid, or what the kind draws.
+    """Draws a drive of one of `KINDS`; without a tool the wheel is one of the grid, or drawn.
 
     Returns:
         The drive and its parameters, JSON-compatible, those of a case of the grid among them.
 
     Raises:
-        ValueError: an unknown kind, a negative seed, or a bin in which none of `TRIES` fits.
+        ValueError: a bin in which no drive fits.
     """
-    if kind not in KINDS:
-        raise ValueError(f'unknown kind {kind!r} of free drive; there are {KINDS}')
-    if seed < 0:
-        raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 2])
     context = _draw_context(rng, scene)
     while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
@@ -100,14 +80,11 @@ def free_drive(
         wheel = bodies.tool_body(tool)
     else:
         wheel = bodies.make_wheel(context['diameter_m'])
-    for _ in range(TRIES):
-        drive, parameters = _draw(rng, scene, kind, wheel, load, context)
-        try:
-            checks.check_drive(drive, scene.bin, _FRAMES - 1, STEPS_CHECKED)
-        except ValueError:
-            continue
-        return drive, {'kind': kind, 'path_seed': seed, **context, **parameters}
-    raise ValueError(f'none of {TRIES} drives of the kind {kind!r}, seed {seed} fits into the bin')
+    drive, drawn = checks.first_that_fits(
+        lambda: _draw(rng, scene, kind, wheel, load, context), scene.bin,
+        f'the kind {kind!r}, seed {seed}',
+    )  # fmt: skip
+    return drive, {'kind': kind, 'path_seed': seed, **context, **drawn}
 
 
 def _draw_context(rng, scene) -> dict:
@@ -145,10 +122,8 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     elif kind == 'height':
         plot = 'reverse' if rng.random() < 0.4 else 'slip'
     {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
-    rim, travel = (
-        Levels(np.array(story.times), np.array(values)) for values in (story.rims, story.travels)
-    )
-    shown = np.linspace(0.0, _DURATION, _FRAMES)
+    rim, travel = story.levels('rim'), story.levels('travel')
+    shown = np.linspace(0.0, scenes.DURATION, round(scenes.DURATION * scenes.FRAME_RATE) + 1)
     parameters = {
         'plot': plot,
         'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6),
@@ -157,10 +132,10 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     if kind == 'height':
         height = _bobbing(rng, box, wheel)
     else:
-        factors, times = np.ones(2), np.array([0.0, _DURATION])
+        factors, times = np.ones(2), np.array([0.0, scenes.DURATION])
         if plot == 'load':
             inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
-            times = _DURATION * np.concatenate([[0.0], inner, [1.0]])
+            times = scenes.DURATION * np.concatenate([[0.0], inner, [1.0]])
             times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
             low, high = LOAD_FACTORS
             if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
@@ -173,9 +148,9 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
 
     def pose(times):
         x = start_x - travel.integral(times)
-        y = np.zeros_like(x) if height is None else height(times)
+        y = 0.0 if height is None else height(times)
         turn = rim.integral(times) / wheel.radius
-        return np.stack([x, y, turn, np.full_like(x, box.z_middle)], axis=1)
+        return poses(times, x, y, turn, box.z_middle)
 
     rest = 0 if machine is None else grid.REST_FRAMES
     return Drive(wheel, pose, machine, rest=rest), parameters
@@ -191,7 +166,7 @@ def _bobbing(rng, box, wheel) -> Levels:
     times, heights = [0.0, 0.1], [base + 0.004] * 2
     times.append(rng.uniform(0.5, 1.2))
     heights.append(base - min(abs(sinkage()), DEEPEST))
-    while times[-1] < _DURATION:
+    while times[-1] < scenes.DURATION:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
         height = heights[-1] + step if step is not None else base - sinkage()
@@ -200,7 +175,7 @@ def _bobbing(rng, box, wheel) -> Levels:
 
 
 def _slip(rng, story) -> None:
-    while story.time < _DURATION:
+    while story.time < scenes.DURATION:
         story.roll(rng.uniform(0.5, 1.5))
 
 
