@@ -14,8 +14,9 @@ import pytest
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.native import agreement, exporting, field_data, fmu, library, project
+from learning_to_simulate.native import agreement, field_data, fmu, library, project
 from learning_to_simulate.native.binding import CField, CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -187,10 +188,10 @@ def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(saved, tmp_p
         n_rigid=None, n_particles=None,
     )  # fmt: skip
     export_command.run(values)
-    assert 'largest difference to TensorFlow' in capsys.readouterr().out
+    assert 'largest difference to the source' in capsys.readouterr().out
     assert os.path.exists(tmp_path / 'out' / 'CMakeLists.txt')
     values.n_particles, values.output_path = 2, str(tmp_path / 'out2')
-    with pytest.raises(ValueError, match='--n_particles is not for --format=c'):
+    with pytest.raises(ValueError, match='n_particles is for the functions'):
         export_command.run(values)
     assert not os.path.exists(tmp_path / 'out2')
 
