@@ -15,6 +15,7 @@ from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.native import c_values, field_data, library, model_data
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.swept_field.calibration import reason
 
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)
@@ -169,9 +170,8 @@ class CInstance(abc.ABC):
             return Judgement(kind, found.frame, found.node, 'a prediction is not finite')
         if status & c['LTS_LEFT_BOUNDS']:
             kind = RolloutStatus.LEFT_BOUNDS
-        reason = f'{self._measure(found)} {found.value:.4g} is outside '
-        reason += f'[{found.low:.4g}, {found.high:.4g}] of training'
-        return Judgement(kind, found.frame, found.node, reason)
+        words = reason(self._measure(found), found.value, found.low, found.high)
+        return Judgement(kind, found.frame, found.node, words)
 
     @abc.abstractmethod
     def _measure(self, found):

@@ -11,7 +11,7 @@ CONTEXT = ('half_width',)
 SCALARS = (
     'tip', 'height', 'lean', *RATES,
     *(f'{name}_{i}' for i in range(len(blade.TIME_SCALES)) for name in RATES),
-    'area', 'foremost', 'half_width', 'end', 'room',
+    'area', 'foremost', 'half_width', 'end', 'room', 'pressed',
 )  # fmt: skip
 
 
@@ -28,6 +28,7 @@ def values(field) -> dict:
         'time_scales': np.array(blade.TIME_SCALES),
         'reach': blade.REACH,
         'rise': blade.RISE,
+        'steep': blade.STEEP,
         'width': tool.width,
         'blade_radius': tool.radius,
         'length': tool.length,

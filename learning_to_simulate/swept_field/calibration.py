@@ -38,6 +38,12 @@ CONDITIONS = {
     'bed_high': (-0.15, 0.15),
     'frame_time': (0.0, 0.1),
 }
+# Scalars that models may leave out, since no network sees them; see (20) of `tool.blade`.
+SCALARS_WITHOUT_RANGE = {'pressed': (0.0, 0.02)}
+# What a reason says beside the name.
+MEANING = {
+    'pressed': 'm straight down: the model knows cuts, not presses',
+}
 # Below this speed (m/s) a drift is a share of it: a tool that stands may tremble.
 LEAST_SPEED = 0.04
 
@@ -60,13 +66,15 @@ class Ranges:
 
     @classmethod
     def of(cls, ranges: dict, scalars) -> 'Ranges':
-        """Of the ranges {name: (low, high)} of a model; those of `CONDITIONS` it may leave out.
+        """Of the ranges {name: (low, high)} of a model; those of `CONDITIONS` and of
+        `SCALARS_WITHOUT_RANGE` it may leave out.
 
         Raises:
           KeyError: a scalar has no range.
         """
         names = (*scalars, *CONDITIONS)
-        low, high = np.array([(CONDITIONS | ranges)[name] for name in names], float).T
+        known = SCALARS_WITHOUT_RANGE | CONDITIONS | ranges
+        low, high = np.array([known[name] for name in names], float).T
         is_scalar = np.arange(len(names)) < len(scalars)
         extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
         return cls(names, low, high, np.stack([low - extra, high + extra]))
@@ -98,8 +106,7 @@ class Ranges:
             RolloutStatus.EXTRAPOLATING,
             first + frame,
             -1,
-            f'{self.names[which]} {values[frame, which]:.4g} is outside '
-            f'[{self.low[which]:.4g}, {self.high[which]:.4g}] of training',
+            reason(self.names[which], values[frame, which], self.low[which], self.high[which]),
         )
 
     def statuses(self, values, finite) -> list[RolloutStatus]:
@@ -107,6 +114,12 @@ class Ranges:
         found = np.where(self.outside(values).any(axis=1), 1, 0)
         kinds = (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE)
         return [kinds[i] for i in np.where(finite, found, 2)]
+
+
+def reason(name: str, value: float, low: float, high: float) -> str:
+    """Why a value is not like those of training, in words; from Python and from C."""
+    meaning = f' ({MEANING[name]})' if name in MEANING else ''
+    return f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training{meaning}'
 
 
 def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:

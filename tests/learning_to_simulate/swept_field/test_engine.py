@@ -254,6 +254,25 @@ def test_what_the_field_does_not_know_is_said_and_may_be_refused(field, engine, 
     assert 'frame_time 1000' in live.step(poses[31], dt=1000.0).reason
 
 
+def test_a_press_is_no_cut(field, engine):
+    """35 mm straight down, held, lifted, driven on, pressed again and lifted: flagged while it
+    presses, alike in Python and in C; nowhere else."""
+    down, level, still = np.array([0, -0.0011, 0]), np.array([0.003, 0, 0]), np.zeros(3)
+    steps = 32 * [down] + 5 * [still] + 27 * [-down] + 40 * [level] + 25 * [down] + 10 * [-3 * down]
+    plane = [-0.75, world.SURFACE + world.BLADE.radius, 0.4] + np.cumsum([still, *steps], axis=0)
+    poses = world.world_pose(plane)
+    field.ranges, kept = field.ranges | {'pressed': [0.0, 0.02]}, field.ranges
+    try:
+        live = Stepper(engine(field, world.make_starts(field)))
+        live.start(poses[0])
+        frames = [live.step(pose) for pose in poses[1:]]
+    finally:
+        field.ranges = kept
+    flagged = np.array([frame.now != RolloutStatus.OK for frame in frames], int)
+    assert np.flatnonzero(np.diff(flagged)).tolist() == [18, 37, 122, 128]
+    assert 'pressed 0.022 is outside' in frames[-1].reason and 'presses' in frames[-1].reason
+
+
 def _turned(poses, q):
     """Poses [T, 7] with their rotation turned by a quaternion q about the world's axes."""
     w, v, w2, v2 = q[0], q[1:], poses[:, 3], poses[:, 4:]
