@@ -17,7 +17,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, ModesSoil
 from learning_to_simulate.rollout import corrected_step
-from learning_to_simulate.rollout_status import OK, Judgement, Ranges, worse
+from learning_to_simulate.rollout_status import OK, Judgement, Ranges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
@@ -26,27 +26,60 @@ from learning_to_simulate.tool import path_memory
 from pca_tools import rigid_fit
 
 
-class Proposal(NamedTuple):
-    """What an engine says of a frame; arrays are the caller's to keep.
+class Frame(NamedTuple):
+    """One frame; its arrays cannot be written to.
 
     Attributes:
-      judgement: of this frame alone.
-      soil: `soil.ModesSoil`, or what a method has in its place.
-      nodes: float64 [R, D], m, particles of the body that are nodes.
-      pose: float64 [7] of the body; None where particles do not fix one.
-      force: [D] on the body, N, or [B, D] on several; None where the scene has none.
-      torque: [D] about the reference point, N m, where the model predicts one.
+      judgement: how far it can be trusted. An engine judges this frame alone; in the frames of a
+        stepper it is the worst since the start, with the frame in which that began and the reason.
+      soil: `soil.Soil`.
+      rigid_pose: float64 [R, D] particles of the body that are nodes, m.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
+        is given by its particles, or they do not fix one.
+      force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
+      torque: [D] about the body's reference point, N m, where the model predicts one.
       bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
         None where the model was not calibrated.
+      now: the status of this frame alone.
     """
 
     judgement: Judgement
     soil: Any
-    nodes: np.ndarray
+    rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
     torque: np.ndarray | None = None
     bound: float | None = None
+    now: RolloutStatus = RolloutStatus.OK
+
+    def __repr__(self) -> str:
+        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(values)} N, ' if values else ''
+        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start, as a rollout file would have it."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, D] scores, m; of a method without modes those of its particles, which needs a
+        subspace (ValueError)."""
+        return self.soil.modes
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D] positions of the soil, m; ValueError without a subspace."""
+        return self.soil.particles()
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface, m; see `soil.surface`."""
+        return self.soil.height_map(nx, nz)
 
 
 class SubspaceEngine:
@@ -106,7 +139,7 @@ class SubspaceEngine:
             self._sizes[n_rigid] = step, ranges
         return self._sizes[n_rigid]
 
-    def begin(self, start, bed=None, blade_width=None) -> Proposal:
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
         """Begins from a `starts.Start` or a `starts.RecordedStart`.
 
         Raises:
@@ -135,7 +168,7 @@ class SubspaceEngine:
         self._body = history[-1, :n]
         force, torque = self._split(np.zeros(self._model.simulator.load_size, np.float32))
         soil = ModesSoil(history[-1, n:], self._decoder)
-        return Proposal(judgement, soil, self._body, start.pose, force, torque)
+        return Frame(judgement, soil, self._body, start.pose, force, torque)
 
     def _split(self, load):
         """Force, on several bodies one each, and torque of loads [F]."""
@@ -145,7 +178,7 @@ class SubspaceEngine:
             force = force.reshape(len(bodies), simulator.dim)
         return force, torque
 
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
         """The coming frame.
 
         Args:
@@ -181,7 +214,7 @@ class SubspaceEngine:
         self._coming = body
         pose = self._pose(coming, position[:n])
         soil = ModesSoil(position[n:], self._decoder)
-        return Proposal(judgement, soil, position[:n], pose, force, torque)
+        return Frame(judgement, soil, position[:n], pose, force, torque)
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""

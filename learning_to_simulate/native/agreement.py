@@ -217,9 +217,9 @@ def twin_particles(soil) -> np.ndarray:
 
     Their inputs and shares are those of TensorFlow, in float32.
     """
-    swept, field = soil.swept, soil.of.field
-    network, local, members = field.network, swept.ground.local, soil.of.members
-    of_frame = swept.frame.bins, swept.frame.scalars, local[None]
+    field, ground = soil.field, soil.ground
+    network, local, members = field.network, ground.local, soil.members
+    of_frame = soil.frame.bins, soil.frame.scalars, local[None]
     values = network.inputs.particles(*of_frame).numpy()[0].astype(np.float64)[None]
     for i, (weight, bias) in enumerate(network.soil.layers):
         if i:
@@ -229,9 +229,9 @@ def twin_particles(soil) -> np.ndarray:
     gate = network.inputs.gate(*of_frame).numpy()[0].astype(np.float64)
     moved = network.inputs.displacement * gate[:, None] * values.mean(axis=0)
     moved[:, 2] *= np.clip(local[:, 2] / ACROSS, -1.0, 1.0)
-    there = swept.ground.places + moved
-    there += field.tool.inside(there, swept.pose, swept.ground.size)[1]
-    return swept.ground.points + field.axes.world(there - swept.ground.places)
+    there = ground.places + moved
+    there += field.tool.inside(there, soil.pose, ground.size)[1]
+    return ground.points + field.axes.world(there - ground.places)
 
 
 def _refused(stepper, pose, context):

@@ -6,7 +6,7 @@ The C engines give the frames of those of TensorFlow to round-off.
 
 import numpy as np
 
-from learning_to_simulate.live.engine import Proposal, SubspaceEngine
+from learning_to_simulate.live.engine import Frame, SubspaceEngine
 from learning_to_simulate.live.soil import plan_extent, surface
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CField, CSubspace
@@ -175,7 +175,7 @@ class CFieldEngine:
         """What computes the frames."""
         return self._other.name if self._uses_other else f'C ({self._c.kernel})'
 
-    def begin(self, start, bed=None, blade_width=None) -> Proposal:
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
         """Begins from a `live.starts.Start`; as `FieldEngine.begin`."""
         if start.velocity is None:
             raise ValueError('a swept field begins from a pose: call start()')
@@ -196,7 +196,7 @@ class CFieldEngine:
         self._soil = CFieldSoil(self)
         force, torque = np.zeros(3), np.zeros(3)
         nodes = start.nodes(start.pose)
-        return Proposal(judged, self._soil, nodes, start.pose, force, torque)
+        return Frame(judged, self._soil, nodes, start.pose, force, torque)
 
     def _begin_other(self, start, bed, blade_width, n):
         if self._other is None:
@@ -218,7 +218,7 @@ class CFieldEngine:
     def _now(self):
         return self._before if self._is_proposed else self._c.save()
 
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
         """The frame in which the tool reaches a pose; as `FieldEngine.propose`."""
         if self._uses_other:
             return self._other.propose(number, coming, context, dt)
@@ -246,7 +246,7 @@ class CFieldEngine:
         self._coming = coming
         self._proposed_soil = CFieldSoil(self)
         nodes = self._start.nodes(coming)
-        return Proposal(
+        return Frame(
             judgement, self._proposed_soil, nodes, coming, found.force, found.torque, found.bound
         )
 

@@ -109,12 +109,6 @@ class Ranges:
             reason(self.names[which], values[frame, which], self.low[which], self.high[which]),
         )
 
-    def statuses(self, values, finite) -> list[RolloutStatus]:
-        """The status of each frame alone; values as of `judge`, `finite` bool [T]."""
-        found = np.where(self.outside(values).any(axis=1), 1, 0)
-        kinds = (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE)
-        return [kinds[i] for i in np.where(finite, found, 2)]
-
 
 def reason(name: str, value: float, low: float, high: float) -> str:
     """Why a value is not like those of training, in words; from Python and from C."""

@@ -103,7 +103,7 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
     """
     tf.keras.utils.set_random_seed(config.seed)
     field = make_field(config, data_path, metadata)
-    reader = episodes_lib.EpisodeReader(data_path, metadata, field.beds, field.tool)
+    reader = episodes_lib.EpisodeReader(data_path, metadata, field)
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
     facts = Trainer(field.network, config, TrainingData(episodes, frames, field)).run()

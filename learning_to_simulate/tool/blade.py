@@ -11,7 +11,8 @@ state knows, with the velocity v = (du_c, dh, dlean)/dt (numbers of docs/swept_f
   pressed        P <- max(P + (-dh) - STEEP |du_c|, 0) in contact, else 0: how far the edge has
                  gone down into uncut soil without going along                                 (20)
 
-with C the cone of `swept`. In (20) -dh counts below what was cut before. No network sees P. A particle may move by a share of what its network says,
+with C the cone of `swept`; in (20) -dh counts below what was cut before, and no network sees P.
+A particle may move by a share of what its network says,
 
   gate           g = I(u) clip((D(u) + below - (s(u) - y)) / below_ramp, 0, 1)
                      clip((w/2 + beside - |z|) / beside_ramp, 0, 1)                            (10)
@@ -138,17 +139,8 @@ class BladeState(NamedTuple):
 
 
 def start(grid: SweptGrid, bed: Bed, pose, velocity=None) -> BladeState:
-    """The state before any motion.
-
-    Args:
-      grid: bins along the way.
-      bed: of the tools.
-      pose: [B, 3].
-      velocity: [B, 3] of these, which the tools have had for long; None: at rest.
-
-    Raises:
-      ValueError: shapes that do not fit, or values that are not finite.
-    """
+    """The state at poses [B, 3] before any motion; the tools have had a velocity [B, 3] of these
+    for long (None: at rest). ValueError: shapes that do not fit, or values that are not finite."""
     pose = swept.checked('pose', pose, (None, 3))
     velocity = np.zeros_like(pose) if velocity is None else velocity
     velocity = swept.checked('velocity', velocity, pose.shape)

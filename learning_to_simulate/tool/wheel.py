@@ -183,17 +183,9 @@ class Rut(NamedTuple):
 
 
 def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveState, Rut]:
-    """The state before any motion.
-
-    Args:
-      grid: bins along the way.
-      bed: of the wheels.
-      size, pose: [B, 4]; the first height is known.
-      velocity: [B, 2] of travel and rim, which they have had for long, m/s; None: at rest.
-
-    Raises:
-      ValueError: shapes that do not fit, or values that are not finite.
-    """
+    """The state before any motion of wheels of a size and pose [B, 4], whose first height is known;
+    they have had a velocity [B, 2] of travel and rim (m/s) for long. ValueError: shapes that do
+    not fit, or values that are not finite."""
     size = swept.checked('size', size, (None, 4))
     pose = swept.checked('pose', pose, (len(size), 4))
     velocity = np.zeros_like(pose[:, :2]) if velocity is None else np.asarray(velocity, np.float64)
@@ -221,17 +213,9 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
 
 
 def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
-    """The drives one frame later: (18).
-
-    Args:
-      grid: of `start`.
-      state: before; it is not changed.
-      pose: [B, 4]; the height is ignored.
-      dt: duration, s.
-
-    Raises:
-      ValueError: a duration that is not positive; poses that are not finite or leave the bins.
-    """
+    """The drives dt s later at poses [B, 4], whose height is ignored: (18). The state before is not
+    changed. ValueError: a duration that is not positive; poses that are not finite or leave the
+    bins."""
     swept.check_time(dt)
     pose = swept.checked('pose', pose, (len(state.pose), 4))
     first, radius, contact = state.first[:, PLACE], state.size[:, RADIUS], state.contact
