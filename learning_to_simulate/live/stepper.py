@@ -31,14 +31,12 @@ class StepperState(NamedTuple):
       start: what the run began from.
       frame: the newest.
       count: frames since the start.
-      context: float64 [C] in that frame, or None.
       of_engine: what its engine knows.
     """
 
     start: Any
     frame: Frame
     count: int
-    context: np.ndarray | None
     of_engine: Any
 
 
@@ -61,7 +59,7 @@ class Stepper:
         self._lock = threading.Lock()
         self._start: Any = None
         self._last: Any = None
-        self._count, self._context = 0, None
+        self._count = 0
 
     @property
     def engine(self) -> str:
@@ -131,7 +129,7 @@ class Stepper:
 
     def _begin(self, start, **bed):
         first = self._engine.begin(start, **bed)
-        self._start, self._context, self._count = start, start.context, 0
+        self._start, self._count = start, 0
         self._last = first._replace(now=first.status)
         return first.judgement
 
@@ -155,33 +153,28 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _Held(self._lock):
-            return self._step(pose, context, dt)
-
-    def _step(self, pose, context, dt):
-        last = self._last
-        if last is None:
-            raise ValueError('call start() before step()')
-        if context is not None:
-            context = self._start.read_context(context)
-        if pose is not None:
-            pose = self._start.read(pose)
-        frame = self._engine.propose(H + self._count, pose, context, dt)
-        alone = frame.judgement
-        so_far = worse(last.judgement, alone)
-        if alone.status != RolloutStatus.OK and self._outside != FLAG:
-            if self._outside == RAISE:
-                raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
-            self._last = last._replace(judgement=so_far)
-            return self._last._replace(now=alone.status)
-        frame = frame._replace(judgement=so_far, now=alone.status)
-        if alone.status == RolloutStatus.NON_FINITE:
-            self._last = last._replace(judgement=so_far)
+            last = self._last
+            if last is None:
+                raise ValueError('call start() before step()')
+            if context is not None:
+                context = self._start.read_context(context)
+            if pose is not None:
+                pose = self._start.read(pose)
+            frame = self._engine.propose(H + self._count, pose, context, dt)
+            alone = frame.judgement
+            so_far = worse(last.judgement, alone)
+            if alone.status != RolloutStatus.OK and self._outside != FLAG:
+                if self._outside == RAISE:
+                    raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
+                self._last = last._replace(judgement=so_far)
+                return self._last._replace(now=alone.status)
+            frame = frame._replace(judgement=so_far, now=alone.status)
+            if alone.status == RolloutStatus.NON_FINITE:
+                self._last = last._replace(judgement=so_far)
+                return frame
+            self._engine.accept()
+            self._count, self._last = self._count + 1, frame
             return frame
-        self._engine.accept()
-        if context is not None:
-            self._context = context
-        self._count, self._last = self._count + 1, frame
-        return frame
 
     @property
     def state(self) -> StepperState:
@@ -192,12 +185,12 @@ class Stepper:
           RuntimeError: put back while another thread is at work here.
         """
         frame = self._newest()
-        return StepperState(self._start, frame, self._count, self._context, self._engine.state)
+        return StepperState(self._start, frame, self._count, self._engine.state)
 
     @state.setter
     def state(self, state: StepperState) -> None:
         with _Held(self._lock):
-            self._start, self._last, self._count, self._context, of_engine = state
+            self._start, self._last, self._count, of_engine = state
             self._engine.state = of_engine
 
     def particles(self) -> np.ndarray:

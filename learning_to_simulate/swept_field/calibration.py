@@ -148,14 +148,16 @@ def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:
 
 def spread(values) -> np.ndarray:
     """Root mean square [T] of the standard deviation over members of values [M, T, ...]."""
-    std = np.std(np.asarray(values, np.float64), axis=0)
-    return np.sqrt(np.mean(std**2, axis=tuple(range(1, std.ndim))))
+    return _rms(np.std(np.asarray(values, np.float64), axis=0))
 
 
 def size(values) -> np.ndarray:
     """Root mean square [T] of the mean over members of values [M, T, ...]."""
-    mean = np.mean(np.asarray(values, np.float64), axis=0)
-    return np.sqrt(np.mean(mean**2, axis=tuple(range(1, mean.ndim))))
+    return _rms(np.mean(np.asarray(values, np.float64), axis=0))
+
+
+def _rms(values):
+    return np.sqrt(np.mean(values**2, axis=tuple(range(1, values.ndim))))
 
 
 def bound(spreads, sizes, weights) -> np.ndarray:

@@ -19,18 +19,12 @@ from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import TOOLS, bed
 from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.tool.bed import Ground
-from learning_to_simulate.tool.blade import EDGE_RADIUS
 from learning_to_simulate.tool.swept import Frame, SweptGrid
 from learning_to_simulate.tool.tool import Tool
 from pca_tools import files
 
 # Frames times particles of one call of the network, so that its memory stays small.
 CHUNK = 120_000
-# Bins of a blade, and of a wheel, whose radius is that of the run.
-GRIDS = {
-    'blade': SweptGrid(EDGE_RADIUS, spacing=0.005, behind=0.45, ahead=0.75),
-    'wheel': SweptGrid(EDGE_RADIUS, spacing=0.004, behind=0.3, ahead=0.5),
-}
 _REST = 'bed/rest'
 
 

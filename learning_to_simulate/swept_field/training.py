@@ -16,7 +16,7 @@ import tqdm
 from learning_to_simulate import reading_utils
 from learning_to_simulate.swept_field import episodes as episodes_lib
 from learning_to_simulate.swept_field.calibration import CONDITIONS
-from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool import bed, for_scene
 from learning_to_simulate.tool.axes import Axes
@@ -87,7 +87,7 @@ def make_field(config, data_path: str, metadata: dict) -> SweptField:
     axes = Axes.of_runs(dataset.read_split(data_path, 'train'), scene.up_axis)
     rest = Subspace.load(f'{data_path}/subspace.npz').initial
     return SweptField(
-        config, scene, axes, GRIDS[tool.name], tool, rest, *bed.spacings(rest, metadata)
+        config, scene, axes, tool.grid, tool, rest, *bed.spacings(rest, metadata)
     )
 
 

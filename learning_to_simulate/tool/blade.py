@@ -232,7 +232,7 @@ def influence(grid: SweptGrid, touched, reach: float) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Blade(Tool):
-    """A blade as `Tool`.
+    """A blade as `Tool`, where the methods are explained.
 
     Attributes:
       width: across the way, m, of runs that do not say their own.
@@ -251,6 +251,7 @@ class Blade(Tool):
     scalars = SCALARS
     channels = CHANNELS
     tables = Tables(Table(_OWN, 'u'), Table(_STANDS), Table(_FORCE))
+    grid = SweptGrid(EDGE_RADIUS, spacing=0.005, behind=0.45, ahead=0.75)
     below, below_ramp, beside, beside_ramp = 0.05, 0.03, 0.3, 0.05
     displacement = 0.03
 
@@ -266,24 +267,19 @@ class Blade(Tool):
         return np.array([float(case.get('blade_width_m', self.width))])
 
     def width_of(self, size):
-        """See `Tool`."""
         return float(size[0])
 
     def poses(self, axes, pose, context=None, before=None):
-        """See `Tool`."""
         return axes.poses(pose)
 
     def velocity(self, axes, velocity, size):
-        """See `Tool`."""
         return axes.velocities(velocity)
 
     def begin(self, grid, bed, size, pose, velocity=None):
-        """See `Tool`."""
         state = start(grid, bed, pose, velocity)
         return state, frame(grid, bed, size[:, 0], state)
 
     def step(self, grid, bed, size, state, pose, dt, heights=None):
-        """See `Tool`."""
         state = advance(grid, state, pose, dt)
         return state, np.asarray(pose, np.float64), frame(grid, bed, size[:, 0], state)
 
@@ -296,7 +292,6 @@ class Blade(Tool):
         return height - self.radius - surface < heap + CONTACT_ABOVE
 
     def targets(self, episode):
-        """See `Tool`."""
         return episode.load
 
     def target_weights(self, episode):
@@ -323,7 +318,6 @@ class Blade(Tool):
         return way_out(points, self.radius - distance, normal, self.width_of(size))
 
     def lowest(self, pose, size):
-        """See `Tool`."""
         return float(pose[1]) - self.radius
 
     def facts(self, episode, pose, frames, loads):

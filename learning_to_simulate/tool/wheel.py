@@ -354,7 +354,7 @@ def _level(grid, surface, near):
 
 @dataclasses.dataclass(frozen=True)
 class Wheel(Tool):
-    """A driven wheel as `Tool`."""
+    """A driven wheel as `Tool`, where the methods are explained."""
 
     name = 'wheel'
     scalars = SCALARS
@@ -364,12 +364,13 @@ class Wheel(Tool):
         Table((*_DRIVE, Row('height - radius', 0.02))),
         Table(_FORCE, unit='contact'),
     )
+    # The radius is that of each wheel; that of the grid is not used.
+    grid = SweptGrid(blade.EDGE_RADIUS, spacing=0.004, behind=0.3, ahead=0.5)
     below, below_ramp, beside, beside_ramp = 0.05, 0.02, 0.08, 0.03
     displacement = 0.01
     predicts_height = True
 
     def size(self, axes, case, points=None, context=None):
-        """See `Tool`."""
         points = axes.points(points)
         spokes = points[:, :2] - points[:, :2].mean(axis=0)
         friction = np.tan(np.pi / 180 * context['friction_angle_deg'])
@@ -377,11 +378,9 @@ class Wheel(Tool):
         return np.array([np.hypot(*spokes.T).mean(), width, context['gravity'], friction])
 
     def width_of(self, size):
-        """See `Tool`."""
         return float(size[WIDTH])
 
     def poses(self, axes, pose, context=None, before=None):
-        """See `Tool`."""
         u, height, lean = np.moveaxis(axes.poses(pose), -1, 0)
         # Angles go on beyond a turn: from the frame before, in the nearest multiple of 2 pi.
         first = -lean[:1] if before is None else before[None, TURNED]
@@ -394,12 +393,10 @@ class Wheel(Tool):
         return np.stack([rates[0], -rates[2] * size[RADIUS]])
 
     def begin(self, grid, bed, size, pose, velocity=None):
-        """See `Tool`."""
         drive, rut = start(grid, bed, size, pose, velocity)
         return (drive, rut), frame(grid, bed, drive, rut)
 
     def step(self, grid, bed, size, state, pose, dt, heights=None):
-        """See `Tool`."""
         drive, rut = state
         drive = drive_on(grid, drive, pose, dt)
         known = frame(grid, bed, drive)
@@ -457,7 +454,6 @@ class Wheel(Tool):
         return way_out(points, size[RADIUS] - distance[:, 0], normal, size[WIDTH])
 
     def lowest(self, pose, size):
-        """See `Tool`."""
         return float(pose[HEIGHT] - size[RADIUS])
 
     def facts(self, episode, pose, frames, loads):

@@ -6,15 +6,15 @@ from learning_to_simulate.live.starts import Starts
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.swept_field.engine import FieldEngine
-from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import Wheel, wheel
 from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.tool.swept import Bed, Frame
 from pca_tools import convert, raw_writer
 
-GRID = GRIDS['wheel']
 WHEEL = Wheel()
+GRID = WHEEL.grid
 DT = 1 / 60
 SURFACE, MIDDLE, SPACING = 0.16, 0.2, 0.012
 RADIUS, WIDTH = 0.075, 0.08
