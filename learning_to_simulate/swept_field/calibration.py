@@ -38,12 +38,10 @@ CONDITIONS = {
     'bed_high': (-0.15, 0.15),
     'frame_time': (0.0, 0.1),
 }
-# Scalars that models may leave out, since no network sees them; see (20) of `tool.blade`.
-SCALARS_WITHOUT_RANGE = {'pressed': (0.0, 0.02)}
+# What ranges hold at least, and models may leave out; `pressed` is (20) of `tool.blade`, m.
+USUAL = CONDITIONS | {'pressed': (0.0, 0.02)}
 # What a reason says beside the name.
-MEANING = {
-    'pressed': 'm straight down: the model knows cuts, not presses',
-}
+MEANING = {'pressed': 'm straight down: the model knows cuts, not presses'}
 # Below this speed (m/s) a drift is a share of it: a tool that stands may tremble.
 LEAST_SPEED = 0.04
 
@@ -66,15 +64,13 @@ class Ranges:
 
     @classmethod
     def of(cls, ranges: dict, scalars) -> 'Ranges':
-        """Of the ranges {name: (low, high)} of a model; those of `CONDITIONS` and of
-        `SCALARS_WITHOUT_RANGE` it may leave out.
+        """Of the ranges {name: (low, high)} of a model; those of `USUAL` it may leave out.
 
         Raises:
           KeyError: a scalar has no range.
         """
         names = (*scalars, *CONDITIONS)
-        known = SCALARS_WITHOUT_RANGE | CONDITIONS | ranges
-        low, high = np.array([known[name] for name in names], float).T
+        low, high = np.array([(USUAL | ranges)[name] for name in names], float).T
         is_scalar = np.arange(len(names)) < len(scalars)
         extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
         return cls(names, low, high, np.stack([low - extra, high + extra]))

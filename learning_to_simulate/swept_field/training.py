@@ -15,7 +15,7 @@ import tqdm
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.swept_field import episodes as episodes_lib
-from learning_to_simulate.swept_field.calibration import CONDITIONS
+from learning_to_simulate.swept_field.calibration import CONDITIONS, USUAL
 from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool import bed, for_scene
@@ -123,13 +123,13 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
 
 
 def ranges_of(field, values) -> dict[str, list[float]]:
-    """Ranges of scalars and conditions [T, J] of training; those of `CONDITIONS` are at least what
-    is usual."""
+    """Ranges of scalars and conditions [T, J] of training, at least those of `USUAL`."""
     names = (*field.tool.scalars, *CONDITIONS)
     low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
     ranges = dict(zip(names, map(list, zip(low, high)), strict=True))
-    for name, (least, most) in CONDITIONS.items():
-        ranges[name] = [min(ranges[name][0], least), max(ranges[name][1], most)]
+    for name in ranges.keys() & USUAL:
+        (low, high), (least, most) = ranges[name], USUAL[name]
+        ranges[name] = [min(low, least), max(high, most)]
     return ranges
 
 
