@@ -1,8 +1,8 @@
-"""How far a frame and a rollout can be trusted: `RolloutStatus`, `Judgement`, and `Ranges`, which
-judges a frame of a model in a subspace.
+"""How far a frame and a rollout can be trusted: `RolloutStatus`, `Judgement`; `Ranges` of named
+numbers, and `NodeRanges`, which judges a frame of a model in a subspace.
 
-`Ranges.judge` is the one place where a frame is held against the training runs; whole rollouts are
-a loop over it. `lts_status.c` is its twin.
+`judge` of these is the one place where a frame is held against the training runs; whole rollouts
+are a loop over it. `lts_status.c` and `lts_field_step.c` are their twins.
 """
 
 import enum
@@ -73,6 +73,48 @@ def worse(one: Judgement, other: Judgement) -> Judgement:
     return other if _RANK[other.status] > _RANK[one.status] else one
 
 
+# What a reason says beside the name of a number.
+MEANING = {'pressed': 'm straight down: the model knows cuts, not presses'}
+
+
+def reason(name: str, value: float, low: float, high: float) -> str:
+    """Why a value is not like those of training, in words; from Python and from C."""
+    meaning = f' ({MEANING[name]})' if name in MEANING else ''
+    return f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training{meaning}'
+
+
+class Ranges(NamedTuple):
+    """Ranges of J named numbers over the training runs.
+
+    Attributes:
+      names: of the numbers.
+      low, high: float64 [J] ranges.
+      limits: float64 [2, J] least and most that is not outside: somewhat wider.
+    """
+
+    names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    limits: np.ndarray
+
+    def outside(self, values) -> np.ndarray:
+        """bool [T, J] of values [T, J]; of fewer columns, of the first numbers."""
+        least, most = self.limits[:, : values.shape[1]]
+        return ~((values >= least) & (values <= most))
+
+    def judge(self, values, first: int = 0, finite: bool = True) -> Judgement:
+        """The first of frames from number `first` on, with values [T, J], that is outside, and why;
+        NON_FINITE where not all that was predicted is finite."""
+        if not finite:
+            return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
+        bad = self.outside(values)
+        if not bad.any():
+            return OK
+        frame, which = (int(i) for i in np.argwhere(bad)[0])
+        row = self.names[which], values[frame, which], self.low[which], self.high[which]
+        return Judgement(RolloutStatus.EXTRAPOLATING, first + frame, -1, reason(*row))
+
+
 def widened(low, high, factor):
     """A range [..., D] stretched by `factor` about its middle; still axes have a floor."""
     middle, half = (low + high) / 2, (high - low) / 2
@@ -81,7 +123,7 @@ def widened(low, high, factor):
     return middle - factor * half, middle + factor * half
 
 
-class Ranges:
+class NodeRanges:
     """The ranges of a model's training runs, for bodies of one size.
 
     Args:
@@ -107,7 +149,8 @@ class Ranges:
         if statistics.context_range is not None:
             low, high = statistics.context_range
             more = RANGE_MARGIN * np.abs(low), RANGE_MARGIN * np.abs(high)
-            self._context = low - more[0], high + more[1], low, high
+            limits = np.stack([low - more[0], high + more[1]])
+            self._context = Ranges(scene.context_names, low, high, limits)
         self._limits = None
         if scene.rigid_motion.is_known and statistics.given_range is not None:
             self._limits = [
@@ -184,14 +227,8 @@ class Ranges:
     def _unlike_context(self, frame, context):
         if self._context is None or context is None:
             return None
-        least, most, low, high = self._context
-        inside = (context >= least) & (context <= most)
-        if inside.all():
-            return None
-        i = int((~inside).argmax())
-        reason = f'{self._scene.context_names[i]} {context[i]:.4g} is outside '
-        reason += f'[{low[i]:.4g}, {high[i]:.4g}] of training'
-        return Judgement(RolloutStatus.EXTRAPOLATING, frame, -1, reason)
+        found = self._context.judge(context[None], frame)
+        return None if found is OK else found
 
     def _unlike_motion(self, frame, body, before):
         if self._limits is None:
@@ -250,7 +287,7 @@ def judge(group, position, load, statistics, scene) -> list[Judgement]:
     Returns:
       S judgements.
     """
-    ranges = Ranges(group.n_rigid, statistics, scene)
+    ranges = NodeRanges(group.n_rigid, statistics, scene)
     return [
         _of_run(ranges, group, run, position[run], None if load is None else load[run], statistics)
         for run in range(len(position))

@@ -17,7 +17,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, ModesSoil
 from learning_to_simulate.rollout import corrected_step
-from learning_to_simulate.rollout_status import OK, Judgement, Ranges, RolloutStatus, worse
+from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
@@ -135,7 +135,7 @@ class SubspaceEngine:
             known = origin[:n_rigid], np.zeros((n_rigid, origin.shape[1]))
             step.propose(*known if scene.rigid_motion.is_known else (None, None))
             limit = None if self.starts is None else self.starts.force_limit
-            ranges = Ranges(n_rigid, model.simulator.statistics, scene, limit)
+            ranges = NodeRanges(n_rigid, model.simulator.statistics, scene, limit)
             self._sizes[n_rigid] = step, ranges
         return self._sizes[n_rigid]
 

@@ -13,9 +13,8 @@ import numpy as np
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.poses import numbers
 from learning_to_simulate.native import c_values, field_data, library, model_data
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus, reason
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.swept_field.calibration import reason
 
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
 _MOTIONS = (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN, RigidMotion.PREDICTED)

@@ -14,11 +14,9 @@ constant, the spread sigma over members and the size mu of what is predicted (do
 which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 """
 
-import dataclasses
-
 import numpy as np
 
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import Ranges
 
 FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
 # Share of its training range by which a scalar may leave it.
@@ -40,76 +38,25 @@ CONDITIONS = {
 }
 # What ranges hold at least, and models may leave out; `pressed` is (20) of `tool.blade`, m.
 USUAL = CONDITIONS | {'pressed': (0.0, 0.02)}
-# What a reason says beside the name.
-MEANING = {'pressed': 'm straight down: the model knows cuts, not presses'}
 # Below this speed (m/s) a drift is a share of it: a tool that stands may tremble.
 LEAST_SPEED = 0.04
 
 
-@dataclasses.dataclass(frozen=True)
-class Ranges:
-    """Limits of a field.
+def limits_of(ranges: dict, scalars) -> Ranges:
+    """What frames of a field are judged by: scalars, then `CONDITIONS`.
 
-    Attributes:
-      names: of the numbers: scalars of a frame, then `CONDITIONS`.
-      low, high: float64 [J] ranges of training.
-      limits: float64 [2, J] least and most that is not outside: ranges widened by `MARGIN` of
-        themselves and by rounding.
+    Args:
+      ranges: name -> (low, high) of a model; those of `USUAL` it may leave out.
+      scalars: names. Their ranges are widened by `MARGIN` of themselves, all by rounding.
+
+    Raises:
+      KeyError: a scalar has no range.
     """
-
-    names: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
-    limits: np.ndarray
-
-    @classmethod
-    def of(cls, ranges: dict, scalars) -> 'Ranges':
-        """Of the ranges {name: (low, high)} of a model; those of `USUAL` it may leave out.
-
-        Raises:
-          KeyError: a scalar has no range.
-        """
-        names = (*scalars, *CONDITIONS)
-        low, high = np.array([(USUAL | ranges)[name] for name in names], float).T
-        is_scalar = np.arange(len(names)) < len(scalars)
-        extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
-        return cls(names, low, high, np.stack([low - extra, high + extra]))
-
-    def outside(self, values) -> np.ndarray:
-        """bool [T, J] of values [T, J]; of [T, S] scalars alone, [T, S]."""
-        least, most = self.limits[:, : values.shape[1]]
-        return ~((values >= least) & (values <= most))
-
-    def judge(self, values, first: int = 0, finite: bool = True) -> Judgement:
-        """The status of a path.
-
-        Args:
-          values: [T, J] of its frames, see `conditions`; or [T, S], scalars alone.
-          first: number of its first frame.
-          finite: whether all that was predicted is.
-
-        Returns:
-          OK: finite, and nothing outside its limits; the error is then what the bound says.
-          EXTRAPOLATING: the first frame that is not, and why.
-        """
-        if not finite:
-            return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
-        bad = self.outside(values)
-        if not bad.any():
-            return Judgement(RolloutStatus.OK)
-        frame, which = (int(i) for i in np.argwhere(bad)[0])
-        return Judgement(
-            RolloutStatus.EXTRAPOLATING,
-            first + frame,
-            -1,
-            reason(self.names[which], values[frame, which], self.low[which], self.high[which]),
-        )
-
-
-def reason(name: str, value: float, low: float, high: float) -> str:
-    """Why a value is not like those of training, in words; from Python and from C."""
-    meaning = f' ({MEANING[name]})' if name in MEANING else ''
-    return f'{name} {value:.4g} is outside [{low:.4g}, {high:.4g}] of training{meaning}'
+    names = (*scalars, *CONDITIONS)
+    low, high = np.array([(USUAL | ranges)[name] for name in names], float).T
+    is_scalar = np.arange(len(names)) < len(scalars)
+    extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
+    return Ranges(names, low, high, np.stack([low - extra, high + extra]))
 
 
 def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:

@@ -12,8 +12,9 @@ import tensorflow as tf
 
 from learning_to_simulate import checkpoints, known_shapes
 from learning_to_simulate.live import poses, soil
+from learning_to_simulate.rollout_status import Ranges
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.swept_field.calibration import Ranges, conditions
+from learning_to_simulate.swept_field.calibration import conditions, limits_of
 from learning_to_simulate.swept_field.network import FieldNetwork
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import TOOLS, bed
@@ -39,7 +40,7 @@ class SweptField:
       tool: a blade or a wheel, see `tool`.
       rest: float64 [N, 3], world, m: the bed at rest that it was trained on.
       kept_spacing, spacing: between the particles of `rest` and between those of the solver, m.
-      ranges: name of a scalar -> its range over the training paths; see `calibration.Ranges`.
+      ranges: name of a scalar -> its range over the training paths; see `calibration.limits_of`.
       calibration: 'soil' and 'force' -> weights of the bound, see `calibration`.
       network: the weights.
     """
@@ -81,7 +82,7 @@ class SweptField:
     @property
     def limits(self) -> Ranges:
         """What frames are judged by."""
-        return Ranges.of(self.ranges, self.tool.scalars)
+        return limits_of(self.ranges, self.tool.scalars)
 
     @functools.cached_property
     def extent(self) -> np.ndarray:
@@ -337,7 +338,7 @@ def load(path: str) -> SweptField:
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
             'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
-        Ranges.of(parts['ranges'], parts['tool'].scalars)
+        limits_of(parts['ranges'], parts['tool'].scalars)
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error
     arrays = checkpoints.stored_weights(path)

@@ -15,7 +15,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live import starts as starts_lib
 from learning_to_simulate.live.soil import plan_extent
-from learning_to_simulate.rollout_status import Ranges, RolloutStatus
+from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus
 from pca_tools import dataset, files
 from tests.learning_to_simulate import models, synthetic
 
@@ -138,7 +138,7 @@ def test_jump_zeros_and_force_are_flagged_in_every_later_frame(blade):
 
 def test_force_above_twice_the_largest_of_training_left_the_bounds(blade):
     model, _, _ = blade
-    ranges = Ranges(10, model.model.simulator.statistics, model.scene, force_limit=100.0)
+    ranges = NodeRanges(10, model.model.simulator.statistics, model.scene, force_limit=100.0)
     position = np.concatenate([np.zeros((10, 3)), model.starts.modes[0]])
     assert ranges.judge(7, position, np.array([199.0, 0, 0])).status == RolloutStatus.OK
     found = ranges.judge(7, position, np.array([201.0, 0, 0]))

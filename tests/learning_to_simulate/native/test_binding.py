@@ -8,7 +8,7 @@ import pytest
 from learning_to_simulate import rollout_status
 from learning_to_simulate.native import library, starts
 from learning_to_simulate.native.binding import KERNELS, CSubspace, KernelLacks
-from learning_to_simulate.rollout_status import Ranges, RolloutStatus
+from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.numpy_twin import Twin
@@ -134,7 +134,7 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
             assert mine[0] == theirs[0].removesuffix(' m')
         seen.add(expected.status)
         # Of each frame alone, too.
-        ranges = Ranges(n, model.simulator.statistics, model.simulator.scene)
+        ranges = NodeRanges(n, model.simulator.statistics, model.simulator.scene)
         of_context = ranges.start(truth[H - 1], context, None).reason
         for k, (frame, of_c) in enumerate(zip(frames, alone)):
             now = ranges.judge(

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.swept_field import calibration
-from learning_to_simulate.swept_field.calibration import CONDITIONS, Ranges
+from learning_to_simulate.swept_field.calibration import CONDITIONS
 from tests.learning_to_simulate.swept_field import small_wheel, small_world
 
 
@@ -55,7 +55,7 @@ SCALARS = small_world.BLADE.scalars
 
 @pytest.mark.parametrize('name', SCALARS)
 def test_each_scalar_of_each_frame_is_judged(name):
-    ranges = Ranges.of({scalar: [-1.0, 1.0] for scalar in SCALARS}, SCALARS)
+    ranges = calibration.limits_of({scalar: [-1.0, 1.0] for scalar in SCALARS}, SCALARS)
     scalars = np.zeros((3, len(SCALARS)))
     assert ranges.judge(scalars).status == RolloutStatus.OK
     scalars[1, SCALARS.index(name)] = 1.2
