@@ -1,11 +1,10 @@
 """Engines of a `Stepper`: what computes the frames of a method, one by one.
 
-An engine has `begin`, `propose` and `accept`: it says what the coming frame would be and stays
-where it is until that frame is accepted. `SubspaceEngine` is that of all models in a subspace, with
-a step by TensorFlow (`TfStep`) or by C; a swept field has its own, and its own in C. See
-`native.engines` for who gets which.
+`SubspaceEngine` is that of all models in a subspace, with a step by TensorFlow (`TfStep`) or by C;
+a swept field has its own, and its own in C. See `native.engines` for who gets which.
 """
 
+import abc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,7 +81,66 @@ class Frame(NamedTuple):
         return self.soil.height_map(nx, nz)
 
 
-class SubspaceEngine:
+class Engine(abc.ABC):
+    """Computes the frames of a run: says what the coming frame would be, and stays where it is
+    until that frame is accepted.
+
+    Attributes:
+      scene: `Scene`.
+      starts: `starts.Starts`, or None where only recorded frames are begun from.
+      name: what computes, for people.
+    """
+
+    scene: Any
+    starts: Any
+    name: str
+
+    @abc.abstractmethod
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
+        """The first frame.
+
+        Args:
+          start: `starts.Start`, or a `starts.RecordedStart` where recorded frames are taken.
+          bed, blade_width: of `Stepper.start`, where a method takes them.
+
+        Raises:
+          ValueError: what cannot be taken; the run before goes on.
+        """
+
+    @abc.abstractmethod
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
+        """The frame in which the body reaches a pose.
+
+        Args:
+          number: of the frame, for its judgement.
+          coming: what the start reads of the body: a pose [7] or particles; None where the body is
+            predicted. Of a driven body the height is ignored.
+          context: float64 [C] from that frame on; None leaves it as it was.
+          dt: s; None for the frame time of the training data.
+
+        Raises:
+          ValueError: see `Stepper.step`.
+        """
+
+    @abc.abstractmethod
+    def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
+
+    @property
+    @abc.abstractmethod
+    def state(self) -> tuple:
+        """All that the coming frames follow from; what is put back goes on to the same bits."""
+
+    @state.setter
+    @abc.abstractmethod
+    def state(self, state: tuple) -> None: ...
+
+    @abc.abstractmethod
+    def explain(self) -> str:
+        """What the newest frame leaves out."""
+
+
+class SubspaceEngine(Engine):
     """Frames of a model in a subspace.
 
     Args:
@@ -96,9 +154,6 @@ class SubspaceEngine:
     Raises:
       ValueError: a subspace of another number of modes or particles than the model's, or a body
         that the model cannot take.
-
-    Attributes:
-      scene, starts, name: as given.
     """
 
     def __init__(
@@ -140,11 +195,6 @@ class SubspaceEngine:
         return self._sizes[n_rigid]
 
     def begin(self, start, bed=None, blade_width=None) -> Frame:
-        """Begins from a `starts.Start` or a `starts.RecordedStart`.
-
-        Raises:
-          ValueError: a bed or a width, which a model in a subspace does not take.
-        """
         for name, value in (('bed', bed), ('blade_width', blade_width)):
             if value is not None:
                 raise ValueError(f'{name}: a model in a subspace begins on the beds of its starts')
@@ -179,18 +229,6 @@ class SubspaceEngine:
         return force, torque
 
     def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
-        """The coming frame.
-
-        Args:
-          number: of the frame, for its judgement.
-          coming: what the start reads of the body: a pose [7] or particles; None where the body is
-            predicted.
-          context: float64 [C] from that frame on; None leaves it as it was.
-          dt: s, which must be that of the model.
-
-        Raises:
-          ValueError: a body where none is taken, or none where one is; another dt; as the step.
-        """
         scene, start, n = self.scene, self._start, len(self._start.kept)
         if scene.rigid_motion.is_known != (coming is not None):
             takes = 'takes' if coming is None else 'does not take'
@@ -217,13 +255,11 @@ class SubspaceEngine:
         return Frame(judgement, soil, position[:n], pose, force, torque)
 
     def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
         self._now.accept()
         self._body = self._coming
 
     @property
     def state(self) -> tuple:
-        """All that the coming frames follow from; what is put back goes on to the same bits."""
         return self._start, self._body, self._now.state
 
     @state.setter
@@ -249,7 +285,6 @@ class SubspaceEngine:
         return coming
 
     def explain(self) -> str:
-        """What the newest frame leaves out."""
         return 'a model in a subspace leaves nothing out of a frame; see `reports explain`'
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live.engine import Frame
+from learning_to_simulate.live.engine import Engine, Frame
 from learning_to_simulate.swept_field import calibration
 from learning_to_simulate.swept_field.field import SweptSoil
 
@@ -59,7 +59,7 @@ def bed_of_start(field, starts, subspace, start) -> np.ndarray | None:
     return subspace.decode(modes).astype(np.float64)
 
 
-class FieldEngine:
+class FieldEngine(Engine):
     """Frames of a field by TensorFlow.
 
     Args:
@@ -71,9 +71,6 @@ class FieldEngine:
 
     Raises:
       ValueError: so many members there are not.
-
-    Attributes:
-      scene, starts, name: as given.
     """
 
     def __init__(self, field, starts, subspace=None, members=None, name: str = 'TensorFlow'):
@@ -88,11 +85,6 @@ class FieldEngine:
         field.warm_up(members)  # compiles now and not in the first frame
 
     def begin(self, start, bed=None, blade_width=None) -> Frame:
-        """Begins from a `live.starts.Start`; see `begin`.
-
-        Raises:
-          ValueError: a context, a width or a bed that cannot be; recorded frames.
-        """
         if start.velocity is None:
             raise ValueError('a swept field begins from a pose: call start()')
         field = self._field
@@ -109,18 +101,7 @@ class FieldEngine:
         return self._frame(judgement, soil, start.pose, np.zeros(3))
 
     def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
-        """The frame in which the tool reaches a pose in a straight line.
-
-        Args:
-          number: of the frame, for its judgement.
-          coming: float64 [7]; of a driven wheel the height is ignored.
-          context: float64 [C] from that frame on; None leaves it as it was.
-          dt: s; None for the frame time of the training data.
-
-        Raises:
-          ValueError: no pose, a jump, a time that does not pass, a place beyond the bins or under
-            the floor; another soil or planet, or a load that is not positive.
-        """
+        """See `Engine`: the tool goes in a straight line, within any time."""
         if coming is None:
             raise ValueError(f'the body is {self.scene.rigid_motion}: step() takes a pose')
         field = self._field
@@ -163,12 +144,10 @@ class FieldEngine:
         return Frame(judgement, soil, self._start.nodes(pose), pose, force, torque, bound)
 
     def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
         self._now = self._coming
 
     @property
     def state(self) -> tuple:
-        """All that the coming frames follow from; what is put back goes on to the same bits."""
         return self._start, self._now
 
     @state.setter
@@ -176,7 +155,6 @@ class FieldEngine:
         self._start, self._now = state
 
     def explain(self) -> str:
-        """What the newest frame leaves out."""
         soil = self._now[1]
         moving = int(self._field.may_move(soil.frame, soil.ground.local).sum())
         return left_out(moving, len(soil.ground.points))
