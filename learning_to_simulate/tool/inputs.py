@@ -103,7 +103,7 @@ class Tables:
 
 def names(expression: str) -> list[str]:
     """The names in an expression, in their order; each once."""
-    return list(dict.fromkeys(v for kind, v in program(expression) if kind == 'name'))
+    return list(dict.fromkeys(str(v) for kind, v in program(expression) if kind == 'name'))
 
 
 def evaluate(expression: str, values, functions: dict):

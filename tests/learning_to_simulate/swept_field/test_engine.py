@@ -189,10 +189,9 @@ def test_what_the_field_does_not_know_is_said_and_may_be_refused(field, engine, 
     assert live.start(poses[0]).status == RolloutStatus.OK
     field.ranges, kept = field.ranges | {'room': [0.0, 0.1]}, field.ranges
     try:
-        narrow = Stepper(engine(field, world.make_starts(field)))
+        judged = Stepper(engine(field, world.make_starts(field))).start(poses[0])
     finally:
         field.ranges = kept
-    judged = narrow.start(poses[0])
     assert judged.status == RolloutStatus.EXTRAPOLATING and judged.reason.startswith('room')
     strict = Stepper(engine(field, world.make_starts(field)), 'raise')
     turned, rolled, aside, across = (poses.copy() for _ in range(4))
