@@ -18,6 +18,7 @@ from learning_to_simulate import (
 )
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
+from learning_to_simulate.live import paths
 from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus, judge
@@ -118,24 +119,15 @@ def test_a_trained_model_follows_a_known_torque(rolled):
     assert 'torque in the plane of travel' in evaluation.table(summary)
 
 
-def test_files_of_rollouts_hold_it(trained, rolled, tmp_path):
-    """Those of an evaluation, which the protocol reads, and those that a rollout saves."""
+def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
     opened, results, summary = rolled
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, opened.metadata)
     said = rollouts.read(str(tmp_path), 'test', len(results), opened.metadata)
-    recorded = api.load(trained[0]).rollout(api.Dataset(trained[1]).test[1])
-    recorded.save(str(tmp_path / 'run.npz'))
-    names = [f'rollout_test_{record}.npz' for record, _, _ in results]
-    for name, torque, group in (
-        *zip(names, [r.torque[0] for _, _, r in results], [g for _, g, _ in results]),
-        ('run.npz', recorded.torque, results[1][1]),
-    ):
-        arrays = files.read_npz(str(tmp_path / name))
-        np.testing.assert_array_equal(arrays['predicted_torques'], torque)
+    for (record, group, rollout), prediction in zip(results, said, strict=True):
+        np.testing.assert_array_equal(prediction.torque, rollout.torque[0])
+        arrays = files.read_npz(str(tmp_path / f'rollout_test_{record}.npz'))
         both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
         np.testing.assert_array_equal(both, group.torque[0].astype(np.float32))
-    for (_, _, rollout), prediction in zip(results, said, strict=True):
-        np.testing.assert_array_equal(prediction.torque, rollout.torque[0])
 
 
 def test_live_steps_paths_and_batches_hand_out_the_same_torque(trained, rolled):
@@ -162,6 +154,18 @@ def test_live_steps_paths_and_batches_hand_out_the_same_torque(trained, rolled):
     live.start(path[0], (np.subtract(path[1], path[0]) / live.dt)[:3])
     torque = np.stack([live.step(p).torque for p in path[1:]])
     np.testing.assert_allclose(torque, whole.torque, rtol=1e-3, atol=1e-3 * np.abs(torque).max())
+
+
+def test_a_saved_path_has_its_torque(trained, tmp_path):
+    model = api.load(trained[0])
+    recorded = model.rollout(api.Dataset(trained[1]).test[1])
+    name = str(tmp_path / 'run.npz')
+    recorded.save(name)
+    arrays = files.read_npz(name)
+    np.testing.assert_array_equal(arrays['predicted_torques'], recorded.torque)
+    both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
+    np.testing.assert_array_equal(both, recorded.true_torque.astype(np.float32))
+    assert isinstance(recorded, paths.SoilRollout) and len(both) == synthetic.N_FRAMES
 
 
 def test_a_model_without_it_says_none(tmp_path):
