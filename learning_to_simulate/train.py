@@ -94,16 +94,22 @@ _FLAGS = [
         None,
         'Edges: edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
     ),
-    flags.DEFINE_integer('mode_edges', None, 'Edges between modes that are kept when ranked.'),
-    flags.DEFINE_float('gate_weight', None, 'Above 0, edges are learned at this price.'),
-    flags.DEFINE_integer('modes', None, 'The first so many modes are nodes; 0: all.'),
-    flags.DEFINE_integer('rigid_particles', None, 'Lowest particles of a blade that are nodes.'),
+    flags.DEFINE_integer(
+        'mode_edges', None, 'Number of edges between modes, the best ranked ones.'
+    ),
+    flags.DEFINE_float(
+        'gate_weight', None, 'Above 0, edges are learned; weight of their number in the loss.'
+    ),
+    flags.DEFINE_integer('modes', None, 'Number of first modes that become nodes; 0: all.'),
+    flags.DEFINE_integer(
+        'rigid_particles', None, 'Number of particles of a blade that become nodes, lowest first.'
+    ),
     flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
     flags.DEFINE_integer('members', None, 'Networks of a swept field that are averaged.'),
     flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
-    flags.DEFINE_integer('batch_size', None, 'Windows of a batch.'),
+    flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
     flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
-    flags.DEFINE_integer('seed', None, 'Of weights, batches and noise.'),
+    flags.DEFINE_integer('seed', None, 'Seed of weights, batches and noise.'),
 ]
 
 

@@ -27,7 +27,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from mpm import bodies, scenes
 from mpm.motions.drive import Drive
@@ -161,6 +160,8 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
         FileNotFoundError: there is no such file.
         ValueError: see `read_rows`.
     """
+    from scipy.interpolate import PchipInterpolator  # slow to load, and help does not wait for it
+
     rows = read_rows(recording.path)
     times = rows['time_s']
     rows.setdefault(ACROSS, np.full(len(times), scene.bin.z_middle))
