@@ -263,17 +263,6 @@ def context_of(runs) -> np.ndarray | None:
     return context if np.ptp(context, axis=1).any() else context[:, 0]
 
 
-def contexts_by_frame(groups) -> list[np.ndarray | None]:
-    """The contexts of groups, for statistics: where one changes in time, all count by frame."""
-    contexts = [group.context for group in groups]
-    if all(c is None or c.ndim == 2 for c in contexts):
-        return contexts
-    return [
-        np.broadcast_to(c if c.ndim == 3 else c[:, None], (*group.position.shape[:2], c.shape[-1]))
-        for c, group in zip(contexts, groups, strict=True)
-    ]
-
-
 def read_scene(
     folder: str, metadata: dict, groups: list[RunGroup], rigid_motion: str | None
 ) -> Scene:

@@ -149,19 +149,6 @@ def _open(overrides) -> registry.OpenedModel:
     return opened
 
 
-def _train(overrides):
-    preset = overrides.pop('preset', None) or presets.preset_of_model(overrides.get('model'))
-    registry.train(
-        _DATA_PATH.value,
-        _MODEL_PATH.value,
-        presets.make_config(preset, **overrides),
-        rigid_motion=_RIGID_MOTION.value,
-        save_every=_SAVE_EVERY.value,
-        take_over_lock=_TAKE_OVER_LOCK.value,
-        raw_path=_RAW_PATH.value,
-    )
-
-
 def _evaluate_one_step(overrides):
     opened = _open(overrides)
     print(f'one-step errors on {_EVAL_SPLIT.value} of {_DATA_PATH.value}')
@@ -172,10 +159,7 @@ def _evaluate_one_step(overrides):
 def _evaluate_rollouts(overrides):
     from learning_to_simulate import evaluation  # loads TensorFlow
 
-    if not _OUTPUT_PATH.value:
-        raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    command.writable_folder(_OUTPUT_PATH.value)
     opened = _open(overrides)
     results, summary = opened.evaluator.run(
         opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
@@ -189,12 +173,30 @@ def _evaluate_rollouts(overrides):
 
 
 def run(values) -> None:
-    """Runs the chosen mode."""
+    """Runs the chosen mode. Bad settings are refused before TensorFlow is loaded."""
     overrides = _overrides()
+    if values.mode == 'train':
+        preset = overrides.pop('preset', None) or presets.preset_of_model(overrides.get('model'))
+        config = presets.make_config(preset, **overrides)
+    elif values.mode == 'eval_rollout':
+        if not _OUTPUT_PATH.value:
+            raise ValueError('--mode=eval_rollout needs --output_path')
+        command.writable_folder(_OUTPUT_PATH.value)
     command.import_tensorflow(values.num_threads)
-    {'train': _train, 'eval': _evaluate_one_step, 'eval_rollout': _evaluate_rollouts}[values.mode](
-        overrides
-    )
+    if values.mode == 'train':
+        registry.train(
+            _DATA_PATH.value,
+            _MODEL_PATH.value,
+            config,
+            rigid_motion=_RIGID_MOTION.value,
+            save_every=_SAVE_EVERY.value,
+            take_over_lock=_TAKE_OVER_LOCK.value,
+            raw_path=_RAW_PATH.value,
+        )
+    elif values.mode == 'eval':
+        _evaluate_one_step(overrides)
+    else:
+        _evaluate_rollouts(overrides)
 
 
 if __name__ == '__main__':

@@ -463,7 +463,7 @@ def _possible_nri(value) -> bool:
 
 
 def _read_config(folder: str):
-    return subspace_model.parse(checkpoints.read_config(folder), f'{folder}/config.json')
+    return subspace_model.read_parts(folder)
 
 
 def _possible_config(parts) -> bool:
@@ -471,6 +471,11 @@ def _possible_config(parts) -> bool:
     arrays = [a for a in dataclasses.asdict(parts.statistics).values() if a is not None]
     small = parts.config.latent_size <= 4096 and parts.n_rigid <= 1000
     return small and all(np.isfinite(a).all() for a in arrays) and all(map(_possible_mask, masks))
+
+
+def _read_weights(folder: str):
+    stored = checkpoints.stored_weights(folder)
+    return checkpoints.check_weights(folder, stored, WEIGHT_SHAPES)
 
 
 def _write_weights(folder: str) -> None:
@@ -529,7 +534,7 @@ MODEL_TARGETS = (
     Target('model config.json', Promise.OPEN, _write_model, ('config.json',), _read_config,
            _possible_config),
     Target('model weights.npz', Promise.CHECKSUM, _write_weights, ('weights.npz',),
-           lambda folder: checkpoints.read_weights(folder, WEIGHT_SHAPES), _possible_weights),
+           _read_weights, _possible_weights),
     Target('load_model', Promise.OPEN, _write_model, ('config.json', 'weights.npz'), _read_model,
            _possible_model, share=1),
     Target('load_model of NRI', Promise.OPEN, _write_nri, ('config.json', 'weights.npz'),

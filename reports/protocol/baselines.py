@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate import reading_utils
+from learning_to_simulate import presets, reading_utils
 from learning_to_simulate.baselines import method as method_lib
-from learning_to_simulate.baselines import open_loop, settings
+from learning_to_simulate.baselines import open_loop
 from reports.protocol import rollouts
 from reports.protocol.run_errors import RunPrediction
 from reports.protocol.truth import TruthReader
@@ -74,7 +74,7 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
     train, valid = (reading_utils.read_groups(folder, n, metadata) for n in ('train', 'valid'))
     scene = reading_utils.read_scene(folder, metadata, train, None)
     found = trivial(reader)
-    for preset, config in settings.PRESETS.items():
+    for preset, config in presets.OPEN_LOOP.items():
         if config.leave_one_out:  # trains on valid, which chooses here
             continue
         try:
@@ -86,7 +86,7 @@ def fit_all(reader: TruthReader) -> list[Baseline]:
             {n: {'inputs': r.inputs, 'gamma': r.gamma, 'alpha': r.alpha, 'samples': len(r.samples)}
              for n, (r,) in method.regressions.items()}
             if preset == 'path_ridge'
-            else method.parameters_to_json()
+            else method.parts()[0]
         )  # fmt: skip
         found.append(Baseline(_NAMES[preset], about, method.predict))
     return found
