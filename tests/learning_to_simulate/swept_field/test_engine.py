@@ -232,7 +232,7 @@ def test_a_press_is_no_cut(field, engine):
         field.ranges = kept
     flagged = np.array([frame.now != RolloutStatus.OK for frame in frames], int)
     assert np.flatnonzero(np.diff(flagged)).tolist() == [18, 37, 122, 128]
-    assert 'pressed 0.022 is outside' in frames[-1].reason and 'presses' in frames[-1].reason
+    assert 'pressed 0.022 is outside' in frames[-1].reason
 
 
 @pytest.mark.parametrize(
