@@ -280,7 +280,7 @@ class TrainedModel:
         Args:
           path: folder to write; absent or empty.
           data: gives runs to compare on.
-          kind: savedmodel, tflite or onnx.
+          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c, fmu.
 
         Returns:
           the description that is also in `export.json`.

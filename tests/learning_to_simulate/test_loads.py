@@ -19,7 +19,6 @@ from learning_to_simulate import (
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
 from learning_to_simulate.live import paths
-from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
@@ -174,7 +173,7 @@ def test_a_saved_model_and_litert_carry_it_and_c_refuses_it(trained, tmp_path):
         assert 'N m' in description['signatures']['step']['outputs']['torque'][2]
     for kind in ('c', 'fmu'):
         with pytest.raises(ValueError, match='predict_torque: the C form has no torque'):
-            c_exporting.export(path, data, str(tmp_path / kind), kind)
+            exporting.export(path, data, str(tmp_path / kind), kind)
         assert not (tmp_path / kind).exists()
 
 
