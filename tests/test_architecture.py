@@ -85,7 +85,7 @@ IMPORTS_WITHOUT = [
         ('numpy', 'mpm'),
     ),
     (
-        ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.dataset', 'pca_tools.metadata'),
+        ('pca_tools.subspace', 'pca_tools.rigid_fit', 'pca_tools.convert', 'pca_tools.inspect'),
         ('tensorflow', 'matplotlib'),
     ),
     (
@@ -129,7 +129,7 @@ TESTS_OF_NO_ONE_MODULE = {
     'learning_to_simulate/subspace/test_left_out.py',
     'learning_to_simulate/subspace/test_numerics.py',
     'learning_to_simulate/native/test_ros2_node.py',
-    'nri/test_networks.py', 'pca_tools/test_clients.py', 'pca_tools/test_convert_extras.py',
+    'nri/test_networks.py',
     'reports/protocol/test_documents.py', 'reports/protocol/test_protocol.py',
     'reports/test_main.py',
 }  # fmt: skip
