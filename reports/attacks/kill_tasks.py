@@ -20,8 +20,9 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live import starts
-from learning_to_simulate.native import agreement, exporting, library
+from learning_to_simulate.native import agreement, library
 from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
