@@ -20,8 +20,9 @@ import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live import starts
-from learning_to_simulate.native import agreement, exporting, library
+from learning_to_simulate.native import agreement, library
 from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
@@ -131,10 +132,10 @@ def _train(folder: str) -> None:
 def _export(folder: str) -> None:
     if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
         flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
-        quick = functools.partial(library.compile_flat, flags=flags)
+        quick = functools.partial(library.compile_sources, flags=flags)
         with (
             mock.patch.object(agreement, 'of_project', return_value={'skipped': 'here'}),
-            mock.patch.object(library, 'compile_flat', quick),
+            mock.patch.object(library, 'compile_sources', quick),
         ):
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
 

@@ -508,7 +508,7 @@ def _values(scene: Scene, start: dict) -> dict:
         'name': scene.name,
         'context_names': ','.join(scene.context_names),
         'n_context': len(scene.context_names),
-        'motion': model_data.motion_of(scene),
+        'motion': model_data.MOTIONS.index(scene.rigid_motion),
         'dt': scene.dt,
         'digest': '0' * 64,
         'n_start': 1,

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live.soil import surface
-from learning_to_simulate.native import exporting, library, project
+from learning_to_simulate.native import library, project
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
@@ -28,7 +29,7 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
     exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
     name = project.symbol('models/excavation/pcg')
     built = str(tmp_path / 'lib.so')
-    library.compile_sources(built, folder)
+    library.compile_sources(built, *library.parts_of(folder))
     program = str(tmp_path / 'node')
     strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
     subprocess.run(
