@@ -25,7 +25,7 @@ from absl import app, flags
 from mpm import scenes
 from mpm.motions import catalogue
 from pca_tools.storage import messages
-from reports import markdown
+from reports import markdown, timing
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 # Of each scene: the data of record, the models, and a test run of it.
@@ -108,20 +108,7 @@ def stepping_ms(path: str, record) -> dict:
     import learning_to_simulate as lts
 
     live, poses = lts.load(path).stepper(), record.rigid_pose.astype(float)
-    contexts = record.step_context
-
-    def context(frame):
-        return {} if contexts is None else {'context': contexts[frame]}
-
-    live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **context(0))
-    steps, wholes = [], []
-    for frame, pose in enumerate(poses[1:], 1):
-        begin = time.perf_counter()
-        now = live.step(pose, **context(frame))
-        steps.append(time.perf_counter() - begin)
-        if frame % EVERY == 0:
-            now.particles()
-            wholes.append(time.perf_counter() - begin)
+    steps, wholes = timing.stepping(live, poses, record.step_context, EVERY)
     # The first ones compile.
     return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
 

@@ -82,7 +82,7 @@ class OpenLoopEvaluator:
         judgements = rollout_status.judge(
             group, predicted.position, predicted.force, simulator.statistics, simulator.scene
         )
-        return Rollout(predicted.position, predicted.force, judgements, seconds)
+        return Rollout(predicted.position, predicted.force, judgements, seconds, predicted.torque)
 
     def run(self, groups, split: str, progress=iter):
         """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`."""

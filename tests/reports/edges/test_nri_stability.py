@@ -39,31 +39,14 @@ def test_comparison_of_seeds_against_hand_counts():
 
 def test_stability_in_miniature(tmp_path):
     data = small.write_springs(tmp_path / 'data')
-    config = NriConfig(**small.TINY, seed=1)
-    rows = [nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)] * 2
-    again = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
-    assert again['probabilities'] == rows[0]['probabilities']
+    config = NriConfig(**small.TINY, seed=1, epochs=2)
+    job = data, str(tmp_path / 'seed_1'), config, 0.6
+    rows = [nri_stability.train_seed(*job) for _ in range(2)]  # the second finds it done
+    assert rows[0]['probabilities'] == rows[1]['probabilities']
     compared = nri_stability.compare(rows, 0.6)
     assert compared['agreement']['mean'] == 1.0
     nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': rows})
     assert (tmp_path / 'a.png').stat().st_size > 1000
-
-
-def test_lists_show_their_pairs_and_what_they_share(tmp_path):
-    names, none = edge_lists.mode_names(3), np.full((3, 3), np.nan)
-    paths = []
-    for number, pairs in enumerate(([(0, 1), (2, 2)], [(0, 1), (1, 0)])):
-        mask = np.zeros((3, 3), bool)
-        for receiver, sender in pairs:
-            mask[receiver, sender] = True
-        paths.append(str(tmp_path / f'seed_{number}.json'))
-        edge_lists.write(paths[-1], edge_lists.EdgeList(mask, names, none, 'gates', None, {}))
-    rows = nri_stability.lists(*paths).splitlines()[2:]
-    # One pair of three is in both: from mode 2, as texts count, to mode 1.
-    assert rows == [
-        '| seed 0 | 1 | 1 | 2 to 1, 3 to 3 | 0.333 |',
-        '| seed 1 | 2 | 0 | 2 to 1, 1 to 2 | 0.333 |',
-    ]
 
 
 def test_shipped_list_is_that_of_the_seed_with_the_least_loss():
