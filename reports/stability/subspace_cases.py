@@ -2,6 +2,7 @@
 network in other precisions, and from perturbed starts."""
 
 import dataclasses
+import functools
 import os
 
 import numpy as np
@@ -28,7 +29,7 @@ PRECISIONS = ('float64', 'bfloat16', 'float16')
 AMPLITUDES = (1e-4, 1e-2, 1.0)
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class Shipped:
     """One shipped model with the test runs of its dataset.
 
@@ -56,8 +57,13 @@ class Shipped:
         """Of nodes [..., V, D]."""
         return position[..., self.group.n_rigid :, :]
 
+    @functools.cached_property
+    def rollout(self) -> RolloutFunction:
+        """The rollout of evaluations, compiled once for all parts of the report."""
+        return self.function()
+
     def function(self, rigid_correction: bool = True) -> RolloutFunction:
-        """The rollout of evaluations, compiled at its first call."""
+        """A rollout that is compiled at its first call."""
         layout = self.model.layout(self.group.n_rigid)
         return RolloutFunction(self.model.simulator, layout, rigid_correction)
 
@@ -84,6 +90,7 @@ class Shipped:
         return metrics.constant_velocity(self.modes(self.group.position[:, :H]), n_frame)
 
 
+@functools.cache
 def load(scene: str, preset: str, n_run: int | None = None) -> Shipped:
     """Loads a shipped model and the first `n_run` test runs (None: all)."""
     data = os.path.join(ROOT, 'datasets', scene)
@@ -317,7 +324,7 @@ def run_rollouts(is_quick, progress):
     factor = 3 if is_quick else HORIZON
     for scene, preset in progress(_jobs(is_quick)):
         model = load(scene, preset, 1 if is_quick else None)
-        function = model.function()
+        function = model.rollout
         rolled, _ = model.roll(function)
         row, curve = error_growth(model, model.modes(rolled))
         rows.append(row)
@@ -339,7 +346,7 @@ def run_network(is_quick, progress):
     rows, curves = [], []
     for scene, preset in progress(_jobs(is_quick)):
         model = load(scene, preset, 1 if is_quick else None)
-        function = model.function()
+        function = model.rollout
         reference = model.modes(model.roll(function)[0])
         new, curve = perturbations(model, function, reference)
         rows += precisions(model, reference) + new

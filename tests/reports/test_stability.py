@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from reports.stability import __main__ as stability_report
-from reports.stability import cases
+from reports.stability import cases, subspace_cases
 
 
 def test_outcome_follows_figure_and_threshold():
@@ -25,8 +25,9 @@ def test_to_and_fro_turns_at_both_ends():
 
 
 @pytest.mark.slow
-def test_report_in_miniature(tmp_path):
+def test_report_in_miniature(tmp_path, monkeypatch):
     """All parts on the smallest cases: every promise holds, and table, JSON and pictures agree."""
+    monkeypatch.setattr(subspace_cases, 'PRECISIONS', ('float64',))  # each is compiled for seconds
     parts = list(stability_report.PARTS)
     rows = stability_report.report(parts, True, str(tmp_path))
     assert {row.outcome for row in rows} >= {cases.HOLDS, cases.MEASURED, cases.FLAGGED}
