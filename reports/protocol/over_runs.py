@@ -127,7 +127,8 @@ def condense(document: dict, split: str = 'test') -> dict:
       `GRID` and `DRIVEN` (those there are) -> `runs`, and quantity -> method -> one value a seed; a
       method of which a run failed is absent.
     """
-    runs, found = document['runs'][split], {}
+    runs = document['runs'][split]
+    found: dict[str, dict] = {}
     for kind in (GRID, DRIVEN):
         chosen = [i for i, run in enumerate(runs) if (run['kind'] == GRID) == (kind == GRID)]
         if not chosen:
