@@ -30,7 +30,7 @@ def write_raw(folder: str) -> None:
             'positions': bed + travel * rng.uniform(0.2, 0.4, (1, N_SOIL, 1)),
             'rigid_positions': plate + travel,
             'force': rng.normal(size=(FRAMES, 3)),
-            'context': {'gravity': 9.8},
+            'context': {'friction_angle_deg': 30.0 + 10.0 * speed},
         }
 
     raw_writer.write_raw(folder, map(run, (0.2, 0.3, 0.4, 0.5, 0.6)), 1 / 60, up_axis='y')

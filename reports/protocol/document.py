@@ -74,9 +74,8 @@ def facts(data_path: str) -> tuple[dict, dict]:
         raise FileNotFoundError(
             f'{path}: no such file; errors in full space need the subspace of the records'
         )
-    runs, soil = {}, None
+    runs: dict[str, list] = {split: [] for split in SPLITS}
     for split in SPLITS:
-        runs[split] = []
         for number, run in enumerate(dataset.read_split(data_path, split)):
             scores = run.position[:, run.n_rigid :].astype(np.float64)
             soil = reader.read(split, number, scores, None)

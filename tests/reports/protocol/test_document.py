@@ -43,14 +43,14 @@ class Crew:
 
 @pytest.fixture(scope='module')
 def judged(tmp_path_factory):
-    """(folder, document) of runs whose body is driven, with a path ridge under two names."""
+    """(folder, document) of runs whose body is driven; `mine` is the baselines' path ridge."""
     work = tmp_path_factory.mktemp('judged')
     folder = synthetic.write_dataset(work / 'data', motion='driven', torque=True)
     synthetic.write_subspace(folder)
     synthetic.write_particles(folder)
     values = types.SimpleNamespace(
-        model=[], train=['path_ridge'], num_seeds=2, work_path=str(work), cluster='',
-        num_processes=1,
+        model=[f'mine={work}/models/data/baselines/path_ridge_0'], train=[], work_path=str(work),
+        cluster='', num_processes=1,
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rollouts, '_run', here)
@@ -71,7 +71,7 @@ def test_errors_are_those_worked_out_from_the_records(judged):
     folder, found = judged
     names = [m['name'] for m in found['methods']]
     assert names[:4] == ['persistence', 'constant velocity', 'mean force', 'path ridge']
-    assert names[-1] == 'path_ridge' and 'earthmoving' not in names  # that wants a soil's angle
+    assert names[-1] == 'mine' and 'earthmoving' not in names  # that wants a soil's angle
     train, test = (dataset.read_split(folder, split) for split in ('train', 'test'))
     mean = np.concatenate([run.force for run in train]).mean(axis=0)
     for number, run in enumerate(test):
@@ -95,7 +95,7 @@ def test_errors_are_those_worked_out_from_the_records(judged):
         assert still['soil_mm'] == pytest.approx(1e3 * rms(soil - held), rel=1e-4)
         # Each is judged in what it says anything of.
         assert 'force_l2' not in velocity and 'soil_mm' not in mean_force
-        ridge, again = (errors_of(found, name)[number] for name in ('path ridge', 'path_ridge'))
+        ridge, again = (errors_of(found, name)[number] for name in ('path ridge', 'mine'))
         assert ridge['soil_mm'] == again['soil_mm'] < still['soil_mm']
         assert again['status'] and 'status' not in ridge
 
@@ -125,7 +125,7 @@ def test_a_document_holds_every_number_of_its_tables(judged, tmp_path):
     assert tables.complete(json.loads(text)) == json.loads(text)
     path = str(tmp_path / 'synthetic.json')
     files.write_json(path, found)
-    marks = 'means {} test soil_mm force_l2 height_mm', 'of_method {} test path_ridge soil_mm'
+    marks = 'means {} test soil_mm force_l2 height_mm', 'of_method {} test mine soil_mm'
     page = '\n\n'.join(f'<!-- table: reports.protocol.tables:{m.format(path)} -->' for m in marks)
     shown = documents.render(page + '\n')
     ridge = found['summary']['test']['all']['soil_mm']['path ridge']
