@@ -97,9 +97,9 @@ class Ranges:
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
         extra = 1 + 2 * RANGE_MARGIN
-        low, high = widened(*statistics.position_range, BOUNDS_FACTOR)
+        low, high = widened(*statistics.position_range, BOUNDS_FACTOR)  # type: ignore[call-arg]
         self._bounds = low[node_class[self._first :]], high[node_class[self._first :]]
-        low, high = widened(*statistics.position_range, extra)
+        low, high = widened(*statistics.position_range, extra)  # type: ignore[call-arg]
         self._start = low[node_class], high[node_class]
         self._force_limit = np.inf if force_limit is None else BOUNDS_FACTOR * force_limit
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
@@ -111,7 +111,7 @@ class Ranges:
         self._limits = None
         if scene.rigid_motion.is_known and statistics.given_range is not None:
             self._limits = [
-                widened(*limits, extra)
+                widened(*limits, extra)  # type: ignore[call-arg]
                 for limits in (
                     statistics.given_range, statistics.given_velocity_range,
                     statistics.body_extent_range, statistics.body_speed_range,

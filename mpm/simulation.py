@@ -198,7 +198,7 @@ class Simulation:
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
         self.loads = _means(loads, SUBFRAMES)
-        v = self._block.particles[:, columns.V : columns.V + 3]
+        v = self._block.particles[:, columns.V : columns.V + 3]  # type: ignore[attr-defined]
         cells = np.sqrt((v * v).sum(axis=1)) * (self._solver.exchange / self.grid.dx)
         many = np.count_nonzero(cells > stability.VELOCITY_CFL) > SPRAY * len(cells)
         if many or not cells.max(initial=0.0) <= stability.SPRAY_CFL:

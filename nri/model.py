@@ -43,7 +43,7 @@ class NriModel(snt.Module):
         self.config = config
         self.node_names = tuple(node_names)
         self.data_digest = data_digest
-        self.digest = None
+        self.digest: str | None = None
         self.offset = np.asarray(offset, np.float32)
         self.scale = np.asarray(scale, np.float32)
         self._check()

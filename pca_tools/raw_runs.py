@@ -85,7 +85,7 @@ class RawRuns(Sequence):
     def __len__(self) -> int:
         return len(self._entries)
 
-    def __getitem__(self, index: int) -> RawRun:
+    def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
         """Opens run `index`.
 
         Raises:
@@ -226,5 +226,5 @@ class SoilPositions(Sequence):
     def __len__(self) -> int:
         return len(self._indices)
 
-    def __getitem__(self, index: int) -> np.ndarray:
+    def __getitem__(self, index: int) -> np.ndarray:  # type: ignore[override]
         return self._runs[self._indices[index]].positions[:: self._stride]

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tqdm
@@ -38,14 +38,14 @@ class Job:
     steps: int = 1
 
 
-def in_turns(jobs: Mapping[str, Job], rounds: int) -> dict[str, Timing]:
+def in_turns(jobs: Mapping[Any, Job], rounds: int) -> dict[Any, Timing]:
     """Times all jobs, one call of each in every round.
 
     Raises:
       ValueError: a job took, or returned, a time that is not above 0.
     """
-    seconds: dict[str, list] = {name: [] for name in jobs}
-    processor: dict[str, list] = {name: [] for name in jobs}
+    seconds: dict[Any, list] = {name: [] for name in jobs}
+    processor: dict[Any, list] = {name: [] for name in jobs}
     for turn in tqdm.tqdm(range(-WARM_UP, rounds), 'in turns', unit='round', disable=None):
         for name, job in jobs.items():
             wall, busy = time.perf_counter(), time.process_time()

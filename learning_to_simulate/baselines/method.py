@@ -77,7 +77,7 @@ class OpenLoopEvaluator:
         """`Rollout` of one `RunGroup` of the split."""
         simulator = self._model.simulator
         start = time.perf_counter()
-        predicted = self._model.method.predict(group, cases_of(group, self._split, self._metadata))
+        predicted = self._model.method.predict(group, cases_of(group, self._split, self._metadata))  # type: ignore[attr-defined]
         seconds = time.perf_counter() - start
         judgements = rollout_status.judge(
             group, predicted.position, predicted.force, simulator.statistics, simulator.scene
@@ -158,7 +158,7 @@ def train(data_path, model_path, config, options) -> dict:
     _, summary = OpenLoopEvaluator(model, metadata, 'valid').run(valid, 'valid')
     print(evaluation.table(summary))
     if config.leave_one_out:
-        off = model.method.least_errors()
+        off = model.method.least_errors()  # type: ignore[attr-defined]
         print(
             'valid was trained on, so the table says how well it is fitted; the best choice, each '
             'run left out, is off by (RMS per value): '
@@ -214,7 +214,7 @@ def load(model_path: str) -> OpenLoopModel:
         else:
             values = dict(stored['formula'])
             axes = Axes(**values.pop('frame'))
-            method = _FORMULAS[config.model].from_json(values, scene, axes)
+            method = _FORMULAS[config.model].from_json(values, scene, axes)  # type: ignore[attr-defined]
     except FileNotFoundError:
         raise
     except checkpoints.WRONG_FIELD as error:

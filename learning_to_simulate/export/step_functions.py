@@ -190,7 +190,7 @@ class StepFunctions:
         if n:
             differences['rigid'] = _difference(moved, expected, slice(n))
         for name, pairs in found.items():
-            differences[name] = _difference(*zip(*pairs), slice(None))
+            differences[name] = _difference(*zip(*pairs), slice(None))  # type: ignore[call-arg]
         values = {
             'steps': COMPARED_STEPS,
             'relative_difference': differences,

@@ -37,7 +37,7 @@ class Client:
 
     def __init__(self, port: int, reads: bool = True):
         self._socket = connect(
-            f'ws://localhost:{port}', subprotocols=[f'viser-v{viser.__version__}'],
+            f'ws://localhost:{port}', subprotocols=[f'viser-v{viser.__version__}'],  # type: ignore[list-item]
             compression=None, max_size=None, max_queue=16 if reads else 1,
         )  # fmt: skip
         self.frames, self.received, self.gui = 0, 0, {}

@@ -69,7 +69,7 @@ class Panel:
             made.remove()
         self._made, self._sliders, page, gui = [], {}, self._page, self._gui
 
-        def made(handle):
+        def made(handle):  # type: ignore[no-redef]
             self._made.append(handle)
             return handle
 

@@ -50,7 +50,7 @@ class Limits:
     def __init__(self, scene, statistics, body, reader: poses.PoseReader):
         extra = 1 + 2 * INSIDE * RANGE_MARGIN
         (self.low, self.high), self.speed, self._extent, (_, (self._fastest,)) = (
-            widened(*x, extra)
+            widened(*x, extra)  # type: ignore[call-arg]
             for x in (
                 statistics.given_range, statistics.given_velocity_range,
                 statistics.body_extent_range, statistics.body_speed_range,

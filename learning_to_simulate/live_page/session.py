@@ -241,7 +241,7 @@ class Session:
         hull = getattr(statistics, 'position_range', None)
         if hull is None:
             return 0.0
-        low, high = widened(*hull[:, 1:], 1.0)
+        low, high = widened(*hull[:, 1:], 1.0)  # type: ignore[call-arg]
         return float(np.abs((2 * frame.modes - low - high) / (high - low)).max())
 
     @property

@@ -270,7 +270,7 @@ def measure(model_path: str, data_path: str, limit: int = 0) -> list[dict]:
     groups = registry.open_model(model_path, data_path, 'test').groups
     runs = [group.select(run) for group in groups for run in range(len(group.position))]
     return [
-        {'record': int(runs[i].record[0])} | play(soil, model, space, runs[i])
+        {'record': int(runs[i].record[0])} | play(soil, model, space, runs[i])  # type: ignore[attr-defined]
         for i in splits.spread_over(len(runs), limit)
     ]
 

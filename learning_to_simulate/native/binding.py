@@ -107,7 +107,7 @@ class CInstance(abc.ABC):
     @property
     def address(self) -> int:
         """Of the instance, for calls of the headers that have no method here."""
-        return self._soil
+        return self._soil  # type: ignore[return-value]
 
     @property
     def kernel(self) -> str:

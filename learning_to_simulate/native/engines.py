@@ -225,7 +225,7 @@ class CFieldEngine:
         if coming is None:
             raise ValueError(f'the body is {self.scene.rigid_motion}: step() takes a pose')
         if self._is_proposed:
-            self._proposed_soil.keep(self._c.save())
+            self._proposed_soil.keep(self._c.save())  # type: ignore[attr-defined]
             self._c.load_state(self._before)
         else:
             self._before = self._c.save()
@@ -245,7 +245,7 @@ class CFieldEngine:
             judgement = self._c.judgement._replace(frame=number)
         self._coming = coming
         self._proposed_soil = CFieldSoil(self)
-        nodes = self._start.nodes(coming)
+        nodes = self._start.nodes(coming)  # type: ignore[attr-defined]
         return Proposal(
             judgement, self._proposed_soil, nodes, coming, found.force, found.torque, found.bound
         )
@@ -255,7 +255,7 @@ class CFieldEngine:
         if self._uses_other:
             self._other.accept()
             return
-        self._soil.keep(self._before)
+        self._soil.keep(self._before)  # type: ignore[attr-defined]
         self._soil, self._pose, self._is_proposed = self._proposed_soil, self._coming, False
 
     def _refuse(self, coming, context, dt):

@@ -228,7 +228,7 @@ def read(path: str) -> EdgeList:
             raise ValueError(f'{len(names)} nodes are more than the limit of {MAX_NODES}')
         ends = [_indices(values[key]) for key in ('senders', 'receivers')]
         return EdgeList(
-            mask=Adjacency(*ends, len(names)).mask(),
+            mask=Adjacency(*ends, len(names)).mask(),  # type: ignore[call-arg]
             node_names=names,
             probabilities=np.array(values['probabilities'], np.float64),
             method=values['method'],

@@ -154,7 +154,7 @@ def parse(values: dict, source: str) -> Parts:
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
     except checkpoints.WRONG_FIELD as error:
         raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
-    return Parts(config, scene, statistics, types, n_rigid, *masks, source_of_edges)
+    return Parts(config, scene, statistics, types, n_rigid, *masks, source_of_edges)  # type: ignore[call-arg]
 
 
 def load(path: str) -> Model:

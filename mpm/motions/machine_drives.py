@@ -60,7 +60,7 @@ def machine_drive(
         width = operator_paths.NARROW_WIDTH if rng.random() < 0.3 else bodies.BLADE_WIDTH
         body, kept = bodies.make_blade(width), {'blade_width_m': width}
     else:
-        body, kept = bodies.tool_body(tool), {'tool': tool}
+        body, kept = bodies.tool_body(tool), {'tool': tool}  # type: ignore[dict-item]
     for _ in range(operator_paths.TRIES):
         drive, drawn = (_press if kind == 'press' else _set_down)(rng, scene.bin, body)
         try:

@@ -36,13 +36,13 @@ def series_of(folder: str) -> dict[str, list[tuple[float | None, str]]]:
     collections = [name for name in names if name.endswith('.pvd')]
     if collections:
         return {
-            name.removesuffix('.pvd'): read_collection(os.path.join(folder, name))
+            name.removesuffix('.pvd'): read_collection(os.path.join(folder, name))  # type: ignore[misc]
             for name in collections
         }
     series = {name: _frames(os.path.join(folder, name)) for name in names}
     series = {name: frames for name, frames in series.items() if frames}
     own = _frames(folder)
-    return {os.path.basename(os.path.abspath(folder)): own} if own else series
+    return {os.path.basename(os.path.abspath(folder)): own} if own else series  # type: ignore[dict-item, return-value]
 
 
 def _frames(folder: str) -> list[tuple[None, str]]:

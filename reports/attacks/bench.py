@@ -147,7 +147,8 @@ def benches(names: list[str]) -> Iterator[list[Bench]]:
     signal.signal(signal.SIGPROF, _raise_hang)
     memory = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None
     with tempfile.TemporaryDirectory(dir=memory) as work:
-        order, made = turns(names), {}
+        order = turns(names)
+        made: dict[str, Bench] = {}
         for target in order:
             if target.name not in made:
                 made[target.name] = Bench(target, os.path.join(work, str(len(made))))

@@ -61,7 +61,8 @@ def is_finite(value: Any) -> bool:
         value = list(value.values())
     if isinstance(value, (list, tuple)):
         return all(map(is_finite, value))
-    return not isinstance(value, np.ndarray) or value.dtype.kind != 'f' or np.isfinite(value).all()
+    is_real = isinstance(value, np.ndarray) and value.dtype.kind == 'f'
+    return not is_real or bool(np.isfinite(value).all())
 
 
 @dataclasses.dataclass(frozen=True)
