@@ -209,16 +209,8 @@ def define_flags():
 def main(v):
     """Runs the command."""
     command.import_tensorflow()
-    edges = find_edges(
-        v.model_path,
-        v.data_path,
-        split=v.split,
-        threshold=v.threshold,
-        keep=v.keep,
-        self_edges=v.self_edges,
-        no_edge_type=v.no_edge_type,
-        allow_degenerate=v.allow_degenerate,
-    )
+    options = 'split', 'threshold', 'keep', 'self_edges', 'no_edge_type', 'allow_degenerate'
+    edges = find_edges(v.model_path, v.data_path, **{name: v[name].value for name in options})
     names = export(edges, v.data_path, v.output_path)
     r = edges.report
     print(

