@@ -10,25 +10,24 @@ A folder that ships with the project holds no checkpoints. What is here is the s
 all methods.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from learning_to_simulate import known_shapes
 from learning_to_simulate.scene import Scene, is_int, require
-from pca_tools import dataset, files
+from pca_tools import files
 from pca_tools.storage import folder_lock
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
 START_FILE, SUBSPACE_FILE = 'start.npz', 'subspace.npz'
 SCHEMA_VERSION = 1
 NUM_PARTICLE_TYPES = 9  # of the published type embedding
-# What a field of a damaged or foreign file raises where it is read.
-WRONG_FIELD = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
 # May lie in a folder that has no config.json yet: the lock, and what a training leaves that was
 # killed while it wrote the folder's first files.
 _FIRST = (folder_lock.LOCK_NAME, START_FILE, SUBSPACE_FILE)
@@ -53,27 +52,30 @@ def read_config(path: str) -> dict:
     return values
 
 
+@contextlib.contextmanager
+def refusing_wrong_fields(path: str) -> Iterator[None]:
+    """Turns what a field of a damaged or foreign `config.json` raises, where it is read, into a
+    ValueError that names the file."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(
+            f'{os.path.join(path, CONFIG_FILE)}: a field is missing, unknown or wrong ({error!r})'
+        ) from error
+
+
 def settings_and_scene(values: dict, settings: type) -> tuple:
-    """The checked settings, scene and particle types of any model's `config.json`.
-
-    Args:
-      values: the JSON object.
-      settings: class of the settings.
-
-    Raises:
-      one of `WRONG_FIELD`: a field is missing, unknown or wrong.
-    """
+    """The checked settings (of a class), scene and particle types of any model's `config.json`;
+    raises as `refusing_wrong_fields` expects it."""
     config, scene = settings(**values['config']), Scene.from_json(values['scene'])
     modes = getattr(config, 'modes', 0)
     require(modes in (0, scene.n_modes), 'modes', modes)
     types = values['particle_types']
-    require(
-        isinstance(types, list)
-        and len(types) == 2
-        and all(is_int(t, 0, NUM_PARTICLE_TYPES - 1) for t in types),
-        'particle_types',
-        types,
-    )
+    is_pair = isinstance(types, list) and len(types) == 2
+    known = is_pair and all(is_int(t, 0, NUM_PARTICLE_TYPES - 1) for t in types)
+    require(known, 'particle_types', types)
     return config, scene, tuple(types)
 
 
@@ -91,56 +93,41 @@ def save_config(path: str, model, n_rigid: int, data: dict, files_beside=None) -
     import tensorflow as tf
 
     s = model.simulator
-    files.write_json(
-        os.path.join(path, CONFIG_FILE),
-        {
-            'schema_version': SCHEMA_VERSION,
-            'config': dataclasses.asdict(s.config),
-            'scene': s.scene.to_json(),
-            'particle_types': list(s.particle_types),
-            'n_rigid': n_rigid,
-            'edge_source': model.edge_source,
-            'edges': model.edge_counts(),
-            'mode_mask': None if model.mode_mask is None else model.mode_mask.astype(int).tolist(),
-            'loaded_mask': None
-            if model.loaded_mask is None
-            else model.loaded_mask.astype(int).tolist(),
-            'statistics': s.statistics.to_json(),
-            'data': data,
-            'files': files_beside or {},
-            'packages': {
-                name: importlib.metadata.version(name)
-                for name in ('numpy', 'dm-sonnet', 'graph_nets')
-            }
-            | {'tensorflow': tf.__version__},
-        },
-    )
+    masks = {name: getattr(model, name) for name in ('mode_mask', 'loaded_mask')}
+    packages = {n: importlib.metadata.version(n) for n in ('numpy', 'dm-sonnet', 'graph_nets')}
+    values = {
+        'schema_version': SCHEMA_VERSION,
+        'config': dataclasses.asdict(s.config),
+        'scene': s.scene.to_json(),
+        'particle_types': list(s.particle_types),
+        'n_rigid': n_rigid,
+        'edge_source': model.edge_source,
+        'edges': model.edge_counts(),
+        **{n: None if mask is None else mask.astype(int).tolist() for n, mask in masks.items()},
+        'statistics': s.statistics.to_json(),
+        'data': data,
+        'files': files_beside or {},
+        'packages': packages | {'tensorflow': tf.__version__},
+    }
+    files.write_json(os.path.join(path, CONFIG_FILE), values)
 
 
 def _weights(simulator):
-    """Variables by a name that does not change between processes: their order of creation and shape
-    role."""
-    return {
-        f'{i:03d}.{v.name.split(":")[0]}': v for i, v in enumerate(simulator.trainable_variables)
-    }
+    """Variables by a name that does not change between processes: their order and role."""
+    named = enumerate(simulator.trainable_variables)
+    return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in named}
 
 
 def save_weights(path: str, simulator) -> None:
-    """Writes weights.npz whole or not at all.
-
-    Args:
-      path: model folder.
-      simulator: the model.
+    """Writes the weights of a simulator to weights.npz, whole or not at all.
 
     Raises:
-      ValueError: if a weight is not finite; the file of before stays.
+      ValueError: if a weight is not finite; an older file stays.
     """
-    names = list(_weights(simulator))
-    values = [v.numpy() for v in simulator.trainable_variables]
-    bad = [n for n, v in zip(names, values, strict=True) if not np.isfinite(v).all()]
-    if bad:
+    values = {name: variable.numpy() for name, variable in _weights(simulator).items()}
+    if bad := [name for name, value in values.items() if not np.isfinite(value).all()]:
         raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
-    files.write_npz(os.path.join(path, WEIGHTS_FILE), **dict(zip(names, values, strict=True)))
+    files.write_npz(os.path.join(path, WEIGHTS_FILE), **values)
 
 
 def filled(path: str, make: Callable):
@@ -151,7 +138,8 @@ def filled(path: str, make: Callable):
       make: makes the model with all variables of its `simulator`.
 
     Raises:
-      as `read_weights`; no variable is made that the file does not hold.
+      FileNotFoundError, ValueError: as `stored_weights` and `check_weights`; no variable is made
+        that the file does not hold.
     """
     stored = stored_weights(path)
     with known_shapes.only((w.shape for w in stored.values()), os.path.join(path, WEIGHTS_FILE)):
@@ -163,24 +151,12 @@ def filled(path: str, make: Callable):
     return model
 
 
-def read_weights(path: str, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
-    """Reads weights.npz.
-
-    Args:
-      path: model folder.
-      shapes: name -> shape of every weight that the model has.
+def stored_weights(path: str) -> dict[str, np.ndarray]:
+    """The arrays of weights.npz, whatever they are of.
 
     Raises:
-      FileNotFoundError, ValueError: no weights there, other weights, or weights that are not
-        finite.
+      FileNotFoundError, ValueError: no weights there, or weights that are not finite.
     """
-    stored = stored_weights(path)
-    check_weights(path, stored, shapes)
-    return stored
-
-
-def stored_weights(path: str) -> dict[str, np.ndarray]:
-    """The finite arrays of weights.npz, whatever they are of; raises as `read_weights`."""
     weights_path = os.path.join(path, WEIGHTS_FILE)
     if not os.path.isfile(weights_path):
         raise FileNotFoundError(
@@ -193,16 +169,16 @@ def stored_weights(path: str) -> dict[str, np.ndarray]:
     return stored
 
 
-def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tuple]) -> None:
-    """Raises ValueError if arrays have other names or shapes."""
-    weights_path = os.path.join(path, WEIGHTS_FILE)
+def check_weights(path: str, stored: dict[str, np.ndarray], shapes: dict[str, tuple]):
+    """The stored arrays; raises ValueError if they have other names or shapes than the model."""
     found = {n: v.shape for n, v in stored.items()}
     if shapes != found:
         differing = sorted(n for n in shapes.keys() | found.keys() if shapes.get(n) != found.get(n))
         raise ValueError(
-            f'{weights_path}: not the weights of {CONFIG_FILE} beside it; differing: '
-            f'{differing[:4]}'
+            f'{os.path.join(path, WEIGHTS_FILE)}: not the weights of {CONFIG_FILE} beside it; '
+            f'differing: {differing[:4]}'
         )
+    return stored
 
 
 def folder_digest(path: str) -> str:
@@ -232,29 +208,22 @@ def check_dataset(model_path, model, data_path, metadata):
       ValueError: other modes, another subspace, a force or context that one of them lacks, or no
         torque where the model predicts one.
     """
-    scene = model.simulator.scene
-    found, first = metadata['mode_number'], model.simulator.config.modes
+    scene, config = model.simulator.scene, model.simulator.config
+    found, first = metadata['mode_number'], getattr(config, 'modes', 0)
     if found < scene.n_modes or not first and found != scene.n_modes:
         raise ValueError(
             f'{data_path} has {found} modes, the model in {model_path} was trained on '
             f'{"the first " if first else ""}{scene.n_modes}'
         )
-    digests = (
-        read_config(model_path)['data'].get('subspace'),
-        subspace_digest(metadata),
-    )
-    if None not in digests and digests[0] != digests[1]:
+    there, here = read_config(model_path)['data'].get('subspace'), _subspace_digest(metadata)
+    if None not in (there, here) and there != here:
         raise ValueError(
-            f'{data_path} is in the subspace {digests[1][:12]}..., the model in {model_path} was '
-            f'trained on the modes of {digests[0][:12]}...: convert the runs with --like, or train '
+            f'{data_path} is in the subspace {here[:12]}..., the model in {model_path} was '
+            f'trained on the modes of {there[:12]}...: convert the runs with --like, or train '
             f'again'
         )
-    keys = {
-        'rigid_body_force_mean': scene.has_force,
-        'context_mean': bool(scene.context_names),
-    }
-    # Settings of methods that are no networks in a subspace do not have it.
-    if getattr(model.simulator.config, 'predict_torque', False):
+    keys = {'rigid_body_force_mean': scene.has_force, 'context_mean': bool(scene.context_names)}
+    if getattr(config, 'predict_torque', False):
         keys['rigid_body_torque_mean'] = True
     for key, wanted in keys.items():
         if (key in metadata) != wanted:
@@ -264,15 +233,14 @@ def check_dataset(model_path, model, data_path, metadata):
             )
 
 
-def subspace_digest(metadata):
+def _subspace_digest(metadata):
     """Which modes the records are scores of; None for folders that do not state it."""
     return metadata.get('pca', {}).get('digest')
 
 
-def data_digests(folder: str) -> dict[str, str]:
-    """File -> sha256 of what a dataset folder trains on."""
-    paths = {'metadata.json': os.path.join(folder, 'metadata.json')}
-    paths['train.tfrecord'] = dataset.split_path(folder, 'train')
+def digests(folder: str, names: Iterable[str]) -> dict[str, str]:
+    """Name -> sha256 of those files that a folder has."""
+    paths = {name: os.path.join(folder, name) for name in names}
     return {n: files.sha256_of_file(path) for n, path in paths.items() if os.path.exists(path)}
 
 
@@ -280,8 +248,8 @@ def data_record(data_path: str, metadata: dict) -> dict:
     """Where training data came from, for `config.json`: the path as it was given, and digests."""
     return {
         'path': data_path,
-        'sha256': data_digests(data_path),
-        'subspace': subspace_digest(metadata),
+        'sha256': digests(data_path, ('metadata.json', 'train.tfrecord')),
+        'subspace': _subspace_digest(metadata),
     }
 
 
@@ -309,15 +277,14 @@ def holds_model(path: str, parts: dict[str, dict], own_files: Iterable[str] = ()
     for part, values in parts.items():
         old = stored.get(part)
         old = old if isinstance(old, dict) else {}
-        differing = [
-            k for k, v in values.items() if k != 'path' and _plain(old.get(k)) != _plain(v)
-        ]
+        differing = ', '.join(
+            f'{k}: {old.get(k)!r} there, {values[k]!r} now'
+            for k in sorted(values)
+            if k != 'path' and _plain(old.get(k)) != _plain(values[k])
+        )
         if differing:
-            listed = ', '.join(
-                f'{k}: {old.get(k)!r} there, {values[k]!r} now' for k in sorted(differing)
-            )
             raise ValueError(
-                f'{path}: holds a model of another {part} ({listed}); nothing was written, give '
+                f'{path}: holds a model of another {part} ({differing}); nothing was written, give '
                 f'another --model_path'
             )
     return True

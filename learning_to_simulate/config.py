@@ -1,8 +1,7 @@
-"""Settings: everything that decides what a trained simulator is, in parts.
+"""Settings: everything that decides what a trained simulator is.
 
-Each part is a frozen value that checks itself; the whole is all of them at once. So names are flat
-on command lines and in `config.json`, and what needs one part only, takes that part. The whole is
-stored beside the weights, so that no flag can change their meaning.
+Settings are frozen values that check themselves. They are stored beside the weights, so that no
+flag can change the meaning of weights.
 """
 
 import dataclasses
@@ -17,17 +16,15 @@ MODELS = (GRAPH_NETWORK, 'mlp', 'mixer_se', 'mixer_scse')  # of a `TrainConfig`
 
 
 def number(default, low=-LARGEST, high=LARGEST):
-    """A setting with its least and largest value; the largest ones of parts are beyond any network
-    of the project."""
+    """A setting with its least and largest value; the largest are beyond any network of the
+    project."""
     return dataclasses.field(default=default, metadata={'range': (low, high)})
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Settings that check their types, their ranges and the rules of their parts.
-
-    A part has a method `rules`, which raises where its fields do not fit each other.
-    """
+    """Settings that check their types, their ranges, and by a method `rules` of theirs whether they
+    fit each other."""
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
@@ -48,68 +45,74 @@ class Settings:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Nodes(Settings):
-    """What of the records is a node.
+class Training(Settings):
+    """The size of a network, and how it is trained in single steps from noisy histories.
 
     Attributes:
-      rigid_particles: how many rigid particles are nodes, the lowest ones of the first frame; 0
-        keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
-        rest follows from it.
-      rigid_stride: every how many-th rigid particle, in record order, is a node, whatever moves the
-        body; 1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
-        height of the kept ones must be that of all.
-      modes: the first so many modes of the dataset are nodes, the others say 0 in every prediction
-        and count in every error; 0 keeps all.
+      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
+      weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
+        none.
+      seed: of weights, batches and noise.
+      batch_size: of this stage.
+      num_steps: of all stages.
+      noise_std: random-walk noise of the last input step, m/frame or a fraction.
+      noise_relative: whether the noise is a fraction of each node's own velocity scale.
+      learning_rate, learning_rate_floor, decay_steps: the rate decays by 0.1 per `decay_steps` to
+        the floor.
     """
 
-    rigid_particles: int = number(10, 0, MAX_RIGID)
-    rigid_stride: int = number(1, 1, MAX_RIGID)
-    modes: int = number(0, 0, MAX_MODES)
+    latent_size: int = number(64, 1, 4096)
+    hidden_layers: int = number(2, 1, 32)
+    message_passing_steps: int = number(1, 1, 100)
+    weight_average: float = number(0.998, 0, 1)
+    seed: int = 0
+    batch_size: int = number(16, 1, 100_000)
+    num_steps: int = number(5000, 0)
+    noise_std: float = number(0.5, 0)
+    noise_relative: bool = True
+    learning_rate: float = 1e-3
+    learning_rate_floor: float = 1e-5
+    decay_steps: float = 3000.0
+
+    def rules(self):
+        """Raises where the average would keep the first weights for ever."""
+        if self.weight_average == 1:
+            raise ValueError('weight_average is 1, must lie in [0, 1): it would keep the start')
 
     @property
-    def nodes(self) -> dict[str, int]:
-        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
-        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}
+    def single_steps(self) -> int:
+        """Training steps of the first stage."""
+        return self.num_steps - getattr(self, 'unroll_steps', 0)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Edges(Settings):
-    """Which node acts on which.
+@dataclasses.dataclass(frozen=True)
+class TrainConfig(Training):
+    """Everything that decides what a model in the subspace is and how it is trained.
 
     Attributes:
-      adjacency: 'fully_connected'; 'algorithm2' (its mode block from `edges.json` of the dataset
-        where there is one, else ranked by correlation); 'correlation' (always ranked);
-        'random' (by lot, from the seed); the edge file that was loaded; 'none' for a model without
-        a graph.
+      preset: name of the preset the config started from.
+      model: one of `MODELS`.
+      copies: shifted or mirrored copies of each training run that are trained on as well
+        (`symmetric_copies`), in both stages.
+      rigid_particles: number of rigid particles that are nodes, the lowest ones of the first frame;
+        0 keeps all. Only where the motion is prescribed: a blade cuts with its lower edge, and the
+        rest follows from it.
+      rigid_stride: every such rigid particle, in record order, is a node, whatever moves the body;
+        1 keeps all. The others are placed rigidly. Where the body is not prescribed, the mean
+        height of the kept ones must be that of all.
+      modes: number of modes that are nodes, the first ones of the dataset; the others are 0 in
+        every prediction and count in every error. 0 keeps all.
+      adjacency: which node acts on which: 'fully_connected'; 'algorithm2' (its mode block from
+        `edges.json` of the dataset where there is one, else ranked by correlation); 'correlation'
+        (always ranked); 'random' (by lot, from the seed); the edge file that was loaded; 'none' for
+        a model without a graph.
       mode_edges: mode -> mode edges that are kept when they are ranked by correlation or drawn.
       surface_height: m; a rigid particle above it has no edges in that frame; 0 for edges that
         last.
       gate_weight: above 0 the mode -> mode edges are learned together with the simulator, one
         hard-concrete gate each, and this is the price of all of them being open (`edge_gates`).
-      gate_steps: after so many steps the gates close for good; edges that are more likely open
+      gate_steps: the step after which the gates close for good; edges that are more likely open
         than not stay.
-    """
-
-    adjacency: str = 'algorithm2'
-    mode_edges: int = number(28, 0, MAX_MODES**2)
-    surface_height: float = 0.0
-    gate_weight: float = number(0.0, 0)
-    gate_steps: int = number(1000, 1)
-
-    def rules(self):
-        """Raises where edges are both learned and given."""
-        if self.gate_weight > 0 and self.adjacency != 'algorithm2':
-            raise ValueError(
-                f'gate_weight {self.gate_weight} learns the edges, but adjacency '
-                f'{self.adjacency!r} gives them: leave one of them out'
-            )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Inputs(Settings):
-    """What a node sees, and what of it is predicted.
-
-    Attributes:
       style: 'ours' or 'published' (Haeri & Skonieczny 2021, Usmani & Skonieczny 2023). Published
         models see velocities and particle types alone, scaled by the statistics of the whole
         dataset, edges in connectivity radii; they sum messages, weigh all errors alike and clip no
@@ -117,7 +120,7 @@ class Inputs(Settings):
         positions, accelerations, the given motion of the coming frame and an embedding of each
         mode; they take the mean of messages, weigh an error by its share of the motion, count
         the force of a run in units of its own, show none clear of the soil, and clip gradients.
-      velocity_inputs: how many of the H - 1 last velocities are inputs.
+      velocity_inputs: number of the H - 1 last velocities that are inputs.
       rate_scaled: velocities in and displacements out are counted per displacement of the body in
         the coming frame (soil at these speeds is nearly rate-independent); needs a known motion and
         order 1.
@@ -132,8 +135,22 @@ class Inputs(Settings):
         graph) a frame depends on the path alone.
       predict_torque: whether the torque on the body is predicted beside the force; needs records of
         it, of one body.
+      unroll_length, unroll_batch_size, unroll_steps: the second stage of training, the last
+        `unroll_steps` of `num_steps`: rollouts of that length without noise, and gradients through
+        them.
     """
 
+    preset: str
+    model: str = GRAPH_NETWORK
+    copies: int = number(0, 0, 100)
+    rigid_particles: int = number(10, 0, MAX_RIGID)
+    rigid_stride: int = number(1, 1, MAX_RIGID)
+    modes: int = number(0, 0, MAX_MODES)
+    adjacency: str = 'algorithm2'
+    mode_edges: int = number(28, 0, MAX_MODES**2)
+    surface_height: float = 0.0
+    gate_weight: float = number(0.0, 0)
+    gate_steps: int = number(1000, 1)
     style: str = 'ours'
     velocity_inputs: int = number(1, 1, INPUT_SEQUENCE_LENGTH - 1)
     rate_scaled: bool = True
@@ -143,140 +160,57 @@ class Inputs(Settings):
     path_inputs: bool = False
     state_inputs: bool = True
     predict_torque: bool = False
-
-    def rules(self):
-        """Raises where an acceleration would be scaled with the rate, or a path is missing."""
-        if not self.path_inputs and (self.mode_order == 0 or not self.state_inputs):
-            raise ValueError(
-                f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need '
-                f'path_inputs: a place and soil without a state follow from the path alone'
-            )
-        if self.style not in STYLES:
-            raise ValueError(f'style is {self.style!r}, must be one of {", ".join(STYLES)}')
-        if self.path_inputs and self.is_published:
-            raise ValueError('path_inputs needs the style ours: the published inputs have no path')
-        if self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1):
-            raise ValueError(
-                'rate_scaled needs mode_order and rigid_order 1: an acceleration does not scale '
-                'with the rate'
-            )
-
-    @property
-    def is_published(self) -> bool:
-        """Whether inputs, aggregation and loss are the published ones; see `style`."""
-        return self.style == 'published'
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Network(Settings):
-    """The size of the network, and where it starts.
-
-    Attributes:
-      latent_size, hidden_layers, message_passing_steps: L, layers per MLP, M (blocks of a mixer).
-      weight_average: decay of the moving average of the weights that is evaluated and saved; 0 for
-        none.
-      seed: of weights, batches and noise.
-    """
-
-    latent_size: int = number(64, 1, 4096)
-    hidden_layers: int = number(2, 1, 32)
-    message_passing_steps: int = number(1, 1, 100)
-    weight_average: float = number(0.998, 0, 1)
-    seed: int = 0
-
-    def rules(self):
-        """Raises where the average would keep the first weights for ever."""
-        if self.weight_average == 1:
-            raise ValueError('weight_average is 1, must lie in [0, 1): it would keep the start')
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class SingleSteps(Settings):
-    """How training goes; its first stage: single steps from noisy histories.
-
-    Attributes:
-      batch_size: of this stage.
-      num_steps: of both stages.
-      noise_std: random-walk noise of the last input step, m/frame or a fraction.
-      noise_relative: whether the noise is a fraction of each node's own velocity scale.
-      learning_rate, learning_rate_floor, decay_steps: lr decays by 0.1 per `decay_steps` to the
-        floor.
-    """
-
-    batch_size: int = number(16, 1, 100_000)
-    num_steps: int = number(5000, 0)
-    noise_std: float = number(0.5, 0)
-    noise_relative: bool = True
-    learning_rate: float = 1e-3
-    learning_rate_floor: float = 1e-5
-    decay_steps: float = 3000.0
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Unrolled(Settings):
-    """The second stage of training: rollouts of N frames without noise, and gradients through them.
-
-    Attributes:
-      unroll_length, unroll_batch_size: N, and batch of this stage.
-      unroll_steps: the last so many of `num_steps`.
-    """
-
     unroll_length: int = number(16, 2, 10_000)
     unroll_steps: int = number(2000, 0)
     unroll_batch_size: int = number(8, 1, 100_000)
 
     def rules(self):
-        """Raises where the second stage is longer than both."""
-        if self.unroll_steps > self.num_steps:
-            raise ValueError(
-                f'unroll_steps is {self.unroll_steps}, more than all {self.num_steps} num_steps'
-            )
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
-    """Everything that decides what a model in the subspace is and how it is trained.
-
-    Attributes:
-      preset: name of the preset the config started from.
-      model: one of `MODELS`.
-      copies: so many shifted or mirrored copies of each training run are trained on as well
-        (`symmetric_copies`), in both stages.
-    """
-
-    preset: str
-    model: str = GRAPH_NETWORK
-    copies: int = number(0, 0, 100)
-
-    def rules(self):
-        """Raises where parts do not fit each other or the network."""
-        if self.model not in MODELS:
-            raise ValueError(f'model is {self.model!r}, must be one of {", ".join(MODELS)}')
-        if (self.adjacency == 'none') == self.has_graph:
-            raise ValueError(
-                f'adjacency is {self.adjacency!r} with model {self.model!r}: gns needs one, the '
-                f'others take none'
-            )
-        if self.surface_height and not self.has_graph:
-            raise ValueError(
-                f'surface_height is {self.surface_height} with model {self.model!r}: only gns has '
-                f'edges between modes and body'
-            )
-        if not self.state_inputs and self.model != 'mlp':
-            raise ValueError(
-                f'state_inputs is False with model {self.model!r}: only the MLP does without, '
-                f'edges and mixers are made of the state'
-            )
-        if self.gate_weight > 0 and self.gate_steps >= self.single_steps:
-            raise ValueError(
-                f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
-                f'single-step stage of {self.single_steps} steps'
-            )
+        """Raises where settings do not fit each other or the network."""
+        graph = f'with model {self.model!r}'
+        orders = f'mode_order {self.mode_order} and rigid_order {self.rigid_order}'
+        without_state = self.mode_order == 0 or not self.state_inputs
+        for is_wrong, why in (
+            (self.model not in MODELS,
+             f'model is {self.model!r}, must be one of {", ".join(MODELS)}'),
+            (self.style not in STYLES,
+             f'style is {self.style!r}, must be one of {", ".join(STYLES)}'),
+            ((self.adjacency == 'none') == self.has_graph,
+             f'adjacency is {self.adjacency!r} {graph}: gns needs one, the others take none'),
+            (self.surface_height and not self.has_graph,
+             f'surface_height is {self.surface_height} {graph}: only gns has edges between modes '
+             'and body'),
+            (self.gate_weight > 0 and self.adjacency != 'algorithm2',
+             f'gate_weight {self.gate_weight} learns the edges, but adjacency {self.adjacency!r} '
+             'gives them: leave one of them out'),
+            (self.unroll_steps > self.num_steps,
+             f'unroll_steps is {self.unroll_steps}, more than all {self.num_steps} num_steps'),
+            (self.gate_weight > 0 and self.gate_steps >= self.single_steps,
+             f'gate_steps is {self.gate_steps}, but the gates must close before the end of the '
+             f'single-step stage of {self.single_steps} steps'),
+            (without_state and not self.path_inputs,
+             f'mode_order {self.mode_order} and state_inputs {self.state_inputs} need path_inputs: '
+             'a place and soil without a state follow from the path alone'),
+            (not self.state_inputs and self.model != 'mlp',
+             f'state_inputs is False {graph}: only the MLP does without, edges and mixers are made '
+             'of the state'),
+            (self.path_inputs and self.is_published,
+             'path_inputs needs the style ours: the published inputs have no path'),
+            (self.rate_scaled and (self.mode_order, self.rigid_order) != (1, 1),
+             f'rate_scaled needs mode_order and rigid_order 1, not {orders}: an acceleration does '
+             'not scale with the rate'),
+        ):  # fmt: skip
+            if is_wrong:
+                raise ValueError(why)
 
     @property
-    def single_steps(self) -> int:
-        """Training steps of the first stage."""
-        return self.num_steps - self.unroll_steps
+    def nodes(self) -> dict[str, int]:
+        """Which nodes of the records are used, as arguments of `reading_utils.read_groups`."""
+        return {name: getattr(self, name) for name in ('rigid_particles', 'rigid_stride', 'modes')}
+
+    @property
+    def is_published(self) -> bool:
+        """Whether inputs, aggregation and loss are the published ones; see `style`."""
+        return self.style == 'published'
 
     @property
     def has_graph(self) -> bool:
@@ -285,21 +219,19 @@ class TrainConfig(Unrolled, SingleSteps, Network, Inputs, Edges, Nodes):
 
     @property
     def has_lasting_graph(self) -> bool:
-        """Whether the model is a graph network with the same edges in every frame: only then
-        rollouts are specialised for them."""
+        """Whether the model is a graph network with the same edges in every frame."""
         return self.has_graph and not self.surface_height
 
 
 @dataclasses.dataclass(frozen=True)
-class FullSpaceConfig(SingleSteps, Network):
+class FullSpaceConfig(Training):
     """What a graph network on thinned particles is and how it is trained.
 
     Attributes:
       preset: name of the preset the config started from.
       model: full_space.
       soil_particles: about how many soil particles are kept.
-      velocity_inputs: how many of the H - 1 last velocities are inputs.
-      rate_scaled: as of `Inputs`.
+      velocity_inputs, rate_scaled: as of `TrainConfig`.
       mode_order: 2 predicts the acceleration of the soil, 1 its displacement.
     """
 
@@ -310,7 +242,24 @@ class FullSpaceConfig(SingleSteps, Network):
     rate_scaled: bool = True
     mode_order: int = number(1, 1, 2)
 
-    @property
-    def single_steps(self) -> int:
-        """All training steps are single ones."""
-        return self.num_steps
+
+@dataclasses.dataclass(frozen=True)
+class OpenLoopConfig(Settings):
+    """What a baseline is that feeds nothing back.
+
+    Attributes:
+      preset: name of the preset the config started from.
+      model: the method, a name of `registry`.
+      max_samples: frames of training that a kernel ridge is fitted to, spread over all runs.
+      leave_one_out: whether a kernel ridge is fitted to train and valid together, chosen by each of
+        their runs, judging what the others give, and averaged over the ten best with each kernel:
+        for data of a dozen runs.
+      fitted: whether the formula's parameters are fitted to the training runs; else they are the
+        soil's own.
+    """
+
+    preset: str
+    model: str
+    max_samples: int = number(3000, 1, 20_000)
+    leave_one_out: bool = False
+    fitted: bool = False

@@ -123,14 +123,14 @@ def contracted_edges(edges, n_rigid: int, kept) -> tuple[tuple[int, int], ...]:
     Two of them are neighbours if a path of edges joins them that meets left-out particles only.
 
     Args:
-      edges: (sender, receiver) among all particles.
-      n_rigid: number of all particles.
-      kept: int [R], those that stay.
+      edges: (sender, receiver) of the whole body.
+      n_rigid: its particles.
+      kept: int [R], the ones that stay.
 
     Raises:
-      ValueError: an edge names a particle that the body does not have.
+      ValueError: an edge of a particle that the body does not have.
     """
-    ends = np.asarray(edges, int).reshape(-1, 2)
+    ends = np.array(edges, int).reshape(-1, 2)
     if ends.size and not 0 <= ends.min() <= ends.max() < n_rigid:
         raise ValueError(f'rigid edges name particle {ends.max()}, the body has {n_rigid}')
     mask = np.zeros((n_rigid, n_rigid), bool)
@@ -163,13 +163,7 @@ def mode_correlations(velocities) -> np.ndarray:
 
 
 def rank_mode_edges(velocities, keep: int) -> np.ndarray:
-    """The `keep` mode -> mode edges with the strongest `mode_correlations`.
-
-    Stands in for a learned edge list. Self-edges come first.
-
-    Args:
-      velocities: as for `mode_correlations`.
-      keep: number of edges, at most r².
+    """The `keep` mode -> mode edges with the strongest `mode_correlations`; self-edges come first.
 
     Returns:
       bool [r, r] mask, entry [receiver, sender].
@@ -181,21 +175,8 @@ def rank_mode_edges(velocities, keep: int) -> np.ndarray:
 
 
 def random_mode_edges(n_modes: int, keep: int, seed: int) -> np.ndarray:
-    """`keep` mode -> mode edges by lot: what a list that was found is to be compared with.
-
-    Self-edges come first, as in `rank_mode_edges`.
-
-    Args:
-      n_modes: r.
-      keep: number of edges, at most r².
-      seed: of the lot; not negative.
-
-    Returns:
-      bool [r, r] mask, entry [receiver, sender].
-
-    Raises:
-      ValueError: if `keep` is negative or above r².
-    """
+    """`keep` mode -> mode edges by lot, as `rank_mode_edges`: what a list that was found is to be
+    compared with."""
     return _best(np.random.default_rng([seed, n_modes]).random((n_modes, n_modes)), keep)
 
 
@@ -224,17 +205,14 @@ def build(kind: str, scene: Scene, n_rigid: int, mode_mask=None, loaded_mask=Non
       ValueError: if a loaded mask does not fit V.
     """
     n_node = n_rigid + scene.n_modes
-    if kind == 'fully_connected':
-        return fully_connected(n_node)
-    if kind == 'none':
-        return Adjacency.from_mask(np.zeros((n_node, n_node), bool))
+    if kind in ('fully_connected', 'none'):
+        return Adjacency.from_mask(np.full((n_node, n_node), kind != 'none'))
     if mode_mask is not None:
         return algorithm2(scene, n_rigid, mode_mask)
     if len(loaded_mask) == n_node:
         return Adjacency.from_mask(loaded_mask)
     raise ValueError(
         f'the mask of {kind} is {len(loaded_mask)} x {len(loaded_mask)}, but this dataset has '
-        f'graphs of {n_node} nodes '
-        f'({n_rigid} rigid + {scene.n_modes} modes): give a mask of {n_node} or of '
-        f'{scene.n_modes} nodes'
+        f'graphs of {n_node} nodes ({n_rigid} rigid + {scene.n_modes} modes): give a mask of '
+        f'{n_node} or of {scene.n_modes} nodes'
     )

@@ -1,6 +1,6 @@
 """Rollouts of a model over a split: result files and `metrics.json`.
 
-Each run is rolled out on its own (batch 1), as it is used; a loop is compiled once per number of
+Each run is rolled out on its own (batch 1), as a user does. A loop is compiled once per number of
 rigid particles and warmed up before it is timed.
 """
 
@@ -144,16 +144,15 @@ class _Truths:
 
     def of(self, group, nodes):
         """Of a one-run group whose soil nodes are [T, r, 3]."""
-        record, made = int(group.record[0]), group.source
-        if made is None:
-            floor = soil_truth.of_run({self._split: self.floors}, self._split, record)
-            own = '' if self._metadata else soil_truth.PARTICLES
-            found = soil_truth.of_nodes(nodes, self._n_soil, floor, own)
+        folder, split = group.source or ('', self._split)
+        if not folder and not self._metadata:
+            found = soil_truth.of_nodes(nodes, self._n_soil, space=soil_truth.PARTICLES)
         else:
-            if made[0] not in self._readers:
-                self._readers[made[0]] = soil_truth.TruthReader(made[0])
-            reader = self._readers[made[0]]
-            found = reader.read(made[1], record, nodes, self._n_soil)
+            if folder not in self._readers:
+                metadata = None if folder else self._metadata
+                self._readers[folder] = soil_truth.TruthReader(folder, metadata)
+            reader = self._readers[folder]
+            found = reader.read(split, int(group.record[0]), nodes, self._n_soil)
         self.space = found.space
         return found
 

@@ -6,8 +6,12 @@ A preset is a frozen config; flags override single fields.
 import dataclasses
 from typing import Any
 
-from learning_to_simulate.baselines import settings as open_loop_settings
-from learning_to_simulate.config import GRAPH_NETWORK, FullSpaceConfig, TrainConfig
+from learning_to_simulate.config import (
+    GRAPH_NETWORK,
+    FullSpaceConfig,
+    OpenLoopConfig,
+    TrainConfig,
+)
 from learning_to_simulate.swept_field import settings as swept_field_settings
 
 _PUBLISHED = {
@@ -87,9 +91,19 @@ _OF_NETWORKS = {
         decay_steps=2500.0,
     ),
 }
-PRESETS: dict[str, Any] = (
-    _OF_NETWORKS | swept_field_settings.PRESETS | open_loop_settings.PRESETS
-)
+# Baselines without dynamics: regression on the path, and formulas as they are or fitted.
+OPEN_LOOP = {
+    name: OpenLoopConfig(name, model, **options)
+    for name, model, options in (
+        ('path_ridge', 'path_ridge', {}),
+        ('path_ridge_few_runs', 'path_ridge', {'max_samples': 1500, 'leave_one_out': True}),
+        ('earthmoving', 'earthmoving', {}),
+        ('earthmoving_fitted', 'earthmoving', {'fitted': True}),
+        ('bekker_wong_janosi', 'bekker_wong_janosi', {}),
+        ('bekker_wong_janosi_fitted', 'bekker_wong_janosi', {'fitted': True}),
+    )
+}
+PRESETS: dict[str, Any] = _OF_NETWORKS | swept_field_settings.PRESETS | OPEN_LOOP
 
 
 def preset_of_model(model: str | None) -> str:

@@ -7,6 +7,7 @@ step sees is a function of (seed, step) alone.
 
 import dataclasses
 import os
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pca_tools import dataset, legacy_pickles, rigid_fit
 # turns may wobble about that of all. Float32 records reach 1e-7; every 3rd particle of the wheel
 # would give 0.1.
 HEIGHT_TOLERANCE = 1e-3
+_BY_RUN = 'position', 'force', 'context', 'record', 'body', 'kept', 'left_modes', 'torque'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,23 +79,14 @@ class RunGroup:
 
     def take(self, runs) -> 'RunGroup':
         """The group of some of its runs, in the given order; a run may come more than once."""
-
-        def part(values):
-            if values is None:
-                return None
-            return tuple(values[i] for i in runs) if isinstance(values, tuple) else values[runs]
-
-        return dataclasses.replace(
-            self,
-            position=part(self.position),
-            record=part(self.record),
-            force=part(self.force),
-            context=part(self.context),
-            body=part(self.body),
-            kept=part(self.kept),
-            left_modes=part(self.left_modes),
-            torque=part(self.torque),
-        )
+        parts = {}
+        for name in _BY_RUN:
+            values = getattr(self, name)
+            if isinstance(values, tuple):
+                parts[name] = tuple(values[i] for i in runs)
+            elif values is not None:
+                parts[name] = values[runs]
+        return dataclasses.replace(self, **parts)
 
     def with_left_modes(self, position, as_recorded: bool = False) -> np.ndarray:
         """Puts the modes that are no nodes behind the nodes.
@@ -174,8 +167,8 @@ def read_groups(
       metadata: its validated metadata.
       rigid_particles: at most this many particles of each body with prescribed motion become
         nodes, the lowest ones of the first frame; 0 keeps all.
-      rigid_stride: every how many-th rigid particle, in record order, may become a node.
-      modes: so many first modes become nodes; 0 keeps all.
+      rigid_stride: every rigid_stride-th rigid particle, in record order, may become a node.
+      modes: number of first modes that become nodes; 0 keeps all.
 
     Raises:
       FileNotFoundError, ValueError: as `pca_tools.dataset.read_split`; a stride whose particles
@@ -188,16 +181,15 @@ def read_groups(
     ends = np.cumsum(points, dtype=int)[:-1]
     runs: dict[tuple, list] = {}
     for index, run in enumerate(dataset.read_split(folder, split)):
-        where = f'{folder}: {split} record {index}'
-        bodies = np.split(np.arange(run.n_rigid), ends)
-        kept = np.concatenate([body[::rigid_stride] for body in bodies])
-        if rigid_stride > 1 and run.particle_type[0] != dataset.KINEMATIC_PARTICLE_ID:
-            _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
-        if rigid_particles and run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID:
+        is_given = run.particle_type[0] == dataset.KINEMATIC_PARTICLE_ID
+        bodies = [body[::rigid_stride] for body in np.split(np.arange(run.n_rigid), ends)]
+        if rigid_particles and is_given:
             height = run.position[0, :, up]
-            kept = np.concatenate(
-                [_lowest(body[::rigid_stride], height, rigid_particles) for body in bodies]
-            )
+            bodies = [_lowest(body, height, rigid_particles) for body in bodies]
+        kept = np.concatenate(bodies)
+        if rigid_stride > 1 and not is_given:
+            where = f'{folder}: {split} record {index}'
+            _check_thinning(run.position[:, : run.n_rigid], kept, up, where)
         runs.setdefault((len(kept), run.n_frames), []).append((index, run, kept))
     return [
         dataclasses.replace(_stack(n_rigid, members, modes), source=(folder, split))
@@ -226,34 +218,33 @@ def _check_thinning(body, kept, up, where):
 
 def _stack(n_rigid, members, modes):
     """One group of runs [(record, trajectory, kept rigid particles)], with the first modes."""
-    nodes = [
-        np.concatenate([kept, np.arange(run.n_rigid, run.n_rigid + (modes or run.n_modes))])
-        for _, run, kept in members
-    ]
-    runs = [run for _, run, _ in members]
-    thinned = any(run.n_rigid != n_rigid for run in runs)
+    record, runs, kept = zip(*members, strict=True)
     first = runs[0]
+    nodes = [
+        np.concatenate([k, np.arange(run.n_rigid, run.n_rigid + (modes or run.n_modes))])
+        for run, k in zip(runs, kept, strict=True)
+    ]
+
+    def stacked(arrays):
+        return np.stack(arrays).astype(np.float64)
+
+    thinned = any(run.n_rigid != n_rigid for run in runs)
+    more = {}
+    if thinned:
+        more['body'] = tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
+        more['kept'] = np.stack(kept)
+    if 0 < modes < first.n_modes:
+        more['left_modes'] = stacked([run.position[:, run.n_rigid + modes :] for run in runs])
+    if all(run.torque is not None for run in runs):
+        more['torque'] = stacked([run.torque for run in runs])
     return RunGroup(
         n_rigid=n_rigid,
         particle_type=first.particle_type[nodes[0]],
-        position=np.stack([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]).astype(
-            np.float64
-        ),
+        position=stacked([run.position[:, n] for run, n in zip(runs, nodes, strict=True)]),
         force=None if first.force is None else np.stack([force_of(run) for run in runs]),
         context=context_of(runs),
-        record=np.array([index for index, _, _ in members]),
-        body=tuple(run.position[:, : run.n_rigid].astype(np.float64) for run in runs)
-        if thinned
-        else None,
-        kept=np.stack([kept for _, _, kept in members]) if thinned else None,
-        left_modes=np.stack([run.position[:, run.n_rigid + modes :] for run in runs]).astype(
-            np.float64
-        )
-        if 0 < modes < first.n_modes
-        else None,
-        torque=None
-        if any(run.torque is None for run in runs)
-        else np.stack([run.torque for run in runs]).astype(np.float64),
+        record=np.array(record),
+        **more,
     )
 
 
@@ -272,17 +263,6 @@ def context_of(runs) -> np.ndarray | None:
     return context if np.ptp(context, axis=1).any() else context[:, 0]
 
 
-def contexts_by_frame(groups) -> list[np.ndarray | None]:
-    """The contexts of groups, for statistics: where one changes in time, all count by frame."""
-    contexts = [group.context for group in groups]
-    if all(c is None or c.ndim == 2 for c in contexts):
-        return contexts
-    return [
-        np.broadcast_to(c if c.ndim == 3 else c[:, None], (*group.position.shape[:2], c.shape[-1]))
-        for c, group in zip(contexts, groups, strict=True)
-    ]
-
-
 def read_scene(
     folder: str, metadata: dict, groups: list[RunGroup], rigid_motion: str | None
 ) -> Scene:
@@ -298,30 +278,24 @@ def read_scene(
       ValueError: as `Scene.from_metadata`.
     """
     first = groups[0]
-    kind = int(first.particle_type[0]) if first.n_rigid else None
     scene = Scene.from_metadata(
         metadata,
-        rigid_particle_type=kind,
+        rigid_particle_type=int(first.particle_type[0]) if first.n_rigid else None,
         rigid_motion=rigid_motion or ('none' if not first.n_rigid else None),
     )
-    scene = dataclasses.replace(scene, n_modes=first.position.shape[2] - first.n_rigid)
-    if first.kept is not None and scene.rigid_edges:
-        edges = connectivity_utils.contracted_edges(
-            scene.rigid_edges, first.body[0].shape[1], first.kept[0]
-        )
-        scene = dataclasses.replace(scene, rigid_edges=edges)
-    if scene.bodies and first.kept is not None:
-        ends = np.cumsum([count for _, count in scene.bodies])
-        counts = np.bincount(np.searchsorted(ends, first.kept[0], side='right'))
-        names = [name for name, _ in scene.bodies]
-        bodies = tuple(zip(names, counts.tolist(), strict=True))
-        scene = dataclasses.replace(scene, bodies=bodies)
-    if scene.rigid_motion == RigidMotion.PREDICTED and not scene.rigid_edges:
+    changes: dict[str, Any] = {'n_modes': first.position.shape[2] - first.n_rigid}
+    edges = scene.rigid_edges
+    if first.kept is not None and edges:
+        edges = connectivity_utils.contracted_edges(edges, first.body[0].shape[1], first.kept[0])
+    if scene.rigid_motion == RigidMotion.PREDICTED and not edges:
         edges = connectivity_utils.nearest_neighbour_edges(first.position[0, 0, : first.n_rigid])
-        scene = dataclasses.replace(scene, rigid_edges=edges)
+    if scene.bodies and first.kept is not None:
+        names, counts = zip(*scene.bodies, strict=True)
+        of_body = np.searchsorted(np.cumsum(counts), first.kept[0], side='right')
+        changes['bodies'] = tuple(zip(names, np.bincount(of_body).tolist(), strict=True))
     if scene.n_soil is None:
-        scene = dataclasses.replace(scene, n_soil=_soil_particles_of_eigenvalues(folder))
-    return scene
+        changes['n_soil'] = _soil_particles_of_eigenvalues(folder)
+    return dataclasses.replace(scene, rigid_edges=edges, **changes)
 
 
 def _soil_particles_of_eigenvalues(folder):

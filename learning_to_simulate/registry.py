@@ -1,7 +1,7 @@
 """The methods: what `--model` can be. The only list of them; nothing else asks for a name.
 
-A method is an entry of `METHODS` and the modules that it names, which are imported when they are
-needed: a look at the list loads no TensorFlow. The module of its `code` has three functions:
+The modules of a method are imported when they are needed: a look at the list loads no TensorFlow.
+The module of its `code` has three functions:
 
   train(data_path, model_path, config, options: TrainOptions) -> dict
       See `train` below. Leaves a model folder: `config.json` with `schema_version` and, under
@@ -10,7 +10,6 @@ needed: a look at the list loads no TensorFlow. The module of its `code` has thr
       A trained model with the runs of a split; refuses overrides {field: value} that contradict
       the model, and data that it does not fit.
   load(model_path) -> model
-      The model alone.
 
 Its settings are a frozen dataclass with the fields `preset` and `model`; `presets` lists those of
 all methods.
@@ -26,26 +25,19 @@ from learning_to_simulate import checkpoints, command
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """How a method is reached, and what of the shared settings it has a use for.
+    """How a method is reached, and what of the shared settings it has a use for."""
 
-    Attributes:
-      about: one line for `--help`.
-      code: module with `train`, `open_model` and `load`.
-      takes_raw_runs: whether it reads raw runs of a dataset (`raw_path`), not records alone.
-      live: module of its engine for live use; None: that of models in the subspace.
-    """
-
-    about: str
-    code: str
-    live: str | None = None
-    takes_raw_runs: bool = False
+    about: str  # one line for `--help`
+    code: str  # module with `train`, `open_model` and `load`
+    live: str | None = None  # module of its engine for live use; None: of models in the subspace
+    takes_raw_runs: bool = False  # of a dataset (`raw_path`), not records alone
 
     @property
     def steps(self) -> bool:
         """Whether its models start from a bed at rest and take poses, live or as whole paths."""
         return self.code == _SUBSPACE or self.live is not None
 
-    def refuse_raw_path(self, raw_path: str | None) -> None:
+    def check_raw_path(self, raw_path: str | None) -> None:
         """Raises ValueError where raw runs are given to a method that takes records."""
         if raw_path and not self.takes_raw_runs:
             names = [name for name, method in METHODS.items() if method.takes_raw_runs]
@@ -61,54 +53,32 @@ class Method:
 
 @dataclasses.dataclass
 class OpenedModel:
-    """A trained model with the runs that it is judged on.
+    """A trained model with the runs that it is judged on."""
 
-    Attributes:
-      model: of the method's `load`.
-      groups: list of `RunGroup`.
-      metadata: of the dataset.
-      evaluator: `run(groups, split, progress) -> (results, summary)`, as `evaluation.Evaluator`.
-      one_step_errors: called without arguments it gives {name: error} of single steps.
-    """
-
-    model: Any
-    groups: list
-    metadata: dict
-    evaluator: Any
-    one_step_errors: Any
+    model: Any  # of the method's `load`
+    groups: list  # of `RunGroup`
+    metadata: dict  # of the dataset
+    evaluator: Any  # as `evaluation.Evaluator`: `run(groups, split, progress)`
+    one_step_errors: Any  # called without arguments it gives {name: error} of single steps
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
-    """How a training is run, beside what is trained.
+    """How a training is run, beside what is trained."""
 
-    Attributes:
-      rigid_motion: override of the scene's, or None.
-      save_every: steps between checkpoints; None for a tenth of all.
-      take_over_lock: whether a lock that a process of another machine left may be taken.
-      raw_path: raw runs of the dataset, for models on particles; None to decode its records.
-    """
-
-    rigid_motion: str | None = None
-    save_every: int | None = None
-    take_over_lock: bool = False
-    raw_path: str | None = None
+    rigid_motion: str | None = None  # override of the scene's
+    save_every: int | None = None  # steps between checkpoints; None for a tenth of all
+    take_over_lock: bool = False  # that a process of another machine left
+    raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'
 _OPEN_LOOP = 'learning_to_simulate.baselines.method'
 METHODS = {
-    'gns': Method(
-        'graph network on modes and body (Usmani & Skonieczny 2023)',
-        _SUBSPACE,
-    ),
-    'mlp': Method(
-        'plain MLP on the subspace state (Holden et al. 2019)',
-        _SUBSPACE,
-    ),
+    'gns': Method('graph network on modes and body (Usmani & Skonieczny 2023)', _SUBSPACE),
+    'mlp': Method('plain MLP on the subspace state (Holden et al. 2019)', _SUBSPACE),
     'mixer_se': Method(
-        'Motion-Mixer with squeeze-and-excitation (Bouazizi et al. 2022)',
-        _SUBSPACE,
+        'Motion-Mixer with squeeze-and-excitation (Bouazizi et al. 2022)', _SUBSPACE
     ),
     'mixer_scse': Method('Motion-Mixer with scSE', _SUBSPACE),
     'full_space': Method(
@@ -132,17 +102,6 @@ METHODS = {
 }
 
 
-def get(name: str) -> Method:
-    """The method of a name.
-
-    Raises:
-      ValueError: there is none of that name.
-    """
-    if name not in METHODS:
-        raise ValueError(f'unknown model {name!r}; there are {", ".join(METHODS)}')
-    return METHODS[name]
-
-
 def train(data_path: str, model_path: str, config, **options) -> dict:
     """Trains the method of `config` to its end, or goes on with a training, or finds it done.
 
@@ -161,8 +120,8 @@ def train(data_path: str, model_path: str, config, **options) -> dict:
       OSError: a file could not be read or written.
       SystemExit: with 130 after Ctrl-C, 143 after SIGTERM, where steps are saved on the way.
     """
-    method, how = get(config.model), TrainOptions(**options)
-    method.refuse_raw_path(how.raw_path)
+    method, how = METHODS[config.model], TrainOptions(**options)
+    method.check_raw_path(how.raw_path)
     return method.load_code().train(data_path, model_path, config, how)
 
 
@@ -175,7 +134,7 @@ def open_model(
 ) -> OpenedModel:
     """The model of any method with the runs of a split; see above."""
     method = of_folder(model_path)
-    method.refuse_raw_path(raw_path)
+    method.check_raw_path(raw_path)
     return method.load_code().open_model(model_path, data_path, split, overrides, raw_path)
 
 

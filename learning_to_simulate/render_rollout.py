@@ -40,10 +40,8 @@ from learning_to_simulate.rendering.rollout_frames import RolloutFrames
 from pca_tools import files
 
 FORMATS = ('png', 'gif', 'mp4', 'vtp')
-COLOR_CHOICES = ('speed', 'error')
 # Pixels per inch of a page 9.6 inches wide.
-_PNG_DPI, _DPI = 200, {'gif': 100, 'mp4': 150}
-_PALETTE_SAMPLES = 6
+_DPI = {'png': 200, 'gif': 100, 'mp4': 150}
 
 
 def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
@@ -52,7 +50,7 @@ def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
     Args:
         rollout: `paths.SoilRollout`.
         path: file to write, .png, .gif or .mp4.
-        step_stride: draw every so many frames.
+        step_stride: draw every step_stride-th frame.
         **options: `color_by` and `plane` of `render`.
 
     Returns:
@@ -83,27 +81,20 @@ def render(
     data_path: str | None,
     output_path: str,
     formats: Iterable[str] = ('png', 'gif', 'mp4'),
-    step_stride: int = 3,
-    color_by: str = 'speed',
-    plane: str | None = None,
     label: str = '',
-    progress: Callable = lambda frames, label: frames,
     beside: Mapping[str, str] | None = None,
+    **options,
 ) -> tuple[RolloutFrames, list[str]]:
-    """Draws a rollout in one or several formats.
+    """Draws a rollout file in one or several formats.
 
     Args:
         rollout_path: `rollout_{split}_{i}.npz`.
         data_path: dataset folder with `subspace.npz`, or None.
         output_path: folder, made if missing; the files take the rollout's name.
         formats: some of `FORMATS`.
-        step_stride: draw every so many frames; of a sample of particles, the nearest it has.
-        color_by: `speed` (mm/s) or `error` (mm).
-        plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
-            from the side, with the scene's upward axis up.
         label: name of the model, for the title of the prediction.
-        progress: wraps the frames of a movie, called with them and a label (for a progress bar).
         beside: name of a model -> rollout of the same run, drawn beside the first (not as `vtp`).
+        **options: of `render_frames`.
 
     Returns:
         The rollout, and the files written (of the `vtp`, the two collections).
@@ -118,14 +109,12 @@ def render(
     if unknown or not formats:
         raise ValueError(f'--format has {unknown or "no name"}; there are {", ".join(FORMATS)}')
     frames = rollout_frames.load(rollout_path, data_path, label)
-    others = []
-    for name, path in (beside or {}).items():
-        others.append(rollout_frames.load(path, data_path, name))
-        rollout_frames.refuse_other_run(frames, others[-1])
+    others = [rollout_frames.load(path, data_path, name) for name, path in (beside or {}).items()]
+    for other in others:
+        rollout_frames.refuse_other_run(frames, other)
     os.makedirs(output_path, exist_ok=True)
     target = os.path.join(output_path, frames.name)
-    written = render_frames(frames, target, formats, step_stride, color_by, plane, progress, others)
-    return frames, written
+    return frames, render_frames(frames, target, formats, beside=others, **options)
 
 
 def render_frames(
@@ -143,7 +132,12 @@ def render_frames(
     Args:
         frames: the rollout.
         target: path of the files without their endings; its folder must exist.
-        formats, step_stride, color_by, plane, progress: as of `render`.
+        formats: some of `FORMATS`.
+        step_stride: draw every step_stride-th frame, or the nearest to it that the particles have.
+        color_by: `speed` (mm/s) or `error` (mm).
+        plane: horizontal and vertical axis, a key of `rollout_frames.PLANES`; None for the view
+            from the side, with the scene's upward axis up.
+        progress: wraps the frames of a movie, called with them and a label (for a progress bar).
         beside: other rollouts of the same run.
 
     Returns:
@@ -159,7 +153,12 @@ def render_frames(
     apart = int(shown[1] - shown[0]) if len(shown) > 1 else 1
     stride = max(1, round(step_stride / apart))
     drawn, written = np.arange(0, len(shown), stride), []
-    if pictures := [name for name in formats if name != 'vtp']:
+    for name in formats:
+        if name == 'vtp':
+            folder = f'{target}_vtk'
+            vtk_export.write_rollout(folder, frames, progress(drawn, name))
+            written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
+            continue
         try:
             from learning_to_simulate.rendering import movie_files, particle_views, rollout_figures
         except ModuleNotFoundError as error:
@@ -167,26 +166,15 @@ def render_frames(
                 f'pictures need the package {error.name}: pip install .[viz] (--format=vtp does '
                 'not)'
             ) from error
-        view = particle_views.setup(frames, plane, drawn)
-    for name in pictures:
-        path = f'{target}.{name}'
+        path, view = f'{target}.{name}', particle_views.setup(frames, plane, drawn)
         written.append(path)
         if name == 'png':
-            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _PNG_DPI, beside)
+            strip = rollout_figures.strip_figure(frames, view, drawn.tolist(), _DPI[name], beside)
             files.write_atomically(path, functools.partial(strip.savefig, format='png'))
-            continue
-        figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
-        moving, seconds = (figure.draw(int(i)) for i in progress(drawn, name)), frames.dt * apart
-        if name == 'gif':
-            chosen = np.linspace(0, len(drawn) - 1, _PALETTE_SAMPLES).astype(int)
-            samples = [figure.draw(int(i)) for i in drawn[chosen]]
-            movie_files.write_gif(path, moving, stride * seconds, samples)
         else:
-            movie_files.write_mp4(path, moving, stride * seconds)
-    if 'vtp' in formats:
-        folder = f'{target}_vtk'
-        vtk_export.write_rollout(folder, frames, progress(drawn, 'vtp'))
-        written += [os.path.join(folder, f'{which}.pvd') for which in frames.shown]
+            figure = rollout_figures.AnimatedFigure(frames, view, color_by, _DPI[name], beside)
+            pixels = (figure.draw(int(i)) for i in progress(drawn, name))
+            movie_files.write(path, name, pixels, stride * apart * frames.dt)
     return written
 
 
@@ -202,8 +190,8 @@ def define_flags() -> None:
         'data_path', None, 'Dataset folder with subspace.npz; without one no soil is drawn.'
     )
     flags.DEFINE_string('output_path', None, 'Folder for the pictures.', required=True)
-    flags.DEFINE_integer('step_stride', 3, 'Draw every so many frames.', 1)
-    flags.DEFINE_enum('color_by', 'speed', COLOR_CHOICES, 'What colours the soil.')
+    flags.DEFINE_integer('step_stride', 3, 'Draw every n-th frame.', 1)
+    flags.DEFINE_enum('color_by', 'speed', ('speed', 'error'), 'What colours the soil.')
     flags.DEFINE_enum(
         'plane',
         None,

@@ -76,21 +76,20 @@ class SoilTruth:
         Raises:
           ValueError: arrays that do not fit each other, or that lack frames or particles.
         """
-        stored, wanted = np.asarray(stored, np.float64), (self.frames, self.indices)
+        stored, asked = np.asarray(stored, np.float64), (self.frames, self.indices)
         if stored.shape[:2] != (len(frames), len(indices)):
             raise ValueError(
                 f'predicted_particles {stored.shape} for {len(frames)} frames and {len(indices)} '
                 f'particles'
             )
-        pairs = zip(wanted, (frames, indices))
-        missing = [len(set(asked.tolist()) - set(there.tolist())) for asked, there in pairs]
+        places = [{int(n): i for i, n in enumerate(given)} for given in (frames, indices)]
+        missing = [len(set(which.tolist()) - at.keys()) for at, which in zip(places, asked)]
         if any(missing):
             raise ValueError(
                 f'predicted_particles: lacks {missing[0]} frames and {missing[1]} particles of the '
                 f'truth'
             )
-        places = ({int(n): i for i, n in enumerate(given)} for given in (frames, indices))
-        rows, columns = ([at[int(n)] for n in which] for at, which in zip(places, wanted))
+        rows, columns = ([at[int(n)] for n in which] for at, which in zip(places, asked))
         return stored[np.ix_(rows, columns)]
 
     def of_rollout(self, modes, arrays) -> np.ndarray:
@@ -115,7 +114,7 @@ class TruthReader:
     """Reads the soil of the runs of a dataset.
 
     Args:
-      folder: dataset folder.
+      folder: dataset folder; '' where there are records alone.
       metadata: of it; read where it is not given.
 
     Attributes:
@@ -129,7 +128,7 @@ class TruthReader:
         self.folder = folder
         self.metadata = dataset.read_metadata(folder) if metadata is None else metadata
         path = os.path.join(folder, 'subspace.npz')
-        self.subspace = Subspace.load(path) if os.path.exists(path) else None
+        self.subspace = Subspace.load(path) if folder and os.path.exists(path) else None
         self._samples: dict[str, Any] = {}
 
     def sample(self, split: str):
@@ -150,10 +149,10 @@ class TruthReader:
         Raises:
           ValueError: a sample of other runs than the records.
         """
-        sample = None if split is None or record is None else self.sample(split)
         space, floor = self.subspace, of_run(self.metadata.get('projection_mse'), split, record)
         if space is None or modes.shape[1] > space.n_modes:
             return of_nodes(modes, n_soil or modes.shape[1], floor)
+        sample = None if split is None or record is None else self.sample(split)
         indices = np.arange(space.n_soil) if sample is None else np.asarray(sample.indices)
         mean = space.mean[indices] if np.ndim(space.mean) else space.mean
         truth = of_nodes(modes, len(indices), floor)

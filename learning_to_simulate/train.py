@@ -94,16 +94,22 @@ _FLAGS = [
         None,
         'Edges: edges.json, mask.npy, fully_connected, algorithm2, correlation, random or none.',
     ),
-    flags.DEFINE_integer('mode_edges', None, 'Edges between modes that are kept when ranked.'),
-    flags.DEFINE_float('gate_weight', None, 'Above 0, edges are learned at this price.'),
-    flags.DEFINE_integer('modes', None, 'The first so many modes are nodes; 0: all.'),
-    flags.DEFINE_integer('rigid_particles', None, 'Lowest particles of a blade that are nodes.'),
+    flags.DEFINE_integer(
+        'mode_edges', None, 'Number of edges between modes, the best ranked ones.'
+    ),
+    flags.DEFINE_float(
+        'gate_weight', None, 'Above 0, edges are learned; weight of their number in the loss.'
+    ),
+    flags.DEFINE_integer('modes', None, 'Number of first modes that become nodes; 0: all.'),
+    flags.DEFINE_integer(
+        'rigid_particles', None, 'Number of particles of a blade that become nodes, lowest first.'
+    ),
     flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
     flags.DEFINE_integer('members', None, 'Networks of a swept field that are averaged.'),
     flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
-    flags.DEFINE_integer('batch_size', None, 'Windows of a batch.'),
+    flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
     flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
-    flags.DEFINE_integer('seed', None, 'Of weights, batches and noise.'),
+    flags.DEFINE_integer('seed', None, 'Seed of weights, batches and noise.'),
 ]
 
 
@@ -143,19 +149,6 @@ def _open(overrides) -> registry.OpenedModel:
     return opened
 
 
-def _train(overrides):
-    preset = overrides.pop('preset', None) or presets.preset_of_model(overrides.get('model'))
-    registry.train(
-        _DATA_PATH.value,
-        _MODEL_PATH.value,
-        presets.make_config(preset, **overrides),
-        rigid_motion=_RIGID_MOTION.value,
-        save_every=_SAVE_EVERY.value,
-        take_over_lock=_TAKE_OVER_LOCK.value,
-        raw_path=_RAW_PATH.value,
-    )
-
-
 def _evaluate_one_step(overrides):
     opened = _open(overrides)
     print(f'one-step errors on {_EVAL_SPLIT.value} of {_DATA_PATH.value}')
@@ -166,10 +159,7 @@ def _evaluate_one_step(overrides):
 def _evaluate_rollouts(overrides):
     from learning_to_simulate import evaluation  # loads TensorFlow
 
-    if not _OUTPUT_PATH.value:
-        raise ValueError('--mode=eval_rollout needs --output_path')
     split = _EVAL_SPLIT.value
-    command.writable_folder(_OUTPUT_PATH.value)
     opened = _open(overrides)
     results, summary = opened.evaluator.run(
         opened.groups, split, lambda runs: tqdm.tqdm(runs, unit='run', disable=None)
@@ -183,12 +173,30 @@ def _evaluate_rollouts(overrides):
 
 
 def run(values) -> None:
-    """Runs the chosen mode."""
+    """Runs the chosen mode. Bad settings are refused before TensorFlow is loaded."""
     overrides = _overrides()
+    if values.mode == 'train':
+        preset = overrides.pop('preset', None) or presets.preset_of_model(overrides.get('model'))
+        config = presets.make_config(preset, **overrides)
+    elif values.mode == 'eval_rollout':
+        if not _OUTPUT_PATH.value:
+            raise ValueError('--mode=eval_rollout needs --output_path')
+        command.writable_folder(_OUTPUT_PATH.value)
     command.import_tensorflow(values.num_threads)
-    {'train': _train, 'eval': _evaluate_one_step, 'eval_rollout': _evaluate_rollouts}[values.mode](
-        overrides
-    )
+    if values.mode == 'train':
+        registry.train(
+            _DATA_PATH.value,
+            _MODEL_PATH.value,
+            config,
+            rigid_motion=_RIGID_MOTION.value,
+            save_every=_SAVE_EVERY.value,
+            take_over_lock=_TAKE_OVER_LOCK.value,
+            raw_path=_RAW_PATH.value,
+        )
+    elif values.mode == 'eval':
+        _evaluate_one_step(overrides)
+    else:
+        _evaluate_rollouts(overrides)
 
 
 if __name__ == '__main__':

@@ -6,16 +6,19 @@ runs of a folder start from the same packing.
 
 import functools
 import os
+from collections import Counter
+from dataclasses import dataclass
 
 from tqdm import tqdm
 
 from mpm import packing, raw_run, run, scenes, versions
 from mpm.constitutive import make_soil
-from mpm.files import one_writer, remove_temporary
 from mpm.motions import catalogue
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
 from pca_tools import workers
+from pca_tools.storage.folder_lock import locked
+from pca_tools.storage.whole_files import remove_temporary
 
 
 def generate(
@@ -60,7 +63,7 @@ def generate(
     for name, some in groups.items():
         folder = output_path if name is None else os.path.join(output_path, name)
         os.makedirs(folder, exist_ok=True)
-        with one_writer(folder):
+        with locked(folder):
             remove_temporary(folder)
             job = _Job(catalogue.in_bin(scene, name), settings, tool, folder)
             made, failed = _generate(job, some, num_processes, where, show_progress)
@@ -74,24 +77,21 @@ def generate(
     return new
 
 
+@dataclass(frozen=True)
 class _Job:
-    """What the runs of a folder share; goes to other processes.
+    """What the runs of a folder share, the scene in the bin of the folder; goes to processes."""
 
-    Attributes:
-        scene: in the bin of the folder.
-        settings, tool, folder: of `generate`.
-    """
-
-    def __init__(self, scene, settings, tool, folder):
-        self.scene = scene
-        self.settings, self.tool, self.folder = settings, tool, folder
+    scene: scenes.Scene
+    settings: Settings
+    tool: dict | None
+    folder: str
 
     def shared(self) -> dict:
         """Returns the parameters that all runs of the folder share."""
         common = {'solver_version': versions.SOLVER_VERSION, 'bin_m': list(self.scene.bin.size)}
         return self.settings.recorded() | common
 
-    def simulate(self, case, on_frame=None) -> dict | str:
+    def simulate(self, case, on_frame=lambda frame: None) -> dict | str:
         """Makes one run; returns its entry of the manifest, or why there is none."""
         try:
             packed = _packed(self.scene.bin, self.settings, self.folder)
@@ -101,9 +101,8 @@ class _Job:
         return raw_run.write_run(self.folder, found)
 
 
-def _simulate(job_and_case) -> dict | str:
-    job, case = job_and_case
-    return job.simulate(case)
+def _simulate(job_and_case: tuple) -> dict | str:
+    return job_and_case[0].simulate(job_and_case[1])
 
 
 @functools.lru_cache(maxsize=1)
@@ -113,18 +112,18 @@ def _packed(box, settings, folder) -> tuple:
     return packing.settled(box, soil, settings.seed, folder)
 
 
+def _id(case) -> int | str:
+    return case.case if isinstance(case, Recording) else case
+
+
 def _name(scene: scenes.Scene, case) -> str:
-    if isinstance(case, Recording):
-        return f'{scene.name} {case.path}'
-    return f'{scene.name} case {case}'
+    return f'{scene.name} {case.path if isinstance(case, Recording) else f"case {case}"}'
 
 
 def _check_cases(scene, groups, settings, tool) -> None:
     """Raises with the name of the first run whose motion is refused."""
-    cases = [case for some in groups.values() for case in some]
-    names = [case.case if isinstance(case, Recording) else case for case in cases]
-    twice = sorted({str(name) for name in names if names.count(name) > 1})
-    if twice:
+    counts = Counter(_id(case) for some in groups.values() for case in some)
+    if twice := sorted(str(name) for name, count in counts.items() if count > 1):
         raise ValueError(f'{scene.name}: the runs {twice} are named twice')
     for name, some in groups.items():
         for case in some:
@@ -137,20 +136,16 @@ def _check_cases(scene, groups, settings, tool) -> None:
 def _unfinished(job: _Job, cases, finished: list[dict]) -> list:
     """Returns the cases that are not finished; refuses a path or tool of other content."""
     done = {entry['case']: entry['parameters'] for entry in finished}
-    todo = []
     for case in cases:
-        name = case.case if isinstance(case, Recording) else case
-        if name not in done:
-            todo.append(case)
-            continue
-        asked = catalogue.motion_of(job.scene, case, job.tool).parameters
-        other = [key for key in ('path_sha256', 'tool') if asked.get(key) != done[name].get(key)]
-        if other:
-            raise ValueError(
-                f'{job.folder}: {raw_run.file_name(name)} was made with another '
-                f'{" and ".join(other)}; name another folder'
-            )
-    return todo
+        if made := done.get(_id(case)):
+            asked = catalogue.motion_of(job.scene, case, job.tool).parameters
+            other = [key for key in ('path_sha256', 'tool') if asked.get(key) != made.get(key)]
+            if other:
+                raise ValueError(
+                    f'{job.folder}: {raw_run.file_name(_id(case))} was made with another '
+                    f'{" and ".join(other)}; name another folder'
+                )
+    return [case for case in cases if _id(case) not in done]
 
 
 def _generate(job: _Job, cases, num_processes, where, show_progress):

@@ -19,6 +19,7 @@ Source of the distance from a polygon: inside or outside by counting crossings o
 1994, Graphics Gems IV, 24), the distance from its edges.
 """
 
+import itertools
 import json
 import math
 from typing import NamedTuple
@@ -59,12 +60,12 @@ class Body(NamedTuple):
     radius: float
     half_width: float
     friction: float
-    grousers: int
-    grouser_height: float
-    grouser_radius: float
-    plates: np.ndarray
-    plate_thickness: float
-    points: np.ndarray
+    grousers: int = 0
+    grouser_height: float = 0.0
+    grouser_radius: float = 0.0
+    plates: np.ndarray = np.zeros((0, 2))
+    plate_thickness: float = 0.0
+    points: np.ndarray = np.zeros((0, 3))
 
     @property
     def reach(self) -> float:
@@ -76,21 +77,6 @@ class Body(NamedTuple):
     def is_wheel(self) -> bool:
         """Whether its outline is a circle about the reference point."""
         return len(self.outline) == 1
-
-
-def _body(outline, radius, width, friction, points, grousers=(0, 0.0, 0.0), plates=None, thick=0.0):
-    return Body(
-        np.array(outline, dtype=np.float64).reshape(-1, 2),
-        float(radius),
-        float(width) / 2.0,
-        float(friction),
-        int(grousers[0]),
-        float(grousers[1]),
-        float(grousers[2]) / 2.0,
-        np.zeros((0, 2)) if plates is None else np.array(plates, dtype=np.float64),
-        float(thick),
-        np.array(points, dtype=np.float64),
-    )
 
 
 def make_blade(
@@ -121,7 +107,8 @@ def make_blade(
         for row in range(4)
         for column in range(5)
     ]
-    return _body([(0.0, 0.0), (0.0, length)], radius, width, friction, points)
+    outline = np.array([(0.0, 0.0), (0.0, length)])
+    return Body(outline, radius, width / 2, friction, points=np.array(points))
 
 
 def make_wheel(
@@ -168,12 +155,13 @@ def make_wheel(
         for side in (-1.0, 1.0)
         for angle in angles
     ]
-    return _body([(0.0, 0.0)], radius, width, friction, points, grousers)
+    bars = int(count), float(height), thickness / 2.0
+    return Body(np.zeros((1, 2)), radius, width / 2.0, friction, *bars, points=np.array(points))
 
 
 def make_ball(diameter: float, friction: float = BLADE_FRICTION) -> Body:
     """Builds a ball; its middle is the reference point and the only sample point."""
-    return _body([(0.0, 0.0)], diameter / 2.0, 0.0, friction, [(0.0, 0.0, 0.0)])
+    return Body(np.zeros((1, 2)), diameter / 2.0, 0.0, friction, points=np.zeros((1, 3)))
 
 
 def wheel_edges() -> tuple:
@@ -181,12 +169,9 @@ def wheel_edges() -> tuple:
 
     They join each point with its two neighbours on its ring, both directions.
     """
-    edges = []
-    for ring in range(2):
-        here = ring * WHEEL_RING_POINTS
-        for i in range(WHEEL_RING_POINTS):
-            edges += [(here + j % WHEEL_RING_POINTS, here + i) for j in (i - 1, i + 1)]
-    return tuple(edges)
+    n = WHEEL_RING_POINTS
+    near = [(j % n, i) for i in range(n) for j in (i - 1, i + 1)]
+    return tuple((ring * n + j, ring * n + i) for ring in range(2) for j, i in near)
 
 
 # Tools from a file
@@ -228,32 +213,29 @@ def check_tool(tool: dict) -> dict:
     Raises:
         ValueError: as there, without the file.
     """
-    if not isinstance(tool, dict):
-        raise ValueError('expected a JSON object')
-    known = _WHEEL if 'radius' in tool else _OUTLINE
-    if unknown := sorted(set(tool) - known):
-        raise ValueError(f'unknown entries {unknown}; there are {sorted(known)}')
+    is_wheel = isinstance(tool, dict) and 'radius' in tool
+    _check_entries(tool, _WHEEL if is_wheel else _OUTLINE, 'the tool')
     name = tool.get('name', 'tool')
     if not (isinstance(name, str) and name.replace('-', '').replace('_', '').isalnum()):
         raise ValueError(f'name must be of letters, digits, - and _, got {name!r}')
     checked = {'name': name, 'width': _length(tool, 'width')}
-    if 'radius' in tool:
-        checked['radius'] = _length(tool, 'radius')
-        checked['friction'] = _friction(tool, WHEEL_FRICTION)
-        if grousers := tool.get('grousers'):
-            checked['grousers'] = {
-                'count': int(_number(grousers, 'count', 1.0, 360.0)),
-                'height': _length(grousers, 'height'),
-                'thickness': _length(grousers, 'thickness'),
-            }
+    usual = WHEEL_FRICTION if is_wheel else BLADE_FRICTION
+    friction = _number({'friction': usual} | tool, 'friction', 0.0, 2.0)
+    if is_wheel:
+        checked |= {'radius': _length(tool, 'radius'), 'friction': friction}
+        if bars := tool.get('grousers'):
+            _check_entries(bars, {'count', 'height', 'thickness'}, 'grousers')
+            count = _number(bars, 'count', 1, 360)
+            if count % 1:
+                raise ValueError(f'count of the grousers must be a whole number, got {count}')
+            lengths = {side: _length(bars, side) for side in ('height', 'thickness')}
+            checked['grousers'] = {'count': int(count), **lengths}
     else:
-        checked['edge_radius'] = _length(tool, 'edge_radius')
-        checked['friction'] = _friction(tool, BLADE_FRICTION)
+        checked |= {'edge_radius': _length(tool, 'edge_radius'), 'friction': friction}
         checked['outline'] = _polygon(tool.get('outline'), 'outline')
         if plates := tool.get('side_plates'):
-            outline = plates.get('outline')
-            if outline is None:
-                outline = _hull(checked['outline'])
+            _check_entries(plates, {'thickness', 'outline'}, 'side_plates')
+            outline = plates.get('outline') or _hull(checked['outline'])
             checked['side_plates'] = {
                 'thickness': _length(plates, 'thickness'),
                 'outline': _polygon(outline, 'outline of the side plates', least=3),
@@ -262,6 +244,13 @@ def check_tool(tool: dict) -> dict:
                 raise ValueError('the side plates are thicker than the tool is wide')
     tool_body(checked)
     return checked
+
+
+def _check_entries(found, known, what):
+    if not isinstance(found, dict):
+        raise ValueError(f'{what} must be a JSON object, got {str(found)[:80]}')
+    if unknown := sorted(set(found) - known):
+        raise ValueError(f'unknown entries {unknown} of {what}; there are {sorted(known)}')
 
 
 def _number(tool, name, low, high):
@@ -273,10 +262,6 @@ def _number(tool, name, low, high):
 
 def _length(tool, name):
     return _number(tool, name, 1e-4, MAX_SIZE)
-
-
-def _friction(tool, usual):
-    return _number({'friction': usual} | tool, 'friction', 0.0, 2.0)
 
 
 def _polygon(vertices, what, least=2) -> list:
@@ -311,46 +296,36 @@ def _polygon(vertices, what, least=2) -> list:
 def _crossing(points):
     """The numbers of two edges of a closed polygon that meet where they should not, or None."""
 
-    def side(a, b, c):
-        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    def cross(a, b):
+        return a[0] * b[1] - a[1] * b[0]
 
-    count = len(points)
-    ends = np.roll(points, -1, axis=0)
-    for i in range(count):
-        for j in range(i + 1, count):
-            if j == i + 1 or (i == 0 and j == count - 1):
-                # Neighbours share a point; they must not run back over each other.
-                here, there = ends[i] - points[i], ends[j] - points[j]
-                cross = here[0] * there[1] - here[1] * there[0]
-                if abs(cross) < 1e-12 and here @ there < 0.0:
-                    return i, j
-                continue
-            a, b, c, d = points[i], ends[i], points[j], ends[j]
-            if side(a, b, c) * side(a, b, d) <= 0.0 and side(c, d, a) * side(c, d, b) <= 0.0:
-                overlap = np.minimum(np.maximum(a, b), np.maximum(c, d)) - np.maximum(
-                    np.minimum(a, b), np.minimum(c, d)
-                )
-                if (overlap >= 0.0).all():
-                    return i, j
+    edges = list(zip(points, np.roll(points, -1, axis=0)))
+    for i, j in itertools.combinations(range(len(edges)), 2):
+        (a, b), (c, d) = edges[i], edges[j]
+        if j == i + 1 or (i == 0 and j == len(edges) - 1):
+            # Neighbours share a point; they must not run back over each other.
+            if abs(cross(b - a, d - c)) < 1e-12 and (b - a) @ (d - c) < 0.0:
+                return i, j
+            continue
+        is_across = cross(b - a, c - a) * cross(b - a, d - a) <= 0.0
+        is_across &= cross(d - c, a - c) * cross(d - c, b - c) <= 0.0
+        # On one line they meet only if they overlap.
+        first = np.maximum(np.minimum(a, b), np.minimum(c, d))
+        last = np.minimum(np.maximum(a, b), np.maximum(c, d))
+        if is_across and (last >= first).all():
+            return i, j
     return None
 
 
 def _hull(points) -> list:
-    """The convex hull of points, counter-clockwise (Andrew 1979's monotone chain)."""
-    ordered = sorted(map(tuple, points))
+    """The convex hull of points, counter-clockwise from the leftmost one on."""
+    from scipy.spatial import ConvexHull  # slow to load, and help does not wait for it
 
-    def half(points):
-        chain = []
-        for p in points:
-            while len(chain) > 1 and (
-                (chain[-1][0] - chain[-2][0]) * (p[1] - chain[-2][1])
-                <= (chain[-1][1] - chain[-2][1]) * (p[0] - chain[-2][0])
-            ):
-                chain.pop()
-            chain.append(p)
-        return chain
-
-    return [list(p) for p in half(ordered)[:-1] + half(ordered[::-1])[:-1]]
+    if np.linalg.matrix_rank(np.subtract(points, points[0])) < 2:
+        raise ValueError('a plate has no side plates without an outline of their own')
+    ring = ConvexHull(points).vertices
+    first = min(range(len(ring)), key=lambda n: tuple(points[ring[n]]))
+    return [points[n] for n in np.roll(ring, -first)]
 
 
 def tool_body(tool: dict) -> Body:
@@ -377,16 +352,12 @@ def tool_body(tool: dict) -> Body:
     places = np.stack([np.interp(at, along, chain[:, axis]) for axis in range(2)], axis=1)
     columns = (np.arange(5) - 2) * POINT_SPACING * tool['width'] / BLADE_WIDTH
     points = [(x, y, z) for x, y in places for z in columns]
-    plates = tool.get('side_plates')
-    return _body(
-        outline,
-        tool['edge_radius'],
-        tool['width'],
-        tool['friction'],
-        points,
-        plates=None if plates is None else plates['outline'],
-        thick=0.0 if plates is None else plates['thickness'],
-    )
+    surface = outline, tool['edge_radius'], tool['width'] / 2, tool['friction']
+    body = Body(*surface, points=np.array(points))
+    if plates := tool.get('side_plates'):
+        thickness, sides = plates['thickness'], np.array(plates['outline'])
+        body = body._replace(plates=sides, plate_thickness=thickness)
+    return body
 
 
 # Where a body is
@@ -427,30 +398,22 @@ def extent_below(body: Body, poses: np.ndarray, height: float):
     x, y, theta = np.asarray(poses, np.float64).T[:3]
     cosine, sine = np.cos(theta), np.sin(theta)
     low, high = np.full(len(x), np.inf), np.full(len(x), -np.inf)
-    parts = [(body.outline, body.radius + body.grouser_height), (body.plates, 0.0)]
-    for corners, radius in parts:
-        for i in range(len(corners)):
-            ends = [corners[i], corners[(i + 1) % len(corners)]]
-            px, py = (
-                [a * cosine - b * sine for a, b in ends],
-                [a * sine + b * cosine for a, b in ends],
-            )
-            px, py = [x + p for p in px], [y + p - radius for p in py]
+    for corners, radius in (
+        (body.outline, body.radius + body.grouser_height), (body.plates, 0.0),
+    ):  # fmt: skip
+        ends = [
+            (x + (a * cosine - b * sine), y + (a * sine + b * cosine) - radius) for a, b in corners
+        ]
+        for (ax, ay), (bx, by) in zip(ends, ends[1:] + ends[:1]):
             # The share of the edge at which it leaves what is below the height.
-            rise = py[1] - py[0]
             with np.errstate(divide='ignore', invalid='ignore'):
-                share = np.where(rise != 0.0, (height - py[0]) / rise, 0.0)
-            crossing = px[0] + np.clip(share, 0.0, 1.0) * (px[1] - px[0])
-            crosses = (py[0] < height) != (py[1] < height)
-            for at, is_below in (
-                (px[0], py[0] < height),
-                (px[1], py[1] < height),
-                (crossing, crosses),
-            ):
-                reach = radius
-                if len(corners) == 1:  # the chord of the circle at that height
-                    depth = np.clip(height - (py[0] + radius), -radius, radius)
-                    reach = np.where(depth < 0.0, np.sqrt(radius**2 - depth**2), radius)
+                share = np.clip(np.where(by != ay, (height - ay) / (by - ay), 0.0), 0.0, 1.0)
+            reach = radius
+            if len(corners) == 1:  # the chord of the circle at that height
+                depth = np.clip(height - (ay + radius), -radius, radius)
+                reach = np.where(depth < 0.0, np.sqrt(radius**2 - depth**2), radius)
+            crosses = (ay < height) != (by < height)
+            for at, is_below in ((ax, ay < height), (ax + share * (bx - ax), crosses)):
                 low = np.where(is_below, np.minimum(low, at - reach), low)
                 high = np.where(is_below, np.maximum(high, at + reach), high)
     return low, high, y + lowest(body, theta)

@@ -13,10 +13,10 @@ import numpy as np
 
 from mpm import columns
 from mpm.constitutive import PACKED_DENSITY, Soil
-from mpm.files import read_arrays, write_arrays
 from mpm.grid import Grid, make_grid
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.solver import EXCHANGE, Solver
+from pca_tools.files import read_npz, write_npz
 
 PACKING_FILE = 'packing.npz'
 JITTER = 0.1  # of the lattice spacing, half width of the uniform jitter
@@ -125,8 +125,8 @@ def settled(box: Bin, soil: Soil, seed: int, folder: str) -> tuple[np.ndarray, d
     path = os.path.join(folder, PACKING_FILE)
     if not os.path.exists(path):
         particles, statistics = settle(box, soil, seed)
-        write_arrays(path, particles=particles, statistics=np.array(json.dumps(statistics)))
-    arrays = read_arrays(path)
+        write_npz(path, particles=particles, statistics=np.array(json.dumps(statistics)))
+    arrays = read_npz(path)
     particles, statistics = arrays['particles'], json.loads(str(arrays['statistics']))
     asked = {
         'seed': seed,

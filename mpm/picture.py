@@ -13,15 +13,14 @@ near the tool's plane, coloured by how far it has moved. Needs matplotlib (`pip 
 """
 
 import os
-import sys
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
 from mpm import bodies, raw_run, scenes
+from mpm.generate import chosen_runs, define_run_flags
 from mpm.motions import catalogue
-from mpm.motions.recording import Recording
-from pca_tools.storage import messages
+from pca_tools import command
 
 OUTLINE_EVERY = 0.5  # s
 
@@ -89,30 +88,34 @@ def draw_motion(axes, scene: scenes.Scene, motion: catalogue.Motion) -> None:
     axes.tick_params(labelsize=6)
 
 
+def _panels(rows: int, columns: int, size: tuple[float, float]):
+    """Returns a figure of panels (each of a size in inches) and the array of their axes."""
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from matplotlib import pyplot
+
+    size = size[0] * columns, size[1] * rows
+    return pyplot.subplots(rows, columns, figsize=size, squeeze=False, layout='constrained')
+
+
 def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None) -> None:
     """Draws all cases, perhaps with another tool, into one picture file.
 
     Raises:
         ValueError: see `catalogue.motion_of`.
     """
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-
+    if not cases:
+        raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
     drawn = [catalogue.in_bin(scene, catalogue.bin_name(scene, case)) for case in cases]
     motions = [catalogue.motion_of(within, case, tool) for within, case in zip(drawn, cases)]
     columns = min(3, len(motions))
-    rows = -(-len(motions) // columns)
-    figure, grid = pyplot.subplots(
-        rows, columns, figsize=(4.6 * columns, 2.6 * rows), squeeze=False, layout='constrained'
-    )
+    figure, grid = _panels(-(-len(motions) // columns), columns, (4.6, 2.6))
     for axes in grid.flat[len(motions) :]:
         axes.set_axis_off()
     for axes, within, motion in zip(grid.flat, drawn, motions):
         draw_motion(axes, within, motion)
     figure.savefig(output_path, dpi=120)
-    pyplot.close(figure)
 
 
 MOMENTS = 6  # of a run
@@ -134,25 +137,25 @@ def first_of_each_kind(folder: str) -> list:
     return list(found.values())
 
 
-def draw_runs(scene: scenes.Scene, folder: str, cases, output_path: str) -> None:
+def body_of(parameters: dict) -> bodies.Body:
+    """Returns the body of a run from its parameters."""
+    if 'tool' in parameters:
+        return bodies.tool_body(parameters['tool'])
+    if 'diameter_m' in parameters:
+        return bodies.make_wheel(parameters['diameter_m'])
+    return bodies.make_blade(parameters['body_width_m'])
+
+
+def draw_runs(folder: str, cases, output_path: str) -> None:
     """Draws raw runs of a folder into one picture file, a row each.
 
     Raises:
-        ValueError: the folder lacks one, or it is no run of the scene.
+        ValueError: the folder lacks one.
     """
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-
-    figure, grid = pyplot.subplots(
-        len(cases), MOMENTS, figsize=(2.8 * MOMENTS, 1.9 * len(cases)), squeeze=False,
-        layout='constrained',
-    )  # fmt: skip
+    figure, grid = _panels(len(cases), MOMENTS, (2.8, 1.9))
     for row, case in zip(grid, cases):
         run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))
-        within = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
-        body = catalogue.motion_of(within, case, run.parameters.get('tool')).drive.body
+        body, (length, depth, _) = body_of(run.parameters), run.parameters['bin_m']
         way = 1e3 * np.linalg.norm(run.positions - run.positions[0], axis=2)
         for axes, frame in zip(row, np.linspace(0, len(way) - 1, MOMENTS).astype(int)):
             x, y, z, w, _, _, sine = run.pose[frame]
@@ -161,57 +164,36 @@ def draw_runs(scene: scenes.Scene, folder: str, cases, output_path: str) -> None
                 *run.positions[frame, near, :2].T, c=way[frame, near], s=1.5, vmin=0, vmax=FARTHEST
             )
             axes.plot(*outline(body, (x, y, 2 * np.arctan2(sine, w), z)).T, 'r-', linewidth=0.8)
-            force = run.force[frame]
-            axes.set_title(
-                f'{frame / scenes.FRAME_RATE:.1f} s: {force[0]:.0f}, {force[1]:.0f} N', fontsize=8
-            )
+            time, (along, upwards, _) = frame / scenes.FRAME_RATE, run.force[frame]
+            axes.set_title(f'{time:.1f} s: {along:.0f}, {upwards:.0f} N', fontsize=8)
             axes.set_aspect('equal')
-            axes.set_xlim(scenes.CORNER, scenes.CORNER + within.bin.size[0])
-            axes.set_ylim(scenes.CORNER, within.bin.surface + max(0.15, within.bin.size[1]))
+            axes.set_xlim(scenes.CORNER, scenes.CORNER + length)
+            axes.set_ylim(scenes.CORNER, scenes.CORNER + depth + max(0.15, depth))
             axes.tick_params(labelsize=6)
         row[0].set_ylabel(str(case), fontsize=9)
     figure.colorbar(shown, ax=grid, label='way since the first frame, mm', shrink=0.6)
     figure.suptitle('Soil from the side; force on the tool along x and upwards', fontsize=11)
     figure.savefig(output_path, dpi=90)
-    pyplot.close(figure)
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_enum('scene', None, sorted(scenes.SCENES), 'Which scene.', required=True)
-    flags.DEFINE_list('cases', [], 'Numbers of cases and ids of seeds: 22,lift_0003.')
-    flags.DEFINE_string('operator_seeds', None, 'Seeds whose kinds take turns: 9000-9009.')
-    flags.DEFINE_string('kinds', None, 'Kinds that take turns among these seeds.')
-    flags.DEFINE_string('tool', None, 'JSON file of a tool (mpm/bodies.py).')
-    flags.DEFINE_list('path', [], 'CSV files of paths.')
+    define_run_flags()
     flags.DEFINE_string('raw_path', None, 'Folder of raw runs, of which the soil is drawn.')
     flags.DEFINE_string('output_path', None, 'Picture file.', required=True)
 
 
-def main(argv) -> None:
+def main(values) -> None:
     """Runs the command."""
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    values = flags.FLAGS
-    scene = scenes.scene_named(values.scene)
-    try:
-        cases = [int(case) if case.isdecimal() else case for case in values.cases]
-        if values.operator_seeds is not None:
-            cases += catalogue.select_seeds(scene, values.operator_seeds, values.kinds)
-        cases += [Recording(path, scenes.WHEEL.demo_case) for path in values.path]
-        if values.raw_path is not None:
-            cases = cases or first_of_each_kind(values.raw_path)
-            draw_runs(scene, values.raw_path, cases, values.output_path)
-        else:
-            if not cases:
-                raise ValueError('nothing to draw: --cases, --operator_seeds, --path or --raw_path')
-            tool = None if values.tool is None else bodies.read_tool(values.tool)
-            draw(scene, cases, values.output_path, tool)
-    except (ValueError, OSError, ImportError) as error:
-        sys.exit(f'error: {messages.printable(error)}')
+    scene, cases, tool = chosen_runs(values)
+    if values.raw_path is None:
+        draw(scene, cases, values.output_path, tool)
+    else:
+        cases = cases or first_of_each_kind(values.raw_path)
+        draw_runs(values.raw_path, cases, values.output_path)
     print(f'wrote {values.output_path}: {len(cases)} runs')
 
 
 if __name__ == '__main__':
     define_flags()
-    app.run(main)
+    command.start(main)

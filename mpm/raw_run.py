@@ -12,26 +12,17 @@ import os
 import numpy as np
 
 from mpm import scenes
-from mpm.files import read_arrays, write_arrays, write_json
 from mpm.run import RawRun
+from pca_tools.files import read_npz, write_json, write_npz
 
 MANIFEST = 'manifest.json'
-
-
-# Arrays of a run beside its parameters, and their dimensions; the last four may be absent.
+# Arrays of a run beside its parameters, and their shapes behind [T] (None: any length).
 _ARRAYS = {
-    'positions': 3,
-    'rigid_positions': 3,
-    'force': 2,
-    'torque': 2,
-    'pose': 2,
-    'step_context': 2,
-    'target': 2,
-    'external': 2,
-    'subframe_force': 3,
-}
+    'positions': (None, 3), 'rigid_positions': (None, 3), 'force': (3,), 'torque': (3,),
+    'pose': (7,), 'step_context': (None,), 'target': (3,), 'external': (3,),
+    'subframe_force': (None, 3),
+}  # fmt: skip
 _REQUIRED = ('positions', 'rigid_positions', 'force', 'torque', 'pose')
-_WIDTHS = {'pose': 7, 'step_context': None}
 # What a run cost depends on the machine and is left out of the digest of its content.
 _COSTS = ('solver_cpu_s',)
 
@@ -45,7 +36,7 @@ def write_run(folder: str, run: RawRun) -> dict:
     """Writes one run and returns its entry of the manifest."""
     case = run.parameters['case']
     path = os.path.join(folder, file_name(case))
-    write_arrays(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))
+    write_npz(path, **arrays_of(run), parameters=np.array(json.dumps(run.parameters)))
     return {
         'file': file_name(case),
         'case': case,
@@ -84,17 +75,19 @@ def read_run(path: str) -> RawRun:
         ValueError: if the file is not a raw run.
     """
     try:
-        arrays = read_arrays(path)
+        arrays = read_npz(path)
         run = RawRun(
             **{name: arrays[name] if name in _REQUIRED else arrays.get(name) for name in _ARRAYS},
             parameters=json.loads(str(arrays['parameters'])),
         )
         for name, values in arrays_of(run).items():
-            if values.dtype.kind != 'f' or values.ndim != _ARRAYS[name]:
+            fits = values.ndim == 1 + len(_ARRAYS[name]) and all(
+                length in (None, found) for length, found in zip(_ARRAYS[name], values.shape[1:])
+            )
+            if values.dtype.kind != 'f' or not fits or len(values) != len(run.positions):
                 raise ValueError(f'{name} is {values.dtype} {values.shape}')
-            is_wide = values.shape[-1] == (_WIDTHS.get(name, 3) or values.shape[-1])
-            if len(values) != len(run.positions) or not is_wide or not np.isfinite(values).all():
-                raise ValueError(f'{name} is not finite or of other frames: {values.shape}')
+            if not np.isfinite(values).all():
+                raise ValueError(f'{name} is not finite')
         if not isinstance(run.parameters, dict):
             raise ValueError('parameters is no JSON object')
     except (KeyError, TypeError, OSError, ValueError, RecursionError) as error:

@@ -29,22 +29,22 @@ same Numba; another may round differently). `--expect` compares with the digests
 else and names the runs that differ.
 """
 
-import json
 import os
-import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from absl import app, flags, logging
+from absl import flags, logging
 
 from mpm import raw_run, scenes, splits
 from mpm.batch import generate
-from mpm.files import write_json
+from mpm.generate import define_place_flags
 from mpm.motions import catalogue, machine_drives, operator_paths, wheel_drives
 from mpm.simulation import Settings
+from pca_tools import command
+from pca_tools.files import read_json, write_json
 
 # Part -> (scene, kinds that take turns; none: the cases of the grid).
 PARTS = {
@@ -62,24 +62,6 @@ PARTS = {
     'wheel_grid': (scenes.WHEEL, ()),
 }
 DIGESTS = 'digests.json'
-
-_OUTPUT_PATH = flags.DEFINE_string('output_path', None, 'Folder of the raw runs of both scenes.')
-_PARTS = flags.DEFINE_list('parts', list(PARTS), f'Which parts, in their order: {",".join(PARTS)}.')
-_LIMIT = flags.DEFINE_integer(
-    'limit', None, 'Only so many runs from the beginning of each part.', lower_bound=1
-)
-_NUM_PROCESSES = flags.DEFINE_integer(
-    'num_processes', 1, 'Runs at a time, one core each.', lower_bound=1
-)
-_CLUSTER = flags.DEFINE_string(
-    'cluster', '', 'Where runs are made: local:4, slurm:64, tcp://host:port; empty: processes here.'
-)
-_EXPECT = flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
-_HELD = flags.DEFINE_list('held', [], 'Datasets whose runs are not made again.')
-_SPLITS = flags.DEFINE_list(
-    'splits', list(splits.SPLITS), f'Only runs of these splits: {",".join(splits.SPLITS)}.'
-)
-_LIST = flags.DEFINE_bool('list', False, 'Only say what would be made.')
 
 
 class Selection(NamedTuple):
@@ -124,7 +106,7 @@ def held_by(datasets) -> dict[str, set[str]]:
     held: dict[str, set[str]] = {}
     for folder in datasets:
         path = os.path.join(folder, 'metadata.json')
-        metadata = _read_json(path)
+        metadata = read_json(path)
         try:
             cases = {str(run['case']) for runs in metadata['cases'].values() for run in runs}
             held.setdefault(metadata['scene']['name'], set()).update(cases)
@@ -196,46 +178,48 @@ def make(
     return found
 
 
-def _read_json(path):
-    with open(path, encoding='utf-8') as file:
-        try:
-            return json.load(file)
-        except ValueError as error:
-            raise ValueError(f'{path}: is no JSON: {error}') from error
-
-
 def _read_digests(path) -> dict[str, dict]:
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
         raise ValueError(f'{path}: holds no digests (scene -> run -> digest)')
     return content
 
 
-def main(argv):
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    try:
-        selection = Selection(_LIMIT.value, held_by(_HELD.value), _SPLITS.value)
-        if _LIST.value:
-            print(table(_PARTS.value, selection))
-            return
-        if _OUTPUT_PATH.value is None:
-            raise ValueError('give --output_path, or --list to see what would be made')
-        expected = _read_digests(_EXPECT.value) if _EXPECT.value else {}
-        found = make(
-            _PARTS.value, _OUTPUT_PATH.value, _NUM_PROCESSES.value, selection, _CLUSTER.value
-        )
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        logging.error('%s', error)
-        sys.exit(1)
+def define_flags() -> None:
+    """Defines the flags of the command."""
+    define_place_flags()
+    flags.DEFINE_list('parts', list(PARTS), f'Which parts, in their order: {",".join(PARTS)}.')
+    flags.DEFINE_integer(
+        'limit', None, 'Only this many runs from the beginning of each part.', lower_bound=1
+    )
+    flags.DEFINE_string('expect', None, 'Digests to compare with, a JSON file.')
+    flags.DEFINE_list('held', [], 'Datasets whose runs are not made again.')
+    names = ','.join(splits.SPLITS)
+    flags.DEFINE_list('splits', list(splits.SPLITS), f'Only runs of these splits: {names}.')
+    flags.DEFINE_bool('list', False, 'Only say what would be made.')
+
+
+def main(values) -> int:
+    """Runs the command; returns 1 if runs differ from those that are expected."""
+    selection = Selection(values.limit, held_by(values.held), values.splits)
+    if values.list:
+        print(table(values.parts, selection))
+        return 0
+    if values.output_path is None:
+        raise ValueError('give --output_path, or --list to see what would be made')
+    expected = _read_digests(values.expect) if values.expect else {}
+    where = values.output_path, values.num_processes, selection, values.cluster
+    found, code = make(values.parts, *where), 0
     for name, digests in found.items():
         other = compare(digests, expected.get(name, {}))
         same = len(digests.keys() & expected.get(name, {}).keys()) - len(other)
         print(f'{name}: {len(digests)} runs' + (f', {same} as expected' if expected else ''))
         if other:
             logging.error('%s: %d runs differ: %s', name, len(other), ', '.join(other[:20]))
-            sys.exit(1)
+            code = 1
+    return code
 
 
 if __name__ == '__main__':
-    app.run(main)
+    define_flags()
+    command.start(main)

@@ -61,20 +61,15 @@ def prepared(
         ValueError: see `catalogue.motion_of` and `checks.check_drive`.
     """
     motion = motion_of(scene, case, tool)
-    own = {
-        'friction_angle_deg': settings.friction_angle_deg,
-        'bulk_density': settings.bulk_density,
-        'gravity': settings.gravity,
-    }
+    own = {name: getattr(settings, name) for name in motion.ground._fields}
     ground = motion.ground._replace(**{k: v for k, v in own.items() if v is not None})
     drive = motion.drive
     if settings.tool_friction is not None:
         body = drive.body._replace(friction=settings.tool_friction)
         drive = dataclasses.replace(drive, body=body)
     motion = dataclasses.replace(motion, ground=ground, drive=drive)
-    steps = settings.steps or stability.steps_in(
-        settings.exchange, soil_of(motion, settings), min(scene.bin.dx, scene.bin.dz)
-    )
+    soil, cell = soil_of(motion, settings), min(scene.bin.dx, scene.bin.dz)
+    steps = settings.steps or stability.steps_in(settings.exchange, soil, cell)
     per_frame = steps * round(1.0 / (scenes.FRAME_RATE * settings.exchange))
     checks.check_drive(drive, scene.bin, motion.frames, per_frame)
     return motion
@@ -89,13 +84,7 @@ def soil_of(motion: Motion, settings: Settings) -> Soil:
 def make_simulation(
     scene: scenes.Scene, motion: Motion, particles: np.ndarray, settings: Settings
 ) -> Simulation:
-    """Returns the simulation of a motion (`prepared`), ready for its first frame.
-
-    Args:
-        scene: the scene.
-        motion: how the tool moves.
-        particles: float64 [N, COLUMNS], the settled packing.
-        settings: stiffness, steps.
+    """Returns the simulation of a motion (`prepared`) on a settled packing, float64 [N, COLUMNS].
 
     Raises:
         ValueError: see `Simulation`.
@@ -109,7 +98,7 @@ def run_case(
     case: int | str | Recording,
     packed: tuple[np.ndarray, dict],
     settings: Settings,
-    on_frame: Callable[[int], None] | None = None,
+    on_frame: Callable[[int], None] = lambda frame: None,
     tool: dict | None = None,
 ) -> RawRun:
     """Simulates one run.
@@ -130,58 +119,35 @@ def run_case(
     """
     started = time.process_time()
     motion = prepared(scene, case, settings, tool)
-    drive, machine = motion.drive, motion.drive.machine
+    drive, ground = motion.drive, motion.ground
     simulation = make_simulation(scene, motion, packed[0], settings)
-    kept = slice(None, None, scene.bin.keep_every)
-    names = ['positions', 'rigid_positions', 'force', 'torque', 'pose']
-    names += ['step_context'] * bool(scene.context_names)
-    names += ['target', 'external', 'subframe_force'] * (machine is not None)
-    frames: dict[str, list] = {name: [] for name in names}
+    seen: list[dict] = []
     deepest: dict[str, float] = {}
 
     def note(force, torque) -> None:
-        held = {
-            'positions': simulation.positions()[kept].astype(np.float32),
-            'rigid_positions': simulation.rigid_points(),
-            'force': force,
-            'torque': torque,
-            'pose': quaternion_pose(simulation.pose),
-        }
-        now = np.array([simulation.time])
-        if scene.context_names:
-            load = force[1] if machine is None else -machine.force(now)[0, 1]
-            held['step_context'] = [motion.ground.gravity, motion.ground.friction_angle_deg, load]
-        if machine is not None:
-            held['target'] = simulation.target[:3]
-            held['external'] = machine.force(now)[0]
-            held['subframe_force'] = simulation.loads[:, :3]
-        for name in names:
-            frames[name].append(held[name])
+        seen.append(_seen(scene, motion, simulation, force, torque))
         for name, value in simulation.penetration().items():
             deepest[name] = max(value, deepest.get(name, 0))
 
     if not drive.lead_in:
         note(np.zeros(3), np.zeros(3))
     for frame in range(1 - drive.lead_in, motion.frames + 1):
-        result = simulation.frame()
+        loads = simulation.frame()
         _refuse_sunk(simulation)
         if frame >= 0:
-            note(*result)
-        if on_frame is not None:
-            on_frame(frame + drive.lead_in)
+            note(*loads)
+        on_frame(frame + drive.lead_in)
     if not drive.lead_in:
         # Nothing is known of the frame that ends at time 0; the first is repeated.
-        for name in ('force', 'torque', 'subframe_force', 'step_context'):
-            if name in frames:
-                frames[name][0] = frames[name][1]
-    ground = motion.ground
-    first = dict(zip(scene.context_names, frames.get('step_context', [()])[0]))
+        loads_of = ('force', 'torque', 'subframe_force', 'step_context')
+        seen[0] |= {name: seen[1][name] for name in loads_of if name in seen[1]}
+    context = zip(scene.context_names, seen[0].get('step_context', ()))
     record = {
         'case': motion.case,
         'split': splits.split_of(scene, motion.case),
         'solver_version': versions.SOLVER_VERSION,
         'data_version': versions.DATA_VERSION,
-        'context': {name: float(value) for name, value in first.items()},
+        'context': {name: float(value) for name, value in context},
         **motion.parameters,
         'friction_angle_deg': ground.friction_angle_deg,
         'bulk_density_kg_m3': ground.bulk_density,
@@ -199,8 +165,28 @@ def run_case(
         'packing': packed[1],
         'solver_cpu_s': round(time.process_time() - started, 2),
     }
-    arrays = {name: np.asarray(values, dtype=np.float32) for name, values in frames.items()}
+    arrays = {name: np.array([frame[name] for frame in seen], np.float32) for name in seen[0]}
     return RawRun(parameters=record, **arrays)
+
+
+def _seen(scene, motion, simulation, force, torque) -> dict:
+    """What a run records of the frame that ends now; see `RawRun`."""
+    machine, now = motion.drive.machine, np.array([simulation.time])
+    seen = {
+        'positions': simulation.positions()[:: scene.bin.keep_every].astype(np.float32),
+        'rigid_positions': simulation.rigid_points(),
+        'force': force,
+        'torque': torque,
+        'pose': quaternion_pose(simulation.pose),
+    }
+    if scene.context_names:
+        load = force[1] if machine is None else -machine.force(now)[0, 1]
+        ground = motion.ground
+        seen['step_context'] = [ground.gravity, ground.friction_angle_deg, load]
+    if machine is not None:
+        seen |= {'target': simulation.target[:3], 'external': machine.force(now)[0]}
+        seen['subframe_force'] = simulation.loads[:, :3]
+    return seen
 
 
 def _refuse_sunk(simulation: Simulation) -> None:

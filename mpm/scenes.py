@@ -96,13 +96,6 @@ class Scene:
         index = np.unravel_index(case - 1, [len(v) for v in self.levels.values()])
         return {name: values[i] for (name, values), i in zip(self.levels.items(), index)}
 
-    def case_id(self, **parameters) -> int:
-        """Returns the case number of a combination of parameters (the inverse of `parameters`)."""
-        case = 0
-        for name, values in self.levels.items():
-            case = case * len(values) + values.index(parameters[name])
-        return case + 1
-
 
 WHEEL_BIN_WIDTH = 23 * 0.4 / 48  # m; the published 0.19 in whole cells of version 1
 PER_CELL = 2.0  # particles; fewer integrate the stress too coarsely and pack moved soil
@@ -255,26 +248,3 @@ def mini_cases(scene: Scene, count: int = 40) -> tuple:
         best = np.flatnonzero(crowd == crowd.min())
         choose(best[np.argmax(distance[best])])
     return tuple(sorted(int(i) + 1 for i in chosen))
-
-
-def select_cases(scene: Scene, text: str) -> tuple:
-    """Returns the cases that `text` names: 'mini', 'full' or numbers separated by commas.
-
-    Raises:
-        ValueError: if it names none, or one twice, or one that does not exist.
-    """
-    if text == 'mini':
-        return mini_cases(scene)
-    if text == 'full':
-        return tuple(range(1, scene.case_count + 1))
-    try:
-        cases = [int(part) for part in text.split(',')]
-    except ValueError as error:
-        raise ValueError(
-            f"cases must be 'mini', 'full' or numbers separated by commas, got {text!r}"
-        ) from error
-    for case in cases:
-        scene.parameters(case)
-    if len(set(cases)) != len(cases):
-        raise ValueError(f'a case is named twice in {text!r}')
-    return tuple(cases)

@@ -46,6 +46,7 @@ class Settings:
 
     def __post_init__(self):
         for name, low, high in (
+            ('youngs_modulus', 1e4, 1e9),
             ('friction_angle_deg', 15.0, 50.0),
             ('bulk_density', 500.0, 4000.0),
             ('gravity', 0.5, 100.0),
@@ -94,32 +95,19 @@ class Simulation:
     ):
         """Puts the body in its first pose; one that has a `rest` sinks in until it rests.
 
-        Args:
-            box: the bin.
-            drive: the body and its motion.
-            soil: of the bin.
-            particles: float64 [N, COLUMNS], the settled packing.
-            settings: stiffness, steps.
-            gravity: m/s2.
+        `particles` is the settled packing, float64 [N, COLUMNS]; gravity is in m/s2.
 
         Raises:
             ValueError: a step that is not stable, or what `frame` raises.
         """
         self.box, self.soil, self.drive, self.gravity = box, soil, drive, gravity
         self.grid = make_grid(box)
-        self._solver = Solver(
-            self.grid,
-            soil,
-            packing.particle_volume(box),
-            settings.steps,
-            np.float32 if settings.single else np.float64,
-            settings.exchange,
-        )
-        self._intervals = round(1.0 / (FRAME_RATE * settings.exchange))
-        if abs(self._intervals * settings.exchange * FRAME_RATE - 1.0) > 1e-9:
-            raise ValueError(
-                f'a frame is no whole number of exchanges of {settings.exchange:.4g} s'
-            )
+        dtype, exchange = np.float32 if settings.single else np.float64, settings.exchange
+        volume = packing.particle_volume(box)
+        self._solver = Solver(self.grid, soil, volume, settings.steps, dtype, exchange)
+        self._intervals = round(1.0 / (FRAME_RATE * exchange))
+        if abs(self._intervals * exchange * FRAME_RATE - 1.0) > 1e-9:
+            raise ValueError(f'a frame is no whole number of exchanges of {exchange:.4g} s')
         self.dt, self.steps = self._solver.dt, self._solver.steps * self._intervals
         stability.check_time_step(self.dt, soil, min(self.grid.dx, self.grid.dz))
         self._particles = packing.for_soil(particles, soil, gravity)
@@ -188,22 +176,21 @@ class Simulation:
         external = None
         if self.drive.machine is not None:
             external = share_of_load * self.drive.machine.force(times)
+        moved = ((body, path, external, self.free),)
         try:
             (loads,) = self._solver.advance(
-                self._block,
-                self._intervals,
-                self.gravity,
-                bodies=((body, path, external, self.free),),
+                self._block, self._intervals, self.gravity, bodies=moved
             )
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
         self.loads = _means(loads, SUBFRAMES)
-        v = self._block.particles[:, columns.V : columns.V + 3]  # type: ignore[attr-defined]
-        cells = np.sqrt((v * v).sum(axis=1)) * (self._solver.exchange / self.grid.dx)
+        v = self._block.particles[:, columns.V : columns.V + 3]
+        cell_speed = self.grid.dx / self._solver.exchange
+        cells = np.sqrt((v * v).sum(axis=1)) / cell_speed
         many = np.count_nonzero(cells > stability.VELOCITY_CFL) > SPRAY * len(cells)
         if many or not cells.max(initial=0.0) <= stability.SPRAY_CFL:
             raise ValueError(
-                f'soil at {cells.max() * self.grid.dx / self._solver.exchange:.3g} m/s crosses '
+                f'soil at {cells.max() * cell_speed:.3g} m/s crosses '
                 f'{cells.max():.3g} cells between two exchanges at {self.time:.3f} s; at most '
                 f'{stability.VELOCITY_CFL} is resolved ({stability.SPRAY_CFL} of single grains)'
             )
@@ -234,20 +221,11 @@ class Simulation:
     def particles(self) -> np.ndarray:
         """The particles, float64 [N, COLUMNS]; what is written into them counts from then on.
 
-        Soil that sleeps stays asleep until the next look; to look at it all anew, set them.
+        Soil that sleeps stays asleep until the next look.
         """
         self._put_back()
         self._block = None
         return self._particles
-
-    @particles.setter
-    def particles(self, rows: np.ndarray) -> None:
-        self._particles, self._block, self._awake = rows, None, None
-
-    @property
-    def share_awake(self) -> float:
-        """Share of the particles that the last frame stepped."""
-        return len(self._awake) / len(self._particles)
 
     @property
     def target(self) -> np.ndarray:

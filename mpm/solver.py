@@ -269,13 +269,8 @@ class Solver:
     ):
         """Prepares the work space.
 
-        Args:
-            grid: the grid.
-            soil: of all particles.
-            volume: m3 of packed soil per particle.
-            steps: per exchange interval; 0: as few as are stable.
-            dtype: of what nodes carry and of stresses between exchanges, float32 or float64.
-            exchange: s, between two exchanges.
+        `steps` of 0: as few as are stable; `dtype`, float32 or float64, is that of what nodes carry
+        and of stresses between exchanges.
         """
         self.grid, self.soil, self.volume, self.exchange = grid, soil, volume, exchange
         self.steps = steps or steps_in(exchange, soil, min(grid.dx, grid.dz))
@@ -330,20 +325,10 @@ class Solver:
         block.particles[~taken, GRIP : GRIP + 3] = 0.0
         status = np.zeros(2, dtype=np.int64)
         advance(
-            block,
-            self.nodes,
-            self.grid,
-            intervals,
-            self.steps,
-            self.dt,
-            self.soil,
-            self.volume,
-            damping_time(self.soil, self.grid.dx),
-            gravity,
-            settling,
-            tuple(motions) or (no_body(count),),
-            status,
-        )
+            block, self.nodes, self.grid, intervals, self.steps, self.dt, self.soil, self.volume,
+            damping_time(self.soil, self.grid.dx), gravity, settling,
+            tuple(motions) or (no_body(count),), status,
+        )  # fmt: skip
         if status[0] != OK:
             place = block.particles[status[1], X : X + 3]
             what = {LEFT_GRID: 'left the grid', TURNED_INSIDE_OUT: 'was turned inside out'}

@@ -13,6 +13,7 @@ from mpm import scenes
 from mpm.motions import catalogue
 
 SPLITS = ('train', 'valid', 'test')
+GRID_RUNS = {'excavation': 40, 'wheel': 40}
 # Runs of each kind, numbered from seed 0 on: 10 of them are test, 5 valid.
 RUNS = {
     'excavation': {
@@ -35,14 +36,14 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     """Returns 'train', 'valid' or 'test'; None for what the data of record does not hold.
 
     Seeds: of the n runs of a kind every (n // 10)th is test, every (n // 5)th valid, until there
-    are 10 and 5 of them. Grids: see `grid_runs`.
+    are 10 and 5 of them. Grids: see `grid_splits`.
 
     Args:
         scene: the scene.
         case: the number of a case of the grid, or the id of a seed, or any other id.
     """
     if isinstance(case, int):
-        return _grid_splits(scene).get(case)
+        return grid_splits(scene.name).get(case)
     try:
         kind, seed = catalogue.parse(scene, case)
     except ValueError:
@@ -59,13 +60,9 @@ def split_of(scene: scenes.Scene, case: int | str) -> str | None:
     return 'train'
 
 
-def _grid_splits(scene: scenes.Scene) -> dict[int, str]:
-    return _splits_of_grid(scene.name)
-
-
 @functools.cache
-def _splits_of_grid(name: str) -> dict[int, str]:
-    """Case -> split of the cases of the grid that the record holds.
+def grid_splits(name: str) -> dict[int, str]:
+    """Returns case -> split of the cases of a scene's grid that the record holds.
 
     A path of the tool in time is in one split alone. The blade's is given by depth, speed and
     motion, the angle aside: 40 of these 50 paths, each with one angle (that of a published case
@@ -73,31 +70,25 @@ def _splits_of_grid(name: str) -> dict[int, str]:
     these nine pairs for test, one for valid.
     """
     scene, found = scenes.SCENES[name], {}
-    if name == 'excavation':
-        cases = [*scene.published, scene.demo_case]
-        timings = itertools.product(range(5), range(5), range(2))
-        for number, (depth, speed, motion) in enumerate(timings):
-            angle = (depth + 2 * speed + 3 * motion) % 5
-            case = 1 + ((depth * 5 + speed) * 5 + angle) * 2 + motion
-            if number % 5 != 4:
-                cases.append(case)
-        paths = {}
-        for case in cases:
-            depth, speed, _, motion = np.unravel_index(case - 1, (5, 5, 5, 2))
-            paths.setdefault((int(depth), int(speed), int(motion)), case)
-        for number, case in enumerate(sorted(paths.values())[:GRID_RUNS[scene.name]]):
-            found[case] = 'test' if number % 4 == 1 else 'valid' if number % 8 == 3 else 'train'
-        return found
     chosen = [*scene.published, scene.demo_case]
-    chosen += [case for case in scenes.mini_cases(scene, 60) if case not in chosen]
-    for case in chosen[: GRID_RUNS[scene.name]]:
-        _, slip, _, diameter, _ = np.unravel_index(case - 1, (3,) * 5)
-        code = (slip + diameter) % 3
-        found[case] = 'test' if code == 0 else 'valid' if (slip, diameter) == (0, 1) else 'train'
+    if name == 'wheel':
+        chosen += [case for case in scenes.mini_cases(scene, 60) if case not in chosen]
+        for case in chosen[: GRID_RUNS[name]]:
+            _, slip, _, diameter, _ = np.unravel_index(case - 1, (3,) * 5)
+            is_valid = (slip, diameter) == (0, 1)
+            found[case] = 'test' if (slip + diameter) % 3 == 0 else 'valid' if is_valid else 'train'
+        return found
+    for number, (depth, speed, motion) in enumerate(itertools.product(range(5), range(5), (0, 1))):
+        angle = (depth + 2 * speed + 3 * motion) % 5
+        if number % 5 != 4:
+            chosen.append(1 + ((depth * 5 + speed) * 5 + angle) * 2 + motion)
+    paths: dict[tuple, int] = {}
+    for case in chosen:
+        depth, speed, _, motion = np.unravel_index(case - 1, (5, 5, 5, 2))
+        paths.setdefault((int(depth), int(speed), int(motion)), case)
+    for number, case in enumerate(sorted(paths.values())[: GRID_RUNS[name]]):
+        found[case] = 'test' if number % 4 == 1 else 'valid' if number % 8 == 3 else 'train'
     return found
-
-
-GRID_RUNS = {'excavation': 40, 'wheel': 40}
 
 
 def runs_of_kinds(scene: scenes.Scene, kinds: tuple) -> tuple:
@@ -116,7 +107,7 @@ def grid_runs(scene: scenes.Scene) -> tuple:
     rng = np.random.default_rng(0)
     placed = []
     for split in SPLITS:
-        cases = [case for case, other in _grid_splits(scene).items() if other == split]
+        cases = [case for case, other in grid_splits(scene.name).items() if other == split]
         rng.shuffle(cases)
         placed += [((n + 0.5) / len(cases), case) for n, case in enumerate(cases)]
     return tuple(case for _, case in sorted(placed))

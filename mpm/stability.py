@@ -36,30 +36,25 @@ def damping_time(soil: Soil, dx: float) -> float:
     return DAMPING * dx / wave_speed(soil)
 
 
-def max_time_step(soil: Soil, dx: float, cfl: float = CFL) -> float:
-    """Returns the largest stable time step in s on a grid of cell size `dx` (m).
+def max_time_step(soil: Soil, dx: float) -> float:
+    """Returns the largest stable time step in s: the elastic wave crosses at most `CFL` cells.
 
-    The elastic wave crosses at most `cfl` cells; dx is the shortest side of a cell.
-
-    Raises:
-        ValueError: if dx is not positive.
+    dx (m) is the shortest side of a cell.
     """
-    if not dx > 0.0:
-        raise ValueError(f'cell size must be positive, got {dx} m')
-    return cfl * dx / wave_speed(soil)
+    return CFL * dx / wave_speed(soil)
 
 
-def check_time_step(dt: float, soil: Soil, dx: float, cfl: float = CFL) -> None:
+def check_time_step(dt: float, soil: Soil, dx: float) -> None:
     """Refuses a step that the explicit scheme cannot take.
 
     Raises:
         UnstableTimeStepError: a ValueError that names the step, the limit and the CFL number.
     """
-    limit = max_time_step(soil, dx, cfl)
+    limit = max_time_step(soil, dx)
     if not 0.0 < dt <= limit * (1.0 + 1e-12):
         raise UnstableTimeStepError(
             f'time step {dt:.4g} s is not in (0, {limit:.4g}] s: CFL number '
-            f'{dt * wave_speed(soil) / dx:.3g}, limit {cfl:.3g} '
+            f'{dt * wave_speed(soil) / dx:.3g}, limit {CFL:.3g} '
             f'(dx {dx:.4g} m, wave speed {wave_speed(soil):.4g} m/s)'
         )
 
@@ -68,11 +63,10 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
     """Refuses a body that jumps over cells: soil could pass through it between two steps.
 
     Args:
-        path: float64 [steps + 1, 3], its poses at the steps' ends, x and y in m (y constant where
-            it is not prescribed), angle in rad.
+        path: float64 [steps + 1, 3 or 4], its poses at the steps' ends, x and y in m (constant
+            where they are not prescribed), angle in rad.
         reach: largest distance of its outline from the reference point, m.
-        dt: time step, s.
-        dx: cell size, m.
+        dt, dx: time step (s) and cell size (m).
         start: time of the first pose, s, for the message.
 
     Raises:
@@ -89,6 +83,6 @@ def check_body_motion(path: np.ndarray, reach: float, dt: float, dx: float, star
         )
 
 
-def steps_in(seconds: float, soil: Soil, dx: float, cfl: float = CFL) -> int:
+def steps_in(seconds: float, soil: Soil, dx: float) -> int:
     """Returns the smallest number of equal steps in `seconds` that are stable."""
-    return max(1, math.ceil(seconds / max_time_step(soil, dx, cfl) - 1e-9))
+    return max(1, math.ceil(seconds / max_time_step(soil, dx) - 1e-9))

@@ -109,24 +109,19 @@ def make(typing, array, a, b, c, d):
     return kind(array, types.float64, types.float64, types.float64, types.float64), code
 
 
-@intrinsic
-def repeat(typing, four):
-    """Returns a row whose four nodes are all `four`."""
+def _spread(lanes):
+    @intrinsic
+    def spread(typing, four):
+        def code(context, builder, signature, args):
+            return _shuffle(builder, _llvm(four), args[0], lanes)
 
-    def code(context, builder, signature, args):
-        return _shuffle(builder, _llvm(four), args[0], [0, 1, 2, 3] * 4)
+        return _Lanes(four.dtype, ROW)(four), code
 
-    return _Lanes(four.dtype, ROW)(four), code
+    return spread
 
 
-@intrinsic
-def stretch(typing, four):
-    """Returns a row whose node k is number k of `four`, four times."""
-
-    def code(context, builder, signature, args):
-        return _shuffle(builder, _llvm(four), args[0], [n // 4 for n in range(ROW)])
-
-    return _Lanes(four.dtype, ROW)(four), code
+# A row whose four nodes are all `four`; one whose node k is number k of `four`, four times.
+repeat, stretch = _spread([0, 1, 2, 3] * 4), _spread([n // 4 for n in range(ROW)])
 
 
 @intrinsic
@@ -207,24 +202,19 @@ def scale_at(typing, array, index, a):
     return a(array, types.uintp, a), code
 
 
-@intrinsic
-def add(typing, a, b):
-    """Returns a + b."""
+def _elementwise(operation):
+    @intrinsic
+    def combine(typing, a, b):
+        def code(context, builder, signature, args):
+            return getattr(builder, operation)(*args)
 
-    def code(context, builder, signature, args):
-        return builder.fadd(args[0], args[1])
+        return a(a, a), code
 
-    return a(a, a), code
+    return combine
 
 
-@intrinsic
-def multiply(typing, a, b):
-    """Returns a * b, number by number."""
-
-    def code(context, builder, signature, args):
-        return builder.fmul(args[0], args[1])
-
-    return a(a, a), code
+# a + b and a * b, number by number.
+add, multiply = _elementwise('fadd'), _elementwise('fmul')
 
 
 @intrinsic

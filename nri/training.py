@@ -133,7 +133,7 @@ class Trainer:
                 for name, value in self._validation_losses(batch, seed, edges).items():
                     totals[name] = totals.get(name, 0.0) + float(value) * len(batch)
                 count += len(batch)
-        result = {name: total / count for name, total in totals.items()}
+        result: dict = {name: total / count for name, total in totals.items()}
         probabilities = self.model.window_probabilities(windows)
         result |= losses.edge_usage(probabilities)
         if data.edges is not None:

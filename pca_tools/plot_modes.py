@@ -20,7 +20,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from absl import flags
-from matplotlib.figure import Figure
 
 from pca_tools import command, dataset, files
 from pca_tools.convert import SUBSPACE_NAME, progress_bar
@@ -33,6 +32,8 @@ from pca_tools.subspace import DIM, Subspace
 def plot_energy_and_error(space: Subspace, path: str) -> None:
     """Draws energy left out and RMS error against the number of modes."""
     counts = np.arange(1, len(space.singular_values) + 1)
+    from matplotlib.figure import Figure  # slow to load, and help does not wait for it
+
     figure = Figure(figsize=(10, 4), layout='constrained')  # no pyplot: no display is needed
     left, right = figure.subplots(1, 2)
     left.semilogy(counts, space.explained_variance_ratio, 'o-', markersize=3, label='of the mode')
@@ -63,6 +64,8 @@ def plot_modes(space: Subspace, path: str, up_axis: int = 1) -> None:
     level = [axis for axis in range(3) if axis != up_axis]
     along, depth = sorted(level, key=lambda axis: -np.ptp(space.initial[:, axis]))
     x, y, z = space.initial[:, [along, up_axis, depth]].T
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 2.1 * space.n_modes), layout='constrained')
     figure.suptitle(f'Modes on the particles as they lie at the start of run {space.runs[0]}')
     grid = figure.subplots(space.n_modes, 2, squeeze=False)
@@ -93,7 +96,7 @@ def plot_modes(space: Subspace, path: str, up_axis: int = 1) -> None:
     _save(figure, path)
 
 
-def _save(figure: Figure, path: str) -> None:
+def _save(figure, path: str) -> None:
     files.write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110, format='png'))
 
 

@@ -19,7 +19,7 @@ from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.tool import swept
-from learning_to_simulate.tool.axes import blade_pose
+from learning_to_simulate.tool.axes import Axes, blade_pose
 from learning_to_simulate.tool.blade import EDGE_RADIUS
 
 # Failure planes that are compared, rad.
@@ -27,47 +27,18 @@ _BETA = np.radians(np.linspace(5.0, 60.0, 111))
 
 
 @dataclasses.dataclass(frozen=True)
-class BladeSoil:
-    """What the equation needs to know of soil and blade.
-
-    Attributes:
-      unit_weight: density x gravity, N/m3.
-      friction_angle: phi of the soil, rad.
-      wall_angle: delta between soil and blade, rad.
-      repose_angle: of the heap, rad.
-      width: of the blade, m.
-      height: of its face, m; a heap is no higher.
-    """
-
-    unit_weight: float
-    friction_angle: float
-    wall_angle: float
-    repose_angle: float
-    width: float
-    height: float
-
-
-@dataclasses.dataclass(frozen=True)
 class BladeGeometry:
-    """Where a blade's edge lies from its lowest row of particles, in the blade's own axes.
+    """The solver's blade, in its own axes, m."""
 
-    Attributes:
-      along: from the row up the face to the middle of the round edge, m.
-      behind: from the face back to it, m.
-      radius: of the edge, m.
-      points_width: extent of the row across, m, and `width`, m, of the blade that it stands for:
-        blades of other widths have their points in proportion.
-      height: of the blade, m.
-      friction: between blade and soil.
-    """
-
-    along: float = 0.0115
-    behind: float = EDGE_RADIUS
-    radius: float = EDGE_RADIUS
+    along: float = 0.0115  # from the lowest row of its particles up the face to the edge's middle
+    behind: float = EDGE_RADIUS  # from the face back to the edge's middle
+    radius: float = EDGE_RADIUS  # of the round edge
+    # Extent of the row across, and width of the blade that it stands for: blades of other widths
+    # have their points in proportion.
     points_width: float = 0.4
     width: float = 0.457
-    height: float = 0.305
-    friction: float = 0.3
+    height: float = 0.305  # of the face
+    friction: float = 0.3  # between blade and soil
 
     def edge(self, row, lean):
         """Middle of the edge [..., 2] for rows [..., 2] (u, y) at a lean [...] (rad), m."""
@@ -76,6 +47,55 @@ class BladeGeometry:
         u = -self.along * sine - self.behind * cosine
         y = self.along * cosine - self.behind * sine
         return row + np.stack([u, y], axis=-1)
+
+
+BLADE = BladeGeometry()
+
+
+@dataclasses.dataclass(frozen=True)
+class BladeSoil:
+    """What the equation needs to know of soil and blade."""
+
+    unit_weight: float  # density x gravity, N/m3
+    friction_angle: float  # phi of the soil, rad
+    wall_angle: float  # delta between soil and blade, rad
+    repose_angle: float  # of the heap, rad
+    width: float  # of the blade, m
+    height: float = BLADE.height  # of its face, m; a heap is no higher
+
+    @classmethod
+    def of_case(cls, case: dict, gravity: float, width: float) -> 'BladeSoil':
+        """The soil's own parameters, of a case of the dataset's metadata.
+
+        The solver's cone tau = mu p meets Mohr-Coulomb in plane strain at sin(phi) = mu, which is
+        what a wide blade makes; heaps rest at tan(phi) = mu.
+
+        Raises:
+          ValueError: as `soil_parameters`.
+        """
+        density, mu = soil_parameters(case)
+        return cls(
+            unit_weight=density * gravity,
+            friction_angle=float(np.arcsin(min(mu, 0.999))),
+            wall_angle=float(np.arctan(case.get('body_friction', BLADE.friction))),
+            repose_angle=float(np.arctan(mu)),
+            width=width,
+        )
+
+
+def soil_parameters(case: dict) -> tuple[float, float]:
+    """Bulk density (kg/m3) and static friction mu_s of a case of the metadata.
+
+    Raises:
+      ValueError: the case does not state them.
+    """
+    try:
+        return float(case['soil']['bulk_density']), float(case['soil']['mu_s'])
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f'case {case.get("case")!r} states no soil.bulk_density and soil.mu_s, which the '
+            f'equation of earthmoving needs'
+        ) from error
 
 
 def factors(rake, friction_angle, wall_angle, beta, depth_over_width):
@@ -146,41 +166,6 @@ def _heap_within(reach, area, soil):
     return area - 0.5 * slope * np.maximum(length - reach, 0.0) ** 2
 
 
-def soil_parameters(case: dict) -> tuple[float, float]:
-    """Bulk density (kg/m3) and static friction mu_s of a case of the metadata.
-
-    Raises:
-      ValueError: the case does not state them.
-    """
-    try:
-        return float(case['soil']['bulk_density']), float(case['soil']['mu_s'])
-    except (KeyError, TypeError) as error:
-        raise ValueError(
-            f'case {case.get("case")!r} states no soil.bulk_density and soil.mu_s, which the '
-            f'equation of earthmoving needs'
-        ) from error
-
-
-def soil_of_case(case: dict, gravity: float, blade: BladeGeometry, width: float) -> BladeSoil:
-    """The soil's own parameters, of a case as the dataset's metadata describe it.
-
-    The solver's cone tau = mu p meets Mohr-Coulomb in plane strain at sin(phi) = mu, which is what
-    a wide blade makes; heaps rest at tan(phi) = mu.
-
-    Raises:
-      ValueError: as `soil_parameters`.
-    """
-    density, mu = soil_parameters(case)
-    return BladeSoil(
-        unit_weight=density * gravity,
-        friction_angle=float(np.arcsin(min(mu, 0.999))),
-        wall_angle=float(np.arctan(case.get('body_friction', blade.friction))),
-        repose_angle=float(np.arctan(mu)),
-        width=width,
-        height=blade.height,
-    )
-
-
 class EarthmovingForce:
     """The blade's force along recorded paths.
 
@@ -188,77 +173,63 @@ class EarthmovingForce:
       scene: what exists; the body's motion must be prescribed.
       axes: of the scene.
       surface: height of the flat bed, m.
-      blade: geometry.
       gravity: m/s2.
       gains: [2 (wedge, heap), 2 (backward, up)] factors on the parts of the force; ones are the
         equation itself.
 
     Raises:
-      ValueError: a body of another motion.
+      ValueError: a body of another motion, or gains that are no such factors.
     """
 
-    def __init__(self, scene, axes, surface, blade=BladeGeometry(), gravity=9.81, gains=None):  # noqa: B008
+    def __init__(self, scene, axes, surface, gravity=9.81, gains=((1.0, 1.0), (1.0, 1.0))):
         if scene.rigid_motion != RigidMotion.PRESCRIBED:
             raise ValueError(
                 f'the equation of earthmoving is for a blade on a given path, not for a body that '
                 f'is {scene.rigid_motion}'
             )
         self.scene, self.axes, self.surface = scene, axes, float(surface)
-        self.blade, self.gravity = blade, gravity
-        self.gains = np.ones((2, 2)) if gains is None else np.asarray(gains, np.float64)
+        self.gravity, self.gains = float(gravity), np.array(gains, np.float64)
+        if self.gains.shape != (2, 2) or not np.isfinite(self.gains).all():
+            raise ValueError(f'gains are {gains!r}')
 
-    def parameters_to_json(self) -> dict:
-        """All but scene and axes, for `from_json`."""
-        blade = dataclasses.asdict(self.blade)
-        values = {'surface': self.surface, 'gravity': self.gravity, 'blade': blade}
-        return values | {'gains': self.gains.tolist()}
+    def parts(self) -> tuple[dict, dict]:
+        """Values for JSON, and no arrays; `of_parts` is the inverse."""
+        values = {'surface': self.surface, 'gravity': self.gravity, 'gains': self.gains.tolist()}
+        return values | {'axes': dataclasses.asdict(self.axes)}, {}
 
     @classmethod
-    def from_json(cls, values: dict, scene, axes) -> 'EarthmovingForce':
+    def of_parts(cls, values: dict, arrays: dict, scene) -> 'EarthmovingForce':
         """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
-        gains = np.array(values['gains'], np.float64)
-        if gains.shape != (2, 2) or not np.isfinite(gains).all():
-            raise ValueError(f'gains are {values["gains"]!r}')
-        blade = BladeGeometry(**values['blade'])
-        return cls(scene, axes, float(values['surface']), blade, float(values['gravity']), gains)
+        return cls(scene, **values | {'axes': Axes(**values['axes'])})
 
     def fitted(self, groups, cases) -> 'EarthmovingForce':
         """The same with the gains that fit the runs of the groups best, least squares with every
         run of equal weight; `cases` as in `predict`, per group."""
-        parts, truth, weights = [], [], []
+        parts, truth = [], []
         for group, of_group in zip(groups, cases, strict=True):
-            parts.append(self.parts(group, of_group)[:, H:].reshape(-1, 2, 2))
             force = group.force[:, H:]
-            truth.append(self._in_plane(force).reshape(-1, 2))
             scale = 1.0 / np.sqrt((force**2).sum(axis=(1, 2)))
-            weights.append(np.repeat(scale, force.shape[1]))
-        parts, truth, weights = (np.concatenate(x) for x in (parts, truth, weights))
-        gains = np.stack(
-            [
-                np.linalg.lstsq(parts[:, :, i] * weights[:, None], truth[:, i] * weights)[0]
-                for i in range(2)
-            ],
-            axis=1,
-        )
+            weight = np.repeat(scale, force.shape[1])[:, None]
+            backward = -self.axes.sign * force[..., self.axes.axis]
+            plane = np.stack([backward, force[..., self.axes.up]], axis=-1)
+            truth.append(plane.reshape(-1, 2) * weight)
+            found = self.wedge_and_heap(group, of_group)[:, H:]
+            parts.append(found.reshape(-1, 2, 2) * weight[:, None])
+        parts, truth = np.concatenate(parts), np.concatenate(truth)
+        gains = [np.linalg.lstsq(parts[:, :, i], truth[:, i])[0] for i in range(2)]
         return EarthmovingForce(
-            self.scene, self.axes, self.surface, self.blade, self.gravity, gains
+            self.scene, self.axes, self.surface, self.gravity, np.stack(gains, axis=1)
         )
 
-    def _in_plane(self, force):
-        """Backward and upward parts [..., 2] of forces [..., D]."""
-        return np.stack(
-            [-self.axes.sign * force[..., self.axes.axis], force[..., self.axes.up]], axis=-1
-        )
-
-    def parts(self, group, cases) -> np.ndarray:
+    def wedge_and_heap(self, group, cases) -> np.ndarray:
         """[S, T, 2 (wedge, heap), 2 (backward, up)] of the force, N, before the gains."""
         body = group.position[:, :, : group.n_rigid]
         row, lean = blade_pose(body, self.axes)
-        edge = self.blade.edge(row, lean)
-        widths = self.axes.width(body[:, 0]) * self.blade.width / self.blade.points_width
+        edge = BLADE.edge(row, lean)
+        widths = self.axes.width(body[:, 0]) * BLADE.width / BLADE.points_width
         travel = edge[..., 0] - edge[:, :1, 0]
         grid = swept.SweptGrid(
-            radius=self.blade.radius,
+            radius=BLADE.radius,
             behind=float(-travel.min()) + 0.1,
             ahead=float(travel.max()) + 0.1,
         )
@@ -267,27 +238,20 @@ class EarthmovingForce:
         forward = np.zeros(edge.shape[:2], bool)
         for t in range(1, edge.shape[1]):
             state = swept.advance(grid, state, edge[:, t], self.scene.dt)
-            ahead = state.tip + self.blade.radius + grid.spacing
+            ahead = state.tip + BLADE.radius + grid.spacing
             # What lies ahead may have been cut before; the blade itself has not been there.
-            depth[:, t] = swept.profile_at(grid, state, ahead) - (
-                edge[:, t, 1] - self.blade.radius
-            )
+            lowest = edge[:, t, 1] - BLADE.radius
+            depth[:, t] = swept.profile_at(grid, state, ahead) - lowest
             heap[:, t] = swept.swept_area(grid, state)
             step = edge[:, t, 0] - edge[:, t - 1, 0]
             # A blade at rest stays pressed on as it was; one that backs off loses the soil.
             forward[:, t] = np.where(step == 0, forward[:, t - 1], step > 0)
-        parts = np.stack(
-            [
-                cutting_force(
-                    depth[s],
-                    np.pi / 2 - lean[s],
-                    heap[s],
-                    soil_of_case(case, self.gravity, self.blade, float(widths[s])),
-                )
-                for s, case in enumerate(cases)
-            ]
-        )
-        return parts * forward[..., None, None]
+        soils = [BladeSoil.of_case(c, self.gravity, float(w)) for c, w in zip(cases, widths)]
+        parts = [
+            cutting_force(depth[s], np.pi / 2 - lean[s], heap[s], soil)
+            for s, soil in enumerate(soils)
+        ]
+        return np.stack(parts) * forward[..., None, None]
 
     def predict(self, group, cases) -> open_loop.Prediction:
         """Frames H .. T - 1 of the S runs of a group; the soil stays still.
@@ -296,7 +260,7 @@ class EarthmovingForce:
           group: `RunGroup`.
           cases: per run, its entry in the metadata's `cases`.
         """
-        plane = (self.parts(group, cases)[:, H:] * self.gains).sum(axis=2)
+        plane = (self.wedge_and_heap(group, cases)[:, H:] * self.gains).sum(axis=2)
         force = np.zeros((*plane.shape[:2], group.position.shape[-1]))
         force[..., self.axes.axis] = -self.axes.sign * plane[..., 0]
         force[..., self.axes.up] = plane[..., 1]

@@ -1,13 +1,14 @@
 """The open-loop methods on disk: fit, model folder, rollouts; see `registry`.
 
 A model folder holds `config.json` (settings, scene, ranges of training, digests of the data, and
-for a formula its parameters) and, of a regression, `path_ridge.npz`.
+the parameters of the method) and, of a regression, its arrays.
 """
 
 import dataclasses
 import os
 import time
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import tqdm
@@ -21,11 +22,10 @@ from learning_to_simulate import (
     reading_utils,
     rollout_status,
 )
-from learning_to_simulate.baselines import open_loop, path_ridge
-from learning_to_simulate.baselines.earthmoving import EarthmovingForce, soil_parameters
-from learning_to_simulate.baselines.settings import OpenLoopConfig
+from learning_to_simulate.baselines import earthmoving, path_ridge
 from learning_to_simulate.baselines.wheel_terramechanics import WheelTerramechanics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.config import OpenLoopConfig
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
@@ -34,8 +34,14 @@ from learning_to_simulate.tool.axes import Axes
 from pca_tools import dataset, files
 from pca_tools.storage import folder_lock
 
-_UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
-_FORMULAS = {'earthmoving': EarthmovingForce, 'bekker_wong_janosi': WheelTerramechanics}
+ARRAYS_FILE = 'path_ridge.npz'
+# Model -> class with `predict(group, cases) -> open_loop.Prediction`, with
+# `parts() -> (values for JSON, arrays)` and its inverse `of_parts(values, arrays, scene)`.
+METHODS: dict[str, Any] = {
+    'path_ridge': path_ridge.PathRidge,
+    'earthmoving': earthmoving.EarthmovingForce,
+    'bekker_wong_janosi': WheelTerramechanics,
+}
 
 
 @dataclasses.dataclass
@@ -44,40 +50,30 @@ class OpenLoopModel:
 
     Attributes:
       simulator: its `config`, `scene` and `statistics` (the ranges that rollouts are judged by).
-      method: `PathRidge`, `EarthmovingForce` or `WheelTerramechanics`.
+      method: of `METHODS`.
     """
 
     simulator: SimpleNamespace
-    method: object
+    method: Any
 
     def layout(self, n_rigid: int):
         """No graph."""
         n_node = n_rigid + self.simulator.scene.n_modes
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
 
-    def edge_counts(self) -> dict[str, int]:
-        """None: there is no graph."""
-        return {}
-
 
 class OpenLoopEvaluator:
-    """Rollouts of an open-loop method, as `evaluation.Evaluator`.
-
-    Args:
-      model: the method.
-      metadata: of the dataset; its `cases` hold the soil's parameters.
-      split: of the runs that are rolled out.
-    """
+    """Rollouts of an `OpenLoopModel` on a split of a dataset, as `evaluation.Evaluator`; the
+    `cases` of the metadata hold the soil's parameters."""
 
     def __init__(self, model: OpenLoopModel, metadata: dict, split: str):
         self._model, self._metadata, self._split = model, metadata, split
-        self.scene = model.simulator.scene
 
     def roll_out(self, group) -> Rollout:
         """`Rollout` of one `RunGroup` of the split."""
-        simulator = self._model.simulator
+        simulator, cases = self._model.simulator, cases_of(group, self._split, self._metadata)
         start = time.perf_counter()
-        predicted = self._model.method.predict(group, cases_of(group, self._split, self._metadata))  # type: ignore[attr-defined]
+        predicted = self._model.method.predict(group, cases)
         seconds = time.perf_counter() - start
         judgements = rollout_status.judge(
             group, predicted.position, predicted.force, simulator.statistics, simulator.scene
@@ -88,6 +84,20 @@ class OpenLoopEvaluator:
         """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`."""
         results = evaluation.roll_out_all(self.roll_out, groups, progress)
         return results, evaluation.summarise(results, self._model, self._metadata, split)
+
+    def one_step_errors(self, groups) -> dict[str, float]:
+        """Mean squared errors of the first predicted frame: each frame is a prediction of its
+        own."""
+        found: dict = {}
+        n_soil, first = self._model.simulator.scene.n_soil, slice(H, H + 1)
+        for group in groups:
+            rollout, truth = self.roll_out(group), group.position[:, first]
+            soil = metrics.soil_mse(rollout.position[:, :1], truth, group.n_rigid, n_soil)
+            found.setdefault('one_step_position_mse', []).extend(soil)
+            if rollout.force is not None:
+                square = (rollout.force[:, :1] - group.force[:, first]) ** 2
+                found.setdefault('one_step_force_mse', []).extend(square.mean(axis=(1, 2)))
+        return {key: float(np.mean(values)) for key, values in found.items()}
 
 
 def cases_of(group, split: str, metadata: dict) -> list:
@@ -120,23 +130,22 @@ def fit(config: OpenLoopConfig, data_path: str, metadata: dict, train_groups, va
         def progress(choices):
             return tqdm.tqdm(choices, unit='choice', desc='path ridge', disable=None)
 
-        few_runs = {'leave_one_out': True, 'kernels': tuple(path_ridge.KERNELS), 'n_best': 10}
         return path_ridge.PathRidge.fit(
             train_groups, valid_groups, scene, surface, config.max_samples, progress=progress,
-            **(few_runs if config.leave_one_out else {}),
+            **(path_ridge.FEW_RUNS if config.leave_one_out else {}),
         )  # fmt: skip
     if not scene.has_force:
         raise ValueError(f'{config.model} is a formula of the force, which {data_path} lacks')
     cases = [cases_of(group, 'train', metadata) for group in train_groups]
     if config.model == 'earthmoving':
         for case in (case for of_group in cases for case in of_group):
-            soil_parameters(case)
+            earthmoving.soil_parameters(case)
         if surface is None:
             raise ValueError(
                 f'{data_path}: has no subspace.npz, so the height of the bed is not known, which '
                 f'earthmoving needs'
             )
-        method = EarthmovingForce(scene, axes, surface)
+        method = earthmoving.EarthmovingForce(scene, axes, surface)
     else:
         method = WheelTerramechanics(scene, axes)
     return method.fitted(train_groups, cases) if config.fitted else method
@@ -151,18 +160,18 @@ def train(data_path, model_path, config, options) -> dict:
     data = checkpoints.data_record(data_path, metadata)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     with folder_lock.locked(model_path, options.take_over_lock):
-        if not checkpoints.holds_model(model_path, parts, [path_ridge.FILE_NAME]):
+        if not checkpoints.holds_model(model_path, parts, [ARRAYS_FILE]):
             method = fit(config, data_path, metadata, groups, valid, scene)
             _save(model_path, config, scene, method, groups, metadata, data)
         model = load(model_path)
     _, summary = OpenLoopEvaluator(model, metadata, 'valid').run(valid, 'valid')
     print(evaluation.table(summary))
     if config.leave_one_out:
-        off = model.method.least_errors()  # type: ignore[attr-defined]
+        off = ', '.join(f'{k} {v:.3g} {path_ridge.UNITS[k]}' for k, v in
+                        model.method.least_errors().items())  # fmt: skip
         print(
-            'valid was trained on, so the table says how well it is fitted; the best choice, each '
-            'run left out, is off by (RMS per value): '
-            + ', '.join(f'{name} {error:.3g} {_UNITS[name]}' for name, error in off.items())
+            f'valid was trained on, so the table says how well it is fitted; the best choice, each '
+            f'run left out, is off by (RMS per value): {off}'
         )
     print(f'fitted {config.preset}: {model_path}')
     return summary
@@ -170,19 +179,11 @@ def train(data_path, model_path, config, options) -> dict:
 
 def _save(path, config, scene, method, groups, metadata, data):
     """Writes the model folder, config.json last: it says that the rest is there."""
-    statistics = normalization.compute_statistics(
-        [g.position for g in groups],
-        [g.force for g in groups],
-        reading_utils.contexts_by_frame(groups),
-        metadata,
-        scene,
-        presets.PRESETS['pcg'],
-    )
-    formula = None
-    if isinstance(method, path_ridge.PathRidge):
-        method.save(os.path.join(path, path_ridge.FILE_NAME))
-    else:
-        formula = {'frame': dataclasses.asdict(method.axes), **method.parameters_to_json()}
+    usual = presets.PRESETS['pcg']
+    statistics = normalization.compute_statistics(groups, metadata, scene, usual)
+    values, arrays = method.parts()
+    if arrays:
+        files.write_npz(os.path.join(path, ARRAYS_FILE), **arrays)
     files.write_json(
         os.path.join(path, checkpoints.CONFIG_FILE),
         {
@@ -190,7 +191,7 @@ def _save(path, config, scene, method, groups, metadata, data):
             'config': dataclasses.asdict(config),
             'scene': scene.to_json(),
             'statistics': statistics.to_json(),
-            'formula': formula,
+            'method': values,
             'n_rigid': groups[0].n_rigid,
             'data': data,
         },
@@ -204,53 +205,24 @@ def load(model_path: str) -> OpenLoopModel:
       FileNotFoundError, ValueError: no model there, or a damaged one.
     """
     stored = checkpoints.read_config(model_path)
-    try:
+    path = os.path.join(model_path, ARRAYS_FILE)
+    with checkpoints.refusing_wrong_fields(model_path):
         config = OpenLoopConfig(**stored['config'])
         scene = Scene.from_json(stored['scene'])
         statistics = normalization.Statistics.from_json(stored['statistics'])
-        if config.model == 'path_ridge':
-            path = os.path.join(model_path, path_ridge.FILE_NAME)
-            method = path_ridge.PathRidge.load(path)
-        else:
-            values = dict(stored['formula'])
-            axes = Axes(**values.pop('frame'))
-            method = _FORMULAS[config.model].from_json(values, scene, axes)  # type: ignore[attr-defined]
-    except FileNotFoundError:
-        raise
-    except checkpoints.WRONG_FIELD as error:
-        raise ValueError(
-            f'{model_path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong '
-            f'({error!r})'
-        ) from error
+        arrays = files.read_npz(path) if config.model == 'path_ridge' else {}
+        method = METHODS[config.model].of_parts(stored['method'], arrays, scene)
     return OpenLoopModel(SimpleNamespace(config=config, scene=scene, statistics=statistics), method)
 
 
 def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> OpenedModel:
     """A fitted method with the runs of a split; see `registry`."""
     model = load(model_path)
-    config = model.simulator.config
-    checkpoints.refuse_contradictions(model_path, config, overrides or {})
+    checkpoints.refuse_contradictions(model_path, model.simulator.config, overrides or {})
     metadata = dataset.read_metadata(data_path)
-    whole = SimpleNamespace(config=SimpleNamespace(modes=0), scene=model.simulator.scene)
-    checkpoints.check_dataset(model_path, SimpleNamespace(simulator=whole), data_path, metadata)
+    checkpoints.check_dataset(model_path, model, data_path, metadata)
     groups = reading_utils.read_groups(data_path, split, metadata)
     evaluator = OpenLoopEvaluator(model, metadata, split)
     return OpenedModel(
-        model, groups, metadata, evaluator, lambda: _one_step_errors(evaluator, groups)
+        model, groups, metadata, evaluator, lambda: evaluator.one_step_errors(groups)
     )
-
-
-def _one_step_errors(evaluator, groups):
-    """Mean squared errors of the first predicted frame: each frame is a prediction of its own."""
-    rows = []
-    for group in groups:
-        rollout, first = evaluator.roll_out(group), slice(H, H + 1)
-        n_soil = evaluator.scene.n_soil
-        soil = metrics.soil_mse(
-            rollout.position[:, :1], group.position[:, first], group.n_rigid, n_soil
-        )
-        rows.append({'one_step_position_mse': soil})
-        if rollout.force is not None:
-            square = (rollout.force[:, :1] - group.force[:, first]) ** 2
-            rows[-1]['one_step_force_mse'] = square.mean(axis=(1, 2))
-    return {key: float(np.concatenate([row[key] for row in rows]).mean()) for key in rows[0]}

@@ -16,20 +16,14 @@ SOIL, FORCE, HEIGHT, TORQUE = 'soil', 'force', 'height', 'torque'
 
 
 class Prediction(NamedTuple):
-    """Predicted frames H .. T - 1 of S runs.
+    """Predicted frames H .. T - 1 of S runs."""
 
-    Attributes:
-      position: float64 [S, T - H, V, D], m; what the method does not predict stays still.
-      force: float64 [S, T - H, D], N, or None.
-      predicts: which of SOIL, FORCE, HEIGHT (of a driven body), TORQUE the method says anything
-        of; an error of the others would be that of persistence.
-      torque: float64 [S, T - H, D], N m about the body's reference point, or None.
-    """
-
-    position: np.ndarray
-    force: np.ndarray | None
+    position: np.ndarray  # float64 [S, T - H, V, D], m; what is not predicted stays still
+    force: np.ndarray | None  # float64 [S, T - H, D], N
+    # Which of SOIL, FORCE, HEIGHT (of a driven body), TORQUE the method says anything of; an error
+    # of the others would be that of persistence.
     predicts: frozenset
-    torque: np.ndarray | None = None
+    torque: np.ndarray | None = None  # float64 [S, T - H, D], N m about the body's reference point
 
 
 def held_position(group, scene, height=None) -> np.ndarray:

@@ -1,20 +1,19 @@
 """Kernel ridge regression on the path of the tool so far: no dynamics, nothing fed back.
 
-Modes, force and (of a driven body) height are functions of some numbers that the known motion alone
+Modes, force and (of a driven body) height are functions of numbers that the known motion alone
 decides: the pose, its velocity, how deep and how far the tool has been, what it has swept. A method
 with a state has to beat this before its dynamics can be said to be learned. It knows the path since
 the start and not the soil, so it serves bounded episodes from a known bed only.
 
-Each output has its own width of the kernel, ridge and inputs. The valid runs choose them; or, where
-a dataset has a dozen runs, each run of train and valid as judge of what the others give; the mean
-of the best few is then less a matter of luck than the best.
+Each output has its own width of the kernel, ridge and inputs. The valid runs choose them. Where a
+dataset has a dozen runs, each run of train and valid judges what the others give; the mean of the
+best few is then less a matter of luck than the best.
 
-What a regression sees are functions of the known motion up to a frame. `path`: pose, velocity,
-deepest and foremost point so far, swept area (a blade), or travel, turn, slip, their rates,
-logarithms of the context and the size (a wheel). `swept` adds the profile of the deepest cut, from
-where the tool began; `bed` adds where on the bed that was and the profile at places that are the
-same in all runs, as the particles of the modes are (a blade; a wheel's height is not known, so nor
-is its rut).
+The sets of inputs: `path` is pose, velocity, deepest and foremost point so far, swept area (a
+blade), or travel, turn, slip, their rates, logarithms of the context and the size (a wheel).
+`swept` adds the profile of the deepest cut, from where the tool began. `bed` adds where on the bed
+that was, and the profile at places that are the same in all runs, as the particles of the modes are
+(a blade; a wheel's height is not known, so nor is its rut).
 """
 
 import dataclasses
@@ -29,12 +28,16 @@ from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.tool import swept
 from learning_to_simulate.tool.axes import Axes, blade_pose, hidden_height, wheel_pose
 from learning_to_simulate.tool.blade import EDGE_RADIUS
-from pca_tools import files
 
-FILE_NAME = 'path_ridge.npz'
 # Widths and ridges that are chosen from; widths per number of inputs.
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+# Name of a kernel -> smoothness nu of Matérn's (Rasmussen & Williams 2006, 4.14). The rougher, the
+# sooner a regression goes back to the mean away from its samples.
+KERNELS = {'gaussian': np.inf, 'matern': 1.5, 'exponential': 0.5}
+# Of a dataset of a dozen runs; see `PathRidge.fit`.
+FEW_RUNS = {'leave_one_out': True, 'kernels': tuple(KERNELS), 'n_best': 10}
+UNITS = {open_loop.SOIL: 'm of a score', open_loop.FORCE: 'N', open_loop.HEIGHT: 'm'}
 # Samples that choose where runs are left out; what is chosen is fitted to all `max_samples`.
 _CHOOSING_SAMPLES = 800
 # The force itself as a target, beside its change since the last given frame.
@@ -45,24 +48,16 @@ PROFILE_BINS = 15
 
 @dataclasses.dataclass(frozen=True)
 class PathInputs:
-    """Reads the inputs of a scene's runs.
-
-    Attributes:
-      scene: what exists.
-      axes: of the training runs.
-      surface: height of the resting bed, m.
-      reach: [2] smallest and largest travel of the training runs from their start, m; the profile
-        of `swept` is spread over it.
-      places: [2] smallest and largest place along the way of the training runs, m; of `bed`.
-      grid: bins of the swept profile.
-    """
+    """Reads the inputs of a scene's runs."""
 
     scene: Scene
-    axes: Axes
-    surface: float
+    axes: Axes  # of the training runs
+    surface: float  # height of the resting bed, m
+    # Smallest and largest travel of the training runs from their start, over which the profile of
+    # `swept` is spread, and place along the way, for `bed`, m.
     reach: tuple[float, float]
     places: tuple[float, float]
-    grid: swept.SweptGrid
+    grid: swept.SweptGrid  # bins of the swept profile
 
     @classmethod
     def of(cls, groups, scene: Scene, surface=None) -> 'PathInputs':
@@ -72,15 +67,14 @@ class PathInputs:
         u = [axes.plane(b).mean(axis=2)[..., 0] for b in bodies]
         travel = np.concatenate([(x - x[:, :1]).reshape(-1) for x in u])
         if surface is None:
-            surface = float(np.mean([b[:, 0, :, scene.up_axis].min() for b in bodies]))
+            surface = np.mean([b[:, 0, :, scene.up_axis].min() for b in bodies])
+        reach = (float(travel.min()), float(travel.max()))
         span = max(float(np.ptp(travel)), 10 * EDGE_RADIUS)
         # Runs to come may go farther than those of training did, by half of their span.
+        beyond = span / 2 + 0.2
         grid = swept.SweptGrid(
-            radius=EDGE_RADIUS,
-            behind=float(-travel.min()) + span / 2 + 0.2,
-            ahead=float(travel.max()) + span / 2 + 0.2,
+            radius=EDGE_RADIUS, behind=-reach[0] + beyond, ahead=reach[1] + beyond
         )
-        reach = (float(travel.min()), float(travel.max()))
         places = (min(float(x.min()) for x in u), max(float(x.max()) for x in u))
         return cls(scene, axes, float(surface), reach, places, grid)
 
@@ -99,152 +93,110 @@ class PathInputs:
         if self.scene.rigid_motion == RigidMotion.PRESCRIBED:
             parts = self._blade(body, name)
         else:
-            hidden = hidden_height(body, self.scene, H)
-            parts = [self._wheel(hidden)]
+            parts = self._wheel(hidden_height(body, self.scene, H))
         if group.context is not None:
-            by_frame = group.context if group.context.ndim == 3 else group.context[:, None]
-            shape = (*body.shape[:2], by_frame.shape[-1])
-            parts.append(np.broadcast_to(_context(by_frame), shape))
+            by_frame = group.context if group.context_changes else group.context[:, None]
+            # Loads and gravities span decades: logarithms of what is positive.
+            positive = by_frame > 0
+            values = np.where(positive, np.log(np.where(positive, by_frame, 1.0)), by_frame)
+            parts.append(np.broadcast_to(values, (*body.shape[:2], values.shape[-1])))
         return np.concatenate(parts, axis=-1)
 
     def _blade(self, body, name):
         tip, lean = blade_pose(body, self.axes)
-        dt, n_frame = self.scene.dt, body.shape[1]
+        n_run, n_frame = body.shape[:2]
         state = swept.start(self.grid, tip[:, 0], self.surface)
         begun = tip[:, :1, 0]
+        places = begun + np.linspace(*self.reach, PROFILE_BINS)
         if name == 'bed':
-            places = np.broadcast_to(
-                np.linspace(*self.places, PROFILE_BINS), (len(tip), PROFILE_BINS)
-            )
-        else:
-            places = begun + np.linspace(*self.reach, PROFILE_BINS)
+            places = np.tile(np.linspace(*self.places, PROFILE_BINS), (n_run, 1))
         path, profile = [], []
-        lowest = tip[:, 0, 1]
+        lowest = np.minimum.accumulate(tip[..., 1], axis=1)
         for t in range(n_frame):
             if t:
-                state = swept.advance(self.grid, state, tip[:, t], dt)
-            lowest = np.minimum(lowest, tip[:, t, 1])
+                state = swept.advance(self.grid, state, tip[:, t], self.scene.dt)
             path.append(
                 [
-                    tip[:, t, 0] - tip[:, 0, 0],
+                    tip[:, t, 0] - begun[:, 0],
                     tip[:, t, 1] - self.surface,
                     lean[:, t],
-                    lowest - self.surface,
+                    lowest[:, t] - self.surface,
                     state.foremost - tip[:, t, 0],
                     swept.swept_area(self.grid, state),
                     *state.velocity.T,
                     np.hypot(*state.velocity.T),
                 ]
             )
-            cut = swept.profile_at(self.grid, state, places) - self.surface
-            profile.append(cut)
+            profile.append(swept.profile_at(self.grid, state, places) - self.surface)
         parts = [np.moveaxis(np.array(path), 2, 0)]
         if name != 'path':
             parts.append(np.stack(profile, axis=1))
         if name == 'bed':
-            parts.append(np.broadcast_to(begun[:, None], (len(tip), n_frame, 1)))
+            parts.append(np.broadcast_to(begun[:, None], (n_run, n_frame, 1)))
         return parts
 
     def _wheel(self, body):
         centre, turned, radius, width = wheel_pose(body, self.axes)
-        dt = self.scene.dt
         travel = centre[..., 0] - centre[:, :1, 0]
         rolled = radius[:, None] * turned
+        dt = self.scene.dt
         speed, spin = (np.diff(x, axis=1, prepend=x[:, :1]) / dt for x in (travel, rolled))
         slid = np.cumsum(np.abs(spin - speed), axis=1) * dt
-        rows = [travel, rolled, rolled - travel, np.maximum.accumulate(travel, axis=1), slid]
-        rows += [speed, spin]
-        start = np.broadcast_to(centre[:, H - 1, 1] - self.surface, (1, len(body)))
-        size = np.stack([np.log(radius), np.log(width), (start[0] - radius)], axis=1)
-        return np.concatenate(
-            [np.stack(rows, axis=-1), np.repeat(size[:, None], body.shape[1], axis=1)], axis=-1
-        )
+        foremost = np.maximum.accumulate(travel, axis=1)
+        rows = [travel, rolled, rolled - travel, foremost, slid, speed, spin]
+        height = centre[:, H - 1, 1] - self.surface - radius
+        size = np.stack([np.log(radius), np.log(width), height], axis=1)
+        return [np.stack(rows, axis=-1), np.repeat(size[:, None], body.shape[1], axis=1)]
 
     def to_json(self) -> dict:
         """Values of `from_json`."""
-        return {
-            'frame': dataclasses.asdict(self.axes),
-            'surface': self.surface,
-            'reach': list(self.reach),
-            'places': list(self.places),
-            'grid': dataclasses.asdict(self.grid),
-        }
+        values = dataclasses.asdict(self)
+        return {name: values[name] for name in ('axes', 'surface', 'reach', 'places', 'grid')}
 
     @classmethod
     def from_json(cls, values: dict, scene: Scene) -> 'PathInputs':
         """Rebuilds the reader; raises KeyError, TypeError or ValueError on foreign values."""
-        return cls(
-            scene,
-            Axes(**values['frame']),
-            float(values['surface']),
-            tuple(map(float, values['reach'])),
-            tuple(map(float, values['places'])),
-            swept.SweptGrid(**values['grid']),
-        )
-
-
-def _context(context):
-    """Context [..., C], as logarithms where it is positive: loads and gravities span decades."""
-    positive = context > 0
-    return np.where(positive, np.log(np.where(positive, context, 1.0)), context)
+        reach, places = (tuple(map(float, values[name])) for name in ('reach', 'places'))
+        axes, grid = Axes(**values['axes']), swept.SweptGrid(**values['grid'])
+        return cls(scene, axes, float(values['surface']), reach, places, grid)
 
 
 @dataclasses.dataclass(frozen=True)
 class Regression:
-    """One fitted kernel ridge: `y(x) = offset + sum_i dual_i k(x', x'_i)`.
+    """A fitted kernel ridge: y(x) = offset + sum_i dual_i k(x', x'_i), x' = (x - shift) / scale."""
 
-    Attributes:
-      inputs: which inputs it sees, a name of `SETS`.
-      gamma: width of the kernel on scaled inputs, 1 / (2 length²).
-      alpha: ridge.
-      shift, scale: [I], x' = (x - shift) / scale.
-      samples: [n, I] scaled inputs of training.
-      dual: [n, O].
-      offset: [O], the mean of training; None where the output is the change since the last given
-        frame.
-      kernel: a name of `KERNELS`.
-    """
-
-    inputs: str
-    gamma: float
-    alpha: float
-    shift: np.ndarray
-    scale: np.ndarray
-    samples: np.ndarray
-    dual: np.ndarray
+    inputs: str  # which inputs it sees, a name of `SETS`
+    gamma: float  # width of the kernel on scaled inputs, 1 / (2 length²)
+    alpha: float  # ridge
+    kernel: str  # a name of `KERNELS`
+    shift: np.ndarray  # [I]
+    scale: np.ndarray  # [I]
+    samples: np.ndarray  # [n, I] scaled inputs of training
+    dual: np.ndarray  # [n, O]
+    # [O], the mean of training; None where the output is the change since the last given frame.
     offset: np.ndarray | None = None
-    kernel: str = 'gaussian'
 
     @classmethod
     def fit(
         cls, inputs: str, x, y, gamma: float, alphas, kernel: str = 'gaussian'
     ) -> list['Regression']:
-        """Fits outputs y [n, O] to inputs x [n, I], once with each ridge and all with one kernel.
-
-        `gamma` is per number of inputs.
-        """
+        """Fits outputs y [n, O] to inputs x [n, I], once with each ridge; `gamma` is per number of
+        inputs."""
         from sklearn.kernel_ridge import KernelRidge  # slow to load, and only fits need it
 
         shift, scale = _scaling(x)
-        parts = (shift, scale, (x - shift) / scale)
-        gamma = gamma / x.shape[1]
-        gram = gram_matrix(parts[2], parts[2], gamma, kernel)
+        samples, gamma = (x - shift) / scale, gamma / x.shape[1]
+        gram = gram_matrix(samples, samples, gamma, kernel)
+        ridges = [KernelRidge(alpha=alpha, kernel='precomputed').fit(gram, y) for alpha in alphas]
         return [
-            cls(inputs, gamma, alpha, *parts,
-                np.asarray(KernelRidge(alpha=alpha, kernel='precomputed').fit(gram, y).dual_coef_),
-                kernel=kernel)
-            for alpha in alphas
-        ]  # fmt: skip
+            cls(inputs, gamma, alpha, kernel, shift, scale, samples, np.asarray(ridge.dual_coef_))
+            for alpha, ridge in zip(alphas, ridges, strict=True)
+        ]
 
     def columns(self, which: slice, offset) -> 'Regression':
         """The regression of some of the outputs; they share all but the dual coefficients."""
-        return dataclasses.replace(
-            self, dual=np.ascontiguousarray(self.dual[:, which]), offset=offset
-        )
-
-    def predict(self, x) -> np.ndarray:
-        """Outputs [S, T - H, O] of frames H .. T - 1 from inputs [S, T, I] of all frames."""
-        return self.since_start(self(x[:, H - 1 :]))
+        dual = np.ascontiguousarray(self.dual[:, which])
+        return dataclasses.replace(self, dual=dual, offset=offset)
 
     def since_start(self, values) -> np.ndarray:
         """Outputs [S, T - H, O] from what is regressed for frames H - 1 .. T - 1.
@@ -264,29 +216,36 @@ class Regression:
         return self.gram(x) @ self.dual
 
     def check(self) -> None:
-        """Refuses arrays that do not fit each other.
-
-        Raises:
-          ValueError: they do not.
-        """
+        """Raises ValueError where the arrays do not fit each other."""
         n, inputs = self.samples.shape
+        arrays = (self.shift, self.scale, self.samples, self.dual)
         if (
-            self.shift.shape != (inputs,)
-            or self.scale.shape != (inputs,)
+            not self.shift.shape == self.scale.shape == (inputs,)
             or self.dual.ndim != 2
             or len(self.dual) != n
             or (self.offset is not None and self.offset.shape != self.dual.shape[1:])
-            or not all(
-                np.isfinite(v).all() for v in (self.shift, self.scale, self.samples, self.dual)
-            )
+            or not all(np.isfinite(v).all() for v in arrays)
             or not (self.scale > 0).all()
             or self.kernel not in KERNELS
         ):
             raise ValueError('arrays do not fit each other')
 
 
+def _scaling(x):
+    """Shift and scale [I] of inputs; what does not vary is not blown up."""
+    shift, scale = x.mean(axis=0), x.std(axis=0)
+    return shift, np.where(scale > 1e-9 * np.maximum(np.abs(shift), 1.0), scale, 1.0)
+
+
+def gram_matrix(a, b, gamma: float, kernel: str) -> np.ndarray:
+    """k(a_i, b_j) [n_a, n_b] of scaled inputs [n, I]."""
+    from sklearn.gaussian_process.kernels import Matern
+
+    return Matern(1.0 / np.sqrt(2.0 * gamma), nu=KERNELS[kernel])(a, b)
+
+
 def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -> list[np.ndarray]:
-    """What the samples of each run are off when the others alone are fitted, for each ridge.
+    """What the samples of each run are off when the others alone are fitted, [n, O] for each ridge.
 
     With G = (K + alpha I)^-1 and c = G y, a fit without the samples g is off by G_gg^-1 c_g on
     them (Rasmussen & Williams 2006, 5.12, has it for one sample), so that one eigendecomposition
@@ -299,9 +258,6 @@ def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -
       gamma: width per number of inputs.
       alphas: ridges.
       kernel: a name of `KERNELS`.
-
-    Returns:
-      of each ridge [n, O].
     """
     shift, scale = _scaling(x)
     scaled = (x - shift) / scale
@@ -318,47 +274,6 @@ def errors_left_out(x, y, run, gamma: float, alphas, kernel: str = 'gaussian') -
             errors[own] = np.linalg.solve(block, dual[own])
         found.append(errors)
     return found
-
-
-def _scaling(x):
-    """Shift and scale [I] of inputs; what does not vary is not blown up."""
-    shift, scale = x.mean(axis=0), x.std(axis=0)
-    return shift, np.where(scale > 1e-9 * np.maximum(np.abs(shift), 1.0), scale, 1.0)
-
-
-def gram_matrix(a, b, gamma: float, kernel: str) -> np.ndarray:
-    """k(a_i, b_j) [n_a, n_b] of scaled inputs [n, I]; in place, since these are large."""
-    square = a @ b.T
-    square *= -2.0
-    square += (a**2).sum(axis=1)[:, None]
-    square += (b**2).sum(axis=1)
-    np.maximum(square, 0.0, out=square)
-    return KERNELS[kernel](square, gamma)
-
-
-def _gaussian(square, gamma):
-    square *= -gamma
-    return np.exp(square, out=square)
-
-
-def _matern(square, gamma):
-    """Matérn's with smoothness 3/2 (Rasmussen & Williams 2006, 4.17)."""
-    square *= 6.0 * gamma
-    r = np.sqrt(square, out=square)
-    return (1.0 + r) * np.exp(-r)
-
-
-def _exponential(square, gamma):
-    """Matérn's with smoothness 1/2."""
-    square *= 2.0 * gamma
-    r = np.sqrt(square, out=square)
-    r *= -1.0
-    return np.exp(r, out=r)
-
-
-# Name -> function of squared distances, which it may overwrite, and gamma; all of one length. The
-# rougher, the sooner a regression goes back to the mean away from its samples.
-KERNELS = {'gaussian': _gaussian, 'matern': _matern, 'exponential': _exponential}
 
 
 class PathRidge:
@@ -403,7 +318,7 @@ class PathRidge:
           leave_one_out: train on the valid runs, too, and choose by the error on each run of a fit
             to all others. Errors on valid are then errors of training.
           kernels: names of `KERNELS`.
-          n_best: so many of the best choices with each kernel, fitted, are averaged.
+          n_best: with each kernel this number of the best choices is fitted; all are averaged.
 
         Raises:
           ValueError: no runs, or a body whose motion is not known (the path is all there is).
@@ -416,45 +331,44 @@ class PathRidge:
             raise ValueError('path_ridge needs train runs to fit and valid runs to choose by')
         groups = [*train, *valid] if leave_one_out else train
         reader = PathInputs.of(groups, scene, surface)
-        samples = _Samples(groups, scene, reader, max_samples)
+        samples = _Samples(groups, reader, max_samples)
         grid = progress(list(itertools.product(kernels, reader.sets, gammas)))
         if leave_one_out:
-            few = _Samples(groups, scene, reader, min(max_samples, _CHOOSING_SAMPLES))
-            tried = _left_out(few, grid, alphas)
+            few = _Samples(groups, reader, min(max_samples, _CHOOSING_SAMPLES))
+            choices = list(_left_out(few, grid, alphas))
         else:
-            tried = _on_valid(samples, valid, scene, reader, grid, alphas)
-        choices = list(tried)
-        of_kernel = {}
+            choices = list(_on_valid(samples, valid, reader, grid, alphas))
+        regressions: dict = {}
+        choices_of = {}
         for choice in choices:
-            of_kernel.setdefault((choice['output'], choice['kernel']), []).append(choice)
-        regressions = {}
-        for (name, _), of_one in of_kernel.items():
-            best = sorted(of_one, key=lambda choice: choice['error'])[:n_best]
+            choices_of.setdefault((choice['output'], choice['kernel']), []).append(choice)
+        for (name, _), tried in choices_of.items():
+            best = sorted(tried, key=lambda choice: choice['error'])[:n_best]
             regressions.setdefault(name, []).extend(map(samples.fitted, best))
         return cls(scene, reader, regressions, choices)
 
     def predict(self, group, cases=None) -> open_loop.Prediction:
         """Frames H .. T - 1 of the S runs of a group; their cases add nothing."""
         del cases
+        seen: dict = {}
         predicted = {}
-        sets = {r.inputs for regressions in self.regressions.values() for r in regressions}
-        seen = {name: self.reader.read(group, name) for name in sets}
         for name, regressions in self.regressions.items():
             each = []
-            for regression in regressions:
-                values = regression.predict(seen[regression.inputs])
-                if name == open_loop.FORCE and regression.offset is None:
+            for one in regressions:
+                if one.inputs not in seen:
+                    seen[one.inputs] = self.reader.read(group, one.inputs)
+                values = one.since_start(one(seen[one.inputs][:, H - 1 :]))
+                if name == open_loop.FORCE and one.offset is None:
                     values += group.force[:, H - 1 : H]
                 each.append(values)
             predicted[name] = np.mean(each, axis=0)
-        n_rigid, dim = group.n_rigid, group.position.shape[-1]
-        height = None
-        if 'height' in predicted:
+        n_rigid, height = group.n_rigid, None
+        if open_loop.HEIGHT in predicted:
             start = group.position[:, H - 1, :n_rigid, self.scene.up_axis].mean(axis=1)
-            height = start[:, None] + predicted['height'][..., 0]
+            height = start[:, None] + predicted[open_loop.HEIGHT][..., 0]
         position = open_loop.held_position(group, self.scene, height)
-        soil = predicted['soil'].reshape(*position.shape[:2], self.scene.n_modes, dim)
-        position[:, :, n_rigid:] += soil
+        soil = position[:, :, n_rigid:]
+        soil += predicted[open_loop.SOIL].reshape(soil.shape)
         return open_loop.Prediction(position, predicted.get(open_loop.FORCE), frozenset(predicted))
 
     def least_errors(self) -> dict[str, float]:
@@ -465,12 +379,11 @@ class PathRidge:
             found[name] = min(found.get(name, choice['error']), choice['error'])
         return found
 
-    def save(self, path: str) -> None:
-        """Writes the regressions as one `.npz`, whole or not at all."""
-        arrays = {}
-        about = {'scene': self.scene.to_json(), 'reader': self.reader.to_json(), 'outputs': {}}
+    def parts(self) -> tuple[dict, dict]:
+        """Values for JSON, and arrays; `of_parts` is the inverse."""
+        arrays, outputs = {}, {}
         for name, regressions in self.regressions.items():
-            about['outputs'][name] = [
+            outputs[name] = [
                 {key: getattr(r, key) for key in ('inputs', 'gamma', 'alpha', 'kernel')}
                 for r in regressions
             ]
@@ -478,43 +391,26 @@ class PathRidge:
                 for part in ('shift', 'scale', 'samples', 'dual', 'offset'):
                     if (values := getattr(regression, part)) is not None:
                         arrays[f'{name}/{i}/{part}'] = values
-        about['choices'] = self.choices
-        files.write_npz(path, about=np.array(json.dumps(about)), **arrays)
+        # JSON as text: what was tried is thousands of lines otherwise.
+        about = {'reader': self.reader.to_json(), 'outputs': outputs}
+        return about | {'choices': json.dumps(self.choices)}, arrays
 
     @classmethod
-    def load(cls, path: str) -> 'PathRidge':
-        """Reads what `save` wrote.
-
-        Raises:
-          FileNotFoundError: there is no such file.
-          ValueError: a damaged or foreign file.
-        """
-        arrays = files.read_npz(path)
-        try:
-            about = json.loads(str(arrays['about']))
-            scene = Scene.from_json(about['scene'])
-            regressions = {}
-            for name, values in about['outputs'].items():
-                each = {f'{name}/{i}/': of_one for i, of_one in enumerate(values)}
-                if not each:
-                    raise ValueError(f'no regression of {name}')
-                regressions[name] = [_loaded(v, arrays, prefix) for prefix, v in each.items()]
-            reader = PathInputs.from_json(about['reader'], scene)
-        except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-            raise ValueError(f'{path}: is not a path_ridge model ({error!r})') from error
-        return cls(scene, reader, regressions, about['choices'])
-
-
-def _loaded(values, arrays, prefix):
-    """One regression out of the arrays of a file."""
-    parts = {
-        key.removeprefix(prefix): array.astype(np.float64)
-        for key, array in arrays.items()
-        if key.startswith(prefix)
-    }
-    regression = Regression(**values, **parts)
-    regression.check()
-    return regression
+    def of_parts(cls, values: dict, arrays: dict, scene: Scene) -> 'PathRidge':
+        """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
+        regressions = {}
+        for name, each in values['outputs'].items():
+            if not each:
+                raise ValueError(f'no regression of {name}')
+            regressions[name] = []
+            for i, about in enumerate(each):
+                prefix = f'{name}/{i}/'
+                own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+                one = Regression(**about, **{k: v.astype(np.float64) for k, v in own.items()})
+                one.check()
+                regressions[name].append(one)
+        reader = PathInputs.from_json(values['reader'], scene)
+        return cls(scene, reader, regressions, json.loads(values['choices']))
 
 
 def _targets(group, scene) -> dict[str, np.ndarray]:
@@ -536,14 +432,8 @@ def _targets(group, scene) -> dict[str, np.ndarray]:
 class _Samples:
     """Frames of runs that regressions are fitted to, with all targets side by side.
 
-    Every `stride`-th frame from the last given one on; successive runs begin one frame later, so
-    that together they cover all frames.
-
-    Args:
-      groups: lists of `RunGroup`.
-      scene: of the dataset.
-      reader: `PathInputs` of the scene.
-      max_samples: n is not more than it by much.
+    Every `stride`-th frame from the last given one on, of about `max_samples` in all; successive
+    runs begin one frame later, so that together they cover all frames.
 
     Attributes:
       run: int [n], the run of each sample.
@@ -552,12 +442,12 @@ class _Samples:
       offsets: target -> [O'] or None, see `Regression`.
     """
 
-    def __init__(self, groups, scene, reader, max_samples):
+    def __init__(self, groups, reader, max_samples):
         self._groups, self._reader = groups, reader
         self._inputs: dict[str, np.ndarray] = {}
         count = sum(g.position[:, H:, 0, 0].size for g in groups)
         self._stride = max(1, -(-count // max_samples))
-        targets = [_targets(g, scene) for g in groups]
+        targets = [_targets(g, reader.scene) for g in groups]
         y = {name: self._taken([t[name] for t in targets]) for name in targets[0]}
         # Only a force has a mean to begin from; what has changed since the start begins from 0.
         self.offsets = {n: v.mean(axis=0) if n == _FREE_FORCE else None for n, v in y.items()}
@@ -566,10 +456,12 @@ class _Samples:
         self.y = np.concatenate(
             [v if self.offsets[n] is None else v - self.offsets[n] for n, v in y.items()], axis=1
         )
-        shapes = [t[open_loop.SOIL].shape[:2] for t in targets]
-        starts = np.cumsum([0, *(n_run for n_run, _ in shapes)])
-        numbers = [start + np.arange(n_run) for start, (n_run, _) in zip(starts, shapes)]
-        self.run = self._taken([np.repeat(n[:, None], s[1], 1) for n, s in zip(numbers, shapes)])
+        runs = np.arange(sum(len(g.position) for g in groups))
+        ends = np.cumsum([len(g.position) for g in groups])[:-1]
+        self.run = self._taken(
+            [np.repeat(own[:, None], g.position.shape[1], 1)
+             for own, g in zip(np.split(runs, ends), groups, strict=True)]
+        )  # fmt: skip
 
     def _taken(self, groups):
         runs = (run for values in groups for run in values)
@@ -585,21 +477,21 @@ class _Samples:
 
     def fitted(self, choice: dict) -> Regression:
         """The regression of a choice."""
-        x = self.inputs(choice['inputs'])
+        inputs, target = choice['inputs'], choice['target']
         (whole,) = Regression.fit(
-            choice['inputs'], x, self.y, choice['gamma'], [choice['alpha']], choice['kernel']
-        )
-        return whole.columns(self.columns[choice['target']], self.offsets[choice['target']])
+            inputs, self.inputs(inputs), self.y, choice['gamma'], [choice['alpha']],
+            choice['kernel'],
+        )  # fmt: skip
+        return whole.columns(self.columns[target], self.offsets[target])
 
 
-def _on_valid(samples, valid, scene, reader, grid, alphas):
+def _on_valid(samples, valid, reader, grid, alphas):
     """Every choice with its error on the valid runs."""
-    truth = [{n: v[:, H:] for n, v in _targets(g, scene).items()} for g in valid]
-    seen = {name: (samples.inputs(name), [reader.read(g, name) for g in valid])
-            for name in reader.sets}  # fmt: skip
+    truth = [{n: v[:, H:] for n, v in _targets(g, reader.scene).items()} for g in valid]
+    seen = {name: [reader.read(g, name)[:, H - 1 :] for g in valid] for name in reader.sets}
     for kernel, inputs, gamma in grid:
-        wholes = Regression.fit(inputs, seen[inputs][0], samples.y, gamma, alphas, kernel)
-        grams = [wholes[0].gram(x[:, H - 1 :]) for x in seen[inputs][1]]
+        wholes = Regression.fit(inputs, samples.inputs(inputs), samples.y, gamma, alphas, kernel)
+        grams = [wholes[0].gram(x) for x in seen[inputs]]
         for whole in wholes:
             values = [gram @ whole.dual for gram in grams]
             for target, which in samples.columns.items():

@@ -21,7 +21,7 @@ from scipy import optimize
 from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool.axes import hidden_height, wheel_pose
+from learning_to_simulate.tool.axes import Axes, hidden_height, wheel_pose
 from learning_to_simulate.tool.wheel import CONTEXT
 
 RIM_FRICTION = 0.5
@@ -44,85 +44,51 @@ class TerrainParameters:
     The defaults are Wong's dry sand (2008, table 2.3; Land Locomotion Laboratory) without its
     cohesion, and the shear modulus of Chrono's SCM examples. A frictional soil bears in proportion
     to its weight (Reece 1965), so k_c and k_phi scale with gravity.
-
-    Attributes:
-      k_c: cohesive modulus, N/m^(n+1).
-      k_phi: frictional modulus, N/m^(n+2).
-      n: exponent of sinkage.
-      shear_modulus: K, m.
-      cohesion: Pa.
-      friction_factor: on the friction that limits the shear stress.
-      friction_exponent: the moduli grow with this power of tan(phi) over that of the table; 0 is
-        Bekker's law, whose moduli know no friction angle.
-      elastic: stiffness of unloading over p(z) / z of the point at its deepest.
     """
 
-    k_c: float = 990.0
-    k_phi: float = 1528.43e3
-    n: float = 1.1
-    shear_modulus: float = 0.01
-    cohesion: float = 0.0
-    friction_factor: float = 1.0
+    k_c: float = 990.0  # cohesive modulus, N/m^(n+1)
+    k_phi: float = 1528.43e3  # frictional modulus, N/m^(n+2)
+    n: float = 1.1  # exponent of sinkage
+    shear_modulus: float = 0.01  # K, m
+    cohesion: float = 0.0  # Pa
+    friction_factor: float = 1.0  # on the friction that limits the shear stress
+    # The moduli grow with this power of tan(phi) over that of the table; 0 is Bekker's law, whose
+    # moduli know no friction angle.
     friction_exponent: float = 0.0
-    elastic: float = 20.0
+    elastic: float = 20.0  # stiffness of unloading over p(z) / z of the point at its deepest
 
 
 class Wheels(NamedTuple):
-    """S wheels and their soils.
+    """S wheels and their soils."""
 
-    Attributes:
-      radius, width: [S], m.
-      load: [S] or [S, T], N.
-      gravity: [S], m/s2.
-      soil_friction: [S] tan(phi) of the soil.
-      rim_friction: [S] Coulomb coefficient between soil and rim.
-    """
-
-    radius: np.ndarray
-    width: np.ndarray
-    load: np.ndarray
-    gravity: np.ndarray
-    soil_friction: np.ndarray
-    rim_friction: np.ndarray
+    radius: np.ndarray  # [S], m
+    width: np.ndarray  # [S], m
+    load: np.ndarray  # [S] or [S, T], N
+    gravity: np.ndarray  # [S], m/s2
+    soil_friction: np.ndarray  # [S], tan(phi) of the soil
+    rim_friction: np.ndarray  # [S], Coulomb coefficient between soil and rim
 
 
 class WheelMotion(NamedTuple):
-    """What the model says, per frame.
+    """What the model says of each frame, all [S, T]."""
 
-    Attributes:
-      sinkage: [S, T] of the lowest point below the flat surface, m.
-      drawbar: [S, T] forward force of the soil on the wheel, N.
-      vertical: [S, T] upward force, N: the load, or less where the wheel is buried to its axle.
-      torque: [S, T] of the soil about the axle, against the turn, N m.
-    """
-
-    sinkage: np.ndarray
-    drawbar: np.ndarray
-    vertical: np.ndarray
-    torque: np.ndarray
+    sinkage: np.ndarray  # of the lowest point below the flat surface, m
+    drawbar: np.ndarray  # forward force of the soil on the wheel, N
+    vertical: np.ndarray  # upward force, N: the load, or less where buried to the axle
+    torque: np.ndarray  # of the soil about the axle, against the turn, N m
 
 
 class _Contact(NamedTuple):
-    """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins.
+    """The bins [S, n] under S wheels in one frame; [S, 1] what is the same for all bins."""
 
-    Attributes:
-      arch: height of the rim above its lowest point, m; infinite beyond the rim.
-      sine, cosine: of the rim's angle from its lowest point, positive ahead.
-      deepest: sinkage so far, m.
-      shear: share of the shear strength that is mobilised, signed.
-      modulus: p / z^n, Pa/m^n.
-      friction: that limits the shear stress.
-      area: of a bin, m2.
-    """
-
-    arch: np.ndarray
-    sine: np.ndarray
+    arch: np.ndarray  # height of the rim above its lowest point, m; infinite beyond the rim
+    sine: np.ndarray  # of the rim's angle from its lowest point, positive ahead
     cosine: np.ndarray
-    deepest: np.ndarray
-    shear: np.ndarray
-    modulus: np.ndarray
-    friction: np.ndarray
-    area: np.ndarray
+    deepest: np.ndarray  # sinkage so far, m
+    shear: np.ndarray  # share of the shear strength that is mobilised, signed
+    modulus: np.ndarray  # p / z^n, Pa/m^n
+    friction: np.ndarray  # that limits the shear stress
+    area: np.ndarray  # of a bin, m2
 
     def pressure(self, sinkage, parameters):
         """Normal stress [S, n] (Pa) at sinkages [S] (m) of the lowest points."""
@@ -153,16 +119,15 @@ def drive(
 ) -> WheelMotion:
     """Drives wheels over flat soil, each frame in equilibrium with its load.
 
+    Frame 0 rests under the load; the soil then has no shear. A wheel whose load the soil does not
+    bear is buried to its axle; its vertical force stays below the load.
+
     Args:
       wheels: S wheels.
       travel: [S, T] of the axle, m, forward.
       rolled: [S, T] radius times the angle turned, m, forward.
       parameters: of the soil.
       n_bin: bins per radius of travel.
-
-    Returns:
-      `WheelMotion`. Frame 0 rests under the load; the soil then has no shear. A wheel whose load
-      the soil does not bear is buried to its axle; its vertical force stays below the load.
     """
     radius, width = (np.asarray(x, np.float64)[:, None] for x in (wheels.radius, wheels.width))
     soil_friction = np.asarray(wheels.soil_friction, np.float64)[:, None]
@@ -238,14 +203,16 @@ class WheelTerramechanics:
             )
         self.scene, self.axes, self.parameters = scene, axes, parameters
 
-    def parameters_to_json(self) -> dict:
-        """All but scene and axes, for `from_json`."""
-        return dataclasses.asdict(self.parameters)
+    def parts(self) -> tuple[dict, dict]:
+        """Values for JSON, and no arrays; `of_parts` is the inverse."""
+        both = {'axes': self.axes, 'parameters': self.parameters}
+        return {name: dataclasses.asdict(value) for name, value in both.items()}, {}
 
     @classmethod
-    def from_json(cls, values: dict, scene, axes) -> 'WheelTerramechanics':
-        """Rebuilds a method; raises TypeError or ValueError on foreign values."""
-        return cls(scene, axes, TerrainParameters(**{k: float(v) for k, v in values.items()}))
+    def of_parts(cls, values: dict, arrays: dict, scene) -> 'WheelTerramechanics':
+        """Rebuilds a method; raises KeyError, TypeError or ValueError on foreign values."""
+        parameters = {k: float(v) for k, v in values['parameters'].items()}
+        return cls(scene, Axes(**values['axes']), TerrainParameters(**parameters))
 
     def drive(self, group, cases=None, stride: int = 1, n_bin: int = 160) -> WheelMotion:
         """`WheelMotion` [S, ceil(T / stride)] of the runs of a group."""
@@ -275,21 +242,19 @@ class WheelTerramechanics:
         up = self.scene.up_axis
         start = group.position[:, H - 1, : group.n_rigid, up].mean(axis=1)[:, None]
         height = start - (motion.sinkage[:, H:] - motion.sinkage[:, H - 1 : H])
-        force = self._force(motion)[:, H:]
         predicts = frozenset({open_loop.FORCE, open_loop.HEIGHT, open_loop.TORQUE})
         position = open_loop.held_position(group, self.scene, height)
-        return open_loop.Prediction(position, force, predicts, self._torque(motion)[:, H:])
+        # Rolling along +u turns u towards -y; the soil turns it back.
+        axle = np.cross(np.eye(3)[self.axes.up], self.axes.sign * np.eye(3)[self.axes.axis])
+        torque = -motion.torque[:, H:, None] * axle
+        return open_loop.Prediction(position, self.force(motion)[:, H:], predicts, torque)
 
-    def _force(self, motion):
+    def force(self, motion: WheelMotion) -> np.ndarray:
+        """The force [S, T, 3] on the wheel in the world, N."""
         force = np.zeros((*motion.drawbar.shape, 3))
         force[..., self.axes.axis] = self.axes.sign * motion.drawbar
         force[..., self.axes.up] = motion.vertical
         return force
-
-    def _torque(self, motion):
-        # Rolling along +u turns u towards -y; the soil turns it back.
-        axle = np.cross(np.eye(3)[self.axes.up], self.axes.sign * np.eye(3)[self.axes.axis])
-        return -motion.torque[..., None] * axle
 
     def fitted(self, groups, cases=None) -> 'WheelTerramechanics':
         """The same with k_phi, n, K, the friction factor and the friction exponent that fit the
@@ -312,16 +277,14 @@ class WheelTerramechanics:
             for group, of_group, (height, force) in zip(groups, cases, truth, strict=True):
                 motion = method.drive(group, of_group, _FIT_STRIDE, _FIT_BINS)
                 sunk = motion.sinkage[:, :1] - motion.sinkage - height
-                off = method._force(motion) - force
+                off = method.force(motion) - force
                 errors.append(np.sqrt((sunk**2).mean(axis=1)) / max(moved, 1e-9))
                 errors.append(np.sqrt((off**2).sum(axis=(1, 2)) / (force**2).sum(axis=(1, 2))))
             return float(np.concatenate(errors).mean())
 
         start = [np.log(getattr(self.parameters, name)) for name in _FITTED]
         start.append(self.parameters.friction_exponent)
-        simplex = np.array(
-            [start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)]
-        )
+        simplex = np.array([start] + [np.array(start) + s for s in np.diag(_FIT_STEPS)])
         found = optimize.minimize(
             error,
             start,

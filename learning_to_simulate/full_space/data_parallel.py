@@ -16,7 +16,7 @@ import tensorflow as tf
 class Share:
     """This process among those that train together; alone without `TF_CONFIG`.
 
-    To be made before TensorFlow computes anything: it connects the processes, and waits for them.
+    Make it before TensorFlow computes anything: it connects the processes, and waits for them.
 
     Attributes:
       index, count: which process, of how many.
@@ -58,8 +58,8 @@ class Share:
 
         def reduce():
             context = tf.distribute.get_replica_context()
-            # Inside of a function a tensor has no device unless it is told one, and the reduction
-            # goes to where its tensor is.
+            # The reduction goes to where its tensor is; inside of a function a tensor has no
+            # device of its own.
             with tf.device(self._strategy.extended.worker_devices[0]):
                 placed = tf.nest.map_structure(tf.identity, tensors)
             return context.all_reduce(tf.distribute.ReduceOp.MEAN, placed)

@@ -30,8 +30,8 @@ from pca_tools import dataset, files
 
 @dataclasses.dataclass
 class ParticleModel:
-    """A `ParticleSimulator` as model folders and the training loop take it: its edges are of the
-    moment, so it has none to store."""
+    """A `ParticleSimulator` as model folders and the training loop take it: its edges come and go,
+    so it has none to store."""
 
     simulator: ParticleSimulator
     mode_mask: None = None
@@ -44,7 +44,7 @@ class ParticleModel:
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
 
     def edge_counts(self) -> dict[str, int]:
-        """None: edges come and go."""
+        """None that last."""
         return {}
 
 
@@ -111,14 +111,10 @@ def load(path: str) -> ParticleModel:
       FileNotFoundError, ValueError: no full-space model there, or weights of another.
     """
     values = checkpoints.read_config(path)
-    try:
+    with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, FullSpaceConfig)
         statistics = ParticleStatistics.from_json(values['statistics'])
         statistics.check(scene)
-    except checkpoints.WRONG_FIELD as error:
-        raise ValueError(
-            f'{path}/{checkpoints.CONFIG_FILE}: a field is missing, unknown or wrong ({error})'
-        ) from error
 
     def make():
         simulator = ParticleSimulator(scene, config, statistics, types)
@@ -180,20 +176,19 @@ class ParticleEvaluator:
 
     def roll_out(self, group) -> Rollout:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
-        simulator = self._model.simulator
-        n, n_frame = group.n_rigid, group.position.shape[1]
+        simulator, n, n_frame = self._model.simulator, group.n_rigid, group.position.shape[1]
+        body = np.diff(group.position[0, H - 1 :, :n], axis=0)
         position, velocity = history_of(group, 0, H - 1)
-        simulator.step(position, velocity, np.zeros((n, 3)), group.context_at(H, 0), n)  # warm-up
+        simulator.step(position, velocity, 0 * body[0], group.context_at(H, 0), n)  # warm-up
         positions = np.full((1, n_frame - H, *position.shape), np.nan)
-        forces = (
-            np.full((1, n_frame - H, 3), np.nan, np.float32) if group.force is not None else None
-        )
+        forces = None
+        if group.force is not None:
+            forces = np.full((1, n_frame - H, 3), np.nan, np.float32)
         edges, judgement = [], Judgement(RolloutStatus.OK)
         start = time.perf_counter()
         for k in range(n_frame - H):
-            body = group.position[0, H + k, :n] - group.position[0, H + k - 1, :n]
             displacement, force, n_edge = simulator.step(
-                position, velocity, body, group.context_at(H + k, 0), n
+                position, velocity, body[k], group.context_at(H + k, 0), n
             )
             position = position + displacement
             velocity = np.concatenate([velocity[1:], displacement[None]])

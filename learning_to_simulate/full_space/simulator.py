@@ -13,65 +13,44 @@ from scipy.spatial import cKDTree
 
 from learning_to_simulate.body_height import height_of, without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.normalization import Arrays, array, floored
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.subspace import graph_network
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
 
-NEIGHBOURS = 14  # the radius is the mean distance of so many-th neighbours in the first frames
-STD_FLOOR = 1e-3  # of the loudest axis
+NEIGHBOURS = 14  # the radius is the mean distance of the 14th neighbours in the first frames
 
 
-@dataclasses.dataclass(frozen=True)
-class ParticleStatistics:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ParticleStatistics(Arrays):
     """Statistics of the training runs; rows are the rigid particles and the soil.
 
     Attributes:
-      body_speed: [1] mean RMS displacement of the rigid particles, m/frame; 1 where none moves.
-      velocity_std, acceleration_std: [2, D], m/frame and m/frame²; where motion is counted per
-        displacement of the body, of that ratio times `body_speed`. Means are zero by choice: soil
-        mostly rests.
-      height_std: [1] of the acceleration of the body's height, m/frame².
-      low, high: [D] box of the soil in the first frames, m: where the walls are.
-      force_mean, force_std: [D], N, or None.
-      context_mean, context_std: [C], or None.
+      body_speed: mean RMS displacement of the rigid particles, m/frame; 1 where none moves.
+      velocity_std, acceleration_std: m/frame and m/frame²; where motion is counted per displacement
+        of the body, of that ratio times `body_speed`. Means are zero by choice: soil mostly rests.
+      height_std: of the acceleration of the body's height, m/frame².
+      low, high: box of the soil in the first frames, m: where the walls are.
+      force_mean, force_std: N, or None.
+      context_mean, context_std: or None.
     """
 
-    body_speed: np.ndarray
-    velocity_std: np.ndarray
-    acceleration_std: np.ndarray
-    height_std: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    force_mean: np.ndarray | None
-    force_std: np.ndarray | None
-    context_mean: np.ndarray | None
-    context_std: np.ndarray | None
+    body_speed: np.ndarray = array('1')
+    velocity_std: np.ndarray = array('2 D')
+    acceleration_std: np.ndarray = array('2 D')
+    height_std: np.ndarray = array('1')
+    low: np.ndarray = array('D')
+    high: np.ndarray = array('D')
+    force_mean: np.ndarray | None = array('D', optional=True)
+    force_std: np.ndarray | None = array('D', optional=True)
+    context_mean: np.ndarray | None = array('C', optional=True)
+    context_std: np.ndarray | None = array('C', optional=True)
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError where a value does not fit the scene, is infinite, or divides by 0."""
-        dim, context = self.low.shape, (len(scene.context_names),)
-        shapes = {'velocity_std': (2, *dim), 'acceleration_std': (2, *dim), 'height_std': (1,)}
-        shapes |= {'body_speed': (1,)}
-        shapes |= {'context_mean': context, 'context_std': context}
-        for name, value in dataclasses.asdict(self).items():
-            optional = {'force': scene.has_force, 'context': bool(context[0])}
-            if (value is not None) != optional.get(name.split('_')[0], True):
-                raise ValueError(f'statistics.{name} does not fit the scene')
-            if value is None:
-                continue
-            positive = not name.endswith(('_std', '_speed')) or (value > 0).all()
-            if value.shape != shapes.get(name, dim) or not np.isfinite(value).all() or not positive:
-                raise ValueError(f'statistics.{name} of shape {value.shape} is {value.tolist()}')
-
-    def to_json(self) -> dict:
-        """Nested lists of float64, exact under `from_json`."""
-        return {k: None if v is None else v.tolist() for k, v in dataclasses.asdict(self).items()}
-
-    @classmethod
-    def from_json(cls, values: dict) -> 'ParticleStatistics':
-        """Rebuilds the statistics of `to_json`."""
-        return cls(
-            **{k: None if v is None else np.asarray(v, np.float64) for k, v in values.items()}
-        )
+        context = len(scene.context_names)
+        present = {'force': scene.has_force, 'context': bool(context)}
+        self.check_arrays({'D': self.low.size, 'C': context}, present)
 
 
 def _speed(displacement):
@@ -102,14 +81,17 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
 
     def std_of_rows(values):
         rows = [values[:, :, :n], values[:, :, n:]] if n else [values, values]
-        std = np.stack([np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows])
-        largest = std.max(axis=1, keepdims=True)
-        return np.maximum(std, np.where(largest > 0, STD_FLOOR * largest, 1.0))
+        return floored(np.stack([np.sqrt((row**2).mean(axis=(0, 1, 2))) for row in rows]))
 
     soil = group.position[:, 0, n:]
-    force, context = group.force, group.context
-    if context is not None:
-        context = context.reshape(-1, context.shape[-1])
+    further = {}
+    if group.force is not None:
+        spread = max(group.force.std(axis=(0, 1)).max(), 1e-9)
+        further = {'force_mean': group.force.mean(axis=(0, 1)), 'force_std': np.full(3, spread)}
+    if group.context is not None:
+        context = group.context.reshape(-1, group.context.shape[-1])
+        further['context_mean'] = context.mean(axis=0)
+        further['context_std'] = np.maximum(context.std(axis=0), 1e-9)
     return ParticleStatistics(
         body_speed=np.array([body_speed]),
         velocity_std=std_of_rows(velocity),
@@ -117,10 +99,7 @@ def compute_statistics(group, scene: Scene, rate_scaled: bool) -> ParticleStatis
         height_std=np.maximum(np.diff(height, 2).std(), 1e-9).reshape(1),
         low=soil.min(axis=(0, 1)),
         high=soil.max(axis=(0, 1)),
-        force_mean=None if force is None else force.mean(axis=(0, 1)),
-        force_std=None if force is None else np.full(3, max(force.std(axis=(0, 1)).max(), 1e-9)),
-        context_mean=None if context is None else context.mean(axis=0),
-        context_std=None if context is None else np.maximum(context.std(axis=0), 1e-9),
+        **further,
     )
 
 
@@ -131,16 +110,8 @@ def typical_radius(soil) -> float:
 
 
 def neighbour_list(position, radius: float, n_rigid: int):
-    """Edges between particles within the radius, both ways; no self-edges, none within the body.
-
-    Args:
-      position: [V, D], m.
-      radius: m.
-      n_rigid: R, the first particles.
-
-    Returns:
-      senders, receivers: int32 [E].
-    """
+    """Senders and receivers, int32 [E], of the edges between particles [V, D] within the radius, m,
+    both ways; no self-edges, none within the body of the first R particles."""
     pairs = cKDTree(position).query_pairs(radius, output_type='ndarray')
     pairs = pairs[(pairs >= n_rigid).any(axis=1)].astype(np.int32)
     return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])
@@ -150,9 +121,8 @@ class ParticleSimulator(snt.Module):
     """One frame of the simulation of thinned soil and a body.
 
     Args:
-      scene: `n_modes` counts the soil particles, `connectivity_radius` is that of the graph; the
-        body's motion is prescribed or driven.
-      config: `TrainConfig`.
+      scene: `n_modes` counts the soil particles, `connectivity_radius` is that of the graph.
+      config: `FullSpaceConfig`.
       statistics: `ParticleStatistics`.
       particle_types: for the record.
 
@@ -248,8 +218,7 @@ class ParticleSimulator(snt.Module):
         return without_height(displacement, self.scene.up_axis)
 
     def decode(self, nodes, edges, senders, receivers):
-        """Normalised outputs of the network, differentiable: values of each node [V, D], forces of
-        each node [V, D] or None."""
+        """Normalised values and forces (or None) of each node [V, D]; differentiable."""
         decoded = self._compiled(nodes, edges, senders, receivers)
         return decoded[:, : self.dim], decoded[:, self.dim :] if self.scene.has_force else None
 
@@ -293,42 +262,25 @@ def history_of(group, run: int, end: int):
     return frames[-1], np.diff(frames, axis=0)
 
 
-def _mlp(width, hidden_layers, name):
-    layers = snt.nets.MLP([width] * (hidden_layers + 1), name=name)
-    return snt.Sequential([layers, snt.LayerNorm(axis=-1, create_scale=True, create_offset=True)])
-
-
 class ParticleNetwork(snt.Module):
-    """Encoder, M residual interaction networks, node decoder (Sanchez-Gonzalez et al. 2020).
-
-    Args:
-      latent_size: L.
-      hidden_layers: ReLU layers per MLP.
-      message_passing_steps: M.
-      output_size: values per node.
-    """
+    """Encoder, M residual interaction networks, node decoder (Sanchez-Gonzalez et al. 2020); sizes
+    as of `graph_network.EncodeProcessDecode`, whose messages it sums by receiver."""
 
     def __init__(self, latent_size, hidden_layers, message_passing_steps, output_size, name=None):
         super().__init__(name=name)
-        self._encode_nodes = _mlp(latent_size, hidden_layers, 'encode_nodes')
-        self._encode_edges = _mlp(latent_size, hidden_layers, 'encode_edges')
-        self._edge_models, self._node_models = (
-            [_mlp(latent_size, hidden_layers, f'{kind}_{m}') for m in range(message_passing_steps)]
-            for kind in ('edges', 'nodes')
-        )
+
+        def mlp(name):
+            return graph_network.mlp(latent_size, hidden_layers, name=name)
+
+        self._encode_nodes, self._encode_edges = mlp('encode_nodes'), mlp('encode_edges')
+        steps = range(message_passing_steps)
+        self._edge_models = [mlp(f'edges_{m}') for m in steps]
+        self._node_models = [mlp(f'nodes_{m}') for m in steps]
         self._decode = snt.nets.MLP([latent_size] * hidden_layers + [output_size], name='decode')
 
     def __call__(self, nodes, edges, senders, receivers):
-        """Runs the network on one graph, or on several side by side.
-
-        Args:
-          nodes: float32 [V, F].
-          edges: float32 [E, G].
-          senders, receivers: int32 [E].
-
-        Returns:
-          float32 [V, output_size].
-        """
+        """float32 [V, output_size] of one graph, or of several side by side: nodes float32 [V, F],
+        edges float32 [E, G], senders and receivers int32 [E]."""
         nodes, edges = self._encode_nodes(nodes), self._encode_edges(edges)
         for edge_model, node_model in zip(self._edge_models, self._node_models, strict=True):
             ends = [edges, tf.gather(nodes, receivers), tf.gather(nodes, senders)]

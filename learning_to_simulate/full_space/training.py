@@ -6,12 +6,12 @@ import tensorflow as tf
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.full_space.simulator import history_of
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
+from learning_to_simulate.training.schedule import GradientTraining
 
 _WINDOW_STREAM, _EVALUATION_STREAM = 11, 12
 
 
-class ParticleTrainer:
+class ParticleTrainer(GradientTraining):
     """Holds the runs, the optimiser and one compiled step; batches are made on the host.
 
     Args:
@@ -23,9 +23,8 @@ class ParticleTrainer:
       ValueError: runs shorter than a window, or batches that cannot be dealt to the processes.
     """
 
-    gates = None  # edges are made by distance, none are learned
-
     def __init__(self, model, groups, share=None):
+        super().__init__(model.simulator, clip_norm=1.0)
         (self._group,) = groups
         self._share = share
         if self._group.position.shape[1] <= H:
@@ -33,25 +32,13 @@ class ParticleTrainer:
                 f'runs of {self._group.position.shape[1]} frames are shorter than the training '
                 f'window of {H + 1} frames'
             )
-        self.simulator, self.config = model.simulator, model.simulator.config
         if share:
             share.refuse_batch(self.config.batch_size)
-        self.learning_rate = TwoStageSchedule(self.config)
-        self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=1.0)
-        self.optimizer.build(self.simulator.trainable_variables)
-        self.averaging = WeightAverages(
-            self.simulator.trainable_variables, self.config.weight_average
-        )
         self._compiled = tf.function(self._train_step, autograph=False, reduce_retracing=True)
-
-    @property
-    def total_steps(self) -> int:
-        """Steps of its one stage."""
-        return self.config.num_steps
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
-        rng = self._generator(_WINDOW_STREAM, step)
+        rng = self.generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
         # Every process draws all noise, so that a sample has the same wherever it is made.
         drawn = [(run, start, self._walk(rng)) for run, start in windows]
@@ -62,7 +49,7 @@ class ParticleTrainer:
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
         """The batch of training step `step`: (record, first frame) of each window."""
-        rng = self._generator(_WINDOW_STREAM, step)
+        rng = self.generator(_WINDOW_STREAM, step)
         windows = self._windows(rng, self.config.batch_size)
         return [(int(self._group.record[run]), start) for run, start in windows]
 
@@ -70,15 +57,10 @@ class ParticleTrainer:
         """Mean one-step losses without noise over random windows."""
         rows = []
         for i in range(n_batch):
-            rng = self._generator(_EVALUATION_STREAM, i)
+            rng = self.generator(_EVALUATION_STREAM, i)
             samples = [self._sample(run, start) for run, start in self._windows(rng, 4)]
             rows.append({k: float(v) for k, v in self._losses(*self._batch(samples)).items()})
         return {k: float(np.mean([row[k] for row in rows])) for k in rows[0]}
-
-    def _generator(self, stream, step):
-        return np.random.Generator(
-            np.random.Philox(key=self.config.seed, counter=[0, 0, stream, step])
-        )
 
     def _windows(self, rng, size):
         n_run, n_frame = self._group.position.shape[:2]

@@ -14,25 +14,17 @@ import socket
 
 from absl import flags
 
-from learning_to_simulate import command
+from learning_to_simulate import command, shipped
 
 
-def require_viser() -> None:
-    """Sees that the page can be made.
-
-    Raises:
-      ValueError: viser is not installed.
-    """
-    if importlib.util.find_spec('viser') is None:
-        raise ValueError('viser is not installed: pip install -c constraints.txt -e .[live]')
-
-
-def free_port(host: str, port: int) -> None:
-    """Sees that a port can be listened at; viser would take the next one in silence.
+def check_door(host: str, port: int) -> None:
+    """Sees that the page can be made, and its port listened at; viser would take the next one.
 
     Raises:
       ValueError: it cannot, with what to do.
     """
+    if importlib.util.find_spec('viser') is None:
+        raise ValueError('viser is not installed: pip install -c constraints.txt -e .[live]')
     try:
         with socket.create_server((host, port)):
             pass
@@ -44,7 +36,7 @@ def free_port(host: str, port: int) -> None:
 
 def model_names() -> list[str]:
     """Names of the shipped models that can be stepped live."""
-    from learning_to_simulate import registry, shipped
+    from learning_to_simulate import registry
 
     return [n for n in shipped.names() if registry.of_folder(shipped.find(n, 'models')).steps]
 
@@ -64,14 +56,10 @@ def session_of(name: str, data_path: str | None = None):
 
 def run(values) -> None:
     """Runs the command with its flags."""
-    require_viser()
-    from learning_to_simulate import shipped
-
     # A shipped model goes by its place in models/, whichever way it was named.
     path = os.path.relpath(shipped.find(values.model, 'models'), shipped.folder('models'))
-    free_port(values.host, values.port)
+    check_door(values.host, values.port)
     command.import_tensorflow(num_threads=1)
-    from learning_to_simulate.live_page.loop import FrameLoop
     from learning_to_simulate.live_page.page import Page
 
     names = model_names()
@@ -83,16 +71,12 @@ def run(values) -> None:
         values.host,
         values.port,
     )
-    loop = FrameLoop(page.frame, page.session.scene.dt)
-    page.rate = lambda: loop.rate
     print(f'live page: http://{values.host}:{values.port} shows {first}; Ctrl+C ends', flush=True)
-    loop.start()
     try:
-        loop.wait()
+        page.run()
     except KeyboardInterrupt:
         print('ended')
     finally:
-        loop.stop()
         page.stop()
 
 

@@ -1,4 +1,6 @@
-"""Shapes, colours and pictures of the page, from arrays to arrays."""
+"""Shapes, colours and texts of the page, from arrays."""
+
+import html
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -7,15 +9,15 @@ THICKNESS = 0.01  # of a flat body, m
 # Colours of the soil from unmoved to moved far, and of heights from low to high.
 SOIL = np.array([[70, 42, 20], [140, 82, 26], [210, 132, 24], [235, 72, 18]], float)
 HEIGHT = np.array([[38, 50, 96], [58, 120, 138], [140, 180, 110], [245, 225, 130]], float)
-MOVED = 0.08  # m, of the last colour
+MOVED = 0.08  # m, of the last colour of the soil
+HEIGHTS = -0.08, 0.05  # m from the bed at rest, of the first and last colour of heights
 EMPTY = 90  # grey of a cell without particles
-LAMPS = {'ok': '#2e9e4f', 'limited': '#2f7fd0', 'outside': '#e39a1f', 'stopped': '#cf3b36'}
-
-WORDS = {
-    'ok': 'within the training runs',
-    'limited': 'held to the training runs',
-    'outside': 'outside of the training runs',
-    'stopped': 'stopped',
+# Colour and words of the lamp.
+LAMPS = {
+    'ok': ('#2e9e4f', 'within the training runs'),
+    'limited': ('#2f7fd0', 'held to the training runs'),
+    'outside': ('#e39a1f', 'outside of the training runs'),
+    'stopped': ('#cf3b36', 'stopped'),
 }
 
 
@@ -37,15 +39,15 @@ def soil_colours(particles, rest, shade) -> np.ndarray:
     return (blended(SOIL, share) * shade).astype(np.uint8)
 
 
-def height_picture(heights, low: float, high: float, forwards: float, pixels: int = 12):
+def height_picture(heights, forwards: float, pixels: int = 12):
     """uint8 picture [.., .., 3] of a height map [nx, nz], the drive from left to right.
 
     Args:
-      heights: m; NaN where there is nothing.
-      low, high: of the colours, m.
+      heights: m from the bed at rest; NaN where there is nothing.
       forwards: -1 where the body drives down the first axis.
       pixels: of a cell.
     """
+    low, high = HEIGHTS
     picture = blended(HEIGHT, (heights - low) / (high - low))
     picture[np.isnan(heights)] = EMPTY
     picture = picture[:: 1 if forwards > 0 else -1].swapaxes(0, 1)
@@ -74,14 +76,36 @@ def hull(body) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), triangles.astype(np.int32)
 
 
-def lamp(kind: str, reason: str, rate: float, sinkage: float | None = None) -> str:
-    """HTML of the status lamp: its colour is also said in words; with a wheel's sinkage, m."""
-    text = WORDS[kind]
-    sunk = '' if sinkage is None else f' &middot; sinkage {1e3 * sinkage:.1f} mm'
-    reason = reason.replace('&', '&amp;').replace('<', '&lt;')
+def _legend(name, colours, low, high):
+    """HTML of a scale of colours [K, 3] from low to high, m."""
+    stops = ', '.join(f'rgb({r:g} {g:g} {b:g})' for r, g, b in colours)
+    bar = f'<span style="flex:1;background:linear-gradient(to right, {stops})"></span>'
+    return (
+        f'<div style="padding:2px 12px;font-size:12px">{name}, mm<div style="display:flex;gap:6px">'
+        f'{1e3 * low:.0f}{bar}{1e3 * high:.0f}</div></div>'
+    )
+
+
+LEGENDS = _legend('height from the bed at rest', HEIGHT, *HEIGHTS)
+LEGENDS += _legend('way that soil has moved', SOIL, 0.0, MOVED)
+
+
+def lamp(session, rate: float) -> str:
+    """HTML of status, loads and, of a wheel, sinkage of a session; the colour is said in words."""
+    moment, up = session.moment, session.scene.up_axis
+    colour, text = LAMPS[moment.lamp]
+    values = [f'{rate:.0f} frames/s']
+    if moment.force is not None:
+        along = session.forwards * moment.force[0]
+        bound = '' if moment.bound is None else f' &plusmn; {moment.bound:.0f}'
+        values.append(f'force {along:.0f} along, {moment.force[up]:.0f} up{bound} N')
+    if moment.torque is not None:
+        values.append(f'torque {moment.torque[3 - up if up else 2]:.2f} N m')
+    if session.sinkage is not None:
+        values.append(f'sinkage {1e3 * session.sinkage:.1f} mm')
     return (
         f'<div role="status" style="padding:4px 12px;font-size:13px;line-height:1.35">'
         f'<span style="display:inline-block;width:12px;height:12px;border-radius:6px;'
-        f'background:{LAMPS[kind]}"></span> <b>{text}</b> &middot; {rate:.0f} frames/s{sunk}'
-        f'<br><span>{reason or "&nbsp;"}</span></div>'
+        f'background:{colour}"></span> <b>{text}</b><br>{" &middot; ".join(values)}'
+        f'<br><span>{html.escape(moment.reason) or "&nbsp;"}</span></div>'
     )

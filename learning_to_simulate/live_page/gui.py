@@ -3,6 +3,7 @@
 import collections
 
 import numpy as np
+from viser import uplot
 
 from learning_to_simulate.live_page import drawing
 
@@ -40,7 +41,7 @@ class Panel:
         self._page, self._gui = page, gui
         self._lamp = gui.add_html('')
         self.model = gui.add_dropdown('scene / model', tuple(names), initial_value=name)
-        self.model.on_update(self._by_user(lambda value: page.choose_model(value)))
+        self.model.on_update(self._by_user(page.choose_model))
         self._made: list = []
         self._shown: dict[str, float] = {}
         self._said = ''
@@ -67,101 +68,52 @@ class Panel:
         """Everything that depends on the model, anew."""
         for made in reversed(self._made):  # what is in a folder before the folder
             made.remove()
-        self._made, self._sliders, page, gui = [], {}, self._page, self._gui
-
-        def made(handle):  # type: ignore[no-redef]
-            self._made.append(handle)
-            return handle
-
-        runs = (BY_HAND, *(session.recorded.runs if session.recorded else ()))
-        self.run = made(gui.add_dropdown('path', runs))
-        self.run.on_update(self._by_user(page.reset))
+        self._made, self._sliders, page = [], {}, self._page
+        runs = session.recorded.runs if session.recorded else ()
+        self.run = self._add('dropdown', page.reset, 'path', (BY_HAND, *runs))
         acts = {
             'Reset': ('R', lambda: page.reset(self.run.value)), 'Pause': ('P', page.pause),
             'Download': ('D', None),
         }  # fmt: skip
-        buttons = made(gui.add_button_group('', tuple(acts)))
-        buttons.on_click(self._clicked(acts))
+        buttons = self._add('button_group', None, '', tuple(acts))
+        buttons.on_click(lambda event: self._clicked(acts[event.target.value][1], event))
         for label, (key, act) in acts.items():
-            if act:
-                self._key(label, key, act)
-        command = made(gui.add_command('Download rollout', hotkey='D'))
-        command.on_trigger(self._download)
-        with made(gui.add_folder('Tool')):
+            command = self._add('command', None, label, hotkey=key)
+            command.on_trigger(lambda event, act=act: self._clicked(act, event))
+        with self._add('folder', None, 'Tool'):
             if session.steering is not None:
                 for (name, slider), keys in zip(session.steering.sliders.items(), KEYS):
-                    made(self._slider(name, slider, keys))
-            names = session.scene.context_names
-            ranges = context_ranges(session)
-            for name, (low, high) in zip(names, ranges):
-                number = made(
-                    gui.add_slider(
-                        f'{name} (restarts)', low, high, (high - low) / 200,
-                        session.context[name],
-                    )
-                )  # fmt: skip
-                number.on_update(self._by_user(lambda value, name=name: self._context(name, value)))
-                self._sliders[f'context {name}'] = number
-            cases = start_names(session.model.starts)
-            self._start = None
-            if len(cases) > 1:
-                self._start = made(gui.add_dropdown('bed and body', cases))
-                self._start.on_update(
-                    self._by_user(lambda value: page.reset(start=cases.index(value)))
-                )
-        self._chart_of(session, made)
-        self.heights = made(gui.add_image(page.height_picture(), label='height map'))
-        self.ghost = made(gui.add_checkbox("solver's soil (blue)", True))
-        self.ghost.on_update(self._by_user(page.show_ghost))
-        within = made(gui.add_checkbox('keep to training', session.within, hint=WITHIN))
-        within.on_update(self._by_user(lambda value: setattr(page.session, 'within', value)))
+                    self._slider(name, slider, keys)
+            self._start_of(session)
+        self.chart = None
+        if session.scene.has_force:
+            self.chart = self._add(
+                'uplot', None, (np.zeros(1),) * len(LINES), LINES, title='Force on the tool',
+                scales={'x': {'time': False}}, height=180, legend=uplot.Legend(live=False),
+            )  # fmt: skip
+        self.heights = self._add('image', None, page.height_picture(), label='height map')
+        self._add('html', None, drawing.LEGENDS)
+        self.ghost = self._add('checkbox', page.show_ghost, "solver's soil (blue)", True)
+        self._add(
+            'checkbox', lambda value: setattr(page.session, 'within', value), 'keep to training',
+            session.within, hint=WITHIN,
+        )  # fmt: skip
         keys = ', '.join(f'{a}/{b} {name}' for name, (a, b) in zip(self._sliders, KEYS))
-        made(gui.add_markdown(HELP.format(keys=keys)))
+        self._add('markdown', None, HELP.format(keys=keys))
 
-    def _clicked(self, acts):
-        def clicked(event):
-            _, act = acts[event.target.value]
-            if act:
-                self._page.do(act)
-            else:
-                self._download(event)
-
-        return clicked
-
-    def _slider(self, name, slider, keys):
-        handle = self._gui.add_slider(
-            slider.label, slider.low, slider.high, slider.step, slider.value
-        )
-        handle.on_update(self._by_user(lambda value: self._steer(name, value)))
-        self._sliders[name] = handle
-        for sign, key in zip((-1, 1), keys):
-            way = 'less' if sign < 0 else 'more'
-            self._key(f'{way} {name}', key, lambda sign=sign: self._nudge(name, sign))
+    def _add(self, kind, changed, *values, **options):
+        """An element of viser's that goes with the model; `changed(value)` when a user moves it."""
+        handle = getattr(self._gui, f'add_{kind}')(*values, **options)
+        if changed is not None:
+            handle.on_update(self._by_user(changed))
+        self._made.append(handle)
         return handle
 
-    def _key(self, label, key, act):
-        command = self._gui.add_command(label, hotkey=key)
-        command.on_trigger(lambda _: self._page.do(act))
-        self._made.append(command)
-
-    def _steer(self, name, value):
-        self._page.take_over()
-        steering = self._page.session.steering
-        steering.set(name, value)
-        self._shown[name] = steering.sliders[name].value
-
-    def _nudge(self, name, sign):
-        slider = self._page.session.steering.sliders[name]
-        coarse = max(COARSE * slider.step, (slider.high - slider.low) / 40)
-        self._page.take_over()
-        self._page.session.steering.set(name, slider.value + sign * coarse)
-
-    def _context(self, name, value):
-        session = self._page.session
-        self._page.reset(context=session.context | {name: value})
-
-    def _download(self, event):
-        """In a thread of viser's pool: the frames go on meanwhile."""
+    def _clicked(self, act, event):
+        if act is not None:
+            self._page.do(act)
+            return
+        # In a thread of viser's pool: the frames go on meanwhile.
         try:
             content = self._page.rollout_file()
         except (ValueError, OSError) as error:
@@ -169,19 +121,49 @@ class Panel:
             return
         event.client.send_file_download('rollout.npz', content, save_immediately=True)
 
-    def _chart_of(self, session, made):
-        self.chart = None
-        if not session.scene.has_force:
-            return
-        self.chart = made(
-            self._gui.add_uplot(
-                (np.zeros(1),) * len(LINES),
-                LINES,
-                title='Force on the tool',
-                scales={'x': {'time': False}},
-                height=180,
-            )
-        )
+    def _slider(self, name, slider, keys):
+        self._sliders[name] = self._add(
+            'slider', lambda value: self._steer(name, value), slider.label, slider.low,
+            slider.high, slider.step, slider.value,
+        )  # fmt: skip
+        coarse = max(COARSE * slider.step, (slider.high - slider.low) / 40)
+        for way, step, key in zip(('less', 'more'), (-coarse, coarse), keys):
+            command = self._add('command', None, f'{way} {name}', hotkey=key)
+            command.on_trigger(
+                lambda _, step=step: self._page.do(lambda: self._nudge(name, step))
+            )  # fmt: skip
+
+    def _steer(self, name, value):
+        self._page.take_over()
+        steering = self._page.session.steering
+        steering.set(name, value)
+        self._shown[name] = steering.sliders[name].value
+
+    def _nudge(self, name, step):
+        self._page.take_over()
+        steering = self._page.session.steering
+        steering.set(name, steering.sliders[name].value + step)
+
+    def _start_of(self, session):
+        """Context values and, where there are several, the starts to choose from."""
+        starts = session.model.starts
+        for i, name in enumerate(session.scene.context_names):
+            low, high = starts.context[:, i].min(), starts.context[:, i].max()
+            high = high if high > low else low + abs(low) * 0.01 + 1e-3
+            self._sliders[f'context {name}'] = self._add(
+                'slider', lambda value, name=name: self._context(name, value),
+                f'{name} (restarts)', float(low), float(high), float(high - low) / 200,
+                session.context[name],
+            )  # fmt: skip
+        cases, self._start = start_names(starts), None
+        if len(cases) > 1:
+            self._start = self._add(
+                'dropdown', lambda value: self._page.reset(start=cases.index(value)),
+                'bed and body', cases,
+            )  # fmt: skip
+
+    def _context(self, name, value):
+        self._page.reset(context=self._page.session.context | {name: value})
 
     def restarted(self, session) -> None:
         """After a reset."""
@@ -229,9 +211,8 @@ class Panel:
                 self.chart.data = data
 
     def show_lamp(self, session, rate: float) -> None:
-        """Shows the status, and how deep a wheel has sunk in."""
-        moment, sinkage = session.moment, session.sinkage
-        self._html(drawing.lamp(moment.lamp, moment.reason, rate, sinkage))
+        """Shows status and values."""
+        self._html(drawing.lamp(session, rate))
 
     def say(self, colour: str, text: str) -> None:
         """Shows a text in place of the status."""
@@ -242,26 +223,11 @@ class Panel:
             self._said = self._lamp.content = content
 
 
-def context_ranges(session) -> list[tuple[float, float]]:
-    """Lowest and highest of each context value: of the training runs, else of the starts."""
-    starts = session.model.starts.context
-    if starts is None:
-        return []
-    return [
-        (float(low), float(high if high > low else low + abs(low) * 0.01 + 1e-3))
-        for low, high in zip(starts.min(axis=0), starts.max(axis=0))
-    ]
-
-
 def start_names(starts) -> tuple[str, ...]:
-    """Names of the starts: their cases, and what differs between them."""
-    keys = [
-        key
-        for key in starts.cases[0]
-        if key != 'case' and len({case.get(key) for case in starts.cases}) > 1
-    ]
+    """Names of the starts: the numbers in which their cases differ."""
+    rows = [{k: v for k, v in case.items() if isinstance(v, (int, float))} for case in starts.cases]
+    keys = [k for k in rows[0] if k != 'case' and len({row.get(k) for row in rows}) > 1]
     return tuple(
-        f'{i}: ' + ', '.join(f'{k.split("_")[0]} {case.get(k):.4g}' for k in keys if
-                             isinstance(case.get(k), (int, float)))
-        for i, case in enumerate(starts.cases)
-    )  # fmt: skip
+        f'{i}: ' + ', '.join(f'{k.split("_")[0]} {row[k]:.4g}' for k in keys if k in row)
+        for i, row in enumerate(rows)
+    )

@@ -1,11 +1,13 @@
-"""`Page`: a session in browsers, by viser. Everything that draws or listens is here.
+"""`Page`: a session in browsers, by viser: the scene, and the frames. `Panel` is at its side.
 
 The callbacks of the network only set wishes: numbers of the steering, or a command in a queue. The
-frames are computed by one thread that calls `Page.frame`. All browsers see and steer one soil.
+frames are computed by the thread that calls `Page.run`. All browsers see and steer one soil.
 """
 
+import collections
 import queue
 import threading
+import time
 
 import numpy as np
 import viser
@@ -17,8 +19,8 @@ from learning_to_simulate.live_page.session import STOPPED, Session
 # Frames between updates of what need not move at the frame rate.
 CHART_EVERY, GHOST_EVERY, HEIGHT_EVERY, LAMP_EVERY = 6, 3, 15, 6
 CELL = 1.6  # of the height map, in spacings of the particles: smaller ones would be empty
-HEIGHTS = 0.08, 0.05  # of its colours, m below and above the bed
 GHOST_COLOUR, FORCE_COLOUR, BODY_COLOUR = (70, 140, 255), (230, 60, 60), (120, 130, 145)
+LATE = 0.1  # s; frames that come later than that are lost, not bunched
 
 
 class Page:
@@ -33,6 +35,7 @@ class Page:
     Attributes:
       server: `viser.ViserServer`.
       session: the session that is shown.
+      turns: how many frames were due so far; nothing moves in those without a browser.
 
     Raises:
       ValueError, FileNotFoundError: as `load`.
@@ -41,18 +44,30 @@ class Page:
     def __init__(self, load, names, name: str, host: str = 'localhost', port: int = 8080):
         self._load, self._commands = load, queue.SimpleQueue()
         self.session: Session = load(name)
-        self._filing = threading.Lock()
+        self._filing, self._ended = threading.Lock(), threading.Event()
         self.server = viser.ViserServer(host, port, label=name, verbose=False)
         self.server.gui.configure_theme(show_share_button=False)
         self.server.gui.main_panel.dock_right()
-        self._dragging, self._paused = False, False
-        self._frames, self.rate = 0, lambda: 0.0
+        self._dragging = self._paused = False
+        self._frames = self.turns = 0
+        self._recent: collections.deque = collections.deque(maxlen=61)
         self.panel = Panel(self, self.server.gui, names, name)
         self._show(name)
         self.server.on_client_disconnect(self._left)
 
+    def run(self) -> None:
+        """Computes frames at the rate of the model until `stop`; an error in one ends it."""
+        due = time.monotonic()
+        while not self._ended.is_set():
+            self._recent.append(time.monotonic())
+            self.frame()
+            self.turns += 1
+            due = max(due + self.session.scene.dt, time.monotonic() - LATE)
+            self._ended.wait(max(0.0, due - time.monotonic()))
+
     def stop(self) -> None:
-        """Ends the server."""
+        """Ends frames and server; any thread."""
+        self._ended.set()
         self.server.stop()
 
     def do(self, command) -> None:
@@ -63,14 +78,14 @@ class Page:
 
     def choose_model(self, name: str) -> None:
         """Shows another model; the old one stays where that fails, and the page says why."""
-        if name == self.server_label:
+        if name == self._name:
             return
         try:
             self.panel.say('#888', f'loading {name} ...')
             session = self._load(name)
         except (ValueError, OSError) as error:
             self.panel.notify('The model cannot be shown', str(error))
-            self.panel.model.value = self.server_label
+            self.panel.model.value = self._name
             return
         self.session = session
         self._show(name)
@@ -83,9 +98,9 @@ class Page:
             self.panel.notify('This start is not possible', str(error))
         self._restart()
 
-    def pause(self) -> None:
-        """Stops the time, or lets it go on."""
-        self._paused = not self._paused
+    def pause(self, paused: bool | None = None) -> None:
+        """Stops the time, or lets it go on; None for the other of the two."""
+        self._paused = not self._paused if paused is None else paused
         if self._paused:
             self.panel.say('#888', 'paused: P goes on')
 
@@ -109,24 +124,24 @@ class Page:
 
     def _show(self, name):
         """Builds scene and panel of the session anew."""
-        self.server_label, session = name, self.session
-        scene, server = self.server.scene, self.server
+        self._name, session = name, self.session
+        scene, server, up = self.server.scene, self.server, self.session.scene.up_axis
         scene.reset()
-        scene.set_up_direction(np.eye(3)[session.scene.up_axis])
+        scene.set_up_direction(np.eye(3)[up])
         low, high = session.rest.min(axis=0), session.rest.max(axis=0)
         self._middle = (low + high) / 2
         spacing = (np.prod(high - low) / len(session.rest)) ** (1 / 3)
         size = float((high - low).max())
+        at_rest = session.rest - self._middle
         cloud = {'point_size': 0.45 * spacing, 'point_shape': 'circle', 'position': self._middle}
         self._shade = drawing.shades(len(session.rest))
         colours = drawing.soil_colours(session.rest, session.rest, self._shade)
-        self._soil = scene.add_point_cloud('/soil', session.rest - self._middle, colours, **cloud)
+        self._soil = scene.add_point_cloud('/soil', at_rest, colours, **cloud)
+        cloud['point_size'] = 0.22 * spacing
         self._ghost = scene.add_point_cloud(
-            '/solver', session.rest - self._middle, GHOST_COLOUR,
-            **cloud | {'point_size': 0.22 * spacing}, visible=False,
-        )  # fmt: skip
-        limit = session.model.starts.force_limit or 100.0
-        self._arrow_scale = size / limit
+            '/solver', at_rest, GHOST_COLOUR, **cloud, visible=False
+        )
+        self._arrow_scale = size / (session.model.starts.force_limit or 100.0)
         self._arrow = scene.add_arrows(
             '/force', np.zeros((1, 2, 3), np.float32), FORCE_COLOUR, shaft_radius=0.008 * size,
             head_radius=0.018 * size, head_length=0.04 * size, visible=False,
@@ -134,22 +149,19 @@ class Page:
         self._handle = None
         if session.steering is not None:
             active = [False] * 3
-            active[0], active[session.scene.up_axis] = session.steering.handle
+            active[0], active[up] = session.steering.handle
             self._handle = scene.add_transform_controls(
                 '/handle', scale=0.2 * size, active_axes=tuple(active), depth_test=False
             )
             self._handle.on_update(self._dragged)
         view = np.array([0.25 * session.forwards, 0.0, 1.0]) * size
-        if session.scene.up_axis == 2:
+        if up == 2:
             view = view[[0, 2, 1]] * (1, -1, 1)
-        view[session.scene.up_axis] = 0.55 * size
-        server.initial_camera.position = self._middle + view
-        server.initial_camera.look_at = self._middle
-        for client in server.get_clients().values():
-            client.camera.position, client.camera.look_at = self._middle + view, self._middle
-        level = np.delete(high - low, session.scene.up_axis)
-        self._cells = np.maximum(1, level / (CELL * spacing)).astype(int)
-        self._heights = session.level - HEIGHTS[0], session.level + HEIGHTS[1]
+        view[up] = 0.55 * size
+        cameras = [client.camera for client in server.get_clients().values()]
+        for camera in (server.initial_camera, *cameras):
+            camera.position, camera.look_at = self._middle + view, self._middle
+        self._cells = np.maximum(1, np.delete(high - low, up) / (CELL * spacing)).astype(int)
         self.panel.build(session)
         self._restart()
 
@@ -180,9 +192,11 @@ class Page:
     def _left(self, _):
         # A browser that closes in the middle of a drag sends no end of it.
         self._dragging = False
+        if not self.server.get_clients():  # The next visitor shall not find a tool that drives.
+            self.do(lambda: self.pause(True))
 
     def frame(self) -> None:
-        """One turn of the loop: what was asked for, a frame, what there is to see of it."""
+        """One turn: what was asked for, a frame, what there is to see of it."""
         while not self._commands.empty():
             self._commands.get()()
         if self._paused or not self.server.get_clients():
@@ -219,9 +233,11 @@ class Page:
             self.panel.draw_chart()
             self.panel.show_sliders(session)
         if n % LAMP_EVERY == 0 or moment.lamp == STOPPED:
-            self.panel.show_lamp(session, self.rate())
+            recent = list(self._recent)
+            rate = (len(recent) - 1) / max(recent[-1] - recent[0], 1e-3) if recent else 0.0
+            self.panel.show_lamp(session, rate)
 
     def height_picture(self):
         """uint8 picture of the height map of the newest frame."""
-        heights = self.session.height_map(*self._cells)
-        return drawing.height_picture(heights, *self._heights, self.session.forwards)
+        heights = self.session.height_map(*self._cells) - self.session.level
+        return drawing.height_picture(heights, self.session.forwards)

@@ -11,7 +11,6 @@ from learning_to_simulate.live.soil import Decoder
 from pca_tools import rigid_fit
 
 SAME_BODY_M = 1e-4
-ANGLE_STRIDE = 20  # of the frames in which the angles of all runs are looked at
 
 
 class RecordedRun:
@@ -19,12 +18,11 @@ class RecordedRun:
 
     Args:
       record: `pca_tools.dataset.Trajectory`.
-      case: of the dataset's metadata, {} if it states none.
+      number: of its case, or None.
       starts: of the model.
       soil: of the dataset's subspace.
 
     Attributes:
-      case: as given.
       context: [C] or None.
       start: index of the start whose body the run has.
       force: float32 [T, 3], N, or None.
@@ -33,13 +31,13 @@ class RecordedRun:
       ValueError: no start of the model has this body.
     """
 
-    def __init__(self, record, case: dict, starts, soil: Decoder):
-        self.case, self._record, self._soil = case, record, soil
+    def __init__(self, record, number, starts, soil: Decoder):
+        self._record, self._soil = record, soil
         self.context = None if record.step_context is None else record.step_context[0].astype(float)
         self.force = record.force
-        number = case.get('case')
-        same = [i for i, c in enumerate(starts.cases) if number is not None and c['case'] == number]
-        fits = ((i, self._fit(starts.body[i], 0)) for i in [*same, *range(len(starts))])
+        # The start of the same case, if there is one, is tried first.
+        order = sorted(range(len(starts)), key=lambda i: starts.cases[i].get('case') != number)
+        fits = ((i, self._fit(starts.body[i], 0)) for i in order)
         found = next((i for i, fit in fits if fit and fit.residual < SAME_BODY_M), None)
         if found is None:
             raise ValueError(f'no start of the model has the body of the recorded run {number}')
@@ -72,7 +70,7 @@ class RecordedRun:
 
 
 class RecordedRuns:
-    """The runs of the split `test` that fit a model.
+    """The test runs that fit a model.
 
     Args:
       model: `api.TrainedModel`.
@@ -93,28 +91,12 @@ class RecordedRuns:
             checkpoints.check_dataset(model.path, model.model, data.path, metadata)
         if data.subspace is None:
             raise ValueError(f'{data.path} has no subspace')
-        soil = Decoder(data.subspace, scene.up_axis)
-        self.runs, self._data, self._model = {}, data, model
+        soil, self.runs = Decoder(data.subspace, scene.up_axis), {}
         cases = metadata.get('cases', {}).get('test', [])
         for index, record in enumerate(data.test.records):
-            case = cases[index] if index < len(cases) else {}
-            run = RecordedRun(record, case, model.starts, soil)
-            self.runs[f'test {index}' + (f', case {case["case"]}' if 'case' in case else '')] = run
-
-    def angles(self, reader) -> tuple[float, float]:
-        """Lowest and highest angle, rad, of the body over the training runs and these.
-
-        Args:
-          reader: `poses.PoseReader` of the scene.
-        """
-        soil = Decoder(self._data.subspace, self._model.scene.up_axis)
-        train = (RecordedRun(r, {}, self._model.starts, soil) for r in self._data.train.records)
-        found = [
-            reader.plane(run.pose(frame))[2]
-            for run in (*train, *self.runs.values())
-            for frame in range(0, len(run), ANGLE_STRIDE)
-        ]
-        return min(found), max(found)
+            number = cases[index].get('case') if index < len(cases) else None
+            name = f'test {index}' + (f', case {number}' if number is not None else '')
+            self.runs[name] = RecordedRun(record, number, model.starts, soil)
 
 
 def of_model(model, data_path: str | None = None) -> RecordedRuns | None:

@@ -1,17 +1,19 @@
-"""How a tool is asked to move: sliders and a handle in the plane of drive and height.
+"""How a tool is asked to move: sliders and a handle in the plane of travel.
 
-A steering is written to by any thread (single numbers, each whole) and read by the loop. It says
-where the body should be in the coming frame; `Limits` says how far it may go.
+A steering is written to by any thread (single numbers, each whole) and read by the frames. It says
+where the body should be in the coming frame; `Session` says how far it may go.
 """
 
 import dataclasses
 
 import numpy as np
 
-# Where a model has no ranges of its training runs: m, m/s, rad.
+from learning_to_simulate.tool.blade import EDGE_RADIUS
+
+# Where a model does not state the ranges of its training runs: m, m/s, rad.
 DEPTH, SPEED, ANGLE = 0.08, 0.1, np.deg2rad(45.0)
 TURN = 1.0  # rad/s of a blade whose angle was set anew
-SPARE = 0.98  # of the largest speed within limits, which are a little wider than the runs
+SPARE = 0.98  # of the largest speed of the training runs, so that rounding does not exceed it
 
 
 @dataclasses.dataclass
@@ -40,6 +42,54 @@ class Slider:
         self.value = float(round(min(max(value, self.low), self.high), 9))
 
 
+@dataclasses.dataclass
+class Ranges:
+    """What the training runs of a model had, as far as it states it.
+
+    Attributes:
+      edge: lowest and highest place of the lowest point of the body, m.
+      along: least and largest speed along axis 0, m/s.
+      rise: largest vertical speed, m/s.
+      angle: lowest and highest, rad.
+      rim: largest speed of the rim of a wheel, m/s.
+    """
+
+    edge: tuple[float, float]
+    along: tuple[float, float] = (-SPEED, 0.0)
+    rise: float = SPEED
+    angle: tuple[float, float] = (-ANGLE, ANGLE)
+    rim: float = SPEED
+
+    @classmethod
+    def of(cls, model, level: float, body) -> 'Ranges':
+        """Of an `api.TrainedModel` with a bed of a level, m, and a body [R, 3] in its own frame."""
+        found, up = cls((level - DEPTH, level + DEPTH / 2)), model.scene.up_axis
+        field = getattr(model.model, 'field', None)
+        statistics = getattr(model.model.simulator, 'statistics', None)
+        if field is not None:
+            ranges = field.ranges
+            found.along = tuple(sorted(field.axes.sign * speed for speed in ranges['speed']))
+            if 'lean' in ranges:
+                found.edge = tuple(level - EDGE_RADIUS + height for height in ranges['height'])
+                found.rise = float(np.abs(ranges['rise']).max())
+                found.angle = -ranges['lean'][1], -ranges['lean'][0]
+            else:
+                found.rim = float(np.abs(ranges['rim']).max())
+        elif getattr(statistics, 'given_range', None) is not None:
+            low, high = statistics.given_range[:, up]
+            found.edge = float(low), float(high - np.ptp(body[:, up]))
+            speeds = statistics.given_velocity_range / model.scene.dt
+            found.along = tuple(speeds[:, 0])
+            found.rise = float(np.abs(speeds[:, up]).max())
+            found.rim = float(speeds[1, up])
+        return found
+
+    @property
+    def forwards(self) -> float:
+        """+1 or -1: the way along axis 0 that the body drives."""
+        return 1.0 if self.along[1] > -self.along[0] else -1.0
+
+
 class BladeSteering:
     """A body whose whole motion is given: depth, speed and angle, or a handle.
 
@@ -48,39 +98,31 @@ class BladeSteering:
       start: (x, height, angle) of the body, m and rad.
       body: float64 [R, 3] of the body in its own frame, m.
       level: height of the bed at rest, m.
-      limits: `Limits`, or None.
-      angles: lowest and highest of recorded runs, rad; None for what the limits allow.
+      ranges: of the training runs.
 
     Attributes:
       sliders: by name.
       target: (x, height, angle) that the body is on its way to.
+      forwards: +1 or -1, its way along axis 0.
       fastest: float64 [3], of each in a frame, m and rad.
     """
 
     handle = (True, True)  # along the drive, and up: then it can be turned as well
 
-    def __init__(self, scene, start, body, level: float, limits, angles=None):
-        self._dt, self._up, self._level = scene.dt, scene.up_axis, level
+    def __init__(self, scene, start, body, level: float, ranges: Ranges):
+        self._dt, self._level, self.forwards = scene.dt, level, ranges.forwards
         self._plan = body[:, [0, scene.up_axis]]
-        lowest, lift = level - DEPTH, DEPTH / 2
-        self.forwards, fastest = -1.0, np.array([SPEED, SPEED]) * scene.dt
-        if limits is not None:
-            lowest = limits.low[self._up]
-            lift = limits.high[self._up] - np.ptp(body[:, self._up]) - level
-            along = limits.speed[0][0], limits.speed[1][0]
-            self.forwards = 1.0 if along[1] > -along[0] else -1.0
-            speeds = np.abs([s[[0, self._up]] for s in limits.speed])
-            fastest = SPARE * speeds.max(axis=0)
-            # A slider that jumps shall not throw the blade, whatever the fastest run does.
-            fastest[1] = fastest.min()
-            angles = limits.angles() if angles is None else angles
-        self.fastest = np.array([*fastest, TURN * scene.dt])
+        speed = SPARE * np.abs(ranges.along).max()
+        # A slider that jumps shall not throw the blade, whatever the fastest run does.
+        rise = min(speed, SPARE * ranges.rise)
+        self.fastest = np.array([speed, rise, TURN]) * scene.dt
         self.target = np.array(start, np.float64)
-        low, high = np.rad2deg((-ANGLE, ANGLE) if angles is None else angles)
+        low, high = 1e3 * (level - np.array(ranges.edge))[::-1]
+        least, most = np.rad2deg(ranges.angle)
         self.sliders = {
-            'depth': Slider('depth, mm', -1e3 * lift, 1e3 * (level - lowest), 1.0, 0.0),
-            'speed': Slider('speed, mm/s', 0.0, 1e3 * fastest[0] / self._dt, 1.0, 0.0),
-            'angle': Slider('angle, degrees', low, high, 1.0, np.rad2deg(start[2])),
+            'depth': Slider('depth, mm', low, high, 1.0, 0.0),
+            'speed': Slider('speed, mm/s', 0.0, 1e3 * speed, 1.0, 0.0),
+            'angle': Slider('angle, degrees', least, most, 1.0, np.rad2deg(start[2])),
         }
         self._show()
 
@@ -108,7 +150,7 @@ class BladeSteering:
         self.sliders['angle'].set(np.rad2deg(self.target[2]))
 
     def wanted(self, now) -> np.ndarray:
-        """(x, height, angle) of the coming frame, without regard to limits."""
+        """(x, height, angle) of the coming frame."""
         ahead = 1e-3 * self.sliders['speed'].value * self._dt
         if ahead:
             self.target[0] = now[0] + self.forwards * ahead
@@ -119,27 +161,24 @@ class WheelSteering:
     """A driven body: rotation and slip are given, its height is predicted.
 
     Args:
-      scene, start, body, level, limits, angles: as of `BladeSteering`.
+      scene, start, body, level, ranges: as of `BladeSteering`.
 
     Attributes:
-      sliders: by name.
+      sliders, forwards: likewise.
+      fastest: what the sliders say is taken.
       target: x at which it stops, m; it begins without one.
+      radius: m.
     """
 
     handle = (True, False)
 
-    def __init__(self, scene, start, body, level, limits, angles=None):
-        del level, angles
-        self._dt = scene.dt
-        plan = body[:, [0, scene.up_axis]]
-        self.radius = float(np.linalg.norm(plan, axis=1).max())
-        rim, self.forwards = SPEED, -1.0
-        if limits is not None:
-            rim = SPARE * limits.speed[1][scene.up_axis] / self._dt
-            self.forwards = 1.0 if limits.speed[1][0] > -limits.speed[0][0] else -1.0
+    def __init__(self, scene, start, body, level, ranges: Ranges):
+        del level
+        self._dt, self.forwards = scene.dt, ranges.forwards
+        self.radius = float(np.linalg.norm(body[:, [0, scene.up_axis]], axis=1).max())
         self.target = np.array([np.nan, *start[1:]])
-        self.fastest = np.full(3, np.inf)  # what the sliders say is taken
-        fastest = rim / self.radius
+        self.fastest = np.full(3, np.inf)
+        fastest = SPARE * ranges.rim / self.radius
         self.sliders = {
             'rotation': Slider('rotation, rad/s', 0.0, 1.5 * fastest, 1e-3, fastest),
             'slip': Slider('slip, %', 0.0, 90.0, 1.0, 40.0),
@@ -155,7 +194,7 @@ class WheelSteering:
         self.target[0] = plane[0]
 
     def wanted(self, now) -> np.ndarray:
-        """As of `BladeSteering`; the height is left as it is."""
+        """(x, height, angle) of the coming frame; the height is left as it is."""
         rotation = self.sliders['rotation'].value
         if np.isfinite(self.target[0]) and (self.target[0] - now[0]) * self.forwards <= 0:
             rotation = 0.0

@@ -92,17 +92,15 @@ class AnimatedFigure:
         self._frames, self._models = frames, [frames, *beside]
         shown = _shown(self._models)
         with rc_context(STYLE):
-            page = _Page(len(shown), 1, view.aspect, dpi)
-            page.write_header(frames)
-            page.write_footer(frames, view)
+            page = _Page(len(shown), 1, frames, view, dpi)
             self.views = []
             for column, (one, which, name) in enumerate(shown):
-                axes = page.view_axes(0, column, view, title=name)
+                axes = page.view_axes(0, column, title=name)
                 self.views.append(
                     ParticleView(axes, one, which, view, color_by, show_key=column == 0)
                 )
             if frames.soil:
-                page.add_color_bar(0, 0, color_by, view)
+                page.add_color_bar(0, 0, color_by)
             curves = page.curve_axes(self._models)
             self._markers = [axes.axvline(0.0, color=INK, linewidth=1.0) for axes in curves]
             self.caption = page.caption
@@ -159,20 +157,18 @@ def strip_figure(
     if frames.soil and frames.has_truth:
         rows.append((frames, PREDICTION, 'error', f'error ({frames.model})'))
     with rc_context(STYLE):
-        page = _Page(len(moments), len(rows), view.aspect, dpi)
-        page.write_header(frames)
-        page.write_footer(frames, view)
+        page = _Page(len(moments), len(rows), frames, view, dpi)
         page.caption.set_text(caption(models))
         for row, (one, which, color_by, label) in enumerate(rows):
             for column, i in enumerate(moments):
                 title = f't = {frames.time[frames.frames[i]]:.2f} s' if row == 0 else ''
-                axes = page.view_axes(row, column, view, title=title, row_label=label)
+                axes = page.view_axes(row, column, title, label)
                 first = row == column == 0
                 ParticleView(axes, one, which, view, color_by, show_key=first).update(i)
         if frames.soil:
-            page.add_color_bar(0, n_speed - 1, 'speed', view)
+            page.add_color_bar(0, n_speed - 1, 'speed')
             if frames.has_truth:
-                page.add_color_bar(n_speed, n_speed, 'error', view)
+                page.add_color_bar(n_speed, n_speed, 'error')
         for axes in page.curve_axes(models):
             for i in moments:
                 time = frames.time[frames.frames[i]]
@@ -280,34 +276,49 @@ def _legend_above(axes: Axes, columns: int) -> None:
     )  # fmt: skip
 
 
+def _remarks(frames: RolloutFrames, view: ViewSetup) -> str:
+    """How the picture was made, and what its reader should know."""
+    parts = list(frames.notes)
+    if frames.soil:
+        count = len(frames.start)
+        shown = f'{count} soil particles'
+        if len(view.particles) < count:
+            shown = f'{len(view.particles)} of {shown}, nearest to the middle plane'
+        parts.insert(0, f'{shown}.')
+    if frames.space:
+        by_frame = '; by frame: of the modes alone' * (frames.space == WITH_CUT_OFF)
+        parts.append(f'Soil error: root mean square {frames.space}{by_frame}.')
+    return ' '.join(parts)
+
+
 class _Page:
     """A figure with a header, a grid of views, a row of curves and a footer; places in inches.
 
     The height follows from the aspect of the views, so that they fill their place.
     """
 
-    def __init__(self, n_columns: int, n_rows: int, aspect: float, dpi: int):
-        self._n_rows = n_rows
+    def __init__(
+        self, n_columns: int, n_rows: int, frames: RolloutFrames, view: ViewSetup, dpi: int
+    ):
+        self._n_rows, self._view = n_rows, view
         width = WIDTH - _LEFT - _RIGHT - _GAP * (n_columns - 1)
         self._view_width = width / n_columns
-        self._view_height = self._view_width * aspect
+        self._view_height = self._view_width * view.aspect
         views = n_rows * self._view_height + (n_rows - 1) * _ROW_GAP
         self._height = _TOP + views + _CURVE_GAP + _CURVE_HEIGHT + _BOTTOM
         self.figure = Figure(figsize=(WIDTH, self._height), dpi=dpi, facecolor='white')
         self.canvas = FigureCanvasAgg(self.figure)
-        self.caption = self._text(0.2, self._height - 0.62, '', fontsize=_CAPTION_SIZE)
+        size = _TITLE_SIZE * min(1.0, _TITLE_LENGTH / len(frames.title))
+        self._text(self._height - 0.24, frames.title, fontsize=size, fontweight='bold')
+        self.caption = self._text(self._height - 0.62, '', fontsize=_CAPTION_SIZE)
+        self._text(0.14, _remarks(frames, view), fontsize=7.5, color=FAINT)
 
-    def view_axes(
-        self, row: int, column: int, view: ViewSetup, title: str, row_label: str = ''
-    ) -> Axes:
+    def view_axes(self, row: int, column: int, title: str, row_label: str = '') -> Axes:
         """Axes of one view; only the outer ones carry labels."""
-        axes = self._add_axes(
-            _LEFT + column * (self._view_width + _GAP),
-            self._row_bottom(row),
-            self._view_width,
-            self._view_height,
-        )
-        names = ['xyz'[axis] for axis in view.plane]
+        left = _LEFT + column * (self._view_width + _GAP)
+        bottom = self._row_bottom(row)
+        axes = self._add_axes(left, bottom, self._view_width, self._view_height)
+        names = ['xyz'[axis] for axis in self._view.plane]
         axes.set_facecolor('#f7f8fa')
         axes.locator_params(nbins=5)
         axes.set_title(title, fontweight='bold')
@@ -323,12 +334,12 @@ class _Page:
         axes.tick_params(labelleft=column == 0, labelbottom=row == self._n_rows - 1)
         return axes
 
-    def add_color_bar(self, first_row: int, last_row: int, color_by: str, view: ViewSetup) -> None:
+    def add_color_bar(self, first_row: int, last_row: int, color_by: str) -> None:
         """Colour bar at the right end of some rows."""
         bottom = self._row_bottom(last_row)
         height = self._row_bottom(first_row) + self._view_height - bottom
         axes = self._add_axes(WIDTH - _RIGHT + 0.12, bottom, 0.13, height)
-        scale = ScalarMappable(Normalize(0.0, view.vmax[color_by]), COLOR_MAPS[color_by])
+        scale = ScalarMappable(Normalize(0.0, self._view.vmax[color_by]), COLOR_MAPS[color_by])
         bar = self.figure.colorbar(scale, cax=axes, extend='max')
         bar.set_label(COLOR_LABELS[color_by])
         bar.outline.set_linewidth(0.5)
@@ -348,30 +359,11 @@ class _Page:
             found.append(axes)
         return found
 
-    def write_header(self, frames: RolloutFrames) -> None:
-        """What the run is."""
-        size = _TITLE_SIZE * min(1.0, _TITLE_LENGTH / len(frames.title))
-        self._text(0.2, self._height - 0.24, frames.title, fontsize=size, fontweight='bold')
-
-    def write_footer(self, frames: RolloutFrames, view: ViewSetup) -> None:
-        """How the picture was made, and what its reader should know."""
-        parts = list(frames.notes)
-        if frames.soil:
-            count = len(frames.start)
-            shown = f'{count} soil particles'
-            if len(view.particles) < count:
-                shown = f'{len(view.particles)} of {shown}, nearest to the middle plane'
-            parts.insert(0, f'{shown}.')
-        if frames.space:
-            by_frame = '; by frame: of the modes alone' * (frames.space == WITH_CUT_OFF)
-            parts.append(f'Soil error: root mean square {frames.space}{by_frame}.')
-        self._text(0.2, 0.14, ' '.join(parts), fontsize=7.5, color=FAINT)
-
     def _row_bottom(self, row: int) -> float:
         return self._height - _TOP - (row + 1) * self._view_height - row * _ROW_GAP
 
-    def _text(self, x: float, y: float, text: str, **style):
-        place = (x / WIDTH, y / self._height)
+    def _text(self, y: float, text: str, **style):
+        place = (0.2 / WIDTH, y / self._height)
         return self.figure.text(*place, text, verticalalignment='center', **style)
 
     def _add_axes(self, left: float, bottom: float, width: float, height: float) -> Axes:

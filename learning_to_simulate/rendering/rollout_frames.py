@@ -53,13 +53,13 @@ class RolloutFrames:
         rigid_type: particle type of the rigid points.
         first_predicted: H, index of the first predicted frame.
         dt: seconds per frame.
+        notes: what the reader of a picture should know, one sentence each.
+        up_axis: axis against gravity, 0, 1 or 2.
+        is_driven: whether the body is driven under a load, as a wheel is.
         soil_mm: error of the soil over all frames, mm; None without a truth.
         soil_rms_mm: name -> [F] its root mean square by frame, mm: prediction, persistence and
             constant velocity; {} without a truth.
         space: what the error is taken over, in words.
-        notes: what the reader of a picture should know, one sentence each.
-        up_axis: axis against gravity, 0, 1 or 2.
-        is_driven: whether the body is driven under a load, as a wheel is.
     """
 
     name: str
@@ -73,12 +73,12 @@ class RolloutFrames:
     rigid_type: int
     first_predicted: int
     dt: float
-    soil_mm: float | None
-    soil_rms_mm: dict[str, np.ndarray]
-    space: str
-    notes: tuple[str, ...]
-    up_axis: int
+    notes: tuple[str, ...] = ()
+    up_axis: int = 1
     is_driven: bool = False
+    soil_mm: float | None = None
+    soil_rms_mm: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    space: str = ''
 
     @property
     def side_view(self) -> str:
@@ -108,7 +108,7 @@ class RolloutFrames:
 
     @property
     def has_truth(self) -> bool:
-        """Whether there are errors to show."""
+        """Whether the run was recorded, so that there are errors to show."""
         return TRUTH in self.rigid
 
     @property
@@ -187,15 +187,17 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
     nodes, force = _nodes(rollout_path, arrays)
     start = len(arrays['initial_positions'])
     n_rigid, has_modes = _split_nodes(rollout_path, arrays, metadata)
-    notes, length = [], _finite_length(nodes[PREDICTION], force)
+    finite = np.isfinite(nodes[PREDICTION]).all(axis=(1, 2))
+    if force is not None:
+        finite &= np.isfinite(force[PREDICTION]).all(axis=1)
+    notes, length = [], len(finite) if finite.all() else int(np.argmin(finite))
     if length <= start:
         raise ValueError(f'{rollout_path}: no predicted frame is finite, there is nothing to draw')
-    if length < len(nodes[PREDICTION]):
+    if length < len(finite):
         notes.append(f'The prediction is not finite from frame {length} on; drawn up to there.')
     split, record = _place(rollout_path, arrays)
     reader = _reader(data_path, metadata)
-    scores = {which: values[:, n_rigid:] for which, values in nodes.items()}
-    has_soil = not has_modes or (reader is not None and reader.subspace is not None)
+    has_soil = not has_modes or reader.subspace is not None
     if not has_soil:
         notes.append('Without subspace.npz there are no particles to draw.')
         if not n_rigid:
@@ -203,21 +205,16 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
                 f'{rollout_path}: has modes only, and {data_path} no subspace.npz to rebuild the '
                 'soil with: there is nothing to draw'
             )
+    scores = {which: values[:, n_rigid:] for which, values in nodes.items()}
     recorded = scores.get(TRUTH, scores[PREDICTION])
-    if reader is not None and has_modes:
+    if has_modes:
         found = reader.read(split, record, recorded, metadata.get('n_soil'))
-    elif has_modes:
-        floor = soil_truth.of_run(metadata.get('projection_mse'), split, record)
-        found = soil_truth.of_nodes(recorded, metadata.get('n_soil') or recorded.shape[1], floor)
     else:
-        space = soil_truth.PARTICLES
-        found = soil_truth.of_nodes(recorded, recorded.shape[1], space=space)
+        found = soil_truth.of_nodes(recorded, recorded.shape[1], space=soil_truth.PARTICLES)
     own = arrays if has_soil and TRUTH in nodes else {}
     predicted = found.of_rollout(scores[PREDICTION][start:length], own)
-    predicted = predicted[: (found.frames < length).sum()]
-    frames = found.frames[: len(predicted)]
-    soil = {TRUTH: found.particles[: len(frames)], PREDICTION: predicted}
-    nodes = {which: values[:length] for which, values in nodes.items()}
+    frames = found.frames[found.frames < length]
+    soil = {TRUTH: found.particles[: len(frames)], PREDICTION: predicted[: len(frames)]}
     scene = metadata.get('scene', {})
     return RolloutFrames(
         name=os.path.splitext(os.path.basename(rollout_path))[0],
@@ -226,19 +223,16 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
         frames=frames,
         soil={which: soil[which] for which in nodes} if has_soil else {},
         start=found.start if has_soil else None,
-        rigid={which: values[:, :n_rigid] for which, values in nodes.items()},
+        rigid={which: values[:length, :n_rigid] for which, values in nodes.items()},
         force=None if force is None else {which: f[:length] for which, f in force.items()},
         rigid_type=int(arrays['particle_types'][0]),
         first_predicted=start,
         dt=float(metadata['dt']),
-        **(errors(found, predicted, scores[TRUTH], start) if TRUTH in nodes else _NO_ERRORS),
         notes=tuple(notes),
         up_axis=scene.get('up_axis', 1),
         is_driven=scene.get('rigid_motion') == 'driven',
+        **(errors(found, soil[PREDICTION], scores[TRUTH], start) if TRUTH in nodes else {}),
     )
-
-
-_NO_ERRORS: dict[str, Any] = {'soil_mm': None, 'soil_rms_mm': {}, 'space': ''}
 
 
 def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[str, Any]:
@@ -251,11 +245,9 @@ def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[s
         start: H.
     """
     given, n_frame = scores[None, :start], len(scores) - start
-    curves = {
-        PREDICTION: predicted,
-        STILL: found.of_modes(metrics.stay_still(given, n_frame)[0])[: len(predicted)],
-        CONSTANT: found.of_modes(metrics.constant_velocity(given, n_frame)[0])[: len(predicted)],
-    }
+    curves = {PREDICTION: predicted}
+    for name, guess in ((STILL, metrics.stay_still), (CONSTANT, metrics.constant_velocity)):
+        curves[name] = found.of_modes(guess(given, n_frame)[0])[: len(predicted)]
     return {
         'soil_mm': found.soil_mm(predicted),
         'soil_rms_mm': {k: metrics.rms_mm(found.mean_square(x)) for k, x in curves.items()},
@@ -268,22 +260,22 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
 
     Args:
         rollout: of `lts.load(...).rollout`.
-        step_stride: particles of a path are computed in every so many frames.
+        step_stride: of a path particles are computed in every step_stride-th frame.
     """
-    start, scene = len(rollout.history), rollout.scene
-    rigid, force, found = {PREDICTION: rollout.body}, None, _NO_ERRORS
+    start, scene, truth = len(rollout.history), rollout.scene, rollout.soil_truth
     frames = np.arange(start, len(rollout.body), step_stride)
-    soil, first = {}, None
+    rigid, soil, found, first = {PREDICTION: rollout.body}, {}, {}, None
+    true_modes, true_body, true_force = rollout.truth or (None, None, None)
+    force = None
     if rollout.force is not None:
-        before = np.zeros((start, DIM))
-        if rollout.truth and rollout.truth[2] is not None:
-            before = rollout.truth[2][:start]
-        force = {PREDICTION: np.concatenate([before, rollout.force])}
+        given = np.zeros((start, DIM)) if true_force is None else true_force[:start]
+        force = {PREDICTION: np.concatenate([given, rollout.force])}
+    kind, title = 'wheel' if str(scene.rigid_motion) == 'driven' else 'tool', 'a given path'
     if rollout.truth:
-        true_modes, rigid[TRUTH], true_force = rollout.truth
+        title = f'recorded run {rollout.name.removeprefix("rollout_")}'
+        rigid[TRUTH], predicted = true_body, rollout.sampled
         if force is not None:
             force[TRUTH] = true_force
-        truth, predicted = rollout.soil_truth, rollout.sampled
         frames, first = truth.frames[: len(predicted)], truth.start
         found = errors(truth, predicted, true_modes, start)
         if truth.components is not None or truth.count == truth.particles.shape[1]:
@@ -291,11 +283,9 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
     elif rollout.has_particles:
         soil = {PREDICTION: np.stack([rollout.particles(int(f) - start) for f in frames])}
         first = soil[PREDICTION][0]
-    kind = 'wheel' if str(scene.rigid_motion) == 'driven' else 'tool'
-    run = f'recorded run {rollout.name.removeprefix("rollout_")}' if rollout.truth else ''
     return RolloutFrames(
         name=rollout.name,
-        title=f'{scene.name.capitalize()}: the {kind} follows {run or "a given path"}',
+        title=f'{scene.name.capitalize()}: the {kind} follows {title}',
         label='',
         frames=frames,
         soil=soil,
@@ -305,10 +295,10 @@ def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
         rigid_type=0,
         first_predicted=start,
         dt=scene.dt,
-        **found,
         notes=() if rollout.status == 'ok' else (f'{rollout.status}: {rollout.reason}.',),
         up_axis=scene.up_axis,
-        is_driven=str(scene.rigid_motion) == 'driven',
+        is_driven=kind == 'wheel',
+        **found,
     )
 
 
@@ -399,18 +389,10 @@ def _nodes(path: str, arrays: dict[str, np.ndarray]):
     )
 
 
-def _finite_length(prediction, force) -> int:
-    """Number of frames before the first that is not finite."""
-    finite = np.isfinite(prediction).all(axis=(1, 2))
-    if force is not None:
-        finite &= np.isfinite(force[PREDICTION]).all(axis=1)
-    return len(finite) if finite.all() else int(np.argmin(finite))
-
-
-def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader | None:
+def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader:
     """Of the dataset folder, whose subspace must be that of the rollout."""
     if data_path is None:
-        return None
+        return soil_truth.TruthReader('', metadata)
     if not os.path.isdir(data_path):
         raise FileNotFoundError(f'{data_path}: no such dataset folder')
     # A rollout of the API states its scene alone.

@@ -1,12 +1,11 @@
 """Where a body touches no soil it feels none: the share of its force that a body may show.
 
-A network that was never told where the soil ends shows a few newtons in the air. What the modes say
-of the surface does tell: its height at places along the way is nearly linear in their scores, and
-soil stands no steeper than a heap does. So the clearance of a body is one product and a minimum; it
-is a function of a frame alone, and every form of a model computes it alike.
+A network alone shows a few newtons in the air. The modes say where the soil ends: the height of the
+surface at places along the way is nearly linear in their scores, and soil stands no steeper than a
+heap does. So the clearance of a body is one product and a minimum, a function of a frame alone.
 
 It is fitted to the training runs, where some of them take the tool out of the soil, and is kept in
-the model's statistics. A model without it has no such share, and no operation for it.
+the model's statistics.
 """
 
 import dataclasses
@@ -23,8 +22,8 @@ SLOPE = 0.5  # m per m: soil so far away counts as so much lower
 RAMP = 0.005  # m of clearance over which the force fades
 # A force below this share of the root mean square one counts as none.
 NONE_BELOW = 0.01
-# Of the frames with a force, at most so many lie above the clearance that is found; a gate that no
-# such share of all frames is beyond would do nothing but harm.
+# Largest share of the frames with a force that lies above the clearance. A gate that a smaller
+# share of all frames than the second is beyond would do nothing but harm.
 LOST, LEAST_CLEAR = 0.001, 0.01
 STRIDE = 8  # of the training frames whose surface is looked at
 RIDGE = 1e-4
@@ -32,36 +31,19 @@ RIDGE = 1e-4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contact:
-    """Reads the clearance of a body from its particles and the modes.
+    """Reads the clearance of a body from its particles and the modes."""
 
-    Attributes:
-      axis, up: of the way, and against gravity.
-      clear: m, the clearance from which the force fades; after `RAMP` more it is exactly 0.
-      places: float32 [P], m, along the way.
-      heights: float32 [P], m, of the surface at the modes' origin.
-      weights: float32 [r, D, P], its change with their offsets.
-    """
-
-    axis: int
-    up: int
-    clear: float
-    places: np.ndarray
-    heights: np.ndarray
-    weights: np.ndarray
+    axis: int  # of the way
+    up: int  # against gravity
+    clear: float  # m, the clearance from which the force fades; after `RAMP` more it is exactly 0
+    places: np.ndarray  # float32 [P], m, along the way
+    heights: np.ndarray  # float32 [P], m, of the surface at the modes' origin
+    weights: np.ndarray  # float32 [r, D, P], its change with their offsets
 
     @classmethod
     def of_statistics(cls, contact, surface, scene) -> 'Contact':
-        """The reader of `to_statistics`.
-
-        Raises:
-          ValueError: shapes that do not fit the modes.
-        """
-        surface, width = np.asarray(surface, np.float32), 2 + 3 * scene.n_modes
-        if np.shape(contact) != (2,) or surface.ndim != 2 or surface.shape[1] != width:
-            raise ValueError(
-                f'the statistics contact and surface have shapes {np.shape(contact)} and '
-                f'{surface.shape}, (2,) and (P, {width}) were expected'
-            )
+        """The reader of `to_statistics`."""
+        surface = np.asarray(surface, np.float32)
         weights = surface[:, 2:].T.reshape(scene.n_modes, -1, len(surface))
         axis, clear = map(float, contact)
         return cls(int(axis), scene.up_axis, clear, surface[:, 0], surface[:, 1], weights)

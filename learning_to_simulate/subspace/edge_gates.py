@@ -65,31 +65,19 @@ class EdgeGates(tf.Module):
         return tf.sigmoid(self.log_alpha - TEMPERATURE * math.log(-LOW / HIGH))
 
     def with_price(self, values, config, step):
-        """Adds the price of the open gates to the loss.
+        """The losses {name: scalar} of a step with the price of the open gates in the `loss`, and
+        the expected share of `open_gates`.
 
-        The price rises linearly from 0 to `gate_weight` (per expected share of open gates), so
-        that the network learns what its edges are good for before they have to go.
-
-        Args:
-          values: dict of scalars with the `loss`.
-          config: `TrainConfig`.
-          step: scalar int32, counted from 0.
-
-        Returns:
-          the dict with the new `loss`, and the expected share of `open_gates`.
+        The price rises linearly from 0 to `gate_weight`, so that the network learns what its edges
+        are good for before they have to go.
         """
-        # Price lambda t / t_end times the mean of P(z > 0): it rises while the gates are learned.
+        # Price lambda t / t_end times the mean of P(z > 0).
         share = tf.reduce_mean(self.open_probability())
         price = config.gate_weight * tf.cast(step, tf.float32) / config.gate_steps
         return values | {'loss': values['loss'] + price * share, 'open_gates': share}
 
     def edge_list(self, config, data_path: str) -> EdgeList:
-        """The list that the gates stand for: the edges that are more likely open than not.
-
-        Args:
-          config: `TrainConfig` of the simulator that they were learned with.
-          data_path: dataset folder.
-        """
+        """The edges that are more likely open than not; `config` is that of the simulator."""
         probabilities = self.open_probability().numpy().astype(np.float64)
         mask = edge_lists.select(probabilities, threshold=OPEN_THRESHOLD)
         settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
@@ -107,7 +95,7 @@ class EdgeGates(tf.Module):
         )
 
     def gated(self, layout, n_graph: int, seed):
-        """The same graph with a drawn gate on every mode -> mode edge.
+        """The graph with a drawn gate on every mode -> mode edge.
 
         Args:
           layout: `Layout` whose mode block is fully connected.

@@ -7,11 +7,11 @@ against the dataset before an edge is used.
 
 import dataclasses
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import connectivity_utils
+from learning_to_simulate import checkpoints, connectivity_utils
 from learning_to_simulate.connectivity_utils import Adjacency
 from pca_tools import files
 
@@ -36,38 +36,27 @@ def mode_names(n_modes: int) -> tuple[str, ...]:
 
 def data_digests(data_path: str) -> dict[str, str]:
     """sha256 of those `DATA_FILES` that a dataset folder has."""
-    paths = {name: os.path.join(data_path, name) for name in DATA_FILES}
-    return {n: files.sha256_of_file(p) for n, p in paths.items() if os.path.exists(p)}
+    return checkpoints.digests(data_path, DATA_FILES)
 
 
 @dataclasses.dataclass(frozen=True)
 class EdgeList:
     """Directed edges between V named nodes.
 
-    Attributes:
-      mask: bool [V, V], entry [receiver, sender].
-      node_names: V different names.
-      probabilities: float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method
-        has none.
-      method: one of `METHODS`.
-      threshold: edges have a probability above it; None where a number of edges was asked for.
-      digests: sha256 of `model` (None for correlation) and of the `DATA_FILES` it was found on.
-      degenerate: 'empty' or 'saturated' where that was allowed, else None.
-      report: what the method has to say about itself (spread over runs, entropy); free JSON.
-
     Raises:
       ValueError: on construction, for a field of the wrong kind, or a graph that is empty or
         saturated without saying so.
     """
 
-    mask: np.ndarray
-    node_names: tuple[str, ...]
+    mask: np.ndarray  # bool [V, V], entry [receiver, sender]
+    node_names: tuple[str, ...]  # V different names
+    # float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method has none.
     probabilities: np.ndarray
-    method: str
-    threshold: float | None
-    digests: dict[str, str | None]
-    degenerate: str | None = None
-    report: dict[str, Any] = dataclasses.field(default_factory=dict)
+    method: str  # one of `METHODS`
+    threshold: float | None  # edges lie above it; None where a number of edges was asked for
+    digests: dict[str, str | None]  # sha256 of `model` and of the `DATA_FILES` it was found on
+    degenerate: str | None = None  # 'empty' or 'saturated' where that was allowed
+    report: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the method; free JSON
 
     def __post_init__(self):
         n = len(self.node_names)
@@ -100,12 +89,8 @@ class EdgeList:
         return int(self.mask.sum())
 
     def mask_for(self, names) -> np.ndarray:
-        """bool mask over some of the nodes, in the order of `names`.
-
-        Raises:
-          ValueError: if a name is missing, or the list has further modes: then it was found in
-            another subspace.
-        """
+        """bool mask over some of the nodes, in the order of `names`; raises ValueError if a name is
+        missing, or the list has further modes: then it was found in another subspace."""
         missing = [name for name in names if name not in self.node_names]
         extra = [n for n in self.node_names if n.startswith('mode_') and n not in names]
         if missing or extra:
@@ -148,7 +133,7 @@ def degeneracy(mask: np.ndarray) -> str | None:
 
 
 def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.ndarray:
-    """The edges that a probability matrix gives.
+    """The edges that a probability matrix gives, bool [V, V].
 
     Args:
       probabilities: [V, V], entry [receiver, sender]; NaN on the diagonal where the method has no
@@ -157,9 +142,6 @@ def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.n
       keep: instead, keeps the `keep` most probable edges (self-edges counted; ties go to the lower
         receiver, then sender).
       self_edges: whether self-edges without a probability are in the list.
-
-    Returns:
-      bool [V, V].
 
     Raises:
       ValueError: unless exactly one of threshold and keep is given, or `keep` cannot be met.
@@ -181,27 +163,19 @@ def select(probabilities, *, threshold=None, keep=None, self_edges=True) -> np.n
 
 
 def write(path: str, edges: EdgeList) -> None:
-    """Writes `edges.json` whole or not at all.
-
-    Args:
-      path: the file; its folder must exist.
-      edges: the list.
-    """
+    """Writes `edges.json` whole or not at all; the folder must exist."""
     adjacency = Adjacency.from_mask(edges.mask)
     rows = [[None if np.isnan(p) else round(float(p), 6) for p in q] for q in edges.probabilities]
+    as_they_are = ('method', 'threshold', 'degenerate', 'digests', 'report')
     files.write_json(
         path,
         {
             'schema_version': SCHEMA_VERSION,
-            'method': edges.method,
             'convention': CONVENTION,
             'node_names': list(edges.node_names),
             'senders': adjacency.senders.tolist(),
             'receivers': adjacency.receivers.tolist(),
-            'threshold': edges.threshold,
-            'degenerate': edges.degenerate,
-            'digests': edges.digests,
-            'report': edges.report,
+            **{name: getattr(edges, name) for name in as_they_are},
             'probabilities': rows,
         },
     )
@@ -252,12 +226,8 @@ def read_mask(path: str) -> np.ndarray:
     if not os.path.isfile(path):
         raise ValueError(f'{path}: no such edge file')
     mask = files.read_npy(path)
-    if (
-        mask.ndim != 2
-        or mask.shape[0] != mask.shape[1]
-        or mask.dtype.kind not in 'biuf'
-        or not np.isin(mask, (0, 1)).all()
-    ):
+    is_square = mask.ndim == 2 and mask.shape[0] == mask.shape[1]
+    if not is_square or mask.dtype.kind not in 'biuf' or not np.isin(mask, (0, 1)).all():
         raise ValueError(
             f'{path}: a mask must be a square array of 0 and 1, got shape '
             f'{mask.shape} of {mask.dtype}'
@@ -265,19 +235,12 @@ def read_mask(path: str) -> np.ndarray:
     return mask.astype(bool)
 
 
-@dataclasses.dataclass(frozen=True)
-class ModeEdges:
-    """The part of the graph that a config leaves to data.
+class ModeEdges(NamedTuple):
+    """The part of the graph that a config leaves to data."""
 
-    Attributes:
-      mode_mask: bool [r, r], to be completed by Algorithm 2; None for the two others.
-      loaded_mask: bool [V, V], used as it is; None if there is none.
-      source: where the edges come from, for the log and config.json.
-    """
-
-    mode_mask: np.ndarray | None
-    loaded_mask: np.ndarray | None
-    source: str
+    mode_mask: np.ndarray | None  # bool [r, r], to be completed by Algorithm 2
+    loaded_mask: np.ndarray | None  # bool [V, V], used as it is
+    source: str  # where the edges come from, for the log and config.json
 
 
 def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
@@ -295,32 +258,29 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
       ValueError: a file that is damaged, foreign or of another dataset, or a wish for a number of
         ranked edges where a file gives them.
     """
-    kind = config.adjacency
+    kind, keep = config.adjacency, config.mode_edges
     if kind in ('fully_connected', 'none'):
         return ModeEdges(None, None, kind)
     if config.gate_weight > 0:
         return ModeEdges(np.ones((n_modes, n_modes), bool), None, 'gates, not yet closed')
-    shipped = os.path.join(data_path, FILE_NAME)
-    name = kind
+    shipped, name = os.path.join(data_path, FILE_NAME), kind
     if kind == 'algorithm2' and os.path.exists(shipped):
-        usual = type(config).mode_edges
-        if config.mode_edges != usual:
+        if keep != type(config).mode_edges:
             raise ValueError(
-                f'mode_edges is {config.mode_edges}, but {shipped} gives the edges: add '
-                f'--adjacency=correlation to rank so many, or leave mode_edges out'
+                f'mode_edges is {keep}, but {shipped} gives the edges: add '
+                f'--adjacency=correlation to rank them, or leave mode_edges out'
             )
         kind, name = shipped, f'{FILE_NAME} of the dataset'
     if kind == 'random':
-        mask = connectivity_utils.random_mode_edges(n_modes, config.mode_edges, config.seed)
-        return ModeEdges(mask, None, f'{config.mode_edges} by lot, seed {config.seed}')
+        mask = connectivity_utils.random_mode_edges(n_modes, keep, config.seed)
+        return ModeEdges(mask, None, f'{keep} by lot, seed {config.seed}')
     if kind in ('algorithm2', 'correlation'):
-        mask = connectivity_utils.rank_mode_edges(velocities, config.mode_edges)
-        return ModeEdges(mask, None, f'{config.mode_edges} ranked by lagged correlation')
+        mask = connectivity_utils.rank_mode_edges(velocities, keep)
+        return ModeEdges(mask, None, f'{keep} ranked by lagged correlation')
     if kind.endswith('.npy'):
         mask = read_mask(kind)
-        of_modes = len(mask) == n_modes
         source = f'{name} (sha256 {files.sha256_of_file(kind)[:12]})'
-        return ModeEdges(mask if of_modes else None, None if of_modes else mask, source)
+        return ModeEdges(*((mask, None) if len(mask) == n_modes else (None, mask)), source)
     edges = read(kind)
     try:
         edges.check_data(data_path)

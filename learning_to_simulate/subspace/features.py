@@ -24,21 +24,13 @@ NODES, RIGID, SCENE = 'nodes', 'rigid', 'scene'
 
 
 class Feature(NamedTuple):
-    """One input.
+    """One input."""
 
-    Attributes:
-      name: of its rows in the first layer.
-      at: `NODES`, `RIGID` or `SCENE`.
-      is_present: called with the simulator.
-      width: values per node, called with the simulator.
-      values: [B or 1, n, width], called with a `View`.
-    """
-
-    name: str
-    at: str
-    is_present: Callable
-    width: Callable
-    values: Callable
+    name: str  # of its rows in the first layer
+    at: str  # `NODES`, `RIGID` or `SCENE`
+    is_present: Callable  # called with the simulator
+    width: Callable  # values per node, called with the simulator
+    values: Callable  # [B or 1, n, width], called with a `View`
 
 
 class View:

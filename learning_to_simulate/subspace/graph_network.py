@@ -13,29 +13,20 @@ import tensorflow as tf
 
 
 class MlpWeights(NamedTuple):
-    """Variables of one MLP.
+    """Variables of one MLP."""
 
-    Attributes:
-      layers: (w [in, out], b [out]) of each linear layer, the last one without ReLU.
-      scale, offset: of the LayerNorm behind it, [out]; None for the decoder.
-    """
-
-    layers: tuple
-    scale: tf.Variable | None
+    layers: tuple  # (w [in, out], b [out]) of each linear layer, the last one without ReLU
+    scale: tf.Variable | None  # of the LayerNorm behind it, [out]; None for the decoder
     offset: tf.Variable | None
 
 
 class NetworkWeights(NamedTuple):
-    """Variables of the whole network by their role.
-
-    Attributes:
-      node_encoder, edge_encoder, decoder: `MlpWeights`.
-      processors: per message-passing step (edge model, node model); the first layer of an edge
-        model acts on [edge, receiver, sender], that of a node model on [received, node].
-    """
+    """Variables of the whole network by their role."""
 
     node_encoder: MlpWeights
     edge_encoder: MlpWeights
+    # Per message-passing step (edge model, node model); the first layer of an edge model acts on
+    # [edge, receiver, sender], that of a node model on [received, node].
     processors: tuple
     decoder: MlpWeights
 
@@ -47,7 +38,7 @@ def _weights_of(model) -> MlpWeights:
     return MlpWeights(layers, *((norms[0].scale, norms[0].offset) if norms else (None, None)))
 
 
-def _mlp(width, hidden_layers, output_size=None, name='mlp'):
+def mlp(width, hidden_layers, output_size=None, name='mlp'):
     """`hidden_layers` ReLU layers of `width`, then a linear layer; LayerNorm unless it is the
     decoder."""
     layers = [snt.nets.MLP([width] * hidden_layers + [output_size or width], name=name)]
@@ -57,10 +48,10 @@ def _mlp(width, hidden_layers, output_size=None, name='mlp'):
 
 
 class _EdgeBlock(snt.Module):
-    """Messages from edges and their two ends; the first layer is applied node by node.
+    """Messages from edges and their two ends.
 
-    The first layer acts on [edge, receiver, sender], so its node parts are the same for all edges
-    of a node: computed per node and added per edge they give the same sum for a third of the work.
+    The first layer acts on [edge, receiver, sender]. Its node parts are the same for all edges of a
+    node: computed per node and added per edge they give the same sum for a third of the work.
     """
 
     def __init__(self, make_model, name='edge_block'):
@@ -85,11 +76,8 @@ class _EdgeBlock(snt.Module):
 
 
 class _InteractionNetwork(snt.Module):
-    """One message-passing step with residuals (Battaglia et al. 2016), on B equal graphs.
-
-    The same function and the same variables as graph_nets' InteractionNetwork; a test holds them
-    together.
-    """
+    """One message-passing step with residuals (Battaglia et al. 2016), on B equal graphs: the
+    function and the variables of graph_nets' InteractionNetwork."""
 
     def __init__(self, make_model, name):
         super().__init__(name=name)
@@ -132,18 +120,13 @@ class EncodeProcessDecode(snt.Module):
     """
 
     def __init__(
-        self,
-        latent_size,
-        hidden_layers,
-        message_passing_steps,
-        output_size,
-        mean_aggregation,
+        self, latent_size, hidden_layers, message_passing_steps, output_size, mean_aggregation,
         name=None,
-    ):
+    ):  # fmt: skip
         super().__init__(name=name)
 
         def make():
-            return _mlp(latent_size, hidden_layers)
+            return mlp(latent_size, hidden_layers)
 
         self._mean_aggregation = mean_aggregation
         self._encoder = gn.modules.GraphIndependent(
@@ -152,7 +135,7 @@ class EncodeProcessDecode(snt.Module):
         self._processors = [
             _InteractionNetwork(make, name=f'processor_{m}') for m in range(message_passing_steps)
         ]
-        self._decoder = _mlp(latent_size, hidden_layers, output_size, name='decoder')
+        self._decoder = mlp(latent_size, hidden_layers, output_size, name='decoder')
 
     def weights(self) -> NetworkWeights:
         """The variables by role, for code that rewrites the network; they must exist already."""

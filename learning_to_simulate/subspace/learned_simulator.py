@@ -25,15 +25,10 @@ RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own moti
 
 
 class SimulatorState(NamedTuple):
-    """State of B graphs.
+    """State of B graphs."""
 
-    Attributes:
-      offset: float32 [B, V, D], position minus origin, m.
-      velocity: float32 [B, V, H - 1, D], displacement of the last H - 1 frames, newest last.
-    """
-
-    offset: tf.Tensor
-    velocity: tf.Tensor
+    offset: tf.Tensor  # float32 [B, V, D], position minus origin, m
+    velocity: tf.Tensor  # float32 [B, V, H - 1, D], of the last frames, m/frame, newest last
 
 
 class Layout:
@@ -46,6 +41,9 @@ class Layout:
       scene: the scene.
       statistics: by node class.
       config: decides how losses are weighted.
+
+    Raises:
+      ValueError: the bodies of the scene have another number of nodes.
     """
 
     def __init__(
@@ -56,18 +54,19 @@ class Layout:
         statistics: normalization.Statistics,
         config: TrainConfig,
     ):
+        s = statistics
         self.n_rigid = n_rigid
         self.n_node, self.n_edge = adjacency.n_node, adjacency.n_edge
         self.senders, self.receivers = adjacency.senders, adjacency.receivers
         self.edge_gates = None  # float32 [B or 1, E] while the edges are being learned
         self.node_class = normalization.node_classes(n_rigid, scene.n_modes)
-        self.origin = statistics.origin[self.node_class]
-        self.memory = None  # reads the path, where that is an input
-        if statistics.path is not None:
-            self.memory = PathMemory.of_statistics(statistics.path, scene)
-        self.contact = None  # says where the body feels no soil, where tools leave it
-        if statistics.contact is not None:
-            self.contact = Contact.of_statistics(statistics.contact, statistics.surface, scene)
+        self.origin = s.origin[self.node_class]
+        # Reads the path, where that is an input; and says where the body feels no soil, where tools
+        # leave it.
+        self.memory = None if s.path is None else PathMemory.of_statistics(s.path, scene)
+        self.contact = None
+        if s.contact is not None:
+            self.contact = Contact.of_statistics(s.contact, s.surface, scene)
         counts = [count for _, count in scene.bodies] or [n_rigid]
         if sum(counts) != n_rigid:
             raise ValueError(f'the bodies {scene.bodies} have {sum(counts)} nodes, not {n_rigid}')
@@ -75,10 +74,6 @@ class Layout:
         further = np.where(np.arange(len(counts)) > 0, np.arange(len(counts)) + scene.n_modes, 0)
         self.embedded = self.node_class.copy()
         self.embedded[:n_rigid] = np.repeat(further, counts)
-        s = statistics
-        pair = (self.node_class[self.receivers], self.node_class[self.senders])
-        edge_std = s.displacement_std[pair]
-        edge_origin = self.origin[self.senders] - self.origin[self.receivers]
 
         def per_node(values):
             return values[self.node_class].astype(np.float32)
@@ -88,28 +83,26 @@ class Layout:
         self.acceleration_mean = per_node(s.acceleration_mean)
         self.acceleration_std = per_node(s.acceleration_std)
         self.target_mean, self.target_std = per_node(s.target_mean), per_node(s.target_std)
+        pair = (self.node_class[self.receivers], self.node_class[self.senders])
+        edge_std, edge_origin = s.displacement_std[pair], s.origin[pair[1]] - s.origin[pair[0]]
         self.edge_std = edge_std.astype(np.float32)
         self.edge_shift = ((edge_origin - s.displacement_mean[pair]) / edge_std).astype(np.float32)
         # What the network decides: all of the modes; of the body nothing, its height, or all.
-        moving = np.ones((self.n_node, self.origin.shape[1]), np.float32)
+        self.moving = np.ones((self.n_node, self.origin.shape[1]), np.float32)
         if scene.rigid_motion.is_known:
-            moving[:n_rigid] = 0.0
+            self.moving[:n_rigid] = 0.0
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # R particles share one degree of freedom: together they count as one component.
-            moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
-        self.moving = moving
-        self.loss_weight = moving.copy()
-        if not config.is_published and config.mode_order == 0:
-            # Places: an error counts as it does in the particles.
-            weight = (s.target_std[1:] / s.target_std[1:].max()) ** 2
-            self.loss_weight[n_rigid:] *= weight.astype(np.float32)
-        elif not config.is_published:
+            self.moving[:n_rigid, scene.up_axis] = 1.0 / n_rigid
+        self.loss_weight = self.moving.copy()
+        if not config.is_published:
             # Quiet components cost less: an error counts by its share of the loudest component's
             # motion. Lateral scores are mostly noise, and equal weights would spend the network on
-            # them.
-            self.loss_weight[n_rigid:] *= (s.velocity_std[1:] / s.velocity_std[1:].max()).astype(
-                np.float32
-            )
+            # them. An error of a place (order 0) counts as it does in the particles.
+            weight = s.velocity_std[1:] / s.velocity_std[1:].max()
+            if config.mode_order == 0:
+                weight = (s.target_std[1:] / s.target_std[1:].max()) ** 2
+            self.loss_weight[n_rigid:] *= weight.astype(np.float32)
 
 
 class LearnedSimulator(snt.Module):
@@ -129,8 +122,7 @@ class LearnedSimulator(snt.Module):
         super().__init__(name=name)
         self.scene, self.config, self.statistics = scene, config, statistics
         self.particle_types = particle_types
-        dim = statistics.origin.shape[1]
-        self.dim = dim
+        self.dim = statistics.origin.shape[1]
         mean = statistics.force_mean
         self.force_size = 0 if mean is None else len(mean)  # D of each body
         self.load_mean, self.load_std = (x.astype(np.float32) for x in loads.scale(statistics))
@@ -146,14 +138,9 @@ class LearnedSimulator(snt.Module):
             output_size=self.dim + self.load_size,
             mean_aggregation=not config.is_published,
         )
-        n_embedding = (
-            NUM_PARTICLE_TYPES
-            if config.is_published
-            else scene.n_modes + max(len(scene.bodies), 1)
-        )
-        initial = tf.random.stateless_normal(
-            [n_embedding, features.EMBEDDING_SIZE], [config.seed, 0]
-        )
+        rows = scene.n_modes + max(len(scene.bodies), 1)
+        shape = [NUM_PARTICLE_TYPES if config.is_published else rows, features.EMBEDDING_SIZE]
+        initial = tf.random.stateless_normal(shape, [config.seed, 0])
         self._embedding = tf.Variable(initial, name='embedding')
 
     def check_size(self, n_rigid: int):
@@ -161,7 +148,7 @@ class LearnedSimulator(snt.Module):
 
     @property
     def network(self) -> graph_network.EncodeProcessDecode:
-        """The graph network, for code that rewrites it."""
+        """The graph network."""
         return self._network
 
     @property
@@ -224,12 +211,7 @@ class LearnedSimulator(snt.Module):
           2021) or None.
         """
         target, load = self._decoded(state, known, context, layout)
-        if self.scene.rigid_motion == RigidMotion.DRIVEN:
-            body = tf.reduce_mean(target[:, : layout.n_rigid], axis=1, keepdims=True)
-            target = tf.concat(
-                [tf.tile(body, [1, layout.n_rigid, 1]), target[:, layout.n_rigid :]], axis=1
-            )
-        return target, load
+        return self._of_height(target, layout), load
 
     def _decoded(self, state, known, context, layout):
         """The network's target [B, V, D] and loads [B, F] or None."""
@@ -266,9 +248,8 @@ class LearnedSimulator(snt.Module):
         if not self.rate_scaled:
             return tf.ones([1, 1, 1])
         # q = sqrt(mean over the R particles of |v|^2) / its mean in training, at least RATE_FLOOR.
-        speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1)) / np.float32(
-            self.statistics.body_speed[0]
-        )
+        speed = tf.sqrt(tf.reduce_mean(tf.reduce_sum(known.velocity**2, -1), -1))
+        speed /= np.float32(self.statistics.body_speed[0])
         return tf.maximum(speed, RATE_FLOOR)[:, None, None]
 
     def normalized_target(self, next_velocity, state: SimulatorState, known, layout: Layout):
@@ -296,14 +277,12 @@ class LearnedSimulator(snt.Module):
           the next `SimulatorState` and the loads on the body [B, F], or None: the force, N, and
           behind it the torque, N m, where the model predicts it (`loads.split`).
         """
-        target, load = self.predict(
-            state, known if self.knows_next_frame else None, context, layout
-        )
+        seen = known if self.knows_next_frame else None
+        target, load = self.predict(state, seen, context, layout)
         # v' = rate (std y + mean), plus v where an acceleration is predicted, and start - x where a
         # place is; x' = x + v'.
-        velocity = (target * layout.target_std + layout.target_mean) * self.rate(
-            known
-        ) + self._base_velocity(state, known, layout)
+        velocity = (target * layout.target_std + layout.target_mean) * self.rate(known)
+        velocity += self._base_velocity(state, known, layout)
         offset = state.offset + velocity
         if self.scene.rigid_motion.is_known:
             velocity, offset = self._place_body(state, velocity, offset, known, layout)
@@ -331,29 +310,27 @@ class LearnedSimulator(snt.Module):
         return tf.concat([base[:, :n], known.start - state.offset[:, n:]], axis=1)
 
     def _of_height(self, velocity, layout):
-        """Replaces each rigid particle's velocity by the body's mean where only the height is
-        predicted."""
+        """Replaces each rigid particle's values [B, V, D] by the body's mean where only the height
+        is predicted."""
         if self.scene.rigid_motion != RigidMotion.DRIVEN:
             return velocity
-        body = tf.reduce_mean(velocity[:, : layout.n_rigid], axis=1, keepdims=True)
-        return tf.concat(
-            [tf.tile(body, [1, layout.n_rigid, 1]), velocity[:, layout.n_rigid :]], axis=1
-        )
+        n = layout.n_rigid
+        body = tf.reduce_mean(velocity[:, :n], axis=1, keepdims=True)
+        return tf.concat([tf.tile(body, [1, n, 1]), velocity[:, n:]], axis=1)
 
     def _place_body(self, state, velocity, offset, known, layout):
         """Overwrites the given part of the rigid motion."""
+        n, body_offset, body_velocity = layout.n_rigid, known.offset, known.velocity
         if self.scene.rigid_motion == RigidMotion.DRIVEN:
             up = up_vector(self.dim, self.scene.up_axis)
             # Given without its height: the mean of the particles so far, and the predicted change.
-            height = tf.reduce_mean(state.offset[:, : layout.n_rigid], axis=1, keepdims=True)
+            height = tf.reduce_mean(state.offset[:, :n], axis=1, keepdims=True)
             change = velocity[:, :1]
-            body_offset = known.offset + (height + change) * up
-            body_velocity = known.velocity + change * up
-        else:
-            body_offset, body_velocity = known.offset, known.velocity
+            body_offset = body_offset + (height + change) * up
+            body_velocity = body_velocity + change * up
         return (
-            tf.concat([body_velocity, velocity[:, layout.n_rigid :]], axis=1),
-            tf.concat([body_offset, offset[:, layout.n_rigid :]], axis=1),
+            tf.concat([body_velocity, velocity[:, n:]], axis=1),
+            tf.concat([body_offset, offset[:, n:]], axis=1),
         )
 
 

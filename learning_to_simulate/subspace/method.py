@@ -14,7 +14,7 @@ from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
-from learning_to_simulate.subspace.subspace_model import Model, load, make_simulator
+from learning_to_simulate.subspace.subspace_model import SIMULATORS, Model, load
 from learning_to_simulate.tool import bed
 from learning_to_simulate.tool.path_memory import PathMemory
 from pca_tools import dataset
@@ -38,49 +38,38 @@ def make_model(data_path, metadata, groups, config, rigid_motion=None) -> Model:
         torque where one is to be predicted.
     """
     scene = reading_utils.read_scene(data_path, metadata, groups, rigid_motion)
-    if (
-        config.predict_driven_body
-        and rigid_motion is None
-        and scene.rigid_motion == RigidMotion.DRIVEN
-    ):
+    driven = rigid_motion is None and scene.rigid_motion == RigidMotion.DRIVEN
+    if config.predict_driven_body and driven:
         scene = reading_utils.read_scene(data_path, metadata, groups, str(RigidMotion.PREDICTED))
     if config.predict_torque:
-        _check_torque(data_path, metadata, groups, scene)
-    statistics = normalization.compute_statistics(
-        [g.position for g in groups],
-        [g.force for g in groups],
-        reading_utils.contexts_by_frame(groups),
-        metadata,
-        scene,
-        config,
-        [g.torque for g in groups] if config.predict_torque else None,
-    )
-    velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
+        scene.check_one_body('predict_torque')
+        stated = scene.has_force and 'rigid_body_torque_mean' in metadata
+        if not stated or any(g.torque is None for g in groups):
+            raise ValueError(
+                f'predict_torque: {data_path} does not hold force and torque of every training run'
+            )
+    statistics = normalization.compute_statistics(groups, metadata, scene, config)
+    further = {}
     if config.path_inputs:
-        statistics = dataclasses.replace(
-            statistics, path=_path_memory(data_path, metadata, groups, scene).to_statistics()
-        )
-    if not config.is_published:
-        statistics = _with_contact(statistics, data_path, groups, scene)
+        memory = _path_memory(data_path, metadata, groups, scene)
+        further['path'] = memory.to_statistics()
+    space_path = os.path.join(data_path, checkpoints.SUBSPACE_FILE)
+    if not config.is_published and os.path.exists(space_path):
+        space = Subspace.load(space_path).truncated(scene.n_modes)
+        if found := contact.fit(groups, space, statistics.origin[1:], scene):
+            further |= found.to_statistics()
+    statistics = dataclasses.replace(statistics, **further)
+    velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
     edges = edge_lists.choose(config, data_path, scene.n_modes, velocities)
     types = groups[0].particle_type
-    simulator = make_simulator(scene, config, statistics, (int(types[0]), int(types[-1])))
+    make = SIMULATORS[config.model]
+    simulator = make(scene, config, statistics, (int(types[0]), int(types[-1])))
     model = Model(simulator, edges.mode_mask, edges.loaded_mask, edges.source)
     for group in groups:
         model.layout(group.n_rigid)
     tf.random.set_seed(config.seed)
     model.create_variables(groups[0].n_rigid)
     return model
-
-
-def _check_torque(data_path, metadata, groups, scene):
-    """Refuses data without what `predict_torque` needs."""
-    scene.check_one_body('predict_torque')
-    stated = scene.has_force and 'rigid_body_torque_mean' in metadata
-    if not stated or any(g.torque is None for g in groups):
-        raise ValueError(
-            f'predict_torque: {data_path} does not hold force and torque of every training run'
-        )
 
 
 def _path_memory(data_path, metadata, groups, scene):
@@ -95,16 +84,6 @@ def _path_memory(data_path, metadata, groups, scene):
     return PathMemory.of_runs(bodies, scene, surface)
 
 
-def _with_contact(statistics, data_path, groups, scene):
-    """The statistics with what `contact.fit` finds, where there is a subspace and it finds any."""
-    path = os.path.join(data_path, 'subspace.npz')
-    if not os.path.exists(path):
-        return statistics
-    space = Subspace.load(path).truncated(scene.n_modes)
-    found = contact.fit(groups, space, statistics.origin[1:], scene)
-    return dataclasses.replace(statistics, **found.to_statistics()) if found else statistics
-
-
 def _with_copies(model, groups, data_path):
     """The runs that a config trains on: with copies of them where it asks for some."""
     config, scene = model.simulator.config, model.simulator.scene
@@ -112,7 +91,7 @@ def _with_copies(model, groups, data_path):
         return groups
     from learning_to_simulate.subspace import symmetric_copies
 
-    path = os.path.join(data_path, 'subspace.npz')
+    path = os.path.join(data_path, checkpoints.SUBSPACE_FILE)
     if not scene.rigid_motion.is_known or scene.bodies or not os.path.exists(path):
         raise ValueError(
             f'copies is {config.copies}: shifted runs need one body whose motion is known and a '
@@ -130,10 +109,9 @@ def train(data_path, model_path, config, options) -> dict:
 
     metadata = dataset.read_metadata(data_path)
     groups = reading_utils.read_groups(data_path, 'train', metadata, **config.nodes)
-    has_valid = os.path.exists(dataset.split_path(data_path, 'valid'))
-    valid = (
-        reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes) if has_valid else []
-    )
+    valid = []
+    if os.path.exists(dataset.split_path(data_path, 'valid')):
+        valid = reading_utils.read_groups(data_path, 'valid', metadata, **config.nodes)
     model = make_model(data_path, metadata, groups, config, options.rigid_motion)
     trainer = Trainer(model, _with_copies(model, groups, data_path))
     layouts = [model.layout(g.n_rigid) for g in groups]
@@ -175,8 +153,7 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
       FileNotFoundError: no model, dataset or split there.
       ValueError: an override contradicts the model, or the dataset does not fit it.
     """
-    # A model that is only run waits for none of it.
-    from learning_to_simulate.penetration import Penetration
+    from learning_to_simulate.penetration import Penetration  # a model that is run does without
 
     def one_step_errors():
         from learning_to_simulate.subspace.trainer import Trainer
@@ -191,14 +168,6 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     groups = reading_utils.read_groups(data_path, split, metadata, **config.nodes)
     for group in groups:
         model.layout(group.n_rigid)
-    return OpenedModel(
-        model,
-        groups,
-        metadata,
-        evaluation.Evaluator(
-            model,
-            metadata,
-            more=Penetration.of_dataset(data_path, metadata, split, model.simulator.scene),
-        ),
-        one_step_errors,
-    )
+    more = Penetration.of_dataset(data_path, metadata, split, model.simulator.scene)
+    evaluator = evaluation.Evaluator(model, metadata, more=more)
+    return OpenedModel(model, groups, metadata, evaluator, one_step_errors)

@@ -1,5 +1,5 @@
-"""The rigid body in a frame: its height apart from its shape, what is given of its motion, and the
-correction that keeps a predicted one rigid. Each is written here and nowhere else."""
+"""The rigid body in a frame: what is given of its motion, and the correction that keeps a
+predicted one rigid."""
 
 from typing import NamedTuple
 
@@ -14,16 +14,12 @@ class KnownMotion(NamedTuple):
 
     Where the motion is driven, the up component holds the shape only: its mean over the R particles
     is 0, and the predicted height is added to it.
-
-    Attributes:
-      offset: float32 [B, R, D], m.
-      velocity: float32 [B, R, D], m/frame.
-      path: float32 [B, P], `path_memory` of the coming frame, for models that have it as an input.
-      start: float32 [B, r, D], offset of the modes in the last given frame, m, for the same.
     """
 
-    offset: tf.Tensor
-    velocity: tf.Tensor
+    offset: tf.Tensor  # float32 [B, R, D], m
+    velocity: tf.Tensor  # float32 [B, R, D], m/frame
+    # For models that have the path as an input: `path_memory` of the coming frame, float32 [B, P],
+    # and the offset of the modes in the last given frame, float32 [B, r, D], m.
     path: tf.Tensor | None = None
     start: tf.Tensor | None = None
 
@@ -33,16 +29,8 @@ class KnownMotion(NamedTuple):
         return KnownMotion(self.offset[frame], self.velocity[frame], path, self.start)
 
 
-def given_part(values, scene: Scene):
-    """The given part of offsets or displacements [..., R, D] of a body: all of them, or all but the
-    mean height where that is predicted."""
-    if scene.rigid_motion != RigidMotion.DRIVEN:
-        return values
-    return without_height(values, scene.up_axis, tf.reduce_mean)
-
-
 def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
-    """The given part of true rigid motion.
+    """The given part of true rigid motion: all of it, or all but the mean height of a driven body.
 
     Args:
       offset, velocity: [..., R, D] of the rigid particles, true offset from the origin and
@@ -54,7 +42,11 @@ def known_motion(offset, velocity, scene: Scene) -> KnownMotion | None:
     """
     if not scene.rigid_motion.is_known:
         return None
-    return KnownMotion(given_part(offset, scene), given_part(velocity, scene))
+    if scene.rigid_motion == RigidMotion.DRIVEN:
+        offset, velocity = (
+            without_height(x, scene.up_axis, tf.reduce_mean) for x in (offset, velocity)
+        )
+    return KnownMotion(offset, velocity)
 
 
 def rigid_correction(shape, position):

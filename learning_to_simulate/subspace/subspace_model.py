@@ -1,7 +1,7 @@
 """`Model`: a simulator in the subspace with its edges, and how one is read from its folder."""
 
 import dataclasses
-import os
+from typing import NamedTuple
 
 import numpy as np
 import tensorflow as tf
@@ -21,7 +21,7 @@ from learning_to_simulate.subspace.rigid_body import KnownMotion
 from learning_to_simulate.tool import path_memory
 from pca_tools.subspace import Subspace
 
-# `TrainConfig.model` -> what makes its simulator of (scene, config, statistics, particle types).
+# `TrainConfig.model` -> makes a simulator with fresh weights; arguments as of `LearnedSimulator`.
 SIMULATORS = {'gns': LearnedSimulator} | whole_state.SIMULATORS
 
 
@@ -64,12 +64,8 @@ class Model:
         return {str(n): layout.n_edge for n, layout in self._layouts.items()}
 
     def fix_mode_edges(self, mode_mask: np.ndarray, source: str = 'learned gates') -> None:
-        """Takes another list of mode -> mode edges; graphs are built anew.
-
-        Args:
-          mode_mask: bool [r, r], entry [receiver, sender].
-          source: where it comes from.
-        """
+        """Takes other mode -> mode edges, bool [receiver, sender] [r, r], and where they come from;
+        graphs are built anew."""
         self.mode_mask, self.edge_source = mode_mask, source
         sizes, self._layouts = list(self._layouts), {}
         for n_rigid in sizes:
@@ -108,23 +104,12 @@ class Model:
         s.predict(state, known, tf.zeros([1, len(s.scene.context_names)]), layout)
 
 
-@dataclasses.dataclass(frozen=True)
-class Parts:
-    """The parts of `config.json` that say what a model is.
+class Parts(NamedTuple):
+    """What `config.json` says of a model: the arguments of its simulator and of `Model`, and an R
+    that the model runs on."""
 
-    Attributes:
-      config: `TrainConfig`.
-      scene: `Scene`.
-      statistics: `Statistics`.
-      particle_types: of the rigid particles and of the modes.
-      n_rigid: an R that the model runs on.
-      mode_mask: bool [r, r], or None.
-      loaded_mask: bool [V, V], or None.
-      edge_source: where the edges come from, or None.
-    """
-
-    config: TrainConfig
     scene: Scene
+    config: TrainConfig
     statistics: Statistics
     particle_types: tuple[int, int]
     n_rigid: int
@@ -133,28 +118,23 @@ class Parts:
     edge_source: str | None
 
 
-def parse(values: dict, source: str) -> Parts:
-    """Checks the values of `config.json` and gives them their types.
-
-    Args:
-      values: the JSON object.
-      source: its file, for messages.
+def read_parts(path: str) -> Parts:
+    """Reads and checks `config.json` of a model folder.
 
     Raises:
+      FileNotFoundError: no model there.
       ValueError: a field is missing, unknown, of another type, or fits no model.
     """
-    try:
+    values = checkpoints.read_config(path)
+    with checkpoints.refusing_wrong_fields(path):
         config, scene, types = checkpoints.settings_and_scene(values, TrainConfig)
         statistics = Statistics.from_json(values['statistics'])
         statistics.check(scene, config.predict_torque)
-        n_rigid = values['n_rigid']
+        n_rigid, source = values['n_rigid'], values.get('edge_source')
         require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
-        source_of_edges = values.get('edge_source')
-        require(isinstance(source_of_edges, str | None), 'edge_source', source_of_edges)
+        require(isinstance(source, str | None), 'edge_source', source)
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
-    except checkpoints.WRONG_FIELD as error:
-        raise ValueError(f'{source}: a field is missing, unknown or wrong ({error})') from error
-    return Parts(config, scene, statistics, types, n_rigid, *masks, source_of_edges)  # type: ignore[call-arg]
+        return Parts(scene, config, statistics, types, n_rigid, *masks, source)
 
 
 def load(path: str) -> Model:
@@ -164,12 +144,10 @@ def load(path: str) -> Model:
       FileNotFoundError, ValueError: no model there, or weights that are not those of the config;
         no variable is made that the weights do not hold.
     """
-    parts = parse(checkpoints.read_config(path), os.path.join(path, checkpoints.CONFIG_FILE))
+    parts = read_parts(path)
 
     def make():
-        simulator = make_simulator(
-            parts.scene, parts.config, parts.statistics, parts.particle_types
-        )
+        simulator = SIMULATORS[parts.config.model](*parts[:4])
         model = Model(simulator, parts.mode_mask, parts.loaded_mask, parts.edge_source)
         model.create_variables(parts.n_rigid)
         return model
@@ -177,20 +155,11 @@ def load(path: str) -> Model:
     return checkpoints.filled(path, make)
 
 
-def make_simulator(scene, config, statistics, particle_types=(0, 6)) -> LearnedSimulator:
-    """A simulator with fresh weights; arguments as of `LearnedSimulator`."""
-    return SIMULATORS[config.model](scene, config, statistics, particle_types)
-
-
 def _mask(value, name):
     if value is None:
         return None
-    require(
-        isinstance(value, list)
-        and value
-        and all(isinstance(row, list) and len(row) == len(value) for row in value)
-        and all(is_int(entry, 0, 1) for row in value for entry in row),
-        name,
-        'not a square of 0 and 1',
-    )
+    rows = value if isinstance(value, list) and value else [None]
+    is_square = all(isinstance(row, list) and len(row) == len(rows) for row in rows)
+    binary = is_square and all(is_int(entry, 0, 1) for row in rows for entry in row)
+    require(binary, name, 'not a square of 0 and 1')
     return np.array(value, bool)

@@ -1,16 +1,16 @@
-"""More runs out of symmetries of the bed: what moves along a flat bed, or is mirrored across the
-way, is a run as well.
+"""More runs out of symmetries of the bed: a run that is shifted along a flat bed, or mirrored
+across the way, is a run as well.
 
 A field of displacements that is shifted by d along the way moves the particle at x as the field
 moved the one at x - d. Displacements are linear in the scores, and so is the shift: with modes W
 [N, r] and weights S [N, N] that interpolate between the nearest particles, scores s counted from
-the resting bed become W^T S W s, a product with an [r, r] matrix. The same holds for the mirror,
-which also turns the sign of what points across. Bodies are moved exactly; walls do not move, so a
-body stays where bodies of training have been. The packing is random: a shift is true of what soil
-does on the whole and not of single particles, most of which the modes do not hold anyway.
+the resting bed become W^T S W s, a product with an [r, r] matrix. So does the mirror, which also
+turns the sign of what points across. Walls do not move, so a body stays where bodies of training
+have been. The packing is random: a shift is true of the soil as a whole, not of single particles.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from scipy import spatial
@@ -24,19 +24,12 @@ LARGEST_SHIFT = 0.3  # m
 SHIFTS = 32  # different ones of a training; each costs a product with all particles
 
 
-@dataclasses.dataclass(frozen=True)
-class Shift:
-    """A shift along the way, with the mirror or not.
+class Shift(NamedTuple):
+    """A shift along the way, with the mirror or not."""
 
-    Attributes:
-      distance: m along the axis of travel.
-      is_mirrored: whether it is mirrored across the way as well.
-      matrix: float64 [r, r], of scores counted from the resting bed.
-    """
-
-    distance: float
-    is_mirrored: bool
-    matrix: np.ndarray
+    distance: float  # m along the axis of travel
+    is_mirrored: bool  # across the way as well
+    matrix: np.ndarray  # float64 [r, r], of scores counted from the resting bed
 
 
 def shift_of(space: Subspace, axis: int, across: int, distance, is_mirrored) -> Shift:

@@ -6,19 +6,21 @@ resumed gives the same weights. Windows are cut by index out of the runs.
 """
 
 import copy
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import loads
 from learning_to_simulate.body_height import up_vector
-from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import noise_utils
 from learning_to_simulate.subspace.edge_gates import EdgeGates
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
 from learning_to_simulate.subspace.rigid_body import known_motion
-from learning_to_simulate.training.schedule import TwoStageSchedule, WeightAverages
+from learning_to_simulate.training.schedule import GradientTraining
 
 CLIP_NORM = 1.0  # largest norm of the gradient of all weights
 # Independent random streams of one (seed, step).
@@ -29,7 +31,7 @@ _WINDOW_STREAM, _NOISE_STREAM, _GROUP_STREAM, _EVALUATION_STREAM, _GATE_STREAM =
 FORCE_FLOOR = 0.02
 
 
-class Trainer:
+class Trainer(GradientTraining):
     """Holds the data, the optimiser and one compiled step per group and stage.
 
     Args:
@@ -40,76 +42,45 @@ class Trainer:
       ValueError: if a run is shorter than the training windows.
     """
 
-    gates: EdgeGates | None = None  # while the config says that the edges are learned
-
     def __init__(self, model, groups):
-        self.simulator, self.config = model.simulator, model.simulator.config
-        longest = INPUT_SEQUENCE_LENGTH + (
-            self.config.unroll_length if self.config.unroll_steps else 1
-        )
-        short = [g.position.shape[1] for g in groups if g.position.shape[1] < longest]
-        if short:
+        config = model.simulator.config
+        super().__init__(model.simulator, None if config.is_published else CLIP_NORM)
+        longest = H + (config.unroll_length if config.unroll_steps else 1)
+        shortest = min(g.position.shape[1] for g in groups)
+        if shortest < longest:
             raise ValueError(
-                f'runs of {min(short)} frames are shorter than the training window of {longest} '
+                f'runs of {shortest} frames are shorter than the training window of {longest} '
                 f'frames'
             )
-        self._tensors = [
-            GroupTensors(
-                g,
-                model.layout(g.n_rigid),
-                self.simulator.statistics,
-                relative_loads=not self.config.is_published,
-            )
-            for g in groups
-        ]
+        self._model = model
+        self._tensors = [GroupTensors(g, model.layout(g.n_rigid), self.simulator) for g in groups]
         runs = np.array([t.n_run for t in self._tensors], float)
         self._share = np.cumsum(runs / runs.sum())
-        self.learning_rate = TwoStageSchedule(self.config)
-        self.optimizer = tf.keras.optimizers.Adam(
-            self.learning_rate, global_clipnorm=None if self.config.is_published else CLIP_NORM
-        )
-        self.optimizer.build(self.simulator.trainable_variables)
-        self._model = model
-        if self.config.gate_weight > 0:
+        if config.gate_weight > 0:
             self.gates = EdgeGates(self.simulator.scene.n_modes)
-        self.averaging = WeightAverages(
-            self.simulator.trainable_variables, self.config.weight_average
-        )
         self._steps = {}
 
-    @property
-    def total_steps(self) -> int:
-        """Steps of both stages."""
-        return self.config.num_steps
-
-    def is_gated(self, step: int) -> bool:
-        """Whether the edges are still being learned in training step `step`."""
-        return self.gates is not None and step < self.config.gate_steps
-
     def fix_edges(self, mode_mask) -> None:
-        """Goes on with a fixed list of mode -> mode edges; the removed ones leave the graph.
-
-        Args:
-          mode_mask: bool [r, r], entry [receiver, sender].
-        """
+        """Goes on with the edges of a bool [receiver, sender] mask [r, r]; the others leave."""
         self._model.fix_mode_edges(mode_mask)
         self._tensors = [t.with_layout(self._model.layout(t.layout.n_rigid)) for t in self._tensors]
         self._steps = {}
 
     def step(self, step: int) -> dict[str, tf.Tensor]:
         """Runs training step `step` (counted from 0) and returns its scalar losses."""
-        unrolled = step >= self.config.single_steps
         group = self._group_of(step)
-        key = group, unrolled, self.is_gated(step)
+        is_gated = self.gates is not None and step < self.config.gate_steps
+        key = group, step >= self.config.single_steps, is_gated
         if key not in self._steps:
             self._steps[key] = self._compile(self._tensors[group], *key[1:])
         return self._steps[key](tf.constant(step, tf.int32))
 
     def _group_of(self, step):
-        draw = np.random.Generator(
-            np.random.Philox(key=self.config.seed, counter=[0, 0, _GROUP_STREAM, step])
-        ).random()
+        draw = self.generator(_GROUP_STREAM, step).random()
         return min(int(np.searchsorted(self._share, draw, side='right')), len(self._tensors) - 1)
+
+    def _seed(self, stream, step):
+        return tf.stack([self.config.seed * 8 + stream, step])
 
     def batch_of(self, step: int) -> list[tuple[int, int]]:
         """The batch of training step `step`: (record of the training split, first frame) of each
@@ -122,8 +93,7 @@ class Trainer:
         # Compiled as in the training step: its draws need not be eager ones.
         @tf.function(jit_compile=True, autograph=False)
         def picks(step):
-            seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
-            return tensors.picks(size, INPUT_SEQUENCE_LENGTH + length, seed)
+            return tensors.picks(size, H + length, self._seed(_WINDOW_STREAM, step))
 
         run, start = (values.numpy() for values in picks(tf.constant(step, tf.int32)))
         return list(zip(tensors.record[run].tolist(), start.tolist()))
@@ -134,27 +104,21 @@ class Trainer:
 
         @tf.function(jit_compile=True, autograph=False)
         def train_step(step):
-            window_seed = tf.stack([config.seed * 8 + _WINDOW_STREAM, step])
-            noise_seed = tf.stack([config.seed * 8 + _NOISE_STREAM, step])
+            windows, noise = self._seed(_WINDOW_STREAM, step), self._seed(_NOISE_STREAM, step)
+            runs, trained = tensors, variables
             with tf.GradientTape() as tape:
+                if gates:
+                    seed, trained = self._seed(_GATE_STREAM, step), [*variables, gates.log_alpha]
+                    runs = tensors.with_layout(gates.gated(tensors.layout, config.batch_size, seed))
                 if unrolled:
-                    values = self._unrolled_losses(tensors, config.unroll_batch_size, window_seed)
-                elif gates:
-                    gate_seed = tf.stack([config.seed * 8 + _GATE_STREAM, step])
-                    layout = gates.gated(tensors.layout, config.batch_size, gate_seed)
-                    values = self._single_step_losses(
-                        tensors.with_layout(layout), config.batch_size, window_seed, noise_seed
-                    )
-                    values = gates.with_price(values, config, step)
+                    values = self._unrolled_losses(runs, config.unroll_batch_size, windows)
                 else:
-                    values = self._single_step_losses(
-                        tensors, config.batch_size, window_seed, noise_seed
-                    )
+                    values = self._single_step_losses(runs, config.batch_size, windows, noise)
+                if gates:
+                    values = gates.with_price(values, config, step)
+            gradients = list(tape.gradient(values['loss'], trained))
             if gates:
-                *gradients, of_gates = tape.gradient(values['loss'], [*variables, gates.log_alpha])
-                gates.optimizer.apply_gradients([(of_gates, gates.log_alpha)])
-            else:
-                gradients = tape.gradient(values['loss'], variables)
+                gates.optimizer.apply_gradients([(gradients.pop(), gates.log_alpha)])
             self.optimizer.apply_gradients(zip(gradients, variables, strict=True))
             self.averaging.update(step)
             return values
@@ -162,19 +126,15 @@ class Trainer:
         return train_step
 
     def one_step_errors(self, n_batch: int = 50) -> dict[str, float]:
-        """Mean one-step losses without noise over random windows, and the position error in m².
-
-        Args:
-          n_batch: batches of 64 windows per group of runs.
-        """
+        """Mean one-step losses without noise over `n_batch` batches of 64 random windows of every
+        group, and the position error in m²."""
         rows = []
         for index, tensors in enumerate(self._tensors):
 
             @tf.function(jit_compile=True, autograph=False)
             def errors(i, tensors=tensors, index=index):
-                return self._single_step_losses(
-                    tensors, 64, tf.stack([_EVALUATION_STREAM + index, i]), None
-                )
+                seed = tf.stack([_EVALUATION_STREAM + index, i])
+                return self._single_step_losses(tensors, 64, seed, None)
 
             rows += [
                 {k: float(v) for k, v in errors(tf.constant(i)).items()} for i in range(n_batch)
@@ -184,130 +144,119 @@ class Trainer:
     def _noisy_state(self, offset, velocity, layout, seed):
         """State after the first H frames of windows, with random-walk noise on the nodes that move
         freely."""
-        h = INPUT_SEQUENCE_LENGTH
-        state = initial_state(offset[:, :h], velocity[:, 1:h])
-        if self.config.noise_std == 0 or seed is None:
+        state = initial_state(offset[:, :H], velocity[:, 1:H])
+        config, scene, s = self.config, self.simulator.scene, self.simulator.statistics
+        if config.noise_std == 0 or seed is None:
             return state
-        std = np.full(layout.velocity_std.shape, self.config.noise_std, np.float32)
-        if self.config.noise_relative:
+        std = np.full(layout.velocity_std.shape, config.noise_std, np.float32)
+        if config.noise_relative:
             std *= layout.velocity_std
         noise = noise_utils.random_walk_velocity_noise(
             state.velocity.shape, std * (layout.moving > 0), seed
         )
-        scene = self.simulator.scene
         if scene.rigid_motion == RigidMotion.DRIVEN:
             # One degree of freedom: every rigid particle carries the same noise, on the scale of
             # the height.
+            factor = 1.0
+            if config.noise_relative:
+                factor = s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]
             up = up_vector(self.simulator.dim, scene.up_axis)
-            s = self.simulator.statistics
-            factor = (
-                s.height_velocity_std[0] / layout.velocity_std[0, scene.up_axis]
-                if self.config.noise_relative
-                else 1.0
-            )
-            body = noise[:, :1] * up * np.float32(factor)
-            noise = tf.concat(
-                [tf.tile(body, [1, layout.n_rigid, 1, 1]), noise[:, layout.n_rigid :]], axis=1
-            )
+            body = tf.tile(noise[:, :1] * up * np.float32(factor), [1, layout.n_rigid, 1, 1])
+            noise = tf.concat([body, noise[:, layout.n_rigid :]], axis=1)
         return SimulatorState(
             state.offset + noise_utils.position_noise(noise), state.velocity + noise
         )
 
-    def _known(self, offset, velocity, memory, layout, frame):
-        n = layout.n_rigid
-        known = known_motion(offset[:, frame, :n], velocity[:, frame, :n], self.simulator.scene)
-        path, start = memory
-        return known if path is None else known._replace(path=path[:, frame], start=start)
+    def _known(self, windows, layout, frame):
+        body = (x[:, frame, : layout.n_rigid] for x in (windows.offset, windows.velocity))
+        known = known_motion(*body, self.simulator.scene)
+        if windows.path is None:
+            return known
+        return known._replace(path=windows.path[:, frame], start=windows.start)
 
     def _single_step_losses(self, tensors, batch_size, window_seed, noise_seed):
-        h, layout = INPUT_SEQUENCE_LENGTH, tensors.layout
-        offset, velocity, load, context, load_weights, memory = tensors.windows(
-            batch_size, h + 1, window_seed
-        )
-        state = self._noisy_state(offset, velocity, layout, noise_seed)
-        known = self._known(offset, velocity, memory, layout, h)
-        moved = velocity[:, h] if self.config.mode_order else offset[:, h] - state.offset
-        target = self.simulator.normalized_target(moved, state, known, layout)
-        predicted, predicted_load = self.simulator.predict(state, known, context(h), layout)
-        true_load = None if load is None else load[:, h]
-        values = one_step_loss(
-            target, predicted, true_load, predicted_load, layout.loss_weight, load_weights
-        )
+        simulator, layout = self.simulator, tensors.layout
+        w = tensors.windows(batch_size, H + 1, window_seed)
+        state = self._noisy_state(w.offset, w.velocity, layout, noise_seed)
+        known = self._known(w, layout, H)
+        moved = w.velocity[:, H] if self.config.mode_order else w.offset[:, H] - state.offset
+        target = simulator.normalized_target(moved, state, known, layout)
+        predicted, load = simulator.predict(state, known, w.context(H), layout)
+        error = predicted - target
+        values = training_loss(
+            error[:, None], layout.loss_weight, None if load is None else load[:, None],
+            None if w.load is None else w.load[:, H:], w.load_weights,
+        )  # fmt: skip
         # Of the displacement, m: what is normalised is multiplied back.
-        error = (
-            (predicted - target) * layout.target_std * self.simulator.rate(known) * layout.moving
-        )
+        error = error * layout.target_std * simulator.rate(known) * layout.moving
         return values | {'one_step_position_mse': tf.reduce_mean(error[:, layout.n_rigid :] ** 2)}
 
     def _unrolled_losses(self, tensors, batch_size, window_seed):
-        h, n, layout = INPUT_SEQUENCE_LENGTH, self.config.unroll_length, tensors.layout
-        offset, velocity, load, context, load_weights, memory = tensors.windows(
-            batch_size, h + n, window_seed
-        )
-        state = initial_state(offset[:, :h], velocity[:, 1:h])
-        offsets, stepped = [], []
-        for k in range(n):
-            known = self._known(offset, velocity, memory, layout, h + k)
-            state, of_frame = self.simulator.step(state, known, context(h + k), layout)
+        n, layout, simulator = self.config.unroll_length, tensors.layout, self.simulator
+        w = tensors.windows(batch_size, H + n, window_seed)
+        state = initial_state(w.offset[:, :H], w.velocity[:, 1:H])
+        offsets, stepped, load = [], [], None
+        for k in range(H, H + n):
+            state, of_frame = simulator.step(state, self._known(w, layout, k), w.context(k), layout)
             offsets.append(state.offset)
             stepped.append(of_frame)
-        s = self.simulator.statistics
-        predicted_load = None
-        if load is not None:
-            load = load[:, h:]
-            predicted_load = (
-                tf.stack(stepped, 1) - self.simulator.load_mean
-            ) / self.simulator.load_std
-        scale = layout.velocity_std.copy()
-        if s.height_velocity_std is not None:
-            scale[: layout.n_rigid, self.simulator.scene.up_axis] = s.height_velocity_std[0]
-        return unrolled_loss(
-            offset[:, h:],
-            tf.stack(offsets, 1),
-            load,
-            predicted_load,
-            layout.loss_weight,
-            scale,
-            load_weights,
-        )
+        if w.load is not None:
+            load = (tf.stack(stepped, 1) - simulator.load_mean) / simulator.load_std
+        # Errors are counted in units of each node's own velocity scale.
+        scale, height = layout.velocity_std.copy(), simulator.statistics.height_velocity_std
+        if height is not None:
+            scale[: layout.n_rigid, simulator.scene.up_axis] = height[0]
+        error = (tf.stack(offsets, 1) - w.offset[:, H:]) / scale
+        true_load = None if w.load is None else w.load[:, H:]
+        return training_loss(error, layout.loss_weight, load, true_load, w.load_weights)
+
+
+class Windows(NamedTuple):
+    """B windows of K frames."""
+
+    offset: tf.Tensor  # [B, K, V, D]
+    velocity: tf.Tensor  # [B, K, V, D]
+    load: tf.Tensor | None  # [B, K, F], normalised
+    context: Callable  # called with a frame of the windows it gives [B, C] or None
+    load_weights: list  # for each load [B], see `training_loss`
+    path: tf.Tensor | None  # [B, K, P] and [B, r, D] of `KnownMotion`
+    start: tf.Tensor | None
 
 
 class GroupTensors:
     """Runs of one group as float32 tensors: offsets from the origin, velocities, loads, context."""
 
-    def __init__(self, group, layout, statistics, relative_loads):
+    def __init__(self, group, layout, simulator):
         self.layout = layout
         self.n_run, self.n_frame = group.position.shape[:2]
         self.record = group.record
-        flat = (self.n_run * self.n_frame, *group.position.shape[2:])
+
+        def flat(values):  # one row per frame of all runs
+            return tf.constant(values.reshape(-1, *values.shape[2:]), tf.float32)
+
         # Differences in float64 before the cast: see the note on state in `learned_simulator`.
-        self.offset = tf.constant((group.position - layout.origin).reshape(flat), tf.float32)
-        self.velocity = tf.constant(group.velocity.reshape(flat), tf.float32)
-        self.load = self.context = None
-        self.load_weights = []
-        normalised = []
-        for load, (mean, std) in zip((group.force, group.torque), loads.scales(statistics)):
+        offset = group.position - layout.origin
+        self.offset, self.velocity = flat(offset), flat(group.velocity)
+        self.load_weights, normalised = [], []
+        scales = loads.scales(simulator.statistics)
+        for load, (mean, std) in zip((group.force, group.torque), scales):
             normalised.append((load - mean) / std)
             # (std / rms of the run)^2 turns squared errors over `std` into relative ones.
             weight = np.ones(self.n_run)
-            if relative_loads:
+            if not simulator.config.is_published:
                 size = np.sqrt((load**2).sum(axis=-1).mean(axis=1))
                 floor = FORCE_FLOOR * size.max() or std[0]  # all zero: no weights
                 weight = (std[0] / np.maximum(size, floor)) ** 2
             self.load_weights.append(tf.constant(weight, tf.float32))
-        if normalised:
-            flat_loads = np.concatenate(normalised, axis=-1).reshape(flat[0], -1)
-            self.load = tf.constant(flat_loads, tf.float32)
-        if statistics.context_mean is not None:
-            self._context_by_frame = group.context_changes
+        self.load = flat(np.concatenate(normalised, axis=-1)) if normalised else None
+        self._context_by_frame, self.context = group.context_changes, None
+        if simulator.statistics.context_mean is not None:
             rows = group.context.reshape(-1, group.context.shape[-1])
             self.context = tf.constant(rows, tf.float32)
         self.path = self.start = None
         if layout.memory is not None:
-            path = layout.memory.read(group.position[:, :, : group.n_rigid])
-            self.path = tf.constant(path.reshape(flat[0], -1))
-            start = (group.position - layout.origin)[:, INPUT_SEQUENCE_LENGTH - 1, group.n_rigid :]
-            self.start = tf.constant(start, tf.float32)
+            self.path = flat(layout.memory.read(group.position[:, :, : group.n_rigid]))
+            self.start = tf.constant(offset[:, H - 1, group.n_rigid :], tf.float32)
 
     def with_layout(self, layout):
         """The same runs on another graph of the same nodes."""
@@ -325,94 +274,50 @@ class GroupTensors:
         )
         return pick // n_start, pick % n_start
 
-    def _context_of(self, run, frames):
-        """Context [B, C] or None of windows, called with the number of a frame in the window."""
-        if self.context is None:
-            return lambda k: None
-        if self._context_by_frame:
-            return lambda k: tf.gather(self.context, frames[:, k])
-        constant = tf.gather(self.context, run)
-        return lambda k: constant
-
-    def windows(self, batch_size, length, seed):
-        """Gathers the windows that `picks` names: offsets, velocities, loads, context as of
-        `_context_of`, weights of each load, and (path, start) as of `KnownMotion`."""
+    def windows(self, batch_size, length, seed) -> Windows:
+        """Gathers the windows that `picks` names."""
         run, start = self.picks(batch_size, length, seed)
         frames = (run * self.n_frame + start)[:, None] + tf.range(length)
-        memory = (None, None)
-        if self.path is not None:
-            memory = tf.gather(self.path, frames), tf.gather(self.start, run)
-        return (
-            tf.gather(self.offset, frames),
-            tf.gather(self.velocity, frames),
-            None if self.load is None else tf.gather(self.load, frames),
-            self._context_of(run, frames),
+
+        def gather(values, index):
+            return None if values is None else tf.gather(values, index)
+
+        constant = None if self._context_by_frame else gather(self.context, run)
+
+        def context(k):
+            return gather(self.context, frames[:, k]) if self._context_by_frame else constant
+
+        return Windows(
+            tf.gather(self.offset, frames), tf.gather(self.velocity, frames),
+            gather(self.load, frames), context,
             [tf.gather(weight, run) for weight in self.load_weights],
-            memory,
-        )
+            gather(self.path, frames), gather(self.start, run),
+        )  # fmt: skip
 
 
-def one_step_loss(target, predicted_target, load, predicted_load, moving, load_weights=(1.0,)):
-    """Loss of Usmani & Skonieczny 2023, eq. 13: error of the moving nodes plus error of the force,
-    and of the torque where it is predicted.
+def training_loss(error, moving, load, true_load, load_weights) -> dict[str, tf.Tensor]:
+    """Loss over N frames: Usmani & Skonieczny 2023, eq. 13, for N = 1.
 
     Args:
-      target, predicted_target: [B, V, D], normalised.
-      load, predicted_load: [B, F], normalised, or None; equal parts for the names of `loads`.
-      moving: [V, D], 1 for components that the network decides, 0 for given ones.
+      error: [B, N, V, D], of the nodes in units of their scale.
+      moving: [V, D], weights of the components; 0 for given ones.
+      load, true_load: [B, N, F], normalised; equal parts for the names of `loads`. Or None.
       load_weights: for each of the parts, [B] or 1, of each graph's squared error.
 
     Returns:
       dict of scalars: `loss`, `loss_mse` (sum of squares per moving node), `loss_force_mse` and
       `loss_torque_mse`, as far as there are weights.
     """
-    dim = target.shape[-1]
-    # L = sum over nodes of |y - y^|^2 / moving nodes + weight |F - F^|^2, mean over graphs.
+    n_step, dim = error.shape[1], error.shape[-1]
+    # L = mean over graphs and frames k of 1/k sum over nodes of |error|^2 / moving nodes
+    # + weight |F - F^|^2. The error of frame k is the sum of k steps' errors.
     n_moving = tf.reduce_sum(moving) / dim
-    motion = tf.reduce_sum((predicted_target - target) ** 2 * moving, axis=[1, 2]) / n_moving
-    return _total(tf.reduce_mean(motion), _load_errors(load, predicted_load, load_weights))
-
-
-def unrolled_loss(
-    offsets, predicted_offsets, load, predicted_load, moving, scale, load_weights=(1.0,)
-):
-    """Loss over N rolled-out frames; frame k weighs 1 / k, because its error is the sum of k
-    steps'.
-
-    Args:
-      offsets, predicted_offsets: [B, N, V, D], m.
-      load, predicted_load: [B, N, F], normalised, or None.
-      moving: [V, D] as in `one_step_loss`.
-      load_weights: as in `one_step_loss`.
-      scale: [V, D], m; errors are counted in units of it (each node's own velocity scale).
-
-    Returns:
-      dict of scalars as in `one_step_loss`.
-    """
-    n_step, dim = offsets.shape[1], offsets.shape[-1]
-    n_moving = tf.reduce_sum(moving) / dim
-    # L = mean over frames k of 1/k sum over nodes of |x_k - x^_k|^2 / scale^2 / moving nodes.
-    error = ((predicted_offsets - offsets) / scale) ** 2 * moving
     weight = 1.0 / tf.range(1, n_step + 1, dtype=error.dtype)
-    motion = tf.reduce_sum(error, axis=[2, 3]) * weight / n_moving
-    return _total(tf.reduce_mean(motion), _load_errors(load, predicted_load, load_weights))
-
-
-def _load_errors(load, predicted_load, weights):
-    """Name of each load -> its error."""
-    if load is None:
-        return {}
-    parts = (tf.split(x, len(weights), axis=-1) for x in (load, predicted_load))
-    return {
-        name: _load_error(*one) for name, *one in zip(loads.NAMES, *parts, weights, strict=False)
-    }
-
-
-def _load_error(load, predicted_load, weight):
-    error = tf.reduce_sum((predicted_load - load) ** 2, axis=-1)
-    return tf.reduce_mean(tf.reduce_mean(tf.reshape(error, [error.shape[0], -1]), axis=1) * weight)
-
-
-def _total(motion, of_loads):
-    parts = {f'loss_{name}_mse': error for name, error in of_loads.items()}
-    return {'loss': sum(of_loads.values(), motion), 'loss_mse': motion, **parts}
+    motion = tf.reduce_mean(tf.reduce_sum(error**2 * moving, axis=[2, 3]) * weight / n_moving)
+    parts = {}
+    if true_load is not None:
+        of_loads = tf.split(load - true_load, len(load_weights), axis=-1)
+        for name, off, of_run in zip(loads.NAMES, of_loads, load_weights, strict=False):
+            of_graph = tf.reduce_mean(tf.reduce_sum(off**2, axis=-1), axis=1)
+            parts[f'loss_{name}_mse'] = tf.reduce_mean(of_graph * of_run)
+    return {'loss': sum(parts.values(), motion), 'loss_mse': motion, **parts}

@@ -1,9 +1,9 @@
 """`WholeStateSimulator`: one frame from a network that takes the whole state at once, no graph: the
 MLP and the Motion-Mixers.
 
-Features, normalisation, integration, losses, noise, training and rollouts are those of
-`LearnedSimulator`; there are no edges and no node embeddings, because the place of a value in the
-input says whose it is. Such a network fits one number of rigid particles.
+All but the network is as of `LearnedSimulator`. There are no edges and no node embeddings, because
+the place of a value in the input says whose it is. Such a network fits one number of rigid
+particles.
 """
 
 import functools
@@ -63,36 +63,30 @@ class WholeStateSimulator(LearnedSimulator):
     def _decoded(self, state, known, context, layout):
         n_graph = state.offset.shape[0]
         view = features.View(self, state, known, context, layout)
-        # The place of a value says whose it is: no node needs a name.
         found = {
             f.name: features.values_of(f, view) for f in features.of(self) if f.name != 'embedding'
         }
-        velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
-        values = list(found.values())
-        values = [
-            tf.broadcast_to(tf.reshape(v, [v.shape[0], -1]), [n_graph, v.shape[1] * v.shape[2]])
-            for v in values
-        ]
+        # [B, V, K D] of velocities -> [B, K, V D], a frame behind the other.
         count = self.config.velocity_inputs if self.config.state_inputs else 0
+        velocities = found.pop('velocity', tf.zeros([n_graph, layout.n_node, 0]))
         history = tf.reshape(velocities, [n_graph, layout.n_node, count, self.dim])
         history = tf.transpose(history, [0, 2, 1, 3])
         history = tf.reshape(history, [n_graph, count, layout.n_node * self.dim])
-        if not values:  # the published inputs without a context are the velocities alone
-            values = [tf.zeros([n_graph, 0])]
-        decoded = self._network(history, tf.concat(values, axis=-1))
-        body, n_row, n_mode = self._rigid_rows(), layout.n_rigid, self.scene.n_modes
-        size = (body + n_mode) * self.dim
-        load, decoded = decoded[:, size:], tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])
-        moved = decoded[:, :body]
-        if body != n_row:
-            moved = self._all_particles(moved, n_row)
-        target = tf.concat([moved, decoded[:, body:]], axis=1)
-        return target, load if self.scene.has_force else None
-
-    def _all_particles(self, body, n_rigid):
-        """The body's one row for all its particles; zeros where its motion is given."""
-        shape = [body.shape[0], n_rigid, self.dim]
-        return tf.broadcast_to(body, shape) if body.shape[1] else tf.zeros(shape)
+        # The published inputs without a context are the velocities alone.
+        others = [tf.zeros([n_graph, 0])]
+        for values in found.values():
+            flat = tf.reshape(values, [values.shape[0], -1])
+            others.append(tf.broadcast_to(flat, [n_graph, flat.shape[1]]))
+        decoded = self._network(history, tf.concat(others, axis=-1))
+        body, n = self._rigid_rows(), layout.n_rigid
+        size = (body + self.scene.n_modes) * self.dim
+        rows = tf.reshape(decoded[:, :size], [n_graph, -1, self.dim])
+        moved = rows[:, :body]
+        if body != n:  # one row for all particles; zeros where the motion is given
+            shape = [n_graph, n, self.dim]
+            moved = tf.broadcast_to(moved, shape) if body else tf.zeros(shape)
+        target = tf.concat([moved, rows[:, body:]], axis=1)
+        return target, decoded[:, size:] if self.scene.has_force else None
 
 
 class StateMLP(snt.Module):
@@ -101,10 +95,6 @@ class StateMLP(snt.Module):
     After Holden et al. 2019 (Subspace Neural Physics, SCA): the scores of all modes, their
     velocities and the motion of the body go in, the next displacement of all modes and the force
     come out.
-
-    Args:
-      config: `TrainConfig`.
-      output_size: values of the output.
     """
 
     def __init__(self, config, output_size, name='state_mlp'):
@@ -128,10 +118,6 @@ class Excitation(snt.Module):
     Channels: sigmoid(W2 relu(W1 mean over frames)), one gate per channel (Hu et al. 2018, eq. 2-4).
     Frames: sigmoid(w . x_t), one gate per frame; the two gated sequences are added (Roy et al.
     2018, eq. 3).
-
-    Args:
-      n_channel: C.
-      of_frames: whether frames are gated as well.
     """
 
     def __init__(self, n_channel, of_frames, name='excitation'):
@@ -178,15 +164,9 @@ class MotionMixer(snt.Module):
 
     After Bouazizi et al. 2022 (MotionMixer, IJCAI), whose poses of joints are here the velocities
     of modes and rigid particles. A block mixes the channels of every frame, then the frames of
-    every channel, each with a residual and an excitation: of the channels alone
-    (squeeze-and-excitation, Hu et al. 2018), or of channels and frames at once (scSE, Roy et al.
-    2018). What is known of the coming frame and has no history (positions, motion of the body,
-    context) is one more frame.
-
-    Args:
-      config: `TrainConfig`; `latent_size` channels, `hidden_layers` per mixing.
-      output_size: values of the output.
-      of_frames: scSE instead of SE.
+    every channel, each with a residual and an `Excitation` (with `of_frames` scSE instead of SE).
+    What is known of the coming frame and has no history (positions, motion of the body, context) is
+    one more frame. There are `latent_size` channels and `hidden_layers` per mixing.
     """
 
     def __init__(self, config, output_size, of_frames, name='motion_mixer'):
@@ -212,13 +192,13 @@ class MotionMixer(snt.Module):
         return self._output(tf.reshape(x, [x.shape[0], -1]))
 
 
+def _maker(make_network, **options):
+    return functools.partial(WholeStateSimulator, functools.partial(make_network, **options))
+
+
 # `TrainConfig.model` -> called with the arguments of `LearnedSimulator`, makes a simulator.
 SIMULATORS = {
-    'mlp': functools.partial(WholeStateSimulator, StateMLP),
-    'mixer_se': functools.partial(
-        WholeStateSimulator, functools.partial(MotionMixer, of_frames=False)
-    ),
-    'mixer_scse': functools.partial(
-        WholeStateSimulator, functools.partial(MotionMixer, of_frames=True)
-    ),
+    'mlp': _maker(StateMLP),
+    'mixer_se': _maker(MotionMixer, of_frames=False),
+    'mixer_scse': _maker(MotionMixer, of_frames=True),
 }

@@ -1,7 +1,5 @@
-"""One training run on disk, whatever is trained: claim the folder, resume, step, save.
-
-What is trained comes as a `Training` from a method of `registry`; this loop knows none.
-"""
+"""One training run on disk: claim the folder, resume, step, save. What is trained comes as a
+`Training` from a method of `registry`; this loop knows none."""
 
 import dataclasses
 import os
@@ -29,7 +27,7 @@ class Training:
 
     Attributes:
       model: with `simulator`; stored by `checkpoints.save_config`.
-      trainer: `trainer.Trainer`, or what answers as it does.
+      trainer: a `schedule.GradientTraining` with `step` and `batch_of`.
       evaluator: its `run(groups, split)` is the validation.
       valid: list of `RunGroup`; may be empty.
       n_rigid: any R the model runs on.
@@ -70,7 +68,7 @@ def run(training: Training, model_path: str, options: TrainOptions) -> dict:
             training.agree_on(start, model_path)
         if start:
             print(f'resumed {model_path} at step {start}')
-        print(f'{training.title}, {training.trainer.total_steps} steps')
+        print(f'{training.title}, {training.trainer.config.num_steps} steps')
         if training.close_gates and start > training.trainer.config.gate_steps:
             print(training.close_gates(model_path))
         return _train_steps(training, model_path, state, start, options.save_every, stop)
@@ -115,7 +113,7 @@ def _train_steps(training, model_path, state, start, save_every, stop) -> dict:
     """Steps from `start` to the end, with logs, validation rollouts and checkpoints."""
     trainer, close_gates = training.trainer, training.close_gates
     summary = {}
-    total = trainer.total_steps
+    total = trainer.config.num_steps
     save_every = save_every or max(total // 10, 1)
     losses = []  # since the last look at them
     with (
@@ -181,7 +179,7 @@ def _refuse_non_finite(losses, end, trainer, model_path):
     step = end - len(losses) + at
     raise ValueError(
         f'loss is {float(losses[at])} at step {step}, batch of (record, first frame) '
-        f'{trainer.batch_of(step)}; training stopped, the checkpoint of before stays in '
+        f'{trainer.batch_of(step)}; training stopped, the last checkpoint stays in '
         f'{model_path}'
     )
 
@@ -189,17 +187,16 @@ def _refuse_non_finite(losses, end, trainer, model_path):
 def _log_rollout(summary, step, bar):
     # A rollout that blew up has no number (null in metrics.json); training goes on and says so.
     mean = {k: float('nan') if v is None else v for k, v in summary['mean']['model'].items()}
-    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)  # DeepMind's, of modes
-    tf.summary.scalar('soil_error_mm', mean['soil_mm'], step=step)
     still = summary['mean']['stay_still']['soil_mm']
     text = f'step {step + 1}: valid rollout soil error {mean["soil_mm"]:.4g} mm'
     text += f' {summary["soil_error"]} (persistence {still:.4g})'
-    if 'force_relative_l2' in mean:
-        tf.summary.scalar('force_error_mse', mean['force_rmse'] ** 2, step=step)
-        text += f', force rel. L2 {mean["force_relative_l2"]:.3g}'
-    if 'torque_relative_l2' in mean:
-        tf.summary.scalar('torque_error_mse', mean['torque_rmse'] ** 2, step=step)
-        text += f', torque rel. L2 {mean["torque_relative_l2"]:.3g}'
+    # DeepMind's name, of modes, and ours.
+    tf.summary.scalar('rollout_error_mse', mean['soil_mse'], step=step)
+    tf.summary.scalar('soil_error_mm', mean['soil_mm'], step=step)
+    for name in ('force', 'torque'):
+        if f'{name}_relative_l2' in mean:
+            tf.summary.scalar(f'{name}_error_mse', mean[f'{name}_rmse'] ** 2, step=step)
+            text += f', {name} rel. L2 {mean[f"{name}_relative_l2"]:.3g}'
     bar.write(text)
 
 

@@ -1,4 +1,4 @@
-"""Learning rate and averages of the weights over the steps of a training."""
+"""Optimiser, learning rate and averages of the weights over the steps of a training."""
 
 import contextlib
 
@@ -14,11 +14,8 @@ UNROLLED_RATE = 3e-4  # the unrolled stage starts from it
 
 
 class TwoStageSchedule(tf.keras.optimizers.schedules.LearningRateSchedule):
-    """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); restarts for the unrolled
-    stage.
-
-    The unrolled stage starts from `UNROLLED_RATE` and decays to the floor by a cosine.
-    """
+    """Exponential decay by 0.1 per `decay_steps` to the floor (SG 2020); the unrolled stage starts
+    again from `UNROLLED_RATE` and decays to the floor by a cosine."""
 
     def __init__(self, config: TrainConfig):
         self._config = config
@@ -76,3 +73,30 @@ class WeightAverages:
         finally:
             for variable, value in zip(self._trained, trained, strict=True):
                 variable.assign(value)
+
+
+class GradientTraining:
+    """What the trainers of all networks share.
+
+    Args:
+      simulator: whose variables exist, with its config.
+      clip_norm: largest norm of the gradient of all weights, or None.
+
+    Attributes:
+      gates: `EdgeGates` while the edges are learned; None for none.
+    """
+
+    gates = None
+
+    def __init__(self, simulator, clip_norm: float | None):
+        self.simulator, self.config = simulator, simulator.config
+        variables = simulator.trainable_variables
+        self.learning_rate = TwoStageSchedule(self.config)
+        self.optimizer = tf.keras.optimizers.Adam(self.learning_rate, global_clipnorm=clip_norm)
+        self.optimizer.build(variables)
+        self.averaging = WeightAverages(variables, self.config.weight_average)
+
+    def generator(self, stream: int, step: int) -> np.random.Generator:
+        """Random numbers of a (seed, stream, step)."""
+        counter = [0, 0, stream, step]
+        return np.random.Generator(np.random.Philox(key=self.config.seed, counter=counter))

@@ -29,11 +29,7 @@ def stored_steps(path: str) -> list[int]:
 
 
 def check(path: str, step: int) -> None:
-    """Holds the files of a checkpoint against its digests.
-
-    Args:
-      path: model folder.
-      step: of the checkpoint.
+    """Holds the files of the checkpoint of a step against its digests.
 
     Raises:
       ValueError: a file is missing or is not the one that was written.
@@ -46,33 +42,29 @@ def check(path: str, step: int) -> None:
 
 
 class TrainingState:
-    """Weights, optimiser, averages and step of a training run in its model folder.
+    """Weights, optimiser, averages and step of a `GradientTraining` in its model
+    folder."""
 
-    Args:
-      path: model folder.
-      trainer: `Trainer` that the state belongs to.
-    """
-
-    def __init__(self, path, trainer):
+    def __init__(self, path: str, trainer):
         self._path = path
         self._step = tf.Variable(0, dtype=tf.int64)
+        gates = trainer.gates
         self._checkpoint = tf.train.Checkpoint(
             simulator=trainer.simulator,
             optimizer=trainer.optimizer,
             averages=trainer.averaging.variables,
             step=self._step,
-            **({'gates': trainer.gates} if trainer.gates else {}),
+            **({'gates': gates} if gates else {}),
         )
         self._variables = [
             *trainer.simulator.trainable_variables,
             *trainer.optimizer.variables,
             *trainer.averaging.variables,
-            *(trainer.gates.variables if trainer.gates else ()),
+            *(gates.variables if gates else ()),
         ]
 
     def restore(self) -> int:
-        """Restores the newest checkpoint that is whole; returns its step, 0 if there is none at
-        all.
+        """Restores the newest whole checkpoint; returns its step, 0 if there is none at all.
 
         Newer damaged ones are reported and set aside under names that end in `.damaged`, and so is
         a first one that was never finished. All but the newest `KEPT` ones are deleted.
@@ -150,7 +142,7 @@ class TrainingState:
 
         Raises:
           ValueError: a variable is not finite; nothing is written.
-          OSError: the disk is full or the folder is gone; the checkpoints of before stay.
+          OSError: the disk is full or the folder is gone; older checkpoints stay.
         """
         bad = [v.name for v in self._variables if not np.isfinite(v.numpy()).all()]
         if bad:
@@ -170,7 +162,7 @@ class TrainingState:
             reason = getattr(error, 'message', None) or error
             raise OSError(
                 f'{self._path}: the checkpoint of step {step} could not be written ({reason}); '
-                'those of before stay'
+                'older ones stay'
             ) from error
         self._remove_old()
 

@@ -13,10 +13,13 @@ from mpm.motions import grid, machine_drives, operator_paths, wheel_drives
 from mpm.motions.drive import Drive
 from mpm.motions.recording import Recording, recorded_drive
 
-KINDS = {
-    'excavation': operator_paths.KINDS + machine_drives.KINDS,
-    'wheel': wheel_drives.KINDS,
+# Scene -> kind -> what draws a drive and its parameters from scene, kind, seed and tool.
+_DRAWS = {
+    'excavation': dict.fromkeys(operator_paths.KINDS, operator_paths.operator_drive)
+    | dict.fromkeys(machine_drives.KINDS, machine_drives.machine_drive),
+    'wheel': dict.fromkeys(wheel_drives.KINDS, wheel_drives.free_drive),
 }
+KINDS = {scene: tuple(draws) for scene, draws in _DRAWS.items()}
 # The kinds that take turns among seeds, where none is named.
 TURNS = {'excavation': operator_paths.TURNS, 'wheel': wheel_drives.TURNS}
 
@@ -59,9 +62,7 @@ def in_bin(scene: scenes.Scene, name: str | None) -> scenes.Scene:
     return dataclasses.replace(scene, bin=scene.other_bins[name], other_bins={})
 
 
-def motion_of(
-    scene: scenes.Scene, case: int | str | Recording, tool: dict | None = None
-) -> Motion:
+def motion_of(scene: scenes.Scene, case: int | str | Recording, tool: dict | None = None) -> Motion:
     """Returns the motion of a run in the bin of the scene (see `in_bin`).
 
     Args:
@@ -93,12 +94,7 @@ def motion_of(
             kept['tool'] = tool
         return Motion(case, drive, kept, usual, ground)
     kind, seed = parse(scene, case)
-    make = wheel_drives.free_drive
-    if scene.name == 'excavation':
-        make = operator_paths.operator_drive
-        if kind in machine_drives.KINDS:
-            make = machine_drives.machine_drive
-    drive, parameters = make(scene, kind, seed, tool)
+    drive, parameters = _DRAWS[scene.name][kind](scene, kind, seed, tool)
     ground = scenes.ground_of(scene, parameters)._replace(**parameters.pop('ground', {}))
     frames = parameters.pop('frames', usual)
     return Motion(seed_case(kind, seed), drive, parameters, frames, ground)
@@ -118,8 +114,8 @@ def parse(scene: scenes.Scene, case: str) -> tuple[str, int]:
     kind, _, seed = case.rpartition('_')
     if kind not in KINDS[scene.name] or not seed.isdecimal():
         raise ValueError(
-            f'{scene.name} has no run {case!r}; expected the number of a case, or a kind of '
-            f'{KINDS[scene.name]} and a seed, such as {seed_case(KINDS[scene.name][0], 12)}'
+            f'{scene.name} has no run {case!r}; expected the number of a case (mini, full), or a '
+            f'kind of {KINDS[scene.name]} and a seed, such as {seed_case(KINDS[scene.name][0], 12)}'
         )
     return kind, int(seed)
 
@@ -157,14 +153,24 @@ def select_seeds(scene: scenes.Scene, seeds: str, kinds: str | None = None) -> t
 
 
 def select_runs(scene: scenes.Scene, names: list[str]) -> tuple:
-    """Returns the ids of runs that a person names: cases of the grid first.
+    """Returns the ids of runs that a person names, cases of the grid first.
+
+    Args:
+        scene: the scene.
+        names: numbers of cases and ids of seeds; 'mini' or 'full' alone: the grid in part or whole.
 
     Raises:
         ValueError: one that does not exist, or that is named twice; none.
     """
-    numbers = [name for name in names if name.isdecimal()]
-    cases = scenes.select_cases(scene, ','.join(numbers)) if numbers else ()
-    driven = [seed_case(*parse(scene, name)) for name in names if name not in numbers]
-    if len(set(driven)) < len(driven) or not names:
+    if names == ['mini']:
+        return scenes.mini_cases(scene)
+    if names == ['full']:
+        return tuple(range(1, scene.case_count + 1))
+    cases = [int(name) for name in names if name.strip().isdecimal()]
+    for case in cases:
+        scene.parameters(case)
+    driven = [seed_case(*parse(scene, name)) for name in names if not name.strip().isdecimal()]
+    runs = (*cases, *driven)
+    if len(set(runs)) < len(runs) or not runs:
         raise ValueError(f'{",".join(names)!r}: runs were expected, each once')
-    return cases + tuple(driven)
+    return runs

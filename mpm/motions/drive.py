@@ -57,3 +57,9 @@ class Drive:
     machine: Machine | None = None
     lead_in: int = 0
     rest: int = 0
+
+
+def poses(times: np.ndarray, x, y, angle, z) -> np.ndarray:
+    """Returns poses, float64 [T, 4], at `times` [T] (s) from arrays [T] and constants."""
+    columns = np.broadcast_arrays(np.asarray(times, np.float64), x, y, angle, z)
+    return np.stack(columns[1:], axis=1).astype(np.float64)

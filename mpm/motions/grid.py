@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from mpm import bodies
-from mpm.motions.drive import Drive, Machine
+from mpm.motions.drive import Drive, Machine, poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Scene, wheel_load
 
 RAMP_SPEED = 0.025  # m/s down, and as much forward: 45 degrees
@@ -63,9 +63,8 @@ def make_drive(scene: Scene, parameters: dict) -> Drive:
     start = blade_start(scene)
 
     def pose(times):
-        place = start + blade_displacement(motion, depth, speed, times)
-        rest = [-math.radians(lean_deg), scene.bin.z_middle]
-        return np.column_stack([place, np.tile(rest, (len(place), 1))])
+        x, y = (start + blade_displacement(motion, depth, speed, times)).T
+        return poses(times, x, y, -math.radians(lean_deg), scene.bin.z_middle)
 
     return Drive(bodies.make_blade(), pose)
 
@@ -77,15 +76,8 @@ def _wheel_drive(scene: Scene, parameters: dict) -> Drive:
 
     def pose(times):
         driven = np.maximum(np.asarray(times, dtype=np.float64), 0.0)
-        return np.stack(
-            [
-                WHEEL_START_X - travel * driven,
-                np.zeros_like(driven),
-                WHEEL_SPIN[diameter] * driven,
-                np.full_like(driven, scene.bin.z_middle),
-            ],
-            axis=1,
-        )
+        turn = WHEEL_SPIN[diameter] * driven
+        return poses(times, WHEEL_START_X - travel * driven, 0.0, turn, scene.bin.z_middle)
 
     machine = under_load(load, lambda times: np.full(len(times), load))
     return Drive(bodies.make_wheel(diameter), pose, machine, rest=REST_FRAMES)

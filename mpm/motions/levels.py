@@ -1,4 +1,4 @@
-"""A quantity that goes from level to level by quintic pieces, and its integral in closed form."""
+"""Quantities that go from level to level by quintic pieces, and their integrals in closed form."""
 
 from dataclasses import dataclass
 
@@ -56,3 +56,35 @@ class Levels:
         area = length * (self.values[k] * u + rise * (u * u) ** 2 * (2.5 + u * (u - 3.0)))
         beyond = np.maximum(times - self.times[-1], 0.0) * self.values[-1]
         return before[k] + area + beyond
+
+
+class Track:
+    """Levels of several quantities at common times, while a motion is drawn.
+
+    Attributes:
+        times: s, the first is 0.
+        values: name -> its levels at these times.
+    """
+
+    def __init__(self, **start: float):
+        self.times = [0.0]
+        self.values = {name: [value] for name, value in start.items()}
+
+    @property
+    def time(self) -> float:
+        """Of the last level, s."""
+        return self.times[-1]
+
+    def last(self, name: str) -> float:
+        """Returns the last level of a quantity."""
+        return self.values[name][-1]
+
+    def add(self, seconds: float, **levels: float) -> None:
+        """Goes to new levels in some seconds; quantities that are not named stay as they are."""
+        self.times.append(self.time + seconds)
+        for name, values in self.values.items():
+            values.append(levels.get(name, values[-1]))
+
+    def levels(self, name: str) -> Levels:
+        """Returns a quantity over time."""
+        return Levels(np.array(self.times), np.array(self.values[name]))

@@ -15,8 +15,8 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid, operator_paths
-from mpm.motions.drive import Drive, Machine
-from mpm.motions.levels import Levels
+from mpm.motions.drive import Drive, Machine, poses
+from mpm.motions.levels import Levels, Track
 
 KINDS = ('press', 'free', 'actuated')
 MASSES = (5.0, 200.0)  # kg, set down
@@ -46,12 +46,8 @@ def machine_drive(
         The drive and its parameters, JSON-compatible; `machine` among them where something is free.
 
     Raises:
-        ValueError: an unknown kind, a negative seed, or a bin in which no path fits.
+        ValueError: a bin in which no path fits.
     """
-    if kind not in KINDS:
-        raise ValueError(f'unknown kind {kind!r} of a machine; there are {KINDS}')
-    if seed < 0:
-        raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 3])
     parameters = {'kind': kind, 'path_seed': seed}
     if kind == 'actuated':
@@ -60,51 +56,41 @@ def machine_drive(
         width = operator_paths.NARROW_WIDTH if rng.random() < 0.3 else bodies.BLADE_WIDTH
         body, kept = bodies.make_blade(width), {'blade_width_m': width}
     else:
-        body, kept = bodies.tool_body(tool), {'tool': tool}  # type: ignore[dict-item]
-    for _ in range(operator_paths.TRIES):
-        drive, drawn = (_press if kind == 'press' else _set_down)(rng, scene.bin, body)
-        try:
-            checks.check_drive(drive, scene.bin, scenes.FRAMES - 1, operator_paths.STEPS_CHECKED)
-        except ValueError:
-            continue
-        return drive, parameters | kept | drawn
-    raise ValueError(f'no path of the kind {kind!r}, seed {seed} fits into the bin')
+        body, kept = bodies.tool_body(tool), {'tool': tool}
+    draw = _press if kind == 'press' else _set_down
+    drive, drawn = checks.first_that_fits(
+        lambda: draw(rng, scene.bin, body), scene.bin, f'the kind {kind!r}, seed {seed}'
+    )
+    return drive, parameters | kept | drawn
 
 
 def _press(rng, box, body):
     lean = float(rng.choice([0.0, rng.uniform(0.0, 45.0)]))
     x = rng.uniform(0.45, 0.72)
-    times, depths, xs = [0.0], [-grid.TIP_CLEARANCE], [x]
-    speeds = []
-
-    def go(seconds, depth, place=None):
-        times.append(times[-1] + seconds)
-        depths.append(depth)
-        xs.append(xs[-1] if place is None else place)
-
-    go(0.1, depths[0])
-    while times[-1] < _DURATION:
-        start = max(depths[-1], 0.0)
+    track, speeds = Track(depth=-grid.TIP_CLEARANCE, x=x), []
+    track.add(0.1)
+    while track.time < _DURATION:
+        start = max(track.last('depth'), 0.0)
         depth = rng.uniform(min(start + 0.005, PRESS_DEPTH), PRESS_DEPTH + 0.01)
         speed = math.exp(rng.uniform(*np.log(PRESS_SPEEDS)))
         speeds.append(round(speed, 4))
         # The mean speed of a quintic piece is 1 / PEAK of its largest.
-        go(max(abs(depth - depths[-1]) / speed, 0.05), depth)
-        go(rng.uniform(0.2, 1.0), depth)
+        track.add(max(abs(depth - track.last('depth')) / speed, 0.05), depth=depth)
+        track.add(rng.uniform(0.2, 1.0))
         way = rng.random()
         if way < 0.5:  # unloaded, and loaded again
-            go(rng.uniform(0.1, 0.3), depth - rng.uniform(0.0005, 0.004))
-            go(rng.uniform(0.1, 0.4), depths[-1])
+            track.add(rng.uniform(0.1, 0.3), depth=depth - rng.uniform(0.0005, 0.004))
+            track.add(rng.uniform(0.1, 0.4))
         elif way < 0.75:  # out, and down beside
-            go(rng.uniform(0.4, 0.8), -0.01)
-            go(0.4, -0.01, float(np.clip(xs[-1] + rng.uniform(-0.06, 0.06), 0.42, 0.74)))
-    down, along = Levels(np.array(times), np.array(depths)), Levels(np.array(times), np.array(xs))
+            track.add(rng.uniform(0.4, 0.8), depth=-0.01)
+            place = float(np.clip(track.last('x') + rng.uniform(-0.06, 0.06), 0.42, 0.74))
+            track.add(0.4, depth=-0.01, x=place)
+    down, along = track.levels('depth'), track.levels('x')
     theta = -math.radians(lean)
     base = box.surface - float(bodies.lowest(body, np.array(theta)))
 
     def pose(t):
-        still = np.ones(len(np.asarray(t)))
-        return np.stack([along(t), base - down(t), theta * still, box.z_middle * still], axis=1)
+        return poses(t, along(t), base - down(t), theta, box.z_middle)
 
     return Drive(body, pose), {'lean_deg': lean, 'press_speeds_m_s': speeds}
 
@@ -146,11 +132,7 @@ def _set_down(rng, box, body):
         return np.stack([np.zeros_like(weight), weight, np.zeros_like(weight)], axis=1)
 
     def pose(t):
-        still = np.ones(len(np.asarray(t)))
-        return np.stack(
-            [x - travel.integral(t), (base + 0.002) * still, theta * still, box.z_middle * still],
-            axis=1,
-        )
+        return poses(t, x - travel.integral(t), base + 0.002, theta, box.z_middle)
 
     machine = Machine(tuple(is_free), mass, force, inertia, tuple(stiffness), tuple(damping))
     return Drive(body, pose, machine), {

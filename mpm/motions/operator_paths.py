@@ -26,8 +26,8 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, drawn_tools, grid
-from mpm.motions.drive import Drive
-from mpm.motions.levels import Levels
+from mpm.motions.drive import Drive, poses
+from mpm.motions.levels import Levels, Track
 
 TURNS = ('smooth', 'stops', 'reverse', 'lift', 'disturbed')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'halts', 'beside', 'soils', 'tools', 'trench')
@@ -36,7 +36,7 @@ MAX_DEPTH, MIN_DEPTH = 0.10, 0.01  # m, of the edge below the flat surface
 MAX_SPEED = 0.15  # m/s along the bed
 MAX_RISE = 0.15  # m/s up or down
 MAX_TURN = 60.0  # deg/s
-MAX_LEAN, BUCKET_LEAN = 45.0, bodies.MAX_LEAN_DEG
+LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
 BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
 # Soil that is squeezed against a wall answers with ten times the force of the open field. So much
@@ -51,44 +51,34 @@ FARTHEST = 1.5  # widths, between neighbouring cuts
 FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
 GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
-STEPS_CHECKED = 8  # a frame, of a path that has just been drawn
-TRIES = 200
 
 _FRAMES = scenes.FRAMES
 _DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
-_BUCKET_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
+_STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 
 
-class _Story:
-    """A path while it is drawn: levels of speed, depth and lean at common times."""
+class _Story(Track):
+    """A path while it is drawn: its speed, depth and lean."""
 
     def __init__(self, rng, depth, lean, leans):
-        self.rng = rng
-        self.leans = leans
-        self.times, self.speeds, self.depths, self.lean = [0.0], [0.0], [depth], [lean]
-
-    @property
-    def time(self) -> float:
-        return self.times[-1]
+        super().__init__(speed=0.0, depth=depth, lean=lean)
+        self.rng, self.leans = rng, leans
 
     def go(self, seconds, speed, depth=None, lean=None) -> None:
         """Goes to new levels in `seconds`, or as many as their limits of rate need."""
-        depth = self.depths[-1] if depth is None else depth
+        depth = self.last('depth') if depth is None else depth
         if lean is None:  # a hand never keeps an angle exactly
             low, high = self.leans
-            lean = float(np.clip(self.lean[-1] + self.rng.uniform(-12.0, 12.0), low, high))
+            lean = float(np.clip(self.last('lean') + self.rng.uniform(-12.0, 12.0), low, high))
         slowest = max(
-            Levels.PEAK * abs(depth - self.depths[-1]) / MAX_RISE,
-            Levels.PEAK * abs(lean - self.lean[-1]) / MAX_TURN,
+            Levels.PEAK * abs(depth - self.last('depth')) / MAX_RISE,
+            Levels.PEAK * abs(lean - self.last('lean')) / MAX_TURN,
         )
-        self.times.append(self.time + max(seconds, slowest))
-        self.speeds.append(speed)
-        self.depths.append(depth)
-        self.lean.append(lean)
+        self.add(max(seconds, slowest), speed=speed, depth=depth, lean=lean)
 
     def wait(self, seconds) -> None:
         """Stands still."""
-        self.go(seconds, 0.0, lean=self.lean[-1])
+        self.go(seconds, 0.0, lean=self.last('lean'))
 
     def travel_in_air(self, distance, peak) -> None:
         """Moves by `distance` (m, forward) and stands still again, at most as fast as `peak`."""
@@ -96,6 +86,10 @@ class _Story:
         # From rest up to a speed and down to rest: the mean of both pieces is half the speed.
         self.go(seconds, distance / seconds)
         self.go(seconds, 0.0)
+
+    def way(self) -> float:
+        """Returns how far it has gone forward, m."""
+        return float(self.levels('speed').integral([self.time])[0])
 
 
 def operator_drive(
@@ -114,25 +108,21 @@ def operator_drive(
         usual one, the `frames` where they are more than usual.
 
     Raises:
-        ValueError: an unknown kind, a negative seed, or a bin in which none of `TRIES` fits.
+        ValueError: a bin in which no path fits.
     """
-    if kind not in KINDS:
-        raise ValueError(f'unknown kind {kind!r} of operator path; there are {KINDS}')
-    if seed < 0:
-        raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     parameters = {'kind': kind, 'path_seed': seed}
     if kind == 'soils':
         parameters['ground'] = _draw_ground(rng)
     if kind == 'tools' and tool is None:
         tool = drawn_tools.draw(rng)
-    for _ in range(TRIES):
-        drive, drawn = _draw(rng, scene, kind, tool)
-        if _fits(drive, scene.bin, drawn):
-            if kind != 'trench':  # as long as any run
-                del drawn['frames']
-            return drive, parameters | drawn
-    raise ValueError(f'none of {TRIES} paths of the kind {kind!r}, seed {seed} fits into the bin')
+    drive, drawn = checks.first_that_fits(
+        lambda: _draw(rng, scene, kind, tool), scene.bin, f'the kind {kind!r}, seed {seed}',
+        lambda drive, drawn: _is_fine(drive, scene.bin, drawn),
+    )  # fmt: skip
+    if kind != 'trench':  # as long as any run
+        del drawn['frames']
+    return drive, parameters | drawn
 
 
 def _draw_ground(rng) -> dict:
@@ -155,8 +145,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         body, kept = bodies.make_blade(width), {'blade_width_m': width}
     else:
         width, body, kept = tool['width'], bodies.tool_body(tool), {'tool': tool}
-    is_bucket = rng.random() < _BUCKET_SHARE
-    leans = (25.0, BUCKET_LEAN) if is_bucket else (0.0, MAX_LEAN)
+    leans = STEEP_LEANS if rng.random() < _STEEP_SHARE else LEANS
     if tool is not None and len(tool['outline']) > 2:
         leans = BUCKET_LEANS
     clearance = rng.uniform(grid.TIP_CLEARANCE, 0.03)
@@ -179,8 +168,8 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         plot = rng.choice(TURNS[:-1])
     moves = []
     for _ in offsets[1:]:
-        lead_in, start_x, aside = _earlier_pass(rng, story, start_x)
-        moves.append(aside)
+        lead_in, move = _earlier_pass(rng, story)
+        moves.append(move)
     begin, seconds = story.time, _DURATION
     if kind == 'trench':
         seconds = _trench(rng, story)
@@ -188,10 +177,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         {
             'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift
         }[plot](rng, story, begin + _DURATION)  # fmt: skip
-    speed, depth, lean = (
-        Levels(np.array(story.times), np.array(values))
-        for values in (story.speeds, story.depths, story.lean)
-    )
+    speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
     middle = box.z_middle - 0.5 * (min(offsets) + max(offsets))
     across = _aside(moves, [middle + offset for offset in offsets])
@@ -201,7 +187,7 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
         x = start_x - speed.integral(times)
         angle = np.radians(-lean(times))
         y = box.surface - bodies.lowest(body, angle) - depth(times)
-        return np.stack([x, y, angle, across(times)], axis=1)
+        return poses(times, x, y, angle, across(times))
 
     frames = math.ceil(seconds * scenes.FRAME_RATE - 1e-6)
     shown = clock(begin + np.linspace(0.0, seconds, frames + 1))
@@ -235,13 +221,9 @@ def _aside(moves, places):
     return Levels(np.array(times), np.array(values))
 
 
-def _fits(drive, box, parameters) -> bool:
-    """Whether the bin has room for the path and its heap, and the path shows what it is for."""
+def _is_fine(drive, box, parameters) -> bool:
+    """Whether the bin has room for the heap as well, and the path shows what it is for."""
     frames, plot = parameters['frames'], parameters['plot']
-    try:
-        checks.check_drive(drive, box, frames, STEPS_CHECKED)
-    except ValueError:
-        return False
     times = np.arange(frames + 1 + drive.lead_in) / scenes.FRAME_RATE
     x, y, angle, _ = drive.pose(times).T
     depth = box.surface - y - bodies.lowest(drive.body, angle)
@@ -299,7 +281,7 @@ def _reverse(rng, story, end) -> None:
     story.go(rng.uniform(0.5, 1.1), _cut_speed(rng))
     story.go(rng.uniform(0.2, 0.5), 0.0)
     # Back at the same depth, nearer to the surface, or grazing it.
-    here = story.depths[-1]
+    here = story.last('depth')
     depth = rng.choice([here, rng.uniform(0.3, 0.8) * here, rng.uniform(-0.01, 0.01)])
     story.go(rng.uniform(0.3, 0.6), -rng.uniform(0.03, MAX_SPEED), float(depth))
     story.go(rng.uniform(0.4, 1.0), -rng.uniform(0.03, MAX_SPEED))
@@ -324,12 +306,7 @@ def _trench(rng, story) -> float:
     """One long cut of changing speed and depth; returns its seconds."""
     story.go(rng.uniform(0.6, 1.0), _cut_speed(rng), rng.uniform(0.02, 0.06))
     length = rng.uniform(*TRENCH)
-
-    def way():
-        speed = Levels(np.array(story.times), np.array(story.speeds))
-        return float(speed.integral([story.time])[0])
-
-    while way() < length - 0.1:
+    while story.way() < length - 0.1:
         story.go(rng.uniform(0.8, 1.6), rng.uniform(0.08, MAX_SPEED), rng.uniform(0.02, 0.07))
     story.go(0.6, 0.03, -0.01)
     return story.time
@@ -347,22 +324,22 @@ def _halting_clock(rng):
     return Levels(np.array(times), np.array(rates)).integral
 
 
-def _earlier_pass(rng, story, start_x) -> tuple[int, float, tuple]:
-    """Tells a quick first pass, the way back through the air, and a pause above the soil.
+def _earlier_pass(rng, story) -> tuple[int, tuple]:
+    """Adds a quick first pass, the way back through the air, and a pause above the soil.
+
+    The next path starts within 12 cm of the place where this pass started.
 
     Returns:
-        The frames until it is over and where it starts, and when the blade is on its way in the air
-        (s); the next path starts within 12 cm of that place.
+        The frames until it is over, and when the blade is on its way in the air (s).
     """
-    clearance = -story.depths[0]
+    clearance = -story.last('depth')
     speed = rng.uniform(0.10, MAX_SPEED)
     story.go(rng.uniform(0.5, 0.7), speed, rng.uniform(0.02, 0.07))
     story.go(rng.uniform(0.7, 1.4), speed)
     story.go(rng.uniform(0.4, 0.6), 0.05, -clearance - 0.02)
     story.go(0.3, 0.0)
-    way = Levels(np.array(story.times), np.array(story.speeds)).integral(np.array([story.time]))
     leaves = story.time
-    story.travel_in_air(-float(way[0]) + rng.uniform(-0.02, 0.12), 0.5)
+    story.travel_in_air(-story.way() + rng.uniform(-0.02, 0.12), 0.5)
     # A way across may be longer than that along.
     story.wait(0.3)
     moves = leaves, story.time
@@ -371,4 +348,4 @@ def _earlier_pass(rng, story, start_x) -> tuple[int, float, tuple]:
     # The pause ends on a frame.
     frames = math.ceil(story.time * scenes.FRAME_RATE - 1e-9)
     story.times[-1] = frames / scenes.FRAME_RATE
-    return frames, start_x, moves
+    return frames, moves

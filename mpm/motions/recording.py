@@ -27,10 +27,9 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from mpm import bodies, scenes
-from mpm.motions.drive import Drive
+from mpm.motions.drive import Drive, poses
 from mpm.motions.grid import REST_FRAMES, under_load
 
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
@@ -134,23 +133,22 @@ def _row(cells, header, names, where) -> list[float]:
 def _check_times(path, times, numbers) -> None:
     """Refuses times that do not ascend, leave a gap, or last too long."""
     steps = np.diff(times)
-    if not (steps > 0.0).all():
-        k = int(np.argmax(steps <= 0.0))
+    k, usual, lasts = int(np.argmin(steps)), float(np.median(steps)), times[-1] - times[0]
+    if not steps[k] > 0.0:
         raise ValueError(
             f'{path}, line {numbers[k + 1]}: time_s is {times[k + 1]:.6g} after {times[k]:.6g}; '
             'times must ascend'
         )
-    usual = float(np.median(steps))
-    if steps.max() > GAP * usual:
-        k = int(np.argmax(steps))
+    k = int(np.argmax(steps))
+    if steps[k] > GAP * usual:
         raise ValueError(
             f'{path}, lines {numbers[k]} to {numbers[k + 1]}: a gap of {steps[k]:.4g} s between '
             f'rows that are usually {usual:.4g} s apart; fill it or resample the file'
         )
-    if times[-1] - times[0] > MAX_TIME:
+    if lasts > MAX_TIME:
         raise ValueError(
-            f'{path}, line {numbers[-1]}: lasts {times[-1] - times[0]:.6g} s, more than '
-            f'{MAX_TIME:g}; are these milliseconds?'
+            f'{path}, line {numbers[-1]}: lasts {lasts:.6g} s, more than {MAX_TIME:g}; are these '
+            'milliseconds?'
         )
 
 
@@ -161,7 +159,9 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
         FileNotFoundError: there is no such file.
         ValueError: see `read_rows`.
     """
-    rows = read_rows(recording.path)
+    from scipy.interpolate import PchipInterpolator  # slow to load, and help does not wait for it
+
+    rows, tool = read_rows(recording.path), recording.tool
     times = rows['time_s']
     rows.setdefault(ACROSS, np.full(len(times), scene.bin.z_middle))
     curves = [PchipInterpolator(times, rows[name]) for name in (*COLUMNS[1:], ACROSS)]
@@ -169,26 +169,23 @@ def recorded_drive(scene: scenes.Scene, recording: Recording) -> tuple[Drive, di
     def pose(at):
         at = np.clip(np.asarray(at, np.float64), 0.0, times[-1])
         x, y, angle_deg, z = (curve(at) for curve in curves)
-        return np.stack([x, y, np.radians(angle_deg), z], axis=1)
+        return poses(at, x, y, np.radians(angle_deg), z)
 
     with open(recording.path, 'rb') as file:
         digest = hashlib.file_digest(file, 'sha256').hexdigest()
-    parameters = {'kind': 'path', 'path_sha256': digest}
+    parameters = {'kind': 'path', 'path_sha256': digest} | ({'tool': tool} if tool else {})
+    body = None if tool is None else bodies.tool_body(tool)
     if scene.rigid_motion == 'prescribed':
-        if recording.tool is None:
-            blade = bodies.make_blade(recording.blade_width)
+        if body is None:
+            body = bodies.make_blade(recording.blade_width)
             parameters['blade_width_m'] = recording.blade_width
-        else:
-            blade, parameters['tool'] = bodies.tool_body(recording.tool), recording.tool
-        return Drive(blade, pose), parameters, float(times[-1])
+        return Drive(body, pose), parameters, float(times[-1])
     context = scene.parameters(recording.like_case)
     context.pop('slip_percent')
-    if recording.tool is None:
-        wheel = bodies.make_wheel(context['diameter_m'])
-    else:
-        wheel, parameters['tool'] = bodies.tool_body(recording.tool), recording.tool
-        context['diameter_m'] = 2.0 * recording.tool['radius']
+    if tool is not None:
+        context['diameter_m'] = 2.0 * tool['radius']
+    body = body or bodies.make_wheel(context['diameter_m'])
     load = PchipInterpolator(times, rows.get(LOAD, np.full(len(times), scenes.wheel_load(context))))
     machine = under_load(float(load(0.0)), lambda at: load(np.clip(at, 0.0, times[-1])))
-    drive = Drive(wheel, pose, machine, rest=REST_FRAMES)
+    drive = Drive(body, pose, machine, rest=REST_FRAMES)
     return drive, parameters | context, float(times[-1])

@@ -20,9 +20,8 @@ import numpy as np
 
 from mpm import bodies, scenes
 from mpm.motions import checks, grid
-from mpm.motions.drive import Drive
-from mpm.motions.levels import Levels
-from mpm.motions.operator_paths import STEPS_CHECKED, TRIES
+from mpm.motions.drive import Drive, poses
+from mpm.motions.levels import Levels, Track
 
 TURNS = ('slip', 'stops', 'reverse', 'load')  # of seeds, if no kind is named
 KINDS = (*TURNS, 'height', 'wheels', 'grousers')
@@ -41,22 +40,16 @@ _FRAMES = scenes.FRAMES
 _DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
 
 
-class _Story:
-    """A drive while it is drawn: levels of rim speed and travel (m/s) at common times."""
+class _Story(Track):
+    """A drive while it is drawn: its rim speed and travel, m/s."""
 
     def __init__(self, rng):
+        super().__init__(rim=0.0, travel=0.0)
         self._rng = rng
-        self.times, self.rims, self.travels = [0.0], [0.0], [0.0]
-
-    @property
-    def time(self) -> float:
-        return self.times[-1]
 
     def go(self, seconds, rim, slip) -> None:
         """Goes to a rim speed (m/s, forward) at a slip in `seconds`."""
-        self.times.append(self.time + seconds)
-        self.rims.append(rim)
-        self.travels.append(rim * (1.0 - slip))
+        self.add(seconds, rim=rim, travel=rim * (1.0 - slip))
 
     def roll(self, seconds, direction=1.0) -> None:
         """Goes to a rim speed and slip that are drawn."""
@@ -79,12 +72,8 @@ def free_drive(
         The drive and its parameters, JSON-compatible, those of a case of the grid among them.
 
     Raises:
-        ValueError: an unknown kind, a negative seed, or a bin in which none of `TRIES` fits.
+        ValueError: a bin in which no drive fits.
     """
-    if kind not in KINDS:
-        raise ValueError(f'unknown kind {kind!r} of free drive; there are {KINDS}')
-    if seed < 0:
-        raise ValueError(f'seed must not be negative, got {seed}')
     rng = np.random.default_rng([seed, KINDS.index(kind), 2])
     context = _draw_context(rng, scene)
     while context['diameter_m'] < _SMALL and context['gravity_m_s2'] < _MOON:
@@ -100,14 +89,11 @@ def free_drive(
         wheel = bodies.tool_body(tool)
     else:
         wheel = bodies.make_wheel(context['diameter_m'])
-    for _ in range(TRIES):
-        drive, parameters = _draw(rng, scene, kind, wheel, load, context)
-        try:
-            checks.check_drive(drive, scene.bin, _FRAMES - 1, STEPS_CHECKED)
-        except ValueError:
-            continue
-        return drive, {'kind': kind, 'path_seed': seed, **context, **parameters}
-    raise ValueError(f'none of {TRIES} drives of the kind {kind!r}, seed {seed} fits into the bin')
+    drive, drawn = checks.first_that_fits(
+        lambda: _draw(rng, scene, kind, wheel, load, context), scene.bin,
+        f'the kind {kind!r}, seed {seed}',
+    )  # fmt: skip
+    return drive, {'kind': kind, 'path_seed': seed, **context, **drawn}
 
 
 def _draw_context(rng, scene) -> dict:
@@ -145,9 +131,7 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     elif kind == 'height':
         plot = 'reverse' if rng.random() < 0.4 else 'slip'
     {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
-    rim, travel = (
-        Levels(np.array(story.times), np.array(values)) for values in (story.rims, story.travels)
-    )
+    rim, travel = story.levels('rim'), story.levels('travel')
     shown = np.linspace(0.0, _DURATION, _FRAMES)
     parameters = {
         'plot': plot,
@@ -173,9 +157,9 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
 
     def pose(times):
         x = start_x - travel.integral(times)
-        y = np.zeros_like(x) if height is None else height(times)
+        y = 0.0 if height is None else height(times)
         turn = rim.integral(times) / wheel.radius
-        return np.stack([x, y, turn, np.full_like(x, box.z_middle)], axis=1)
+        return poses(times, x, y, turn, box.z_middle)
 
     rest = 0 if machine is None else grid.REST_FRAMES
     return Drive(wheel, pose, machine, rest=rest), parameters

@@ -19,24 +19,17 @@ Sources:
 import dataclasses
 import itertools
 import math
-import os
-import sys
-import time
+from functools import partial
 
 import numpy as np
-from absl import app, flags, logging
-from tqdm import tqdm
 
-from mpm import bodies, packing, run, scenes
-from mpm.constitutive import make_soil
-from mpm.files import write_json
-from mpm.motions import catalogue
-from mpm.motions.drive import Drive, Machine
-from mpm.motions.grid import REST_FRAMES, under_load
+from mpm import bodies, scenes
+from mpm.motions import catalogue, grid
+from mpm.motions.drive import Drive, Machine, poses
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
-from mpm.verification import convergence
-from mpm.verification.rows import read_kept
+from mpm.verification import run_rows
+from mpm.verification.rows import Jobs, read_kept, run_report
 from pca_tools.storage import markdown
 
 RIM_SPEED = 0.04  # m/s
@@ -111,25 +104,21 @@ def ball_depth(drop: float, friction_deg: float, density: float) -> float:
 
 def dropped(drop: float) -> dict:
     """Returns how deep (mm) a ball goes that falls onto the bed, and the published depth."""
-    ground = scenes.Ground()
+    ground, box = scenes.Ground(), BALL_BIN
     body = bodies.make_ball(BALL_DIAMETER)
     mass = BALL_DENSITY * math.pi * BALL_DIAMETER**3 / 6.0
-    box = BALL_BIN
     # It touches grains half a spacing above the surface.
-    place = [scenes.CORNER + box.size[0] / 2, box.surface + body.radius + 0.002, 0.0, box.z_middle]
+    start = (scenes.CORNER + box.size[0] / 2, box.surface + body.radius + 0.002, 0.0, box.z_middle)
 
     def force(times):
         return np.tile([0.0, -mass * ground.gravity, 0.0], (len(times), 1))
 
-    drive = Drive(
-        body, lambda t: np.tile(place, (len(t), 1)), Machine((False, True, False), mass, force)
-    )
+    machine = Machine((False, True, False), mass, force)
+    drive = Drive(body, lambda times: poses(times, *start), machine)
     scene = dataclasses.replace(scenes.EXCAVATION, bin=box)
     motion = catalogue.Motion('ball', drive, {}, BALL_FRAMES, ground)
-    started = time.process_time()
-    particles, _ = packing.settle(box, make_soil(1.5e6, scenes.PACKING_MU_S), 0)
     # Soil below a ball of 2 m/s would cross a cell between the usual exchanges.
-    simulation = run.make_simulation(scene, motion, particles, Settings(exchange=EXCHANGE / 2))
+    simulation = run_rows.simulation_of(scene, motion, Settings(exchange=EXCHANGE / 2))
     simulation.free.state[1, 1] = -math.sqrt(2.0 * ground.gravity * drop)
     lowest = []
     for _ in range(BALL_FRAMES):
@@ -140,95 +129,73 @@ def dropped(drop: float) -> dict:
         'depth_mm': round(1e3 * (box.surface - min(lowest)), 3),
         'published_mm': round(1e3 * published, 3),
         'speed_at_end_m_s': round(float(simulation.free.state[1, 1]), 5),
-        'cpu_s': round(time.process_time() - started, 1),
     }
 
 
 def draft(case: int, settings: Settings) -> dict:
     """Returns the mean draft (N) of a published case over the first frames."""
-    started = time.process_time()
-    force, _ = convergence.drive(scenes.EXCAVATION, case, RECORD_FRAMES, settings)
-    return {
-        'draft_N': round(float(force[:, 0].mean()), 2),
-        'cpu_s': round(time.process_time() - started, 1),
-    }
+    force, _ = run_rows.drive(scenes.EXCAVATION, case, RECORD_FRAMES, settings)
+    return {'draft_N': round(float(force[:, 0].mean()), 2)}
 
 
 def drive_of(wheel: Wheel, slip: float) -> Drive:
     """Returns the drive of a wheel at a slip, its height free under the load."""
     body = bodies.tool_body(bodies.check_tool(wheel.tool))
-    travel = RIM_SPEED * (1.0 - slip)
 
     def pose(times):
-        driven = np.maximum(np.asarray(times, np.float64), 0.0)
-        return np.stack(
-            [
-                START_X - travel * driven,
-                np.zeros_like(driven),
-                RIM_SPEED / body.radius * driven,
-                np.full_like(driven, BIN.z_middle),
-            ],
-            axis=1,
-        )
+        way = RIM_SPEED * np.maximum(np.asarray(times, np.float64), 0.0)
+        return poses(times, START_X - (1.0 - slip) * way, 0.0, way / body.radius, BIN.z_middle)
 
-    machine = under_load(wheel.load, lambda times: np.full(len(times), wheel.load))
-    return Drive(body, pose, machine, rest=REST_FRAMES)
+    machine = grid.under_load(wheel.load, lambda times: np.full(len(times), wheel.load))
+    return Drive(body, pose, machine, rest=grid.REST_FRAMES)
 
 
 def measured(wheel: Wheel, slip: float) -> dict:
     """Returns drawbar (N), sinkage (mm) and torque (N m) of a wheel at a slip, steady means."""
-    scene, settings = dataclasses.replace(scenes.WHEEL, bin=BIN), Settings()
+    scene = dataclasses.replace(scenes.WHEEL, bin=BIN)
     motion = catalogue.Motion('anchor', drive_of(wheel, slip), {}, FRAMES, wheel.ground)
-    started = time.process_time()
-    particles = convergence.packed(BIN, settings.youngs_modulus)
-    simulation = run.make_simulation(scene, motion, particles, settings)
-    rows = []
-    for _ in tqdm(range(FRAMES), leave=False):
+    simulation, rows = run_rows.simulation_of(scene, motion), []
+    for _ in range(FRAMES):
         force, torque = simulation.frame()
         # The lowest point of the rim, as published; lugs reach deeper.
         sinkage = scene.bin.surface - (simulation.pose[1] - wheel.tool['radius'])
         rows.append([-force[0], 1e3 * sinkage, -torque[2]])
-    drawbar, sinkage, moment = np.array(rows)[-STEADY:].mean(axis=0)
+    drawbar, sinkage, moment = (float(mean) for mean in np.array(rows)[-STEADY:].mean(axis=0))
     return {
-        'drawbar_N': round(float(drawbar), 3),
-        'sinkage_mm': round(float(sinkage), 3),
-        'torque_N_m': round(float(moment), 4),
-        'cpu_s': round(time.process_time() - started, 1),
+        'drawbar_N': round(drawbar, 3),
+        'sinkage_mm': round(sinkage, 3),
+        'torque_N_m': round(moment, 4),
     }
+
+
+MEASURED = {
+    'drawbar': ('drawbar_N', 'N'),
+    'sinkage': ('sinkage_mm', 'mm'),
+    'torque': ('torque_N_m', 'N m'),
+}
 
 
 def wheel_table(path: str) -> str:
     """Returns the wheels, measured beside published, as Markdown."""
     rows = []
-    for name, runs in _read(path)['wheels'].items():
+    for name, runs in read_kept(path).get('wheels', {}).items():
         wheel = WHEELS[name]
         for slip, *published in zip(wheel.slips, wheel.drawbar, wheel.sinkage, wheel.torque):
             if found := runs.get(str(slip)):
-                ours = found['drawbar_N'], found['sinkage_mm'], found['torque_N_m']
+                ours = (found[key] for key, _ in MEASURED.values())
                 pairs = [(f'{a:.1f}', f'{b:g}') for a, b in zip(ours, published)]
                 rows.append((name, f'{slip:g}', *itertools.chain(*pairs)))
-    return markdown.table(
-        (
-            'wheel',
-            'slip',
-            'drawbar N',
-            'published',
-            'sinkage mm',
-            'published',
-            'torque N m',
-            'published',
-        ),
-        rows,
-    )
+    titles = ((f'{what} {unit}', 'published') for what, (_, unit) in MEASURED.items())
+    return markdown.table(('wheel', 'slip', *itertools.chain(*titles)), rows)
 
 
 def other_table(path: str) -> str:
     """Returns the ball's depth and the drafts of the records as Markdown."""
-    content, rows = _read(path), []
-    for drop, found in content['balls'].items():
+    content, rows = read_kept(path), []
+    for drop, found in content.get('balls', {}).items():
         name = f'ball dropped by {1e3 * float(drop):g} mm: depth, mm'
         rows.append((name, f'{found["depth_mm"]:.1f}', f'{found["published_mm"]:.1f}'))
-    for physics, runs in content['records'].items():
+    for physics, runs in content.get('records', {}).items():
         for case, found in runs.items():
             name = f'case {case}, {physics}: draft, N'
             rows.append((name, f'{found["draft_N"]:.0f}', f'{RECORDS[int(case)]:g}'))
@@ -242,74 +209,33 @@ def draw(path: str, output: str) -> None:
     matplotlib.use('Agg')
     from matplotlib import pyplot
 
-    figure, rows = pyplot.subplots(1, 3, figsize=(11, 3.8), layout='constrained')
-    names = (
-        ('drawbar', 'drawbar_N', 'N'),
-        ('sinkage', 'sinkage_mm', 'mm'),
-        ('torque', 'torque_N_m', 'N m'),
-    )
-    for axes, (what, key, unit) in zip(rows, names):
-        for number, (name, runs) in enumerate(_read(path)['wheels'].items()):
+    figure, panels = pyplot.subplots(1, 3, figsize=(11, 3.8), layout='constrained')
+    for axes, (what, (key, unit)) in zip(panels, MEASURED.items()):
+        for number, (name, runs) in enumerate(read_kept(path).get('wheels', {}).items()):
             wheel, colour = WHEELS[name], f'C{number}'
-            axes.plot(
-                wheel.slips, getattr(wheel, what), 'o--', color=colour, label=f'{name}, published'
-            )
+            published = getattr(wheel, what)
+            axes.plot(wheel.slips, published, 'o--', color=colour, label=f'{name}, published')
             slips = [slip for slip in wheel.slips if str(slip) in runs]
-            axes.plot(
-                slips, [runs[str(s)][key] for s in slips], 's-', color=colour, label='this solver'
-            )
+            ours = [runs[str(slip)][key] for slip in slips]
+            axes.plot(slips, ours, 's-', color=colour, label='this solver')
         axes.set_xlabel('slip')
         axes.set_ylabel(f'{what}, {unit}')
-    rows[0].legend(fontsize=7)
+    panels[0].legend(fontsize=7)
     figure.savefig(output, dpi=120)
 
 
-def _read(path) -> dict:
-    return {'wheels': {}, 'balls': {}, 'records': {}} | read_kept(path)
-
-
-def make(path: str) -> None:
-    """Makes the runs that a file does not hold yet, and writes it after each."""
-    content = _read(path)
-    os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-
-    def add(runs, key, function, *args):
-        if str(key) not in runs:
-            runs[str(key)] = function(*args)
-            print(key, runs[str(key)], flush=True)
-            write_json(path, content)
-
-    for drop in DROPS:
-        add(content['balls'], drop, dropped, drop)
+def jobs(values=None) -> Jobs:
+    """Returns what there is to make."""
+    found: Jobs = {('balls', str(drop)): partial(dropped, drop) for drop in DROPS}
     for name, wheel in WHEELS.items():
-        runs = content['wheels'].setdefault(name, {})
         for slip in wheel.slips:
             if slip in RUN_SLIPS:
-                add(runs, slip, measured, wheel, slip)
+                found['wheels', name, str(slip)] = partial(measured, wheel, slip)
     for physics, settings in PHYSICS.items():
-        runs = content['records'].setdefault(physics, {})
         for case in STIFF_CASES if settings.youngs_modulus > 2e6 else RECORDS:
-            add(runs, case, draft, case, settings)
-
-
-def define_flags():
-    flags.DEFINE_string('json', os.path.join('outputs', 'anchors.json'), 'Where runs are kept.')
-    flags.DEFINE_string('picture', None, 'Picture: drawbar, sinkage, torque over slip.')
-
-
-def main(argv):
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    try:
-        make(flags.FLAGS.json)
-        print(wheel_table(flags.FLAGS.json), other_table(flags.FLAGS.json), sep='\n\n')
-        if flags.FLAGS.picture:
-            draw(flags.FLAGS.json, flags.FLAGS.picture)
-    except (ValueError, OSError) as error:
-        logging.error('%s', error)
-        sys.exit(1)
+            found['records', physics, str(case)] = partial(draft, case, settings)
+    return found
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    run_report('anchors', jobs, lambda path: f'{wheel_table(path)}\n\n{other_table(path)}', draw)

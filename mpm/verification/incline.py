@@ -30,7 +30,7 @@ from mpm.constitutive import Soil, make_soil
 from mpm.grid import PAD, Grid, clear, kick, make_grid, start_nodes
 from mpm.scenes import CORNER, EARTH_GRAVITY, EXCAVATION, Bin, sampled
 from mpm.solver import EXCHANGE, make_block, make_nodes
-from mpm.stability import VELOCITY_CFL, damping_time, max_time_step
+from mpm.stability import VELOCITY_CFL, damping_time, steps_in
 from mpm.transfers import grid_to_particles, particles_to_grid, strain_and_force
 
 FIRST = PAD - 1  # the first node that soil of the first cell touches
@@ -39,7 +39,8 @@ NO_WALL = 10**6  # index of a node that no grid has
 # Grains so large that the layers flow at the speed of a tool: with the 0.3 mm of the scenes the one
 # of beads would run at 60 m/s.
 GRAIN_DIAMETER = 0.02  # m
-CELL = 0.8 / 60  # m; flow that is even along the incline needs no finer ones
+CELL = 0.8 / 60  # m, cubic; flow that is even along the incline needs no finer ones
+CELLS = 4  # that the period is long, along and across
 FLOWING_DEG = 26.0  # of the beads, which rest up to 20.9
 SETTLE_S, SETTLE_DAMPING = 0.3, 20.0  # s; 1/s
 LAYERS = 10  # of the profile
@@ -76,15 +77,10 @@ def posedness(soil: Soil, number: float) -> float:
     return 4.0 * (n * n - n) + mu * mu * (1.0 - n / 2.0) ** 2
 
 
-def layer_bin(cells: int, per_cell: float = 2.0) -> Bin:
-    """Returns a layer as deep as the soil of the excavation, of cubic cells of 1/75 m.
-
-    Args:
-        cells: that the period is long, along and across.
-        per_cell: particles in each.
-    """
-    depth = EXCAVATION.bin.size[1]
-    return sampled((cells * CELL, depth, cells * CELL), CELL, CELL, 1, 0.2, (), per_cell)
+def layer_bin(per_cell: float = 2.0) -> Bin:
+    """Returns a layer as deep as the soil of the excavation, `per_cell` particles in each cell."""
+    side = CELLS * CELL
+    return sampled((side, EXCAVATION.bin.size[1], side), CELL, CELL, 1, 0.2, (), per_cell)
 
 
 def closed_form(height, depth: float, angle_deg: float, soil: Soil):
@@ -109,21 +105,15 @@ class Incline:
     """
 
     def __init__(self, box: Bin, soil: Soil, exchange: float = EXCHANGE):
-        """Settles the layer.
-
-        Args:
-            box: its bin, see `layer_bin`.
-            soil: what it is.
-            exchange: interval of the exchange between particles and grid, s.
-        """
-        grid = make_grid(box)
-        self.grid: Grid = grid._replace(walls=(-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0))
-        self.soil, self.depth = soil, box.size[1]
+        """Settles the layer of a bin (`layer_bin`); `exchange` is its interval, s."""
+        walls = (-NO_WALL, NO_WALL, PAD, -NO_WALL, NO_WALL, 0)
+        self.grid: Grid = make_grid(box)._replace(walls=walls)
+        self.soil, self.depth, self._exchange = soil, box.size[1], exchange
         self.period = np.array([box.size[0], box.size[2]])
         self._cells = np.round(self.period / box.dx).astype(int)
         self._volume = packing.particle_volume(box)
-        self._steps = math.ceil(exchange / max_time_step(soil, box.dx) - 1e-9)
-        self._exchange, self._dt = exchange, exchange / self._steps
+        self._steps = steps_in(exchange, soil, box.dx)
+        self._dt = exchange / self._steps
         self._nodes = make_nodes(self.grid, np.float32)
         self.particles = packing.lattice(box, seed=0)
         self.advance(SETTLE_S, 0.0, settling=1.0 - SETTLE_DAMPING * self._dt)
@@ -144,10 +134,10 @@ class Incline:
         nodes, grid, dt = self._nodes, self.grid, self._dt
         mass = self._volume * self.soil.bulk_density
         status = np.zeros(2, dtype=np.int64)
+        modulus = self.soil.bulk_modulus
         touched_box = particles_to_grid(
-            block, nodes.velocity, grid, 0.5 * dt, mass, self._volume, self.soil.bulk_modulus,
-            status,
-        )  # fmt: skip
+            block, nodes.velocity, grid, 0.5 * dt, mass, self._volume, modulus, status
+        )
         if status[0] != columns.OK:
             raise ValueError(f'particle {status[1]} left the layer')
         self._fold(nodes.velocity)
@@ -158,10 +148,8 @@ class Incline:
         moving = (nodes.free[:free] // 4).astype(np.int64)
         for k in range(self._steps + 1):
             if k > 0:
-                strain_and_force(
-                    block, nodes, grid, dt, self._volume, self.soil,
-                    damping_time(self.soil, grid.dx),
-                )  # fmt: skip
+                damping = damping_time(self.soil, grid.dx)
+                strain_and_force(block, nodes, grid, dt, self._volume, self.soil, damping)
                 self._fold(nodes.force)
             force[moving, 0] += along / velocity[moving, 3]  # m g; a node keeps 1 / m
             share = dt if 0 < k < self._steps else 0.5 * dt
@@ -187,15 +175,10 @@ class Incline:
         seconds: float,
         angle_deg: float,
         settling: float = 1.0,
-        on_interval: Callable[[], None] | None = None,
+        on_interval: Callable[[], None] = lambda: None,
     ) -> None:
-        """Advances by whole exchange intervals, at least `seconds`.
-
-        Args:
-            seconds: s.
-            angle_deg: of the incline.
-            settling: factor on the nodes' velocities at each kick.
-            on_interval: called after each of them.
+        """Advances by whole exchange intervals, at least `seconds`, and calls `on_interval` after
+        each; `settling` is a factor on the nodes' velocities at each kick.
 
         Raises:
             ValueError: soil leaves the layer, or crosses half a cell between exchanges.
@@ -207,8 +190,7 @@ class Incline:
             fastest = np.abs(self.particles[:, columns.V]).max() * self._exchange / self.grid.dx
             if not fastest < VELOCITY_CFL:
                 raise ValueError(f'soil crosses {fastest:.2g} cells between two exchanges')
-            if on_interval is not None:
-                on_interval()
+            on_interval()
 
     def start(self, speed: Callable[[np.ndarray], np.ndarray]) -> None:
         """Gives the soil a speed (m/s) along x by its height (m), its gradient included."""
@@ -218,79 +200,52 @@ class Incline:
         self.particles[:, columns.C + 1] = (above - at) / step
 
 
-def flow(layer: Incline, angle_deg: float, ends: tuple[float, ...]) -> list[dict[str, float]]:
-    """Lets a layer flow; returns what it does in each of the windows of time.
-
-    Args:
-        layer: as it is put in motion.
-        angle_deg: of the incline.
-        ends: times (s) between the windows; nothing is kept of what is before the first.
-
-    Returns:
-        Of each window, against the closed form at the same particles: `surface`, the speed of the
-        uppermost of `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at
-        the surface; and `depth`, twice the mean height of the soil over the depth as packed.
-    """
-
-    def closed(height):
-        return closed_form(height, layer.depth, angle_deg, layer.soil)
-
-    layer.advance(ends[0], angle_deg)
-    found = []
-    for start, end in zip(ends, ends[1:]):
-        sums = np.zeros((4, LAYERS))
-
-        def add(sums=sums):
-            height = layer.height
-            which = np.clip((height / layer.depth * LAYERS).astype(int), 0, LAYERS - 1)
-            values = (np.ones(len(height)), height, layer.particles[:, columns.V], closed(height))
-            for total, value in zip(sums, values):
-                total += np.bincount(which, value, LAYERS)
-
-        layer.advance(end - start, angle_deg, on_interval=add)
-        count, height, speed, exact = sums[:, sums[0] > 0]
-        apart = (speed - exact) / count
-        found.append(
-            {
-                'surface': float(speed[-1] / exact[-1]),
-                'profile': float(np.sqrt((apart**2).mean()) / closed(layer.depth)),
-                'depth': float(2.0 * height.sum() / count.sum() / layer.depth),
-            }
-        )
-    return found
-
-
 def bagnold(
-    per_cell: float,
-    ends: tuple[float, ...],
-    share: float = 1.0,
-    exchange: float = EXCHANGE,
-    cells: int = 4,
-    soil: Soil | None = None,
-) -> list[dict[str, float]]:
-    """Lets beads flow that begin at a `share` of the closed form's speed; see `flow`.
+    per_cell: float, start: float, end: float, exchange: float = EXCHANGE
+) -> dict[str, float]:
+    """Lets beads flow that begin at the closed form's speed; looks at them from `start` to `end` s.
 
     Args:
         per_cell: see `layer_bin`.
-        ends: s, see `flow`.
-        share: of the speed.
-        exchange: interval of the exchange between particles and grid, s.
-        cells: that the period is long.
-        soil: None: `beads()`.
+        start, end: s.
+        exchange: see `Incline`, s.
+
+    Returns:
+        Against the closed form at the same particles: `surface`, the speed of the uppermost of
+        `LAYERS` over it; `profile`, the RMS difference of all layers over its speed at the surface;
+        and `depth`, twice the mean height of the soil over the depth as packed.
     """
-    layer = Incline(layer_bin(cells, per_cell), beads() if soil is None else soil, exchange)
-    layer.start(lambda y: share * closed_form(y, layer.depth, FLOWING_DEG, layer.soil))
-    return flow(layer, FLOWING_DEG, ends)
+    layer = Incline(layer_bin(per_cell), beads(), exchange)
+    sums = np.zeros((4, LAYERS))
+
+    def closed(height):
+        return closed_form(height, layer.depth, FLOWING_DEG, layer.soil)
+
+    def add():
+        height = layer.height
+        which = np.clip((height / layer.depth * LAYERS).astype(int), 0, LAYERS - 1)
+        values = (np.ones(len(height)), height, layer.particles[:, columns.V], closed(height))
+        for total, value in zip(sums, values):
+            total += np.bincount(which, value, LAYERS)
+
+    layer.start(closed)
+    layer.advance(start, FLOWING_DEG)
+    layer.advance(end - start, FLOWING_DEG, on_interval=add)
+    count, height, speed, exact = sums[:, sums[0] > 0]
+    apart = (speed - exact) / count
+    return {
+        'surface': float(speed[-1] / exact[-1]),
+        'profile': float(np.sqrt((apart**2).mean()) / closed(layer.depth)),
+        'depth': float(2.0 * height.sum() / count.sum() / layer.depth),
+    }
 
 
-def halt(
-    soil: Soil, angle_deg: float, per_cell: float, cells: int = 4, seconds: float = 3.0
-) -> float:
+def halt(soil: Soil, angle_deg: float, per_cell: float, seconds: float = 3.0) -> float:
     """Returns the mean speed (m/s) that is left of a layer after some seconds.
 
     It begins with a speed that grows linearly to `HALTING_SPEED` at the surface.
     """
-    layer = Incline(layer_bin(cells, per_cell), soil)
+    layer = Incline(layer_bin(per_cell), soil)
     layer.start(lambda y: HALTING_SPEED * y / layer.depth)
     layer.advance(seconds, angle_deg)
     return float(layer.particles[:, columns.V].mean())

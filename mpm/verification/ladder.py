@@ -2,11 +2,11 @@
 
     python -m mpm.verification.ladder --json=mpm/verification/ladder.json \\
         --picture=mpm/verification/ladder.png
-    python -m mpm.verification.ladder --cases=excavation:186 --variants=base,cubic_6.67
+    python -m mpm.verification.ladder --rows=excavation:186/base,excavation:186/cubic
 
 One thing changes at a time: the cells, the particles a cell, the reach of the contact, the interval
 of the exchange. Every figure stands beside those of the solver as it is (`base`) and of cubic cells
-of the same size in the plane (`cubic_6.67`, `cubic_4.17`). Each run is kept in the JSON when it is
+of the same size in the plane (`cubic`). Each run is kept in the JSON when it is
 made; the same command goes on with those that are absent (a base run takes about a minute of one
 core, the finest ones ten).
 
@@ -15,25 +15,18 @@ fit with p = 1.5, and half the range over p as its error.
 """
 
 import dataclasses
-import json
-import os
-import sys
 import time
+from functools import partial
 
 import numpy as np
-from absl import app, flags, logging
-from tqdm import tqdm
 
-from mpm import packing, run, scenes
-from mpm.constitutive import make_soil
+from mpm import run, scenes
 from mpm.motions import catalogue
 from mpm.simulation import Settings
-from mpm.verification.density import moved_density
-from mpm.verification.rows import read_kept
-from mpm.verification.surfaces import surface
-from mpm.versions import SOLVER_VERSION
+from mpm.verification import bed
+from mpm.verification.rows import Jobs, read_kept, run_report
+from mpm.verification.run_rows import frames_of, packed, simulation_of
 from pca_tools.storage import markdown
-from pca_tools.storage.text_files import write_text
 
 MEAN = 5  # frames, of a mean force
 # Case -> frames that are simulated, the first that counts, and the axis of the force that matters:
@@ -55,13 +48,13 @@ WIDE, WIDE_VARIANTS = ('excavation:beside_0002', 'excavation:tools_0004'), ('bas
 
 @dataclasses.dataclass(frozen=True)
 class Variant:
-    """Cells (m) over those of the scene, particles a cell, exchanges a frame, contact reach (m)."""
+    """Cells and contact reach over those of the scene, particles a cell, exchanges a frame."""
 
     plane: float = 1.0
     across: float = 1.0
     per_cell: float = scenes.PER_CELL
     exchanges: int = 9
-    reach: float | None = None
+    reach: float = 1.0
 
 
 VARIANTS = {
@@ -104,19 +97,17 @@ def measured(name: str, variant: Variant) -> dict:
     frames, first, _ = CASES[name]
     settings = Settings(exchange=1.0 / (scenes.FRAME_RATE * variant.exchanges))
     motion = run.prepared(scene, case, settings)
-    particles, _ = packing.settle(scene.bin, make_soil(1.5e6, scenes.PACKING_MU_S), 0)
+    start = packed(scene.bin)[:, :3]
     started = time.process_time()
-    simulation = run.make_simulation(scene, motion, particles, settings)
+    simulation = simulation_of(scene, motion, settings)
     solver = simulation._solver
-    if variant.reach is not None:
-        radius = variant.reach * solver.law.radius
-        solver.law = solver.law._replace(radius=radius)
-    force = [simulation.frame()[0] for _ in tqdm(range(motion.drive.lead_in + frames), leave=False)]
-    start, end = particles[:, :3], simulation.positions()
+    solver.law = solver.law._replace(radius=variant.reach * solver.law.radius)
+    force = frames_of(simulation, motion.drive.lead_in + frames)[:, :3]
+    end = simulation.positions()
     return {
         'force': np.round(means_of(force[motion.drive.lead_in + first :]), 2).tolist(),
-        'surface': np.round(1e5 * surface(end, scene.bin)).astype(int).tolist(),
-        'density': moved_density(start, end, simulation),
+        'surface': np.round(1e5 * bed.surface(end, scene.bin)).astype(int).tolist(),
+        'density': bed.moved_density(start, end, simulation),
         'cell_m': [float(side) for side in simulation.grid.cell],
         'reach_m': float(solver.law.radius),
         'cpu_s': round(time.process_time() - started, 1),
@@ -168,19 +159,17 @@ def table(path: str) -> str:
     """Returns the stored ladder as Markdown, each variant beside `cubic`."""
     rows = []
     for name, runs in _read(path).items():
-        if 'cubic' not in runs:
-            continue
-        for variant, found in runs.items():
+        for variant, found in runs.items() if 'cubic' in runs else ():
             row = compared(found, runs['cubic'])
             cell = ' x '.join(f'{1e3 * side:.3g}' for side in found['cell_m'][1:])
             density = '' if found['density'] is None else f'{found["density"]:.3f}'
-            rows.append(
-                (name, variant, cell, f'{1e3 * found["reach_m"]:.2f}')
-                + (f'{row["draft_N"]:.0f}', f'{row["draft_change"]:+.1%}')
-                + (f'{row["vertical_N"]:.0f}', f'{row["vertical_change"]:+.1%}')
-                + (f'{row["force_5_frames"]:.3f}', f'{row["surface_mm"]:.2f}', density)
-                + (f'{found["cpu_s"]:.0f}',)
-            )
+            rows.append((
+                name, variant, cell, f'{1e3 * found["reach_m"]:.2f}',
+                f'{row["draft_N"]:.0f}', f'{row["draft_change"]:+.1%}',
+                f'{row["vertical_N"]:.0f}', f'{row["vertical_change"]:+.1%}',
+                f'{row["force_5_frames"]:.3f}', f'{row["surface_mm"]:.2f}', density,
+                f'{found["cpu_s"]:.0f}',
+            ))  # fmt: skip
     header = (
         'case', 'variant', 'cells mm', 'reach mm', 'draft N', 'of the force', 'vertical N',
         'of the force', 'five frames', 'surface mm', 'density', 'CPU s',
@@ -272,52 +261,15 @@ def _read(path) -> dict:
     return read_kept(path).get('cases', {})
 
 
-def _write(path, content) -> None:
-    # A line for each run: a number a line would make 50 thousand.
-    cases = ',\n'.join(
-        json.dumps(name) + ': {\n' + ',\n'.join(
-            f'{json.dumps(variant)}: {json.dumps(found, separators=(",", ":"))}'
-            for variant, found in runs.items()
-        ) + '\n}'
-        for name, runs in content.items()
-    )  # fmt: skip
-    head = f'{{"solver_version": {json.dumps(SOLVER_VERSION)}, "cases": {{'
-    write_text(path, f'{head}\n{cases}\n}}}}\n')
-
-
-def define_flags():
-    flags.DEFINE_string(
-        'json',
-        os.path.join('outputs', 'ladder.json'),
-        'Where runs are kept; those there are not made.',
-    )
-    flags.DEFINE_string('picture', None, 'Picture of the draft over the cells.')
-    flags.DEFINE_list('cases', None, 'Only these: excavation:186,wheel:122.')
-    flags.DEFINE_list('variants', None, 'Only these (see VARIANTS).')
-
-
-def main(argv):
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = flags.FLAGS.json
-    try:
-        content = _read(path)
-        os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-        for variant in flags.FLAGS.variants or VARIANTS:
-            for name in flags.FLAGS.cases or CASES:
-                is_asked = variant in WIDE_VARIANTS or name not in WIDE
-                if is_asked and variant not in content.setdefault(name, {}):
-                    content[name][variant] = measured(name, VARIANTS[variant])
-                    print(f'{name} {variant}: {content[name][variant]["cpu_s"]} s', flush=True)
-                    _write(path, content)
-        print(table(path), limits(path), sep='\n\n')
-        if flags.FLAGS.picture:
-            draw(path, flags.FLAGS.picture)
-    except (ValueError, OSError, KeyError) as error:
-        logging.error('%s', error)
-        sys.exit(1)
+def jobs(values=None) -> Jobs:
+    """Returns what there is to make: all cases of a variant, then the next variant."""
+    return {
+        ('cases', name, variant): partial(measured, name, VARIANTS[variant])
+        for variant in VARIANTS
+        for name in CASES
+        if variant in WIDE_VARIANTS or name not in WIDE
+    }
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    run_report('ladder', jobs, lambda path: f'{table(path)}\n\n{limits(path)}', draw)

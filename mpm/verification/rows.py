@@ -1,19 +1,28 @@
-"""Rows of the table of checks, kept in a file as they are made."""
+"""What the reports of the solver share: results that a file keeps, made once, and their command."""
 
 import json
 import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import Any
 
-from mpm.files import write_json
+from absl import flags
+from tqdm import tqdm
+
 from mpm.versions import SOLVER_VERSION
+from pca_tools import command
+from pca_tools.files import read_json
 from pca_tools.storage import markdown
+from pca_tools.storage.text_files import write_text
+
+# Place of a result in the file, as names from the outside in -> function that makes it.
+Jobs = dict[tuple[str, ...], Callable[[], Any]]
 
 
 @dataclass(frozen=True)
 class Check:
-    """One row: a figure, what it should be, and within what.
+    """A figure, what it should be, and within what.
 
     Attributes:
         name: what is compared.
@@ -25,9 +34,9 @@ class Check:
 
     name: str
     figure: float
-    expected: float | None
-    tolerance: float
-    note: str
+    expected: float | None = None
+    tolerance: float = 0.0
+    note: str = ''
 
     @property
     def passed(self) -> bool:
@@ -35,9 +44,26 @@ class Check:
         return self.expected is None or bool(abs(self.figure - self.expected) <= self.tolerance)
 
 
-def reported(name: str, figure: float, note: str) -> Check:
-    """Returns a row without a bound."""
-    return Check(name, figure, None, 0.0, note)
+def kept_checks(make: Callable[[], list[Check]]) -> Callable[[], dict]:
+    """Returns a function that makes checks as a file keeps them."""
+    return lambda: {'checks': [asdict(check) | {'passed': check.passed} for check in make()]}
+
+
+def checks_of(content: dict) -> list[dict]:
+    """Returns the checks that a file keeps, in order."""
+    return [row for entry in content.get('entries', {}).values() for row in entry['checks']]
+
+
+def table(path: str) -> str:
+    """Returns the kept checks as Markdown; raises ValueError as `read_kept` does."""
+    rows = []
+    for row in checks_of(read_kept(path)):
+        is_bound = row['expected'] is not None
+        bound = (f'{row["expected"]:.4g}', f'{row["tolerance"]:.2g}') if is_bound else ('', '')
+        rows.append(
+            (row['name'], f'{row["figure"]:.4g}', *bound, '' if row['passed'] else '**fails**')
+        )
+    return markdown.table(('check', 'figure', 'expected', 'within', ''), rows)
 
 
 def read_kept(path: str) -> dict:
@@ -48,80 +74,87 @@ def read_kept(path: str) -> dict:
     """
     if not os.path.exists(path):
         return {'solver_version': SOLVER_VERSION}
-    with open(path, encoding='utf-8') as file:
-        content = json.load(file)
+    content = read_json(path)
     if not isinstance(content, dict) or content.get('solver_version') != SOLVER_VERSION:
         raise ValueError(f'{path} is not of solver version {SOLVER_VERSION}; name another file')
     return content
 
 
-class Table:
-    """Checks by the name of what made them, written to a file after each.
+def make(path: str, jobs: Jobs, names: list[str] | None = None) -> dict:
+    """Makes the results that a file does not hold yet, and writes it after each.
 
-    Attributes:
-        entries: name -> {'checks': rows, 'cpu_s': seconds}.
+    Args:
+        path: JSON file.
+        jobs: what there is to make.
+        names: only results in whose names one of these stands; None: all.
+
+    Returns:
+        What the file holds then.
+
+    Raises:
+        ValueError: a name that no result has; see `read_kept`.
     """
-
-    def __init__(self, path: str):
-        """Opens a table, or begins one.
-
-        Raises:
-            ValueError: if the file is none, or of another version of the solver.
-        """
-        self._path, self.entries = path, {}
-        if not os.path.exists(path):
-            return
-        try:
-            with open(path, encoding='utf-8') as file:
-                content = json.load(file)
-            version, self.entries = content['solver_version'], content['entries']
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f'{path} is not a table of checks: {error!r}') from error
-        if version != SOLVER_VERSION:
-            raise ValueError(
-                f'{path} is of solver version {version}, this is {SOLVER_VERSION}; name another'
-            )
-
-    def add(self, name: str, make: Callable[[], list[Check]]) -> None:
-        """Makes the checks of a name and writes them; those that are there are kept."""
-        if name in self.entries:
-            return
-        started = time.process_time()
-        checks = make()
-        self.entries[name] = {
-            'checks': [asdict(check) | {'passed': check.passed} for check in checks],
-            'cpu_s': round(time.process_time() - started, 1),
-        }
-        write_json(self._path, {'solver_version': SOLVER_VERSION, 'entries': self.entries})
-
-    @property
-    def failed(self) -> list[str]:
-        """Names of the checks that do not pass."""
-        rows = [row for entry in self.entries.values() for row in entry['checks']]
-        return [row['name'] for row in rows if not row['passed']]
-
-    def text(self) -> str:
-        """Returns the table as Markdown."""
-        rows = []
-        for entry in self.entries.values():
-            for n, row in enumerate(entry['checks']):
-                bound = ('', '', 'reported')
-                if row['expected'] is not None:
-                    result = 'pass' if row['passed'] else '**FAIL**'
-                    bound = (f'{row["expected"]:.4g}', f'{row["tolerance"]:.2g}', result)
-                name = f'{row["name"]} ({row["note"]})' if row['note'] else row['name']
-                cpu = f'{entry["cpu_s"]:.0f}' if n == 0 else ''
-                rows.append((name, f'{row["figure"]:.4g}', *bound, cpu))
-        return markdown.table(('check', 'figure', 'expected', 'within', '', 'CPU s'), rows)
+    content = read_kept(path)
+    for text in names or ():
+        if not any(text in name_of(place) for place in jobs):
+            raise ValueError(f'no row {text!r}; there are {", ".join(map(name_of, jobs))}')
+    os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
+    for place, job in tqdm(jobs.items(), unit='row'):
+        if names is not None and not any(text in name_of(place) for text in names):
+            continue
+        inner = content
+        for name in place[:-1]:
+            inner = inner.setdefault(name, {})
+        if place[-1] not in inner:
+            started = time.process_time()
+            found = job()
+            inner[place[-1]] = {'cpu_s': round(time.process_time() - started, 1)} | found
+            write_text(path, _lines(content) + '\n')
+    return content
 
 
-def table(path: str) -> str:
-    """A stored table as Markdown, without notes and times; raises ValueError as `Table` does."""
-    rows = []
-    for entry in Table(path).entries.values():
-        for row in entry['checks']:
-            bound = '' if row['expected'] is None else f'{row["expected"]:.4g}'
-            within = '' if row['expected'] is None else f'{row["tolerance"]:.2g}'
-            passed = '' if row['passed'] else '**fails**'
-            rows.append((row['name'], f'{row["figure"]:.4g}', bound, within, passed))
-    return markdown.table(('check', 'figure', 'expected', 'within', ''), rows)
+def name_of(place: tuple[str, ...]) -> str:
+    """Returns how a result is called on the command line and in lists."""
+    return '/'.join(place[1:])
+
+
+def _lines(content) -> str:
+    """JSON with a line for each result: a number a line would make 50 thousand."""
+    if not isinstance(content, dict) or not any(isinstance(v, dict) for v in content.values()):
+        return json.dumps(content, allow_nan=False)
+    inner = ',\n'.join(f'{json.dumps(name)}: {_lines(value)}' for name, value in content.items())
+    return f'{{\n{inner}\n}}'
+
+
+def run_report(
+    name: str,
+    jobs: Callable[[flags.FlagValues], Jobs],
+    show: Callable[[str], str],
+    draw: Callable[[str, str], None] | None = None,
+) -> None:
+    """Runs a report as the main program.
+
+    Args:
+        name: of the file that keeps its results, where none is given.
+        jobs: values of the flags -> what there is to make.
+        show: path of the file -> text that is printed in the end.
+        draw: draws a picture from the file: its path, that of the picture.
+    """
+    flags.DEFINE_string('json', os.path.join('outputs', f'{name}.json'), 'Where results are kept.')
+    flags.DEFINE_list('rows', None, 'Only results in whose names one of these stands.')
+    flags.DEFINE_bool('list_rows', False, 'Only name the results.')
+    if draw is not None:
+        flags.DEFINE_string('picture', None, 'Picture to draw.')
+
+    def run(values):
+        asked = jobs(values)
+        if values.list_rows:
+            print('\n'.join(map(name_of, asked)))
+            return 0
+        content = make(values.json, asked, values.rows)
+        print(show(values.json))
+        if draw is not None and values.picture:
+            draw(values.json, values.picture)
+        return int(not all(row['passed'] for row in checks_of(content)))
+
+    command.start(run)

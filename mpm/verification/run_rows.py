@@ -1,18 +1,24 @@
-"""Checks of whole runs: published laws of blade and wheel, presses, free tools, leak, saw-tooth."""
+"""Checks of whole runs: published laws of blade and wheel, presses, free tools, leak, density, and
+pairs of runs that should agree."""
 
 import math
 import os
+from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
+from tqdm import tqdm
 
-from mpm import bodies, earthmoving, experiments, packing, raw_run, run, scenes
-from mpm.batch import generate
+from mpm import bodies, earthmoving, packing, raw_run, run, scenes
 from mpm.constitutive import make_soil
+from mpm.generate import generate
 from mpm.motions import catalogue, grid
-from mpm.motions.drive import Drive, Machine
-from mpm.simulation import Settings
-from mpm.verification.convergence import packed
-from mpm.verification.rows import Check, reported
+from mpm.motions.drive import Drive, Machine, poses
+from mpm.scenes import EXCAVATION, WHEEL
+from mpm.simulation import Settings, Simulation
+from mpm.solver import EXCHANGE
+from mpm.verification import bed
+from mpm.verification.rows import Check
 
 # Upright blades (lean up to 10 degrees), both motions, several depths.
 EARTHMOVING_CASES = (123, 146, 186, 213, 216)
@@ -23,7 +29,116 @@ LEVEL = 0.35  # largest slope of a cut that counts as level
 # Slip 20, "40", 70 % with the middle load, diameter and friction, on the Earth.
 SLIP_CASES = (176, 203, 230)
 # Simulated for the rows of all runs of a folder that holds none: those of other rows.
-FIRST_CASES = {scenes.EXCAVATION.name: EARTHMOVING_CASES, scenes.WHEEL.name: SLIP_CASES}
+FIRST_CASES = {'excavation': EARTHMOVING_CASES, 'wheel': SLIP_CASES}
+HALVED_CASES = (186, 78, 146, 22, 188)  # motion 2: the blade is in the soil from the beginning
+SHORT_CUTS = {'sleep': 'sleeping soil', 'single': 'steps in float32'}  # options of `Settings`
+SHORT_CUT_CASES = (186, 78, 123, 146)
+DENSITY_CASES = (186, 123, 146)
+HALVED_FRAMES, PAIR_FRAMES = 80, 160
+PRESS_SPEEDS = (0.01, 0.04, 0.16)  # m/s
+PRESS_FROM, PRESS_BAND = 0.004, (0.012, 0.016)  # m: above the bed, and depths whose force counts
+FREE_MASS = 20.0  # kg
+
+
+def rows_of(raw_path: str) -> dict:
+    """Returns name -> function that makes the checks of that name, those that cost least first.
+
+    Args:
+        raw_path: folder of the raw runs of both scenes; runs that a row needs are made there.
+    """
+    rows: dict[str, Callable[[], list[Check]]] = {}
+    for case in HALVED_CASES:
+        rows[f'halved_{case}'] = partial(halved_step, EXCAVATION, case, HALVED_FRAMES)
+    for case in EARTHMOVING_CASES:
+        rows[f'earthmoving_{case}'] = partial(earthmoving_case, case, raw_path)
+    for case in SAW_TOOTH_CASES:
+        rows[f'saw_tooth_{case}'] = partial(saw_tooth_case, case, raw_path)
+    rows |= {'press_rate': press_rate, 'set_down': set_down}
+    for row in (depth_exponent, wheel_slip, wheel_load):
+        rows[row.__name__] = partial(row, raw_path)
+    for scene in (EXCAVATION, WHEEL):
+        rows[f'leak_{scene.name}'] = partial(leak, scene, raw_path)
+    for case in DENSITY_CASES:
+        rows[f'density_{case}'] = partial(moved_soil, case, scenes.FRAMES - 1)
+    for option in SHORT_CUTS:
+        for scene, prefix, cases in ((EXCAVATION, '', SHORT_CUT_CASES), (WHEEL, 'wheel_', (122,))):
+            for case in cases:
+                made = partial(short_cut, option, scene, case, PAIR_FRAMES)
+                rows[f'{option}_{prefix}{case}'] = made
+    for case in (122, 203):
+        rows[f'halved_wheel_{case}'] = partial(halved_step, WHEEL, case, PAIR_FRAMES)
+    return rows
+
+
+@cache
+def packed(box: scenes.Bin, modulus: float = Settings().youngs_modulus) -> np.ndarray:
+    """Returns the settled packing of a bin, made once per process."""
+    return packing.settle(box, make_soil(modulus, scenes.PACKING_MU_S), 0)[0]
+
+
+def simulation_of(
+    scene: scenes.Scene, motion: catalogue.Motion, settings: Settings | None = None
+) -> Simulation:
+    """Returns the simulation of a motion on the settled soil of a scene."""
+    settings = settings or Settings()
+    particles = packed(scene.bin, settings.youngs_modulus)
+    return run.make_simulation(scene, motion, particles, settings)
+
+
+def frames_of(simulation: Simulation, count: int) -> np.ndarray:
+    """Advances a simulation; returns force (N) and torque (N m) on the body, [count, 6]."""
+    frames = tqdm(range(count), unit='frame', leave=False)
+    return np.array([np.concatenate(simulation.frame()) for _ in frames])
+
+
+def drive(scene: scenes.Scene, case: int, frames: int, settings: Settings):
+    """Returns force [frames, 3] (N) of a case, and the simulation after it."""
+    simulation = simulation_of(scene, run.prepared(scene, case, settings), settings)
+    return frames_of(simulation, frames)[:, :3], simulation
+
+
+def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
+    """The relative change of the mean force along x when the time step is halved."""
+    force, simulation = drive(scene, case, frames, Settings())
+    halved = Settings(steps=2 * round(EXCHANGE / simulation.dt))
+    finer, other = drive(scene, case, frames, halved)
+    mean, change = force[:, 0].mean(), finer[:, 0].mean() / force[:, 0].mean() - 1.0
+    note = f'{frames} frames, {mean:.1f} N; soil {_rms_mm(simulation, other):.2f} mm'
+    name = f'{scene.name} {case}: halved step, change of the mean force'
+    return [Check(name, change, 0.0, 0.005, note)]
+
+
+def short_cut(option: str, scene: scenes.Scene, case: int, frames: int) -> list[Check]:
+    """What a short cut changes, against the run without it: mean force along x, and the soil."""
+    force, simulation = drive(scene, case, frames, Settings())
+    without, other = drive(scene, case, frames, Settings(**{option: False}))
+    mean, change = without[:, 0].mean(), force[:, 0].mean() / without[:, 0].mean() - 1.0
+    apart = bed.surface(simulation.positions(), scene.bin) - bed.surface(
+        other.positions(), scene.bin
+    )
+    rms, all_soil = 1e3 * float(np.sqrt((apart**2).mean())), _rms_mm(simulation, other)
+    name = f'{scene.name} {case}: {SHORT_CUTS[option]}'
+    note = f'at the end; all soil {all_soil:.2f} mm'
+    return [
+        Check(
+            f'{name}, change of the mean force', change, 0.0, 0.01, f'{frames} frames, {mean:.1f} N'
+        ),
+        Check(f'{name}, surface in mm RMS', rms, 0.0, 0.5, note),
+    ]
+
+
+def _rms_mm(one, other) -> float:
+    apart = one.positions() - other.positions()
+    return float(1e3 * np.sqrt((apart**2).sum(axis=1).mean()))
+
+
+def moved_soil(case: int, frames: int) -> list[Check]:
+    """The density of soil that a blade has moved, over that of the bed before."""
+    start = packed(EXCAVATION.bin)[:, :3]
+    _, simulation = drive(EXCAVATION, case, frames, Settings())
+    density = bed.moved_density(start, simulation.positions(), simulation)
+    name = f'excavation {case}: density of soil that moved over {1e3 * bed.MOVED:.0f} mm'
+    return [Check(name, density, 1.005, 0.025, f'{frames} frames, over that of the bed')]
 
 
 def run_of(scene: scenes.Scene, case: int, raw_path: str) -> raw_run.RawRun:
@@ -42,31 +157,16 @@ def runs_held(scene: scenes.Scene, raw_path: str) -> list[dict]:
     return raw_run.read_manifest(folder)['runs']
 
 
-def packed_soil(scene: scenes.Scene, raw_path: str) -> list[Check]:
-    """The settled soil carries its weight."""
-    settings, folder = Settings(), os.path.join(raw_path, scene.name)
-    os.makedirs(folder, exist_ok=True)
-    soil = make_soil(settings.youngs_modulus, scenes.PACKING_MU_S)
-    particles, _ = packing.settled(scene.bin, soil, settings.seed, folder)
-    found = experiments.settled_soil(scene.bin, particles, soil)
-    stress, middle = f'{scene.name} soil: vertical stress over rho g h', 'middle of the bin'
-    return [
-        Check(f'{scene.name} soil: reaction of walls and floor over weight',
-              found['reaction_over_weight'], 1.0, 0.01, 'm g'),
-        Check(stress, found['stress_over_rho_g_h'], 1.0, 0.02, f'{middle}, above the lowest cell'),
-        # Nodes below the floor are held, so the grid has no linear field in the lowest cell: its
-        # particles state 9 % more than they carry. The floor's reaction is the weight (first row).
-        Check(stress, found['stress_at_floor_over_rho_g_h'], 1.0, 0.12,
-              f'{middle}, in the lowest cell'),
-    ]  # fmt: skip
+def path_of(parameters: dict, frames: int = scenes.FRAMES) -> np.ndarray:
+    """Returns the poses [frames, 4] of the blade in a case of the grid."""
+    drive = grid.make_drive(EXCAVATION, parameters)
+    return drive.pose(np.arange(frames) / scenes.FRAME_RATE)
 
 
-def earthmoving_ratio(run: raw_run.RawRun) -> float:
-    """Returns mean draft over that of the fundamental equation, heap included, while cutting."""
-    p = run.parameters
-    scene = scenes.EXCAVATION
-    box = scene.bin
-    path = grid.make_drive(scene, p).pose(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
+def earthmoving_case(case: int, raw_path: str) -> list[Check]:
+    """The mean draft of one case over that of the fundamental equation, while it cuts."""
+    made = run_of(EXCAVATION, case, raw_path)
+    p, box, path = made.parameters, EXCAVATION.bin, path_of(made.parameters)
     lean = math.radians(p['angle_deg'])
     unit_weight = p['soil']['bulk_density'] * scenes.EARTH_GRAVITY
     kept_weight = unit_weight * packing.particle_volume(box) * box.keep_every
@@ -78,32 +178,19 @@ def earthmoving_ratio(run: raw_run.RawRun) -> float:
         is_ramp = p['motion'] == 1 and path[t, 1] != path[t - 1, 1]
         if not is_moving or is_ramp or depth < box.dx:
             continue
-        soil = run.positions[t].astype(np.float64)
-        ahead = tip[0] + (soil[:, 1] - tip[1]) * math.tan(lean) - soil[:, 0]
-        is_heap = (
-            (soil[:, 1] > box.surface)
-            & (ahead > 0.0)
-            & (np.abs(soil[:, 2] - box.z_middle) < bodies.BLADE_WIDTH / 2)
-        )
-        reach = tip[0] - soil[is_heap, 0]
-        ours.append(run.force[t - 5 : t + 5, 0].mean())
+        x, y, z = made.positions[t].astype(np.float64).T
+        is_ahead = tip[0] + (y - tip[1]) * math.tan(lean) - x > 0.0
+        is_heap = is_ahead & (y > box.surface) & (np.abs(z - box.z_middle) < bodies.BLADE_WIDTH / 2)
+        reach = tip[0] - x[is_heap]
+        ours.append(made.force[t - 5 : t + 5, 0].mean())
         theirs.append(
             earthmoving.draft_force(
-                depth,
-                bodies.BLADE_WIDTH,
-                math.pi / 2 - lean,
-                math.asin(p['soil']['mu_s']),
-                math.atan(bodies.BLADE_FRICTION),
-                unit_weight,
+                depth, bodies.BLADE_WIDTH, math.pi / 2 - lean, math.asin(p['soil']['mu_s']),
+                math.atan(bodies.BLADE_FRICTION), unit_weight,
                 lambda limit, reach=reach: kept_weight * np.count_nonzero(reach < limit),
             )
-        )
-    return float(np.mean(ours) / np.mean(theirs))
-
-
-def earthmoving_case(case: int, raw_path: str) -> list[Check]:
-    """The draft of one case against the fundamental equation."""
-    ratio = earthmoving_ratio(run_of(scenes.EXCAVATION, case, raw_path))
+        )  # fmt: skip
+    ratio = float(np.mean(ours) / np.mean(theirs))
     name = f'excavation {case}: draft over the equation of earthmoving'
     return [Check(name, ratio, 1.0, 0.3, 'phi = asin(mu_s), heap included')]
 
@@ -113,17 +200,15 @@ def depth_exponent(raw_path: str) -> list[Check]:
 
     Contact begins half a particle spacing below the edge, which matters for the shallow cuts.
     """
-    scene = scenes.EXCAVATION
-    depths, drafts = [], []
+    scene, depths, drafts = EXCAVATION, [], []
     for case in EXPONENT_CASES:
-        run = run_of(scene, case, raw_path)
-        drive = grid.make_drive(scene, run.parameters)
-        path = drive.pose(np.arange(scenes.FRAMES) / scenes.FRAME_RATE)
+        made = run_of(scene, case, raw_path)
+        path = path_of(made.parameters)
         travel = path[0, 0] - path[:, 0]
         chosen = (travel > EXPONENT_TRAVEL[0]) & (travel < EXPONENT_TRAVEL[1])
         edge = path[chosen, 1] - bodies.BLADE_THICKNESS / 2
         depths.append(scene.bin.surface - edge.mean())
-        drafts.append(run.force[chosen, 0].mean())
+        drafts.append(made.force[chosen, 0].mean())
     # Contact begins half a spacing of particles below the edge.
     radius = 0.5 * scene.bin.size[1] / scene.bin.lattice[1]
     nominal, exponent = (
@@ -165,8 +250,7 @@ def cutting_frames(parameters: dict, count: int) -> np.ndarray:
 
     The first quarter of that stretch is left out: the draft still builds up.
     """
-    path = grid.make_drive(scenes.EXCAVATION, parameters).pose(np.arange(count) / scenes.FRAME_RATE)
-    step = np.diff(path[:, :2], axis=0)
+    step = np.diff(path_of(parameters, count)[:, :2], axis=0)
     way = parameters['speed_m_s'] / scenes.FRAME_RATE
     is_steady = (np.abs(-step[:, 0] - way) < 1e-6 * way) & (np.abs(step[:, 1]) < LEVEL * way)
     steady = np.flatnonzero(is_steady) + 1
@@ -180,7 +264,7 @@ def cutting_force(run: raw_run.RawRun) -> np.ndarray:
 
 def saw_tooth_case(case: int, raw_path: str) -> list[Check]:
     """The force's saw-tooth at the cell-crossing rate."""
-    run = run_of(scenes.EXCAVATION, case, raw_path)
+    run = run_of(EXCAVATION, case, raw_path)
     speed, dx = run.parameters['speed_m_s'], run.parameters['cell_m'][0]
     share = saw_tooth(cutting_force(run), speed, dx)
     name = f'excavation {case}: saw-tooth over the mean force'
@@ -198,11 +282,11 @@ def leak(scene: scenes.Scene, raw_path: str) -> list[Check]:
 
 def wheel_load(raw_path: str) -> list[Check]:
     """The soil carries the wheel: mean vertical force over load, of all runs of the folder."""
-    folder = os.path.join(raw_path, scenes.WHEEL.name)
+    folder = os.path.join(raw_path, WHEEL.name)
     ratios = {}
-    for entry in runs_held(scenes.WHEEL, raw_path):
+    for entry in runs_held(WHEEL, raw_path):
         run = raw_run.read_run(os.path.join(folder, entry['file']))
-        load = run.step_context[1:, scenes.WHEEL.context_names.index('load')]
+        load = run.step_context[1:, WHEEL.context_names.index('load')]
         ratios[entry['case']] = float(run.force[1:, 1].mean() / load.mean())
     worst = max(ratios, key=lambda case: abs(ratios[case] - 1.0))
     note = f'worst of {len(ratios)} runs: {worst}'
@@ -212,33 +296,22 @@ def wheel_load(raw_path: str) -> list[Check]:
 
 def wheel_slip(raw_path: str) -> list[Check]:
     """The drawbar pull grows with slip."""
-    pulls = [
-        -float(run_of(scenes.WHEEL, case, raw_path).force[1:, 0].mean()) for case in SLIP_CASES
-    ]
+    pulls = [-float(run_of(WHEEL, case, raw_path).force[1:, 0].mean()) for case in SLIP_CASES]
     note = 'at 20, 38.5, 70 %: ' + ', '.join(f'{pull:.1f} N' for pull in pulls)
     name = 'wheel: smallest rise of drawbar pull with slip, N'
     return [Check(name, float(np.diff(pulls).min()), 100.0, 100.0, note)]
 
 
-PRESS_SPEEDS = (0.01, 0.04, 0.16)  # m/s
-PRESS_FROM, PRESS_BAND = 0.004, (0.012, 0.016)  # m: above the bed, and depths whose force counts
-FREE_MASS = 20.0  # kg
-
-
 def _upright_blade(height, machine=None):
     """The blade in the middle of the bin; `height` (m above the bed) is a function of times (s)."""
-    box, body = scenes.EXCAVATION.bin, bodies.make_blade()
+    box, body = EXCAVATION.bin, bodies.make_blade()
 
     def pose(times):
-        path = np.zeros((len(times), 4))
-        path[:, 0], path[:, 3] = scenes.CORNER + box.size[0] / 2, box.z_middle
-        path[:, 1] = box.surface + body.radius + height(np.maximum(times, 0.0))
-        return path
+        above = box.surface + body.radius + height(np.maximum(times, 0.0))
+        return poses(times, scenes.CORNER + box.size[0] / 2, above, 0.0, box.z_middle)
 
     motion = catalogue.Motion('row', Drive(body, pose, machine), {}, 0, scenes.Ground())
-    settings = Settings()
-    particles = packed(box, settings.youngs_modulus)
-    return run.make_simulation(scenes.EXCAVATION, motion, particles, settings)
+    return simulation_of(EXCAVATION, motion)
 
 
 def press_rate() -> list[Check]:
@@ -272,7 +345,7 @@ def set_down() -> list[Check]:
         forces.append(simulation.frame()[0][1])
         heights.append(simulation.pose[1])
     drift = 1e3 * abs(heights[-1] - heights[179]) / 0.5
-    box = scenes.EXCAVATION.bin
+    box = EXCAVATION.bin
     depth = 1e3 * (box.surface + bodies.BLADE_THICKNESS / 2 - heights[-1])
     name = f'blade of {FREE_MASS:g} kg, free in height'
     return [
@@ -280,5 +353,5 @@ def set_down() -> list[Check]:
         Check(
             f'{name}: force over weight', np.mean(forces[180:]) / weight, 1.0, 0.005, '3 to 3.5 s'
         ),
-        reported(f'{name}: depth of the edge, mm', depth, 'after 3.5 s'),
+        Check(f'{name}: depth of the edge, mm', depth, note='after 3.5 s'),
     ]

@@ -11,22 +11,16 @@ those of the ground truth (scaled with the tool), so that a run takes seconds.
 
 import dataclasses
 import math
-import os
-import sys
+from functools import partial
 from typing import NamedTuple
 
-import numpy as np
-from absl import app, flags, logging
-
-from mpm import bodies, run, scenes
-from mpm.files import write_json
+from mpm import bodies, scenes
 from mpm.motions import catalogue, grid
-from mpm.motions.drive import Drive
+from mpm.motions.drive import Drive, poses
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
-from mpm.verification import convergence
-from mpm.verification.rows import read_kept
-from mpm.versions import SOLVER_VERSION
+from mpm.verification.rows import Jobs, read_kept, run_report
+from mpm.verification.run_rows import frames_of, simulation_of
 from pca_tools.storage import markdown
 
 DEPTH, SPEED, LEAN_DEG = 0.08, 0.1, 10.0  # of case 186: m, m/s, deg
@@ -69,31 +63,28 @@ def measured(world: World) -> dict:
         tuple(size * side for side in usual.size), 1.5 * size * usual.dx, 1.5 * size * usual.dz,
         1, size * usual.height, tuple((0.0, 2.0 * size * high) for _, high in usual.bounds),
     )  # fmt: skip
-    height, radius = bodies.BLADE_HEIGHT, bodies.BLADE_THICKNESS / 2
+    radius = size * bodies.BLADE_THICKNESS / 2
     tool = {
         'name': 'blade',
-        'outline': [[0.0, 0.0], [0.0, size * (height - 2 * radius)]],
-        'edge_radius': size * radius,
+        'outline': [[0.0, 0.0], [0.0, size * bodies.BLADE_HEIGHT - 2 * radius]],
+        'edge_radius': radius,
         'width': size * bodies.BLADE_WIDTH,
     }
     body = bodies.tool_body(bodies.check_tool(tool))
-    start = [scenes.CORNER + grid.TIP_START * box.size[0], box.surface + size * grid.TIP_CLEARANCE]
-    rest = [-math.radians(LEAN_DEG), box.z_middle]
+    x = scenes.CORNER + grid.TIP_START * box.size[0]
+    y = box.surface + size * grid.TIP_CLEARANCE + radius
 
     def pose(times):
         way = size * grid.blade_displacement(2, DEPTH, world.speed / size, times)
-        place = np.array(start) + [0.0, body.radius] + way
-        return np.column_stack([place, np.tile(rest, (len(place), 1))])
+        return poses(times, x + way[:, 0], y + way[:, 1], -math.radians(LEAN_DEG), box.z_middle)
 
     frames = max(4, round(size * TRAVEL / world.speed * scenes.FRAME_RATE))
     ground = scenes.Ground(bulk_density=world.density, gravity=world.gravity)
     motion = catalogue.Motion('similarity', Drive(body, pose), {}, frames, ground)
     # Fast soil crosses at most half a cell between exchanges.
     settings = Settings(exchange=EXCHANGE / max(1, round(world.speed / 0.8)))
-    particles = convergence.packed(box, settings.youngs_modulus)
     scene = dataclasses.replace(scenes.EXCAVATION, bin=box)
-    simulation = run.make_simulation(scene, motion, particles, settings)
-    force = np.array([simulation.frame()[0] for _ in range(frames)])[frames // 2 :].mean(axis=0)
+    force = frames_of(simulation_of(scene, motion, settings), frames)[frames // 2 :].mean(axis=0)
     scale = world.density * world.gravity * 2 * body.half_width * (size * DEPTH) ** 2
     return {
         'draft_N': round(float(force[0]), 3),
@@ -105,48 +96,24 @@ def measured(world: World) -> dict:
 
 def table(path: str) -> str:
     """Returns the runs as Markdown, each over the first."""
-    runs = _read(path)
-    if not runs:
-        return ''
-    first = next(iter(runs.values()))
-    rows = []
+    runs, rows = read_kept(path).get('worlds', {}), []
     for name, found in runs.items():
-        scaled = [found[key] / found['scale_N'] for key in ('draft_N', 'vertical_N')]
-        usual = [first[key] / first['scale_N'] for key in ('draft_N', 'vertical_N')]
+        first = next(iter(runs.values()))
+        scaled, usual = (
+            [of[key] / of['scale_N'] for key in ('draft_N', 'vertical_N')] for of in (found, first)
+        )
+        changes = (f'{a / b - 1.0:+.1%}' for a, b in zip(scaled, usual))
         rows.append(
-            (name, found['inertia'], f'{found["draft_N"]:.1f}', f'{scaled[0]:.2f}')
-            + tuple(f'{a / b - 1.0:+.1%}' for a, b in zip(scaled, usual))
+            (name, found['inertia'], f'{found["draft_N"]:.1f}', f'{scaled[0]:.2f}', *changes)
         )
     header = ('world', 'v^2 / (g h)', 'draft N', 'over rho g w h^2', 'against case 186', 'vertical')
     return markdown.table(header, rows)
 
 
-def _read(path) -> dict:
-    return read_kept(path).get('worlds', {})
-
-
-def define_flags():
-    flags.DEFINE_string('json', os.path.join('outputs', 'similarity.json'), 'Where runs are kept.')
-
-
-def main(argv):
-    if len(argv) > 1:
-        raise app.UsageError(f'unknown arguments: {argv[1:]}')
-    path = flags.FLAGS.json
-    try:
-        content = _read(path)
-        os.makedirs(os.path.dirname(path) or '.', exist_ok=True)
-        for name, world in WORLDS.items():
-            if name not in content:
-                content[name] = measured(world)
-                print(name, content[name], flush=True)
-                write_json(path, {'solver_version': SOLVER_VERSION, 'worlds': content})
-        print(table(path))
-    except (ValueError, OSError) as error:
-        logging.error('%s', error)
-        sys.exit(1)
+def jobs(values=None) -> Jobs:
+    """Returns what there is to make."""
+    return {('worlds', name): partial(measured, world) for name, world in WORLDS.items()}
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    run_report('similarity', jobs, table)

@@ -316,7 +316,7 @@ def _possible_config(parts):
 def _read_weights(folder):
     whole = os.path.join(small.world(), 'model', checkpoints.WEIGHTS_FILE)
     shapes = {name: array.shape for name, array in files.read_npz(whole).items()}
-    return checkpoints.read_weights(folder, shapes)
+    return checkpoints.check_weights(folder, checkpoints.stored_weights(folder), shapes)
 
 
 def _write_nri(folder):
@@ -384,8 +384,7 @@ TARGETS = (
            lambda folder: list(particles.ParticleSample(f'{folder}/particles_train.npz')),
            _possible_sample),
     Target('model config.json', Promise.OPEN, copies('model', *_MODEL), _MODEL[:1],
-           lambda folder: subspace_model.parse(checkpoints.read_config(folder),
-                                               f'{folder}/config.json'), _possible_config),
+           subspace_model.read_parts, _possible_config),
     Target('model weights.npz', Promise.CHECKSUM, copies('model', *_MODEL), _MODEL[1:],
            _read_weights),
     Target('load_model', Promise.OPEN, copies('model', *_MODEL), _MODEL, _read_model,

@@ -194,7 +194,9 @@ def judged(method: Method, data_path: str, folder: str) -> dict:
                 'runs': {split: rollouts.read(rolled[split], said=method.said) for split in SPLITS},
             }
         )
-    about = {'preset': config.get('config', {}).get('preset')} | (config.get('formula') or {})
+    about = {'preset': config.get('config', {}).get('preset')}
+    # What a ridge chose from is thousands of lines.
+    about |= {k: v for k, v in config.get('method', {}).items() if k != 'choices'}
     return {'name': method.name, 'baseline': method.baseline, 'about': about, 'seeds': seeds}
 
 

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from learning_to_simulate import command, presets
+from learning_to_simulate import checkpoints, command, presets
 from pca_tools import files
 from reports.record import ROOT
 
@@ -86,9 +86,8 @@ def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
     The folder is named by what the model is, so a second call finds it done; metrics.json is the
     last file to be written.
     """
-    names = ['config.json', *sorted(n for n in os.listdir(model_path) if n.endswith('.npz'))]
-    digest = ''.join(files.sha256_of_file(os.path.join(model_path, n))[:6] for n in names)
-    output = os.path.join(folder, f'{os.path.basename(model_path)}_{digest}', split)
+    name = f'{os.path.basename(model_path)}_{checkpoints.folder_digest(model_path)[:12]}'
+    output = os.path.join(folder, name, split)
     if not os.path.exists(os.path.join(output, 'metrics.json')):
         _run(
             ['--mode=eval_rollout', f'--data_path={data_path}', f'--model_path={model_path}',

@@ -18,10 +18,10 @@ import pytest
 from learning_to_simulate import connectivity_utils
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import edge_lists
-from mpm import files as mpm_files
 from nri import data as nri_data
 from pca_tools import dataset, files, subspace
 from pca_tools.formats import full_space, lagrangebench
+from pca_tools.storage.folder_lock import locked
 from tests.faults.test_training_state import files_up_to
 from tests.learning_to_simulate import synthetic
 
@@ -29,7 +29,6 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 MARK = 'this_file_must_not_appear'
 READERS = {
     'arrays': files.read_npz,
-    'arrays of the solver': mpm_files.read_arrays,
     'subspace': subspace.Subspace.load,
 }
 
@@ -182,8 +181,8 @@ def test_second_converter_does_not_replace_the_first(tmp_path):
 def test_second_solver_in_a_folder_is_refused(tmp_path):
     code = """
 import sys
-from mpm import files
-with files.one_writer(sys.argv[1]):
+from pca_tools.storage.folder_lock import locked
+with locked(sys.argv[1]):
     print('held', flush=True)
     sys.stdin.read()
 """
@@ -193,11 +192,11 @@ with files.one_writer(sys.argv[1]):
     )  # fmt: skip
     assert holder.stdout.readline() == 'held\n'
     refusal = pytest.raises(ValueError, match=f'process {holder.pid} on .* writes')
-    with refusal, mpm_files.one_writer(str(tmp_path)):
+    with refusal, locked(str(tmp_path)):
         raise AssertionError('two writers')
     holder.kill()
     holder.wait()
-    with mpm_files.one_writer(str(tmp_path)):  # the system released the lock with the process
+    with locked(str(tmp_path)):  # the system released the lock with the process
         pass
 
 
@@ -233,8 +232,7 @@ def test_reader_beside_a_writer_sees_one_version_or_the_other(tmp_path):
     assert len(dataset.read_split(path, 'train')) == 2
 
 
-@pytest.mark.parametrize('read', [files.read_npz, mpm_files.read_arrays])
-def test_members_that_a_damaged_directory_lost_are_missed(tmp_path, read):
+def test_members_that_a_damaged_directory_lost_are_missed(tmp_path):
     """One bit in the length of an entry swallows those after it; the rest has right checksums."""
     path = tmp_path / 'a.npz'
     np.savez(path, first=np.arange(3.0), second=np.arange(4.0), third=np.arange(5.0))
@@ -246,7 +244,7 @@ def test_members_that_a_damaged_directory_lost_are_missed(tmp_path, read):
     with zipfile.ZipFile(path) as archive:
         assert archive.namelist() == ['first.npy']  # nobody complains
     with pytest.raises(ValueError, match='a.npz.*1 members, its end says 3'):
-        read(str(path))
+        files.read_npz(str(path))
 
 
 def test_texts_of_impossible_characters_are_refused(tmp_path):

@@ -48,10 +48,7 @@ def test_constant_and_zero_forces_have_finite_statistics(tmp_path, value, preset
     groups = reading_utils.read_groups(folder, 'train', metadata, **config.nodes)
     groups = [dataclasses.replace(g, force=np.full_like(g.force, value)) for g in groups]
     scene = reading_utils.read_scene(folder, metadata, groups, None)
-    found = normalization.compute_statistics(
-        [g.position for g in groups], [g.force for g in groups],
-        reading_utils.contexts_by_frame(groups), metadata, scene, config,
-    )  # fmt: skip
+    found = normalization.compute_statistics(groups, metadata, scene, config)
     np.testing.assert_allclose(found.force_std, 1.0)
     np.testing.assert_allclose(found.force_mean, value, rtol=1e-6)
     first = groups[0]

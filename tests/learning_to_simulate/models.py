@@ -3,8 +3,9 @@
 import dataclasses
 
 import numpy as np
+import tensorflow as tf
 
-from learning_to_simulate import presets, reading_utils
+from learning_to_simulate import presets, reading_utils, rollout
 from learning_to_simulate.subspace import method
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
@@ -19,20 +20,32 @@ def make(
     rigid_motion=None,
     overrides=None,
     contact=False,
+    shaken=0.0,
     **data,
 ):
-    """Writes a dataset and makes an untrained small model for it, with `contact` one whose body
-    comes from the air into the soil; returns (model, groups, metadata)."""
+    """Writes a dataset and makes an untrained small model for it; returns (model, groups,
+    metadata). With `contact` its body comes from the air into the soil; `shaken` is the spread of
+    random weights, so that nothing hides behind a zero."""
     synthetic.write_dataset(folder, motion=motion, **data)
-    config = presets.make_config(preset, **SMALL | (overrides or {}))
-    metadata = dataset.read_metadata(str(folder))
-    groups = reading_utils.read_groups(str(folder), 'train', metadata, **config.nodes)
-    model = method.make_model(str(folder), metadata, groups, config, rigid_motion)
+    own = {} if presets.PRESETS[preset].has_graph else {'mode_edges': 0}
+    config = presets.make_config(preset, **SMALL | own | (overrides or {}))
+    model, groups, metadata = of_dataset(folder, config, rigid_motion)
+    simulator = model.simulator
     if contact:
-        simulator = model.simulator
         simulator.statistics = dataclasses.replace(simulator.statistics, **surface(groups))
         model = dataclasses.replace(model)  # without the layouts of before
+    if shaken:
+        rng = np.random.default_rng(0)
+        for variable in simulator.trainable_variables:
+            variable.assign(rng.normal(0.0, shaken, variable.shape))
     return model, groups, metadata
+
+
+def of_dataset(folder, config, rigid_motion=None):
+    """An untrained model for a dataset that is there: (model, groups, metadata)."""
+    metadata = dataset.read_metadata(str(folder))
+    groups = reading_utils.read_groups(str(folder), 'train', metadata, **config.nodes)
+    return method.make_model(str(folder), metadata, groups, config, rigid_motion), groups, metadata
 
 
 def surface(groups):
@@ -42,6 +55,31 @@ def surface(groups):
     rows = [places, np.full(40, lowest.min()), *rng.normal(0, 1e-3, (3 * synthetic.N_MODES, 40))]
     middle = np.ptp(lowest) / 2
     return {'contact': np.array([0.0, middle]), 'surface': np.stack(rows, axis=1)}
+
+
+def steps(model, group, run=0, count=1):
+    """Positions [count, V, 3] and loads [count, F] of single steps of one run from frame H on."""
+    one, layout = group.select(run), model.layout(group.n_rigid)
+    state, known, context, _ = rollout.rollout_inputs(one, layout, model.simulator.scene)
+    positions, loads = [], []
+    for k in range(count):
+        now = context if context is None or len(context.shape) == 2 else context[k]
+        coming = None if known is None else known.at(k)
+        state, load = model.simulator.step(state, coming, now, layout)
+        positions.append(state.offset[0].numpy() + layout.origin)
+        loads.append(None if load is None else load[0].numpy())
+    return np.stack(positions), np.stack(loads)
+
+
+def rolled(model, group):
+    """`Rollout` of all runs of a group, eagerly, to save the compilation."""
+    function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
+    function.is_warm = True
+    tf.config.run_functions_eagerly(True)
+    try:
+        return rollout.roll_out(function, group)
+    finally:
+        tf.config.run_functions_eagerly(False)
 
 
 def stepper(model, n_rigid, space=None, kind='tensorflow', **options):

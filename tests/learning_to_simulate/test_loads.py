@@ -23,7 +23,7 @@ from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import Ranges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
-from pca_tools import dataset, files
+from pca_tools import files
 from reports.protocol import rollouts
 from tests.learning_to_simulate import models, synthetic
 
@@ -56,37 +56,14 @@ def rolled(trained):
     return opened, *opened.evaluator.run(opened.groups, 'test')
 
 
-@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis'])
-def test_statistics_are_those_of_the_runs_and_leave_the_force_alone(tmp_path, preset):
-    """One scale for all axes, that of the loudest; the published family has one of each axis."""
-    model, _, _ = models.make(tmp_path / 'a', preset, torque=True, overrides=TORQUE)
-    without, _, _ = models.make(tmp_path / 'b', preset, torque=True)
-    s, other = model.simulator.statistics, without.simulator.statistics
-    runs = dataset.read_split(str(tmp_path / 'a'), 'train')
-    torque = np.concatenate([run.torque.astype(np.float64) for run in runs])
-    spread = torque.std(axis=0)
-    np.testing.assert_allclose(s.torque_mean, torque.mean(axis=0), rtol=1e-6)
-    expected = spread if preset == 'pcg_thesis' else np.full(3, spread.max())
-    np.testing.assert_allclose(s.torque_std, expected, rtol=1e-6)
-    assert other.torque_mean is None and other.torque_std is None
-    for name, value in vars(other).items():
-        if value is not None:
-            np.testing.assert_array_equal(getattr(s, name), value)
-
-
 @pytest.mark.parametrize(
-    ('preset', 'last'),
-    [('pcg', 'decoder/linear_2'), ('mlp', 'output'), ('mixer_scse', 'output')],
+    ('preset', 'last'), [('pcg', 'decoder/linear_2'), ('mixer_scse', 'output')]
 )
 def test_with_the_same_weights_the_torque_changes_nothing_else(tmp_path, preset, last):
-    """A head with more columns: those of before give the same soil and force, to the bit where the
-    step is the plain one."""
-    edges = {} if preset == 'pcg' else {'mode_edges': 0}
-    wide, (group,), _ = models.make(tmp_path / 'a', preset, torque=True, overrides=TORQUE | edges)
-    narrow, _, _ = models.make(tmp_path / 'b', preset, torque=True, overrides=edges)
-    pairs = zip(
-        narrow.simulator.trainable_variables, wide.simulator.trainable_variables, strict=True
-    )
+    """A head with more columns: the others give the same soil and force."""
+    wide, (group,), _ = models.make(tmp_path / 'a', preset, torque=True, overrides=TORQUE)
+    narrow, _, _ = models.make(tmp_path / 'b', preset, torque=True)
+    pairs = zip(*(m.simulator.trainable_variables for m in (narrow, wide)), strict=True)
     widened = 0
     for mine, theirs in pairs:
         if mine.shape != theirs.shape:
@@ -94,12 +71,17 @@ def test_with_the_same_weights_the_torque_changes_nothing_else(tmp_path, preset,
             widened += 1
         mine.assign(theirs[..., : mine.shape[-1]])
     assert widened == 2  # w and b
-    one = group.select(0)
-    a, b = (roll_out(RolloutFunction(m.simulator, m.layout(4)), one) for m in (wide, narrow))
+    a, b = (models.rolled(model, group.select(0)) for model in (wide, narrow))
     scale = np.ptp(b.position)
     np.testing.assert_allclose(a.position, b.position, atol=1e-6 * scale)
     np.testing.assert_allclose(a.force, b.force, atol=1e-5 * np.abs(b.force).max())
     assert b.torque is None and a.torque.shape == a.force.shape and np.isfinite(a.torque).all()
+    stepper = models.stepper(narrow, group.n_rigid)
+    stepper.reset(group.position[0, :H])
+    assert stepper.step(group.position[0, H, : group.n_rigid]).torque is None
+    summary = evaluation.summarise([(0, group.select(0), b)], narrow, {}, 'train')
+    assert not any('torque' in key for key in summary['mean']['model'])
+    assert not any('torque' in key for key in evaluation._arrays(group.select(0), b))
 
 
 def test_a_trained_model_follows_a_known_torque(rolled):
@@ -168,19 +150,6 @@ def test_a_saved_path_has_its_torque(trained, tmp_path):
     both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
     np.testing.assert_array_equal(both, recorded.true_torque.astype(np.float32))
     assert isinstance(recorded, paths.SoilRollout) and len(both) == synthetic.N_FRAMES
-
-
-def test_a_model_without_it_says_none(tmp_path):
-    model, (group,), _ = models.make(tmp_path, 'mlp', torque=True, overrides={'mode_edges': 0})
-    assert group.torque is not None
-    stepper = models.stepper(model, group.n_rigid)
-    stepper.reset(group.position[0, :H])
-    assert stepper.step(group.position[0, H, : group.n_rigid]).torque is None
-    rollout = roll_out(RolloutFunction(model.simulator, model.layout(4)), group.select(0))
-    assert rollout.torque is None
-    summary = evaluation.summarise([(0, group.select(0), rollout)], model, {}, 'train')
-    assert not any('torque' in key for key in summary['mean']['model'])
-    assert not any('torque' in key for key in evaluation._arrays(group.select(0), rollout))
 
 
 def test_a_torque_that_is_not_finite_is_found(rolled):

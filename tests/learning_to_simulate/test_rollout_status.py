@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from learning_to_simulate import evaluation, normalization
+from learning_to_simulate import evaluation
 from learning_to_simulate.rollout_status import RolloutStatus, judge, widened
 from pca_tools import files
 from tests.learning_to_simulate import models
@@ -136,7 +136,6 @@ def test_ranges_are_those_of_the_training_runs(made, tmp_path):
     np.testing.assert_allclose(s.given_range[:, 1], [-0.1, 0.1], atol=5e-3)
     free, _, _ = models.make(tmp_path, motion='predicted')
     assert free.simulator.statistics.given_range is None
-    assert normalization.given_body(group.position, free.simulator.scene) is None
 
 
 def test_status_reaches_metrics_table_and_rollout_files(made, tmp_path):

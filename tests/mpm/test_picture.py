@@ -1,11 +1,13 @@
-"""Strips of outlines."""
+"""Strips of outlines, and runs."""
 
 import numpy as np
 import pytest
-from absl import app
 
-from mpm import bodies, picture, scenes
+from mpm import batch, bodies, picture, scenes
 from mpm.motions import catalogue, drawn_tools
+from mpm.motions.recording import Recording
+from mpm.simulation import Settings
+from tests.mpm import small
 
 
 @pytest.mark.parametrize(
@@ -46,6 +48,23 @@ def test_strips_show_path_and_outlines(scene, cases, tmp_path):
     assert (tmp_path / 'a.png').read_bytes()[:4] == b'\x89PNG'
 
 
-def test_command_takes_flags_alone():
-    with pytest.raises(app.UsageError, match=r"unknown arguments: \['23'\]"):
-        picture.main(['picture', '23'])
+def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):
+    """A case of the grid, a path of one's own, a drawn tool, a wheel."""
+    pytest.importorskip('matplotlib')
+    monkeypatch.setattr(scenes, 'FRAMES', 2)
+    monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 2)
+    path = tmp_path / 'mine.csv'
+    path.write_text('time_s,x_m,y_m,angle_deg\n0,0.8,0.3,0\n0.01,0.8,0.29,-5\n')
+    bucket = drawn_tools.bucket(0.1, 0.3, True)
+    for name, scene, runs, tool in (
+        ('blade', small.BLADE, (22, Recording(str(path), 1)), None),
+        ('bucket', small.BLADE, ('halts_0000',), bucket), ('wheel', small.WHEEL, (5,), None),
+    ):  # fmt: skip
+        folder, file = str(tmp_path / name), tmp_path / f'{name}.png'
+        batch.generate(scene, runs, folder, Settings(), tool=tool, show_progress=False)
+        cases = picture.first_of_each_kind(folder)
+        assert len(cases) == len(runs)
+        picture.draw_runs(folder, cases, str(file))
+        assert file.read_bytes()[:4] == b'\x89PNG'
+    with pytest.raises(ValueError, match='no finished raw runs'):
+        picture.first_of_each_kind(str(tmp_path))

@@ -8,20 +8,20 @@ from pathlib import Path
 import pytest
 
 from mpm import batch, record, scenes, splits
-from mpm.experiments import coarse
+from tests.mpm import small
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def small(monkeypatch):
+def short(monkeypatch):
     """Coarse, short runs in place of the record's own."""
     monkeypatch.setattr(scenes, 'FRAMES', 4)
     monkeypatch.setattr('mpm.motions.grid.REST_FRAMES', 2)
-    monkeypatch.setattr('mpm.motions.wheel_drives.grid.REST_FRAMES', 2)
-    parts = {part: (coarse(scene), kinds) for part, (scene, kinds) in record.PARTS.items()}
-    monkeypatch.setitem(scenes.SCENES, 'excavation', coarse(scenes.EXCAVATION))
-    monkeypatch.setitem(scenes.SCENES, 'wheel', coarse(scenes.WHEEL))
+    coarse = {'excavation': small.BLADE, 'wheel': small.WHEEL}
+    parts = {part: (coarse[scene.name], kinds) for part, (scene, kinds) in record.PARTS.items()}
+    for name, scene in coarse.items():
+        monkeypatch.setitem(scenes.SCENES, name, scene)
     monkeypatch.setattr(record, 'PARTS', parts)
 
 
@@ -29,7 +29,7 @@ def make(path, parts=('operator', 'wheel_free', 'excavation_grid'), limit=2):
     return record.make(list(parts), str(path), 1, record.Selection(limit))
 
 
-def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, monkeypatch, capsys):
+def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, short, capsys):
     found = make(tmp_path)
     assert capsys.readouterr().out.count('2 new runs') == 3
     assert set(found) == {'excavation', 'wheel'}
@@ -40,12 +40,11 @@ def test_parts_come_in_order_and_a_second_call_makes_nothing(tmp_path, small, mo
     assert kept == {'wheel': found['wheel']}
     assert make(tmp_path) == found and capsys.readouterr().out.count('0 new runs') == 3
     # Another folder, the same digests.
-    assert (
-        make(tmp_path / 'again', ['operator'])['excavation'].items() <= found['excavation'].items()
-    )
+    again = make(tmp_path / 'again', ['operator'])['excavation']
+    assert again.items() <= found['excavation'].items()
 
 
-def test_part_that_fails_does_not_stop_the_next(tmp_path, small, monkeypatch):
+def test_part_that_fails_does_not_stop_the_next(tmp_path, short, monkeypatch):
     whole = batch.run.run_case
 
     def fails(scene, case, *arguments):
@@ -74,31 +73,34 @@ def test_splits_share_the_runs_of_a_part():
     assert record.runs_of('operator', first) == parts[2][:3]  # the limit counts these alone
 
 
-def command(*arguments):
-    return subprocess.run(
-        [sys.executable, '-m', 'mpm.record', *arguments], capture_output=True, text=True, cwd=ROOT
-    )
-
-
-def test_command_lists_what_it_would_make():
-    done = command('--list')
-    assert done.returncode == 0, done.stderr
-    rows = [line.split() for line in done.stdout.splitlines()]
+def test_list_says_what_would_be_made():
+    rows = [line.split() for line in record.table(record.PARTS).splitlines()]
     assert ['operator', 'lift', '34', '19', '5', '10'] in rows
     assert ['wheel_grid', 'grid', '40', '19', '5', '16'] in rows
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'words'),
+    ('part', 'splits', 'words'),
     [
-        ([], 'give --output_path, or --list'),
-        (['--parts=sea', '--list'], "unknown part 'sea'; there are operator, machine, beside"),
-        (['--splits=exam', '--list'], "unknown splits ['exam']; there are train, valid, test"),
-        (['--expect=nothing.json', '--output_path=x'], "No such file or directory: 'nothing.json'"),
+        ('sea', ['test'], "unknown part 'sea'; there are operator, machine, beside"),
+        ('operator', ['exam'], r"unknown splits \['exam'\]; there are train, valid, test"),
     ],
 )
-def test_command_refuses_bad_input(arguments, words):
-    done = command(*arguments)
+def test_unknown_parts_and_splits_are_refused(part, splits, words):
+    with pytest.raises(ValueError, match=words):
+        record.runs_of(part, record.Selection(splits=splits))
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ([], 'error: give --output_path, or --list'),
+        (['--expect=nothing.json', '--output_path=x'], 'nothing.json: no such file'),
+    ],
+)
+def test_command_ends_in_one_line(arguments, words):
+    command = [sys.executable, '-m', 'mpm.record', *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 1 and words in done.stderr and 'Traceback' not in done.stderr
 
 

@@ -2,32 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
-from mpm import bodies, run, sleeping
+from mpm import bodies, sleeping
 from mpm.grid import make_grid
 from mpm.scenes import CORNER, Bin
-from mpm.simulation import Settings
+from tests.mpm import small
 
 GRID = make_grid(Bin((0.4, 0.2, 0.4), 0.02, 0.04, (0, 0, 0), 1, 0.4, ()))
 BLADE = bodies.make_blade(0.2)
 MIDDLE = CORNER + 0.2
-
-
-@pytest.mark.parametrize(('first', 'last'), [(-3, 3), (0, 2)])
-def test_dilation_is_that_of_scipy(first, last):
-    mask = np.random.default_rng(0).random((9, 12, 7)) < 0.02
-    width = last - first + 1
-    expected = ndimage.binary_dilation(
-        mask, np.ones((width,) * 3), origin=(-1 if first == 0 else 0,) * 3
-    )
-    if first == 0:  # spread upwards only
-        expected = np.zeros_like(mask)
-        for i, j, k in np.argwhere(mask):
-            expected[i : i + 3, j : j + 3, k : k + 3] = True
-    for axis in range(3):
-        mask = sleeping._spread(mask, axis, first, last)
-    np.testing.assert_array_equal(mask, expected)
 
 
 def test_nodes_asleep_are_those_with_a_weight():
@@ -79,32 +62,23 @@ def test_soil_that_moved_and_soil_near_the_body_is_awake():
     np.testing.assert_array_equal(sleep.awake(positions, BLADE, path, period), before)
 
 
-def frames(simulation, count):
-    return np.array([np.concatenate(simulation.frame()) for _ in range(count)])
-
-
 @pytest.fixture
-def made(coarse_excavation, excavation_packing):
-    def make(**settings):
-        chosen = Settings(**settings)
-        motion = run.prepared(coarse_excavation, 186, chosen)
-        return run.make_simulation(coarse_excavation, motion, excavation_packing[0], chosen)
-
-    return make
+def made():
+    return lambda **settings: small.simulation(small.BLADE, 186, **settings)
 
 
 def test_soil_that_never_sleeps_gives_the_bits_of_soil_that_may_not(made, monkeypatch):
     off, on = made(sleep=False), made(sleep=True)
     monkeypatch.setattr(sleeping, 'MEMORY', 1000)  # what moved once stays awake
-    np.testing.assert_array_equal(frames(off, 14), frames(on, 14))
-    assert off.share_awake == on.share_awake == 1.0
+    np.testing.assert_array_equal(small.frames(off, 14), small.frames(on, 14))
+    assert len(off._awake) == len(on._awake) == len(off._particles)
     np.testing.assert_array_equal(off.positions(), on.positions())
 
 
 def test_sleeping_changes_little(made):
     off, on = made(sleep=False), made(sleep=True)
-    force, expected = frames(on, 40), frames(off, 40)
-    assert on.share_awake < 0.9
+    force, expected = small.frames(on, 40), small.frames(off, 40)
+    assert len(on._awake) < 0.9 * len(on._particles)
     # Measured 1.1 % on cells of 40 mm, on which a layer of soil is four cells deep, and 0.27 mm.
     assert force[20:, 0].mean() == pytest.approx(expected[20:, 0].mean(), rel=0.02)
     assert np.sqrt(((on.positions() - off.positions()) ** 2).sum(axis=1).mean()) < 5e-4
@@ -116,17 +90,17 @@ def test_looking_at_the_particles_changes_nothing(made):
     for _ in range(14):
         seen.append(watched.frame()[0])
         watched.particles.sum()
-    np.testing.assert_array_equal(seen, frames(alone, 14)[:, :3])
+    np.testing.assert_array_equal(seen, small.frames(alone, 14)[:, :3])
 
 
 def test_sleeping_soil_keeps_its_stress_and_its_place(made):
     simulation = made()
-    frames(simulation, 9)  # it looked before the ninth and will before the thirteenth
+    small.frames(simulation, 9)  # it looked before the ninth and will before the thirteenth
     asleep = np.ones(len(simulation.positions()), dtype=bool)
     asleep[simulation._awake] = False
     assert asleep.any()
     before = simulation.particles.copy()
-    frames(simulation, 2)
+    small.frames(simulation, 2)
     after = simulation.particles
     np.testing.assert_array_equal(after[asleep], before[asleep])
     assert not after[asleep, 3:6].any() and after[asleep, 15:21].any()

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mpm import columns, experiments, packing, run, stability
-from mpm import solver as solver_module
+from mpm import columns, experiments, packing, stability
 from mpm.constitutive import make_soil
-from mpm.simulation import Settings
+from mpm.solver import EXCHANGE
+from tests.mpm import small
+from tests.mpm.small import SOIL
 
 
 @pytest.mark.parametrize(('modulus', 'limit'), [(0.15e6, 1.65e-3), (1.5e6, 4.5e-4), (15e6, 1.5e-4)])
@@ -18,44 +19,42 @@ def test_limit_is_below_the_measured_onset_of_divergence(modulus, limit):
     assert 0.55 * limit < step < 0.8 * limit
 
 
-def test_wave_speed_is_that_of_the_elastic_solid(soil):
+def test_wave_speed_is_that_of_the_elastic_solid():
     modulus, nu = 1.5e6, 0.3
-    expected = math.sqrt(modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu) * soil.bulk_density))
-    assert stability.wave_speed(soil) == pytest.approx(expected, rel=1e-12)
+    expected = math.sqrt(modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu) * SOIL.bulk_density))
+    assert stability.wave_speed(SOIL) == pytest.approx(expected, rel=1e-12)
 
 
-def test_too_long_a_step_is_refused_with_its_numbers(soil):
-    steps = stability.steps_in(1 / 60, soil, 0.01)
-    stability.check_time_step(1 / 60 / steps, soil, 0.01)
+def test_too_long_a_step_is_refused_with_its_numbers():
+    steps = stability.steps_in(1 / 60, SOIL, 0.01)
+    stability.check_time_step(1 / 60 / steps, SOIL, 0.01)
     with pytest.raises(stability.UnstableTimeStepError):
-        stability.check_time_step(1 / 60 / (steps - 1), soil, 0.01)
-    limit = stability.max_time_step(soil, 0.01)
-    stability.check_time_step(limit, soil, 0.01)
+        stability.check_time_step(1 / 60 / (steps - 1), SOIL, 0.01)
+    limit = stability.max_time_step(SOIL, 0.01)
+    stability.check_time_step(limit, SOIL, 0.01)
     with pytest.raises(stability.UnstableTimeStepError) as error:
-        stability.check_time_step(1.01 * limit, soil, 0.01)
+        stability.check_time_step(1.01 * limit, SOIL, 0.01)
     text = str(error.value)
     assert f'{1.01 * limit:.4g}' in text and f'{limit:.4g}' in text and 'CFL number 0.808' in text
 
 
-def test_a_run_refuses_a_given_step_above_the_limit(coarse_excavation, excavation_packing, soil):
-    settings = Settings(steps=1)
+def test_a_run_refuses_a_given_step_above_the_limit():
+    motion = small.run.prepared(small.BLADE, 1, small.Settings())
     with pytest.raises(stability.UnstableTimeStepError, match='CFL'):
-        run.make_simulation(
-            coarse_excavation,
-            run.prepared(coarse_excavation, 1, Settings()),
-            excavation_packing[0],
-            settings,
-        )
+        small.simulation(small.BLADE, motion, steps=1)
 
 
-def disturbance(scene, soil, particles, factor):
+BOX = small.BLADE.bin
+
+
+def disturbance(soil, particles, factor):
     """Largest speed (m/s) of soil at rest after 0.15 s in steps of `factor` times the CFL limit."""
-    experiment = experiments.Experiment(scene.bin, scene.bin, soil)
+    experiment = experiments.Experiment(BOX, BOX, soil)
     experiment.particles = particles.copy()
     # The step that was asked for, then the whole number of them in an interval; no check.
     solver = experiment.solver
-    dt = factor * stability.max_time_step(soil, scene.bin.dx)
-    solver.steps = max(1, round(solver_module.EXCHANGE / dt))
+    dt = factor * stability.max_time_step(soil, BOX.dx)
+    solver.steps = max(1, round(EXCHANGE / dt))
     solver.dt = dt
     try:
         experiment.advance(0.15)
@@ -64,45 +63,42 @@ def disturbance(scene, soil, particles, factor):
     return float(np.abs(experiment.particles[:, columns.V : columns.V + 3]).max())
 
 
-def test_soft_soil_at_rest_stays_calm_at_the_limit(coarse_excavation):
+def test_soft_soil_at_rest_stays_calm_at_the_limit():
     """Measured 3 mm/s at 0.15 MPa; 0.15 s of fall are 1.5 m/s."""
     soil = make_soil(1.5e5, 0.76)
-    particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
-    assert disturbance(coarse_excavation, soil, particles, 1.0) < 0.02
+    particles, _ = packing.settle(BOX, soil, 0)
+    assert disturbance(soil, particles, 1.0) < 0.02
 
 
-def test_soil_diverges_above_the_limit(coarse_excavation):
+def test_soil_diverges_above_the_limit():
     """At ten times the stiffness: 0.02 mm/s up to 1.4 times the limit, 0.7 at 1.6, 13 at 1.8.
 
     With two steps between exchanges, as at 1.5 MPa on these cells, the exchange damps that.
     """
     soil = make_soil(1.5e7, 0.76)
-    particles, _ = packing.settle(coarse_excavation.bin, soil, 0)
-    calm = disturbance(coarse_excavation, soil, particles, 1.0)
+    particles, _ = packing.settle(BOX, soil, 0)
+    calm = disturbance(soil, particles, 1.0)
     assert calm < 0.02
-    assert disturbance(coarse_excavation, soil, particles, 1.8) > 100 * calm
-    assert disturbance(coarse_excavation, soil, particles, 4.0) == math.inf
+    assert disturbance(soil, particles, 1.8) > 100 * calm
+    assert disturbance(soil, particles, 4.0) == math.inf
 
 
 @pytest.mark.parametrize(
     ('grains', 'cells', 'refused'),
     [(1, 1.9, False), (1, 2.1, True), (2, 0.6, False), (9, 0.6, True)],
 )
-def test_soil_too_fast_for_the_exchange_is_an_error(
-    coarse_excavation, excavation_packing, grains, cells, refused
-):
+def test_soil_too_fast_for_the_exchange_is_an_error(grains, cells, refused):
     """A single grain may fly 2 cells between exchanges; more than one in a thousand half a cell."""
-    settings = Settings(exchange=1.0 / 180.0)
-    motion = run.prepared(coarse_excavation, 1, settings)
-    simulation = run.make_simulation(coarse_excavation, motion, excavation_packing[0], settings)
+    exchange = 1.0 / 180.0
+    simulation = small.simulation(small.BLADE, 1, exchange=exchange)
     # Side by side above the bed, away from blade and walls; three exchanges a frame, to stay so.
-    middle = [0.6, coarse_excavation.bin.surface, coarse_excavation.bin.z_middle]
+    middle = [0.6, BOX.surface, BOX.z_middle]
     places = middle + 0.05 * np.array([[0.0, 0.0, n - (grains - 1) / 2] for n in range(grains)])
     particles = simulation.particles
     for place in places:
         grain = np.argmin(np.linalg.norm(particles[:, :3] - place, axis=1))
         particles[grain, 1] += 0.16
-        particles[grain, columns.V] = -cells * simulation.grid.dx / settings.exchange
+        particles[grain, columns.V] = -cells * simulation.grid.dx / exchange
     if not refused:
         simulation.frame()
         return

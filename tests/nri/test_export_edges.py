@@ -21,10 +21,12 @@ def data(tmp_path_factory):
 
 
 def write_model(path, data, **settings):
-    """An untrained model of a dataset."""
+    """An untrained model of a dataset, whose layers know its range."""
     held = nri_data.load(data, 'train', settings.get('nodes', 'modes'), settings.get('modes', 0))
     config = NriConfig(**TINY, **settings)
-    NriModel(config, held.node_names, *nri_data.normalization(held), held.digest).save(path)
+    model = NriModel(config, held.node_names, *nri_data.normalization(held), held.digest)
+    model.encode(model.normalized(held.features[:, :, : config.window]), is_training=True)
+    model.save(path)
     return path
 
 

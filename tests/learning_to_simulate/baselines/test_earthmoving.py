@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.baselines import earthmoving
-from learning_to_simulate.baselines.earthmoving import BladeGeometry, BladeSoil, EarthmovingForce
+from learning_to_simulate.baselines.earthmoving import BLADE, BladeSoil, EarthmovingForce
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.tool.axes import Axes, blade_pose
@@ -28,11 +28,10 @@ def kinematic_scene(motion=RigidMotion.PRESCRIBED):
 def blade_group(path, lean_deg=0.0):
     """One run of the solver's blade along a path [T, 2] of its edge's middle (x, y)."""
     lean = math.radians(lean_deg)
-    geometry = BladeGeometry()
     points = []
     for row in range(4):
         # The rows of the blade's face, 0.1 m apart, 0.0115 m below the edge's middle the first.
-        along, front = -geometry.along + 0.1 * row, geometry.behind
+        along, front = -BLADE.along + 0.1 * row, BLADE.behind
         x = along * math.sin(lean) - front * math.cos(lean)
         y = along * math.cos(lean) + front * math.sin(lean)
         points += [(x, y, 0.1 * column) for column in range(5)]
@@ -50,7 +49,7 @@ def blade_group(path, lean_deg=0.0):
 
 def forward_path(depth=0.05, n=40, surface=0.25):
     """Down to a depth of the edge's lowest point, then forward (towards -x)."""
-    radius = BladeGeometry().radius
+    radius = BLADE.radius
     x = np.concatenate([np.full(n // 4, 0.8), 0.8 - 0.005 * np.arange(n - n // 4)])
     y = np.full(n, surface + radius - depth)
     y[: n // 4] = np.linspace(surface + radius + 0.05, surface + radius - depth, n // 4)
@@ -104,7 +103,7 @@ def test_a_wide_smooth_upright_wall_bears_rankines_passive_pressure():
 def test_the_edge_lies_where_the_solvers_blade_has_it():
     """`bodies.make_blade` counts its points from the middle of the edge."""
     points = bodies.make_blade(friction=0.0).points
-    geometry = BladeGeometry()
+    geometry = BLADE
     row = points[points[:, 1] < points[:, 1].min() + 0.01].mean(axis=0)
     assert (geometry.along, geometry.behind) == pytest.approx((-row[1], -row[0]), abs=1e-4)
     assert (geometry.width, geometry.height) == (bodies.BLADE_WIDTH, bodies.BLADE_HEIGHT)
@@ -143,7 +142,7 @@ def test_a_second_pass_cuts_only_what_the_first_one_left():
     back = np.stack([there[::-1, 0], np.full(len(there), 0.35)], axis=1)
     again = np.stack([there[10:, 0], np.full(30, there[-1, 1])], axis=1)
     group = blade_group(np.concatenate([there, back, again]))
-    wedge = method(group).parts(group, [CASE])[0, :, 0, 0]
+    wedge = method(group).wedge_and_heap(group, [CASE])[0, :, 0, 0]
     assert wedge[15:38].min() > 10
     assert wedge[-25:-10].max() < 1e-6
 
@@ -156,6 +155,9 @@ def test_fitted_gains_are_found_again():
     group = dataclasses.replace(group, force=force)
     fitted = method(group).fitted([group], [[CASE]])
     np.testing.assert_allclose(fitted.gains, gains, rtol=1e-6)
+    again = EarthmovingForce.of_parts(*fitted.parts(), fitted.scene)
+    forces = [one.predict(group, [CASE]).force for one in (again, fitted)]
+    np.testing.assert_array_equal(*forces)
 
 
 def test_bad_input_is_refused():

@@ -1,11 +1,11 @@
 """Kernel ridge on the path: its closed form, what it may not look at, and what it reaches."""
 
 import dataclasses
+import functools
 import json
 
 import numpy as np
 import pytest
-from sklearn.gaussian_process.kernels import RBF, Matern
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 
@@ -17,7 +17,6 @@ from learning_to_simulate.baselines.path_ridge import (
     PathRidge,
     Regression,
     errors_left_out,
-    gram_matrix,
 )
 from pca_tools import dataset
 from tests.learning_to_simulate import synthetic
@@ -27,142 +26,115 @@ FEW_RUNS = {'leave_one_out': True, 'kernels': ('gaussian', 'matern'), 'n_best': 
 FEW = {'gammas': (0.1, 1.0), 'alphas': (1e-6, 1e-3)}
 
 
-def fitted(folder, motion='prescribed', options=None, **data):
-    """A method fitted to a synthetic dataset, its scene and test runs."""
-    path = synthetic.write_dataset(folder, motion=motion, n_run=8, **data)
+def read(folder, motion, **data):
+    path = synthetic.write_dataset(folder, motion=motion, **data)
     metadata = dataset.read_metadata(path)
     groups = {n: reading_utils.read_groups(path, n, metadata) for n in ('train', 'valid', 'test')}
-    scene = reading_utils.read_scene(path, metadata, groups['train'], None)
-    method = PathRidge.fit(groups['train'], groups['valid'], scene, **FEW, **(options or {}))
-    return method, scene, groups['test'][0]
+    return groups, reading_utils.read_scene(path, metadata, groups['train'], None)
+
+
+@pytest.fixture(scope='module')
+def fitted(tmp_path_factory):
+    """Makes (method, scene, test runs) by motion and way of fitting, once."""
+
+    @functools.cache
+    def make(motion='prescribed', few=False, context=False):
+        groups, scene = read(tmp_path_factory.mktemp('data'), motion, n_run=8, context=context)
+        options = FEW_RUNS if few else {}
+        method = PathRidge.fit(groups['train'], groups['valid'], scene, **FEW, **options)
+        return method, scene, groups['test'][0]
+
+    return make
 
 
 @pytest.mark.parametrize('motion', ['prescribed', 'driven'])
-def test_it_finds_what_the_path_decides(tmp_path, motion):
-    method, scene, group = fitted(tmp_path, motion)
-    prediction = method.predict(group)
-    truth = group.position[:, H:]
-    still = open_loop.persistence(group, scene).position
+def test_it_finds_what_the_path_decides(fitted, motion):
+    method, scene, group = fitted(motion)
+    prediction, truth = method.predict(group), group.position[:, H:]
+    still, n = open_loop.held_position(group, scene), group.n_rigid
     ours, theirs = (
-        metrics.soil_mse(p, truth, group.n_rigid, scene.n_soil).mean()
-        for p in (prediction.position, still)
+        metrics.soil_mse(p, truth, n, scene.n_soil).mean() for p in (prediction.position, still)
     )
     assert ours < 0.2 * theirs
-    assert (
-        metrics.force_errors(prediction.force, group.force[:, H:])['force_relative_l2'].max() < 0.5
-    )
+    errors = metrics.force_errors(prediction.force, group.force[:, H:])
+    assert errors['force_relative_l2'].max() < 0.5
     if motion == 'driven':
-        rigid = slice(group.n_rigid)
-        height = [np.abs((p - truth)[:, :, rigid, 1]).mean() for p in (prediction.position, still)]
+        height = [np.abs((p - truth)[:, :, :n, 1]).mean() for p in (prediction.position, still)]
         assert height[0] < 0.5 * height[1]
         assert prediction.predicts == {'soil', 'force', 'height'}
     else:
-        np.testing.assert_array_equal(
-            prediction.position[:, :, : group.n_rigid], truth[:, :, : group.n_rigid]
-        )
+        np.testing.assert_array_equal(prediction.position[:, :, :n], truth[:, :, :n])
 
 
 @pytest.mark.parametrize('motion', ['prescribed', 'driven'])
-def test_it_looks_at_nothing_but_the_start_and_the_known_motion(tmp_path, motion):
-    method, scene, group = fitted(tmp_path, motion)
-    expected = method.predict(group)
+def test_it_looks_at_nothing_but_the_start_and_the_known_motion_so_far(fitted, motion):
+    method, scene, group = fitted(motion)
+    expected, n = method.predict(group), group.n_rigid
     changed, force = group.position.copy(), group.force.copy()
-    changed[:, H:, group.n_rigid :] += 7.0
+    changed[:, H:, n:] += 7.0
     force[:, H:] *= -3.0
     if motion == 'driven':
-        changed[:, H:, : group.n_rigid, scene.up_axis] += 0.3
+        changed[:, H:, :n, scene.up_axis] += 0.3
     found = method.predict(dataclasses.replace(group, position=changed, force=force))
     np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
     np.testing.assert_allclose(found.force, expected.force, atol=1e-9)
-
-
-def test_the_coming_path_changes_nothing_before_it(tmp_path):
-    method, _, group = fitted(tmp_path)
     changed = group.position.copy()
-    changed[:, 25:, : group.n_rigid] -= [0.01, 0.005, 0.0]
-    found = method.predict(dataclasses.replace(group, position=changed))
-    expected = method.predict(group)
+    changed[:, 25:, :n] -= [0.01, 0.005, 0.0]
+    found = method.predict(dataclasses.replace(group, position=changed)).position
     same = slice(0, 25 - H)
-    np.testing.assert_allclose(found.position[:, same], expected.position[:, same], atol=1e-12)
-    assert np.abs(found.position - expected.position)[:, 25 - H :, group.n_rigid :].max() > 1e-3
+    np.testing.assert_allclose(found[:, same], expected.position[:, same], atol=1e-12)
+    assert np.abs(found - expected.position)[:, 25 - H :, n:].max() > 1e-3
 
 
-@pytest.mark.parametrize(('options', 'n_best'), [(None, 1), (FEW_RUNS, 6)])
-def test_a_file_gives_the_same_method_back_and_a_damaged_one_is_refused(tmp_path, options, n_best):
-    method, _, group = fitted(tmp_path / 'data', 'driven', options, context=True)
+@pytest.mark.parametrize(('few', 'n_best'), [(False, 1), (True, 6)])
+def test_its_parts_give_the_same_method_back(fitted, few, n_best):
+    method, scene, group = fitted('driven', few, context=True)
     assert {len(each) for each in method.regressions.values()} == {n_best}
-    path = str(tmp_path / 'path_ridge.npz')
-    method.save(path)
-    again = PathRidge.load(path)
+    values, arrays = method.parts()
+    again = PathRidge.of_parts(json.loads(json.dumps(values)), arrays, scene)
     for one, other in zip(method.predict(group)[:2], again.predict(group)[:2]):
         np.testing.assert_array_equal(one, other)
     assert again.choices == method.choices
-    assert len(method.choices) == 4 * 4 * (2 if options else 1)  # targets, widths and ridges
-    arrays = dict(np.load(path))
-    about = json.loads(str(arrays['about']))
-    about['outputs']['soil'] = []
-    no_soil = {'about': np.array(json.dumps(about))}
-    for damage in ({'soil/0/scale': arrays['soil/0/scale'][:-1]}, no_soil):
-        np.savez(path, **arrays | damage)
-        with pytest.raises(ValueError, match='is not a path_ridge model'):
-            PathRidge.load(path)
+    assert len(method.choices) == 4 * 4 * (2 if few else 1)  # targets, widths and ridges
 
 
-def test_the_force_is_the_mean_of_its_regressions(tmp_path):
-    method, _, group = fitted(tmp_path, 'driven', FEW_RUNS | {'n_best': 24})
-    each = method.regressions['force']
-    assert {regression.offset is None for regression in each} == {True, False}
-    single = [
-        PathRidge(method.scene, method.reader, method.regressions | {'force': [one]})
-        for one in each
-    ]
-    forces = [one.predict(group).force for one in single]
-    pushed = dataclasses.replace(group, force=group.force + [5.0, 0.0, 0.0])
-    for regression, one, force in zip(each, single, forces, strict=True):
+def test_the_force_is_the_mean_of_its_regressions(fitted):
+    method, scene, group = fitted('driven', few=True)
+    each = [one for one in method.regressions['force']]
+    free = dataclasses.replace(each[0], offset=np.zeros(3))
+    method = PathRidge(scene, method.reader, method.regressions | {'force': [*each, free]})
+    forces = []
+    for regression in (*each, free):
+        one = PathRidge(scene, method.reader, method.regressions | {'force': [regression]})
+        forces.append(one.predict(group).force)
+        pushed = dataclasses.replace(group, force=group.force + [5.0, 0.0, 0.0])
         # What is regressed is the change since the last given frame, or the force itself.
-        change = [5.0, 0.0, 0.0] if regression.offset is None else [0.0, 0.0, 0.0]
-        np.testing.assert_allclose(one.predict(pushed).force, force + change, atol=1e-9)
+        change = [5.0 * (regression.offset is None), 0.0, 0.0]
+        np.testing.assert_allclose(one.predict(pushed).force, forces[-1] + change, atol=1e-9)
     np.testing.assert_allclose(method.predict(group).force, np.mean(forces, axis=0), rtol=1e-12)
 
 
-def test_the_valid_runs_choose(tmp_path):
-    method, _, _ = fitted(tmp_path)
-    for output, (regression,) in method.regressions.items():
-        tried = [c for c in method.choices if c['output'] == output]
-        best = min(tried, key=lambda c: c['error'])
-        assert (regression.inputs, regression.alpha) == (best['inputs'], best['alpha'])
-        assert (regression.offset is not None) == (best['target'] == 'free force')
-
-
-def test_left_out_runs_choose_and_all_runs_are_fitted(tmp_path):
-    by_valid, _, group = fitted(tmp_path / 'a')
-    left_out, scene, _ = fitted(tmp_path / 'b', options=FEW_RUNS)
+@pytest.mark.parametrize('few', [False, True], ids=['valid runs', 'runs left out'])
+def test_the_best_are_chosen(fitted, few):
+    method, _, group = fitted('prescribed', few)
     n_frame = group.position.shape[1] - H + 1
-    n_run = [len(m.regressions['soil'][0].samples) / n_frame for m in (by_valid, left_out)]
-    assert n_run == [8, 10]  # train; train and valid
-    for output, regressions in left_out.regressions.items():
-        for kernel in ('gaussian', 'matern'):
-            tried = [c for c in left_out.choices if (c['output'], c['kernel']) == (output, kernel)]
-            best = sorted(tried, key=lambda c: c['error'])[:3]
-            found = [r for r in regressions if r.kernel == kernel]
-            for regression, choice in zip(found, best, strict=True):
-                assert (regression.inputs, regression.alpha) == (choice['inputs'], choice['alpha'])
-    truth = group.position[:, H:]
-    found, still = (
-        metrics.soil_mse(p.position, truth, group.n_rigid, scene.n_soil).mean()
-        for p in (left_out.predict(group), open_loop.persistence(group, scene))
-    )
-    assert found < 0.2 * still
+    # Fitted to train, or to train and valid.
+    assert len(method.regressions['soil'][0].samples) / n_frame == (10 if few else 8)
+    for output, regressions in method.regressions.items():
+        for kernel in {one.kernel for one in regressions}:
+            tried = [c for c in method.choices if (c['output'], c['kernel']) == (output, kernel)]
+            best = sorted(tried, key=lambda c: c['error'])[: 3 if few else 1]
+            found = [one for one in regressions if one.kernel == kernel]
+            for one, choice in zip(found, best, strict=True):
+                assert (one.inputs, one.alpha) == (choice['inputs'], choice['alpha'])
+                assert (one.offset is not None) == (choice['target'] == 'free force')
 
 
 @pytest.mark.parametrize('most', [10_000, 40])
 def test_each_sample_knows_its_run(tmp_path, most):
-    path = synthetic.write_dataset(tmp_path, n_run=3)
-    metadata = dataset.read_metadata(path)
-    groups = reading_utils.read_groups(path, 'train', metadata)
-    groups += reading_utils.read_groups(path, 'valid', metadata)
-    scene = reading_utils.read_scene(path, metadata, groups, None)
-    samples = path_ridge._Samples(groups, scene, PathInputs.of(groups, scene), most)
+    found, scene = read(tmp_path, 'prescribed', n_run=3)
+    groups = found['train'] + found['valid']
+    samples = path_ridge._Samples(groups, PathInputs.of(groups, scene), most)
     forces = [force[H - 1 :] for group in groups for force in group.force]
     y = samples.y[:, samples.columns['free force']] + samples.offsets['free force']
     assert sorted(set(samples.run)) == list(range(len(forces)))
@@ -171,33 +143,37 @@ def test_each_sample_knows_its_run(tmp_path, most):
 
 
 def test_a_body_of_unknown_motion_is_refused(tmp_path):
-    path = synthetic.write_dataset(tmp_path, motion='driven')
-    metadata = dataset.read_metadata(path)
-    groups = reading_utils.read_groups(path, 'train', metadata)
-    scene = reading_utils.read_scene(path, metadata, groups, 'predicted')
+    groups, scene = read(tmp_path, 'predicted')
     with pytest.raises(ValueError, match='motion is given'):
-        PathRidge.fit(groups, groups, scene)
+        PathRidge.fit(groups['train'], groups['valid'], scene)
 
 
-def test_a_regression_is_the_closed_form():
+@pytest.mark.parametrize(
+    ('name', 'kernel'),
+    [
+        ('gaussian', lambda d: np.exp(-(d**2) / 2)),
+        ('matern', lambda d: (1 + 3**0.5 * d) * np.exp(-(3**0.5) * d)),
+        ('exponential', lambda d: np.exp(-d)),
+    ],
+)
+def test_a_regression_is_the_closed_form(name, kernel):
     """dual = (K + alpha I)^-1 y on inputs of mean 0 and deviation 1."""
     rng = np.random.default_rng(0)
     x, y = rng.normal(3.0, [1.0, 50.0, 0.0], (40, 3)), rng.normal(size=(40, 2))
-    regression = Regression.fit('path', x, y, gamma=0.6, alphas=[1.0, 0.03])[1]
-    scaled = (x - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)
+    regression = Regression.fit('path', x, y, 0.6, [1.0, 0.03], name)[1]
+    scale = np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)
+    scaled = (x - x.mean(axis=0)) / scale
 
-    def kernel(a, b):
-        return np.exp(-0.2 * ((a[:, None] - b[None]) ** 2).sum(axis=-1))
+    def gram(a, b):  # gamma is 0.6 / 3 inputs; the length of it sqrt(1 / (2 gamma))
+        distance = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1))
+        return kernel(distance * np.sqrt(2 * 0.2))
 
-    dual = np.linalg.solve(kernel(scaled, scaled) + 0.03 * np.eye(40), y)
+    dual = np.linalg.solve(gram(scaled, scaled) + 0.03 * np.eye(40), y)
     np.testing.assert_allclose(regression.dual, dual, rtol=1e-8, atol=1e-10)
     new = rng.normal(3.0, [1.0, 50.0, 0.0], (2, 5, 3))
-    at = ((new - x.mean(axis=0)) / np.where(x.std(axis=0) > 1e-9, x.std(axis=0), 1.0)).reshape(
-        10, 3
-    )
-    np.testing.assert_allclose(
-        regression(new).reshape(10, 2), kernel(at, scaled) @ dual, rtol=1e-8, atol=1e-9
-    )
+    at = ((new - x.mean(axis=0)) / scale).reshape(10, 3)
+    expected = gram(at, scaled) @ dual
+    np.testing.assert_allclose(regression(new).reshape(10, 2), expected, rtol=1e-8, atol=1e-9)
 
 
 def test_errors_on_runs_left_out_are_those_of_fits_without_them():
@@ -211,24 +187,8 @@ def test_errors_on_runs_left_out_are_those_of_fits_without_them():
     for alpha, errors in zip(alphas, found, strict=True):
         ridge = KernelRidge(alpha=alpha, kernel='rbf', gamma=0.35)
         predicted = cross_val_predict(ridge, scaled, y, groups=run, cv=LeaveOneGroupOut())
-        np.testing.assert_allclose(
-            errors, y - predicted, rtol=1e-5, atol=1e-6 * np.abs(errors).max()
-        )
-
-
-@pytest.mark.parametrize(
-    ('name', 'theirs'),
-    [
-        ('gaussian', RBF),
-        ('matern', lambda length: Matern(length, nu=1.5)),
-        ('exponential', lambda length: Matern(length, nu=0.5)),
-    ],
-)
-def test_kernels_are_those_of_scikit_learn(name, theirs):
-    rng = np.random.default_rng(3)
-    a, b, gamma = rng.normal(size=(7, 3)), rng.normal(size=(5, 3)), 0.3
-    expected = theirs(1 / np.sqrt(2 * gamma))(a, b)
-    np.testing.assert_allclose(gram_matrix(a, b, gamma, name), expected, rtol=1e-12)
+        close = {'rtol': 1e-5, 'atol': 1e-6 * np.abs(errors).max()}
+        np.testing.assert_allclose(errors, y - predicted, **close)
 
 
 def test_arrays_that_do_not_fit_each_other_are_refused():
@@ -238,24 +198,14 @@ def test_arrays_that_do_not_fit_each_other_are_refused():
     wrong = {'dual': fitted.dual[1:], 'shift': fitted.shift[1:], 'scale': np.zeros(3),
              'offset': np.zeros(3), 'kernel': 'box'}  # fmt: skip
     for name, value in wrong.items():
-        broken = Regression(**(vars(fitted) | {name: value}))
         with pytest.raises(ValueError, match='do not fit'):
-            broken.check()
-
-
-@pytest.fixture(scope='module')
-def read(tmp_path_factory):
-    """(reader, a group of runs) of a blade."""
-    path = synthetic.write_dataset(tmp_path_factory.mktemp('data'), motion='prescribed')
-    metadata = dataset.read_metadata(path)
-    groups = reading_utils.read_groups(path, 'train', metadata)
-    scene = reading_utils.read_scene(path, metadata, groups, None)
-    return PathInputs.of(groups, scene), groups[0]
+            dataclasses.replace(fitted, **{name: value}).check()
 
 
 @pytest.mark.parametrize('name', SETS)
-def test_only_inputs_of_the_bed_know_where_a_run_began(read, name):
-    reader, group = read
+def test_only_inputs_of_the_bed_know_where_a_run_began(fitted, name):
+    method, _, group = fitted()
+    reader = method.reader
     way = np.eye(3)[reader.axes.axis] * 0.03
     shifted = dataclasses.replace(group, position=group.position + way)
     here, there = reader.read(group, name), reader.read(shifted, name)
@@ -266,10 +216,3 @@ def test_only_inputs_of_the_bed_know_where_a_run_began(read, name):
         assert np.abs(there[..., :-1] - here[..., :-1]).max() > 1e-3
     else:
         np.testing.assert_allclose(there, here, atol=1e-6)
-
-
-def test_a_reader_is_restored_from_its_description(read):
-    reader, group = read
-    again = PathInputs.from_json(reader.to_json(), reader.scene)
-    for name in SETS:
-        np.testing.assert_array_equal(again.read(group, name), reader.read(group, name))

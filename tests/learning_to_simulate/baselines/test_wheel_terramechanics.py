@@ -142,7 +142,7 @@ def wheel_group(parameters=None, n_frame=60, seed=0):
         motion = method.drive(group)
         position = group.position.copy()
         position[:, :, :16, 1] += (motion.sinkage[:, :1] - motion.sinkage)[:, :, None]
-        group = dataclasses.replace(group, position=position, force=method._force(motion))
+        group = dataclasses.replace(group, position=position, force=method.force(motion))
     return method, group
 
 

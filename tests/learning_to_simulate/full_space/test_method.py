@@ -49,6 +49,12 @@ def make(folder, raw=None, **overrides):
     return model, group
 
 
+def state_of(group):
+    """Position, velocities and coming displacement of the body in the middle of the first run."""
+    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
+    return position, velocity, group.position[0, 9, : group.n_rigid] - position[: group.n_rigid]
+
+
 def test_neighbours_are_those_of_brute_force():
     rng = np.random.default_rng(0)
     position, n_rigid, radius = rng.uniform(0, 1, (80, 3)), 9, 0.3
@@ -104,13 +110,11 @@ def test_moved_scene_moves_the_prediction(folders, name):
     """Everything shifted by whole metres, walls too: the displacements stay, to round-off."""
     model, group = make(*folders[name])
     simulator, n = model.simulator, group.n_rigid
-    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
-    body = group.position[0, 9, :n] - position[:n]
+    position, velocity, body = state_of(group)
     context = None if group.context is None else group.context[0]
     here = simulator.step(position, velocity, body, context, n)
     shift = np.array([3.0, -7.0, 11.0])
-    s = simulator.statistics
-    for wall in (s.low, s.high):
+    for wall in (simulator.statistics.low, simulator.statistics.high):
         wall += shift
     there = simulator.step(position + shift, velocity, body, context, n)
     np.testing.assert_allclose(there[0], here[0], rtol=1e-3, atol=1e-6)
@@ -118,34 +122,27 @@ def test_moved_scene_moves_the_prediction(folders, name):
     assert there[2] == here[2] > 100
 
 
-def test_twice_the_speed_is_twice_the_motion_but_for_what_the_rate_itself_changes(folders):
+def test_symmetries_of_a_step(folders):
+    """The order of the soil particles does not matter. Twice the speed is twice the motion, but for
+    what the rate itself changes."""
     model, group = make(*folders['excavation'])
     simulator, n = model.simulator, group.n_rigid
-    first_layer = next(
+    position, velocity, body = state_of(group)
+    once, force, _ = simulator.step(position, velocity, body, None, n)
+    order = n + np.random.default_rng(0).permutation(len(position) - n)
+    order = np.concatenate([np.arange(n), order])
+    mixed = simulator.step(position[order], velocity[:, order], body, None, n)
+    np.testing.assert_allclose(mixed[0], once[order], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(mixed[1], force, rtol=1e-3)
+    (first_layer,) = (
         v for v in simulator.trainable_variables
         if 'encode_nodes' in v.name and v.shape[0] == 3 * (1 + 3) + 2
     )  # fmt: skip
     first_layer.assign(np.where(np.arange(14)[:, None] == 13, 0.0, first_layer))  # log of the rate
-    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
-    body = group.position[0, 9, :n] - position[:n]
     once, force, _ = simulator.step(position, velocity, body, None, n)
     twice, same, _ = simulator.step(position, 2 * velocity, 2 * body, None, n)
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-4)
     np.testing.assert_allclose(same, force, rtol=1e-4)  # of soil without inertia
-
-
-def test_order_of_the_soil_particles_does_not_matter(folders):
-    model, group = make(*folders['excavation'])
-    n = group.n_rigid
-    position, velocity = group.position[0, 8], np.diff(group.position[0, 3:9], axis=0)
-    body = group.position[0, 9, :n] - position[:n]
-    order = np.concatenate(
-        [np.arange(n), n + np.random.default_rng(0).permutation(len(position) - n)]
-    )
-    straight = model.simulator.step(position, velocity, body, None, n)
-    mixed = model.simulator.step(position[order], velocity[:, order], body, None, n)
-    np.testing.assert_allclose(mixed[0], straight[0][order], rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(mixed[1], straight[1], rtol=1e-3)
 
 
 def test_given_motion_is_followed_and_only_the_height_is_predicted(folders):
@@ -194,34 +191,29 @@ def test_command_trains_and_rolls_out(folders, tmp_path):
     assert {'stay_still', 'constant_velocity', 'model'} <= summary['mean'].keys()
 
 
-def test_driven_wheel_is_trained_on_decoded_particles(folders, tmp_path):
-    """Without raw runs what the subspace cuts off is stated beside the error."""
-    folder, _ = folders['wheel']
-    summary = registry.train(
-        folder, str(tmp_path), presets.make_config('full_space', **SHORT), save_every=6
-    )
-    row = summary['runs']['model'][0]
-    assert 1e-6 * row['soil_mm'] ** 2 > row['soil_mse'] > 0 and row['rigid_mse'] > 0
-
-
 def test_training_learns_resumes_and_refuses(folders, tmp_path):
-    folder, raw = folders['excavation']
+    """A driven wheel, on particles that are decoded: what the subspace cuts off is stated beside
+    the error."""
+    folder, raw = folders['wheel']
     path = str(tmp_path / 'model')
     config = presets.make_config('full_space', **SHORT | {'num_steps': 40, 'noise_std': 0.0})
-    registry.train(folder, path, config, save_every=40, raw_path=raw)
+    summary = registry.train(folder, path, config, save_every=40)
+    row = summary['runs']['model'][0]
+    assert 1e-6 * row['soil_mm'] ** 2 > row['soil_mse'] > 0 and row['rigid_mse'] > 0
     before = files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
-    registry.train(folder, path, config, save_every=40, raw_path=raw)
-    opened = particles.open_model(path, folder, 'valid', raw_path=raw)
-    model, groups = opened.model, opened.groups
-    for variable, stored in zip(model.simulator.trainable_variables, before.values()):
+    registry.train(folder, path, config, save_every=40)
+    opened = particles.open_model(path, folder, 'valid')
+    for variable, stored in zip(opened.model.simulator.trainable_variables, before.values()):
         np.testing.assert_array_equal(variable.numpy(), stored)
-    fresh, _ = make(folder, raw)
-    losses = [ParticleTrainer(m, groups).one_step_errors(5)['loss'] for m in (model, fresh)]
+    fresh, _ = make(folder)
+    losses = [
+        ParticleTrainer(m, opened.groups).one_step_errors(5)['loss'] for m in (opened.model, fresh)
+    ]
     assert losses[0] < losses[1]
-    with pytest.raises(ValueError, match='trained on particles of raw runs: give --raw_path'):
-        particles.open_model(path, folder, 'test')
+    with pytest.raises(ValueError, match='trained on particles of decoded .*: leave --raw_path'):
+        particles.open_model(path, folder, 'test', raw_path=raw)
     with pytest.raises(ValueError, match='noise_std=0.3 contradicts'):
-        particles.open_model(path, folder, 'test', {'noise_std': 0.3}, raw)
+        particles.open_model(path, folder, 'test', {'noise_std': 0.3})
 
 
 @pytest.mark.parametrize(

@@ -1,28 +1,37 @@
-"""The page: on the wire with the extra `live`, and in a real browser where one is there."""
+"""The page with the extra `live`: frame by frame, and in a real browser where one is there."""
 
+import functools
 import shutil
 import socket
 import subprocess
 import sys
 import threading
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.learning_to_simulate.live_page import sessions
+import learning_to_simulate as lts
+from learning_to_simulate.live_page import __main__ as command
+from learning_to_simulate.live_page import drawing
 
 viser = pytest.importorskip('viser', reason='the extra `live` is not installed')
 
-from learning_to_simulate.live_page import client, loop, page  # noqa: E402
-from learning_to_simulate.live_page.__main__ import free_port as check_port  # noqa: E402
-from learning_to_simulate.live_page.__main__ import model_names  # noqa: E402
+from learning_to_simulate.live_page import gui, page  # noqa: E402
 
-PATIENCE = 120.0  # s; a browser without a graphics card on a busy machine is slow
 CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
 # WebGL without a graphics card.
 BROWSER = (
     '--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader',
 )  # fmt: skip
+session_of = functools.cache(command.session_of)
+
+
+def load(name):
+    session = session_of(name)
+    session.reset(start=0)
+    return session
 
 
 def free_port():
@@ -30,234 +39,215 @@ def free_port():
         return server.getsockname()[1]
 
 
-class Running:
-    """A page with its loop and the port that it listens at."""
-
-    def __init__(self, name='excavation'):
-        self.port = free_port()
-        self.page = page.Page(
-            sessions.make, ['excavation', 'wheel', 'nothing'], name, port=self.port
-        )
-        self.loop = loop.FrameLoop(self.page.frame, self.page.session.scene.dt)
-        self.loop.start()
-
-    def stop(self):
-        self.loop.stop()
-        self.page.stop()
-        self.loop.wait()
+@pytest.fixture
+def shown():
+    """A page of the blade whose frames are computed by a thread."""
+    made = page.Page(load, ['excavation'], 'excavation', port=free_port())
+    thread = threading.Thread(target=made.run, daemon=True)
+    thread.start()
+    yield made
+    made.stop()
+    thread.join()
 
 
 @pytest.fixture
-def running():
-    shown = Running()
-    yield shown
-    shown.stop()
+def seen(monkeypatch):
+    """A page with one browser that is looked at frame by frame, without a network."""
+    made = page.Page(load, ['excavation', 'wheel', 'nothing'], 'excavation', port=free_port())
+    made.notices, browser = [], SimpleNamespace(camera=SimpleNamespace())
+    browser.add_notification = lambda title, text, color: made.notices.append(text)
+    made.clients = {0: browser}
+    monkeypatch.setattr(made.server, 'get_clients', lambda: made.clients)
+    yield made
+    made.stop()
 
 
-def test_a_slider_and_the_handle_move_the_tool_and_all_tabs_see_it(running):
-    first, second = client.Client(running.port), client.Client(running.port)
-    first.wait(lambda: first.frames > 5 and second.frames > 5, PATIENCE)
-    session = running.page.session
-    first.slide('depth, mm', 20.0)
-    second.wait(lambda: session.steering.sliders['depth'].value == 20.0, PATIENCE)
-    start = session.plane
-    place = session.moment.pose[:3] + [0.05 * session.forwards, -0.02, 0.0]
-    second.drag(place)
-    first.wait(lambda: np.allclose(session.plane[:2], place[:2], atol=1e-6), PATIENCE)
-    assert not np.allclose(start[:2], place[:2]) and session.moment.force.any()
-    first.close()
-    second.close()
+def test_sliders_and_handle_move_the_tool_and_nothing_moves_without_a_browser(seen):
+    session = seen.session
+    seen.panel._steer('depth', 20.0)
+    seen.panel._nudge('speed', 50.0)
+    place = session.plane + [0.02 * session.forwards, -0.02, 0.0]
+    seen.do(lambda: seen._aim(place))
+    for _ in range(30):
+        seen.frame()
+    np.testing.assert_allclose(session.plane, place, atol=1e-9)
+    np.testing.assert_allclose(seen._body.position, session.moment.pose[:3], atol=1e-6)
+    points = seen._soil.points + seen._middle  # sent in half precision
+    np.testing.assert_allclose(points, session.moment.particles, atol=3e-4)
+    assert seen.panel.chart.data[0][-1] == pytest.approx(0.5) and seen.panel._rows[-1][1] != 0.0
+    assert session.steering.sliders['speed'].value == 0.0 and 'N m' not in seen.panel._said
+    assert seen.panel._sliders['depth'].value == session.steering.sliders['depth'].value != 20.0
+    seen.clients.clear()
+    seen._dragging = True
+    seen._left(None)  # in the middle of a drag
+    seen.frame()
+    seen.clients[0] = 0
+    seen.frame()
+    assert not seen._dragging and session.moment.frame == 30 and 'paused' in seen.panel._said
+    seen.pause()
+    seen.frame()
+    assert session.moment.frame == 31 == len(session.path()) - 1
 
 
-def test_closed_tabs_and_slow_ones_lose_nothing(running):
-    slow, quick = client.Client(running.port, reads=False), client.Client(running.port)
-    session = running.page.session
-    quick.wait(lambda: quick.frames > 30, PATIENCE)
-    quick.drag(session.moment.pose[:3] + [0.02 * session.forwards, 0.0, 0.0])
-    quick.close()  # in the middle of a drag
-    slow.wait(lambda: not running.page._dragging, PATIENCE)
-    at = session.moment.frame
-    slow.wait(lambda: session.moment.frame > at + 10, PATIENCE)  # the slow one holds up nobody
-    slow.close()
-    slow.wait(lambda: not running.page.server.get_clients(), PATIENCE)
-    slow.wait(lambda: running.loop.frames > 0, PATIENCE)
-    kept = session.moment.frame  # without a browser the soil waits ...
-    frames = running.loop.frames
-    slow.wait(lambda: running.loop.frames > frames + 5, PATIENCE)
-    assert session.moment.frame <= kept + 1
-    again = client.Client(running.port)
-    again.wait(lambda: session.moment.frame > kept + 5, PATIENCE)  # ... and goes on
-    assert len(session.path()) == session.moment.frame + 1
-    again.close()
+def test_another_model_and_one_that_is_not_there(seen):
+    seen.choose_model('nothing')
+    assert 'nothing: no folder' in seen.notices[0] and seen.panel.model.value == 'excavation'
+    seen.choose_model('wheel')
+    for _ in range(6):
+        seen.frame()
+    session = seen.session
+    assert session.scene.name == 'wheel' and {'rotation', 'slip'} < seen.panel._sliders.keys()
+    assert abs(session.plane[2]) > 0.01  # it has turned, its arrow has not
+    assert tuple(seen._handle.wxyz) == (1.0, 0.0, 0.0, 0.0) and 'sinkage' in seen.panel._said
+    lightest = float(session.model.starts.context[:, 2].min())
+    seen.panel._context('load', lightest)
+    assert session.context['load'] == pytest.approx(lightest)
+    run = next(iter(session.recorded.runs))
+    seen.reset(run)
+    seen.panel.run.value = run
+    seen.frame()
+    assert session.run is not None and seen._ghost.visible and len(seen.panel._rows[-1]) == 5
+    seen.panel._steer('slip', 30.0)  # whoever touches the tool takes it over
+    assert session.run is None and seen.panel.run.value == gui.BY_HAND and not seen._ghost.visible
+    seen.reset('test 99')
+    assert 'no recorded run' in seen.notices[1]
 
 
-def test_another_model_and_one_that_is_not_there(running):
-    tab = client.Client(running.port)
-    tab.wait(lambda: tab.frames > 2, PATIENCE)
-    tab.slide('scene / model', 'nothing')
-    tab.wait(lambda: running.page.panel.model.value == 'excavation', PATIENCE)
-    tab.slide('scene / model', 'wheel')
-    tab.wait(lambda: running.page.session.scene.name == 'wheel', PATIENCE)
-    tab.wait(lambda: 'slip, %' in tab.gui and running.page.session.moment.frame > 5, PATIENCE)
-    assert abs(running.page.session.plane[2]) > 0.01  # it has turned, its arrow has not
-    assert tuple(running.page._handle.wxyz) == (1.0, 0.0, 0.0, 0.0)
-    lightest = float(running.page.session.model.starts.context[:, 2].min())
-    tab.slide('load (restarts)', lightest)
-    tab.wait(lambda: running.page.session.context['load'] == pytest.approx(lightest), PATIENCE)
-    tab.slide('path', next(iter(running.page.session.recorded.runs)))
-    tab.wait(lambda: running.page.session.run is not None, PATIENCE)
-    tab.slide('slip, %', 30.0)  # whoever touches the tool takes it over
-    tab.wait(lambda: running.page.panel.run.value == page.BY_HAND, PATIENCE)
-    assert running.page.session.run is None
-    tab.close()
-
-
-def test_a_frame_that_fails_ends_the_loop_with_its_error():
-    def frame():
-        raise RuntimeError('broken')
-
-    turning = loop.FrameLoop(frame, 1 / 60)
-    turning.start()
-    with pytest.raises(RuntimeError, match='broken'):
-        turning.wait()
-    turning.stop()
-
-
-def test_the_loop_keeps_its_rate_and_does_not_bunch_lost_frames():
-    called, hold = [], threading.Event()
+def test_lost_frames_do_not_come_at_once_and_an_error_ends_the_page():
+    called = []
 
     def frame():
-        called.append(None)
+        called.append(time.monotonic())
         if len(called) == 3:
-            hold.wait(0.5)
+            time.sleep(0.5)  # ten frames
+        if len(called) == 8:
+            raise RuntimeError('broken')
 
-    turning = loop.FrameLoop(frame, 0.05)
-    turning.start()
-    for _ in range(200):
-        if len(called) >= 6:
-            break
-        hold.wait(0.02)
-    turning.stop()
-    # The half second that was lost holds ten frames; they do not come at once.
-    assert 6 <= len(called) < 12 and turning.frames == len(called)
+    bare = page.Page.__new__(page.Page)
+    bare._ended, bare._recent, bare.turns = threading.Event(), [], 0
+    bare.session = SimpleNamespace(scene=SimpleNamespace(dt=0.05))
+    bare.frame = frame
+    with pytest.raises(RuntimeError, match='broken'):
+        bare.run()
+    assert called[7] - called[3] > 0.05  # two of four frames are made up for, not ten
 
 
-def test_bad_input_is_refused_at_the_door():
-    def start(*arguments):
-        return subprocess.run(
-            [sys.executable, '-m', 'learning_to_simulate.live_page', *arguments],
-            capture_output=True, text=True,
-        )  # fmt: skip
+def test_pictures_have_the_scale_of_their_legends():
+    """The first and the last colour at the ends; grey where there is nothing."""
+    low, high = drawing.HEIGHTS
+    row = np.array([[low], [high], [np.nan]])
+    picture = drawing.height_picture(row, -1.0, pixels=1)[0]
+    assert picture.tolist() == [[drawing.EMPTY] * 3, *drawing.HEIGHT[[-1, 0]].tolist()]
+    rest = np.zeros((2, 3))
+    moved = rest + [[0.0, 0, 0], [0, drawing.MOVED, 0]]
+    colours = drawing.soil_colours(moved, rest, np.ones((2, 1)))
+    assert colours.tolist() == drawing.SOIL[[0, -1]].tolist()
+    for word in ('-80<', '50<', 'rgb(70 42 20)', 'rgb(245 225 130)'):
+        assert word in drawing.LEGENDS
+    said = drawing.lamp(session_of('excavation_v2'), 60.0)
+    assert 'within the training runs' in said and 'torque' not in said
+    live = session_of('excavation_v2').advance()
+    said = drawing.lamp(session_of('excavation_v2'), 60.0)
+    assert f'&plusmn; {live.bound:.0f} N' in said and f'torque {live.torque[2]:.2f} N m' in said
 
-    unknown = start('--model=plough')
-    assert unknown.returncode == 1 and unknown.stderr.startswith('error: plough: no folder with')
+
+def test_bad_input_is_refused_at_the_door(monkeypatch):
+    done = subprocess.run(
+        [sys.executable, '-m', 'learning_to_simulate.live_page', '--model=plough'],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 1 and done.stderr.startswith('error: plough: no folder with')
     with socket.create_server(('localhost', 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ValueError, match=f'port {port} of localhost cannot be listened at'):
-            check_port('localhost', port)
-        occupied = start(f'--port={port}')
-    assert occupied.returncode == 1 and occupied.stderr.startswith(f'error: port {port} of')
-
-
-def test_models_that_can_be_chosen_are_those_that_step():
-    names = model_names()
-    assert 'excavation/pcg' in names and 'wheel/pcg' in names
+            command.check_door('localhost', port)
+    names = command.model_names()
+    assert {'excavation_v2/swept_field', 'wheel/pcg'} < set(names) <= set(lts.list())
+    monkeypatch.setattr(command.importlib.util, 'find_spec', lambda name: None)
+    with pytest.raises(ValueError, match=r'viser is not installed: pip install .*\[live\]'):
+        command.check_door('localhost', 0)
 
 
 @pytest.fixture
-def browser():
+def tab():
     api = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
     if CHROMIUM is None:
         pytest.skip('no chromium here: apt install chromium')
     with api.sync_playwright() as playwright:
         opened = playwright.chromium.launch(executable_path=CHROMIUM, args=BROWSER)
-        tab = opened.new_page(viewport={'width': 1000, 'height': 760})
-        tab.set_default_timeout(1e3 * PATIENCE)
-        yield tab
+        made = opened.new_page(viewport={'width': 1000, 'height': 760})
+        made.set_default_timeout(120e3)
+        yield made
         opened.close()
 
 
-def picture(tab, path):
-    """float [H, W, 3] of the scene, as it is on the screen."""
-    image = pytest.importorskip('PIL.Image')
-    tab.screenshot(path=str(path))
-    return np.asarray(image.open(path).convert('RGB'), float)[:, :660]
-
-
-def test_in_a_browser_sliders_keys_handle_and_reset(running, browser, tmp_path):
-    session, tab = running.page.session, browser
+def test_in_a_browser_sliders_keys_handle_and_reset(shown, tab, tmp_path):
+    session, image = shown.session, pytest.importorskip('PIL.Image')
 
     def wait(condition):
-        for _ in range(int(PATIENCE / 0.25)):
+        for _ in range(480):
             if condition():
                 return
             tab.wait_for_timeout(250)
         raise AssertionError('the page did not get there')
 
-    tab.goto(f'http://localhost:{running.port}')
+    def picture(name):
+        """The scene, as it is on the screen."""
+        tab.screenshot(path=str(tmp_path / name))
+        return np.asarray(image.open(tmp_path / name).convert('RGB'), float)[:, :660]
+
+    tab.goto(f'http://localhost:{shown.server.get_port()}')
     reset = tab.get_by_role('button', name='Reset', exact=True)
     reset.wait_for()
     wait(lambda: session.moment.frame > 10)
-    running.page.pause()
-    before = picture(tab, tmp_path / 'before.png')
+    shown.pause()
+    before = picture('before.png')
     assert before.std() > 10  # soil and blade are drawn
-    # A slider by the arrow keys, another by the keys of the page.
-    running.page.pause()
-    deeper = session.steering.sliders['depth']
+    shown.pause()
+    # A slider by the arrow keys, others by the keys of the page.
+    deeper, speed = (session.steering.sliders[name] for name in ('depth', 'speed'))
     at = deeper.value
     tab.get_by_role('slider').first.focus()
     for _ in range(3):
         tab.keyboard.press('ArrowRight')
     wait(lambda: deeper.value > at + 0.5)
     tab.evaluate('document.activeElement.blur()')
-    for _ in range(9):
-        tab.keyboard.press('u')
-    wait(lambda: deeper.value > 5.0)
-    for _ in range(9):
-        tab.keyboard.press('i')
-    wait(lambda: session.steering.sliders['speed'].value > 15.0)
+    for key, enough in (('u', lambda: deeper.value > 5.0), ('i', lambda: speed.value > 15.0)):
+        for _ in range(9):
+            tab.keyboard.press(key)
+        wait(enough)
     start = session.path()[0, 0]
     wait(lambda: (session.plane[0] - start) * session.forwards > 0.06)
-    running.page.pause()
+    shown.pause()
     tab.wait_for_timeout(2000)
-    after = picture(tab, tmp_path / 'after.png')
-    assert np.abs(after - before).max(axis=2).mean() > 1.0  # the blade has moved
-    running.page.pause()
+    assert np.abs(picture('after.png') - before).max(axis=2).mean() > 1.0  # the blade has moved
+    shown.pause()
     reset.click()
     wait(lambda: session.steering.sliders['speed'].value == 0.0)
-    # The arrow of the handle that points along the drive: where it is on the screen, from a sweep.
     at = session.plane
-    drag(tab, running, wait)
+    drag(shown, tab)
+    wait(lambda: not shown._dragging)
     assert not np.allclose(session.plane[:2], at[:2], atol=1e-4)
 
 
-def drag(tab, running, wait):
-    """Pulls at the handle until it has been caught: places around the middle of the blade."""
+def drag(shown, tab):
+    """Pulls at the handle until it has been caught, at places around the middle of the blade."""
     for dx, dy in ((0, 0), (20, 0), (0, -25), (25, -25), (-20, 10), (40, -10), (10, 15), (0, -45)):
-        x, y = handle_on_screen(tab, running)
-        tab.mouse.move(x + dx, y + dy)
+        (one,) = shown.server.get_clients().values()
+        turn = viser.transforms.SO3(np.asarray(one.camera.wxyz)).as_matrix()
+        seen = turn.T @ (shown._handle.position - one.camera.position)
+        box = tab.locator('canvas').first.bounding_box()
+        focal = 0.5 * box['height'] / np.tan(0.5 * one.camera.fov)
+        x = box['x'] + box['width'] / 2 + focal * seen[0] / seen[2] + dx
+        y = box['y'] + box['height'] / 2 + focal * seen[1] / seen[2] + dy
+        tab.mouse.move(x, y)
         tab.wait_for_timeout(600)
         tab.mouse.down()
         tab.wait_for_timeout(300)
-        tab.mouse.move(x + dx - 40, y + dy + 30, steps=4)
+        tab.mouse.move(x - 40, y + 30, steps=4)
         tab.wait_for_timeout(600)
-        caught = running.page._dragging
+        caught = shown._dragging
         tab.mouse.up()
         if caught:
-            wait(lambda: not running.page._dragging)
             return
     raise AssertionError('the handle could not be caught')
-
-
-def handle_on_screen(tab, running):
-    """Pixel of the handle, through the camera of the tab."""
-    (one,) = running.page.server.get_clients().values()
-    camera = one.camera
-    turn = viser.transforms.SO3(np.asarray(camera.wxyz)).as_matrix()
-    seen = turn.T @ (running.page._handle.position - camera.position)
-    box = tab.locator('canvas').first.bounding_box()
-    focal = 0.5 * box['height'] / np.tan(0.5 * camera.fov)
-    return (
-        box['x'] + box['width'] / 2 + focal * seen[0] / seen[2],
-        box['y'] + box['height'] / 2 + focal * seen[1] / seen[2],
-    )

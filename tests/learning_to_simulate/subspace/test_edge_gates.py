@@ -3,6 +3,7 @@
 import json
 import pathlib
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,15 +73,11 @@ def test_shares_of_shut_and_open_gates_are_those_of_the_paper():
     np.testing.assert_allclose(shut, probability_below(0.0), atol=0.0125)
     np.testing.assert_allclose(1 - whole, probability_below(1.0), atol=0.0125)
     np.testing.assert_allclose(gates.open_probability(), 1 - probability_below(0.0), rtol=1e-5)
-    price = gates.with_price({'loss': tf.constant(1.0)}, _Price(3.0, 10), tf.constant(5))
+    config = SimpleNamespace(gate_weight=3.0, gate_steps=10)
+    price = gates.with_price({'loss': tf.constant(1.0)}, config, tf.constant(5))
     expected = (1 - probability_below(0.0)).mean()
     assert float(price['open_gates']) == pytest.approx(expected, rel=1e-5)
     assert float(price['loss']) == pytest.approx(1.0 + 3.0 * 0.5 * expected, rel=1e-5)
-
-
-class _Price:
-    def __init__(self, gate_weight, gate_steps):
-        self.gate_weight, self.gate_steps = gate_weight, gate_steps
 
 
 @pytest.mark.parametrize('logit', [-1e4, -20.0, 0.0, 20.0, 1e4])
@@ -90,7 +87,8 @@ def test_gradient_is_finite_at_saturated_gates(logit):
     gates.log_alpha.assign(tf.fill([3, 3], logit))
     with tf.GradientTape() as tape:
         drawn = gates.sample(64, SEED)
-        values = gates.with_price({'loss': tf.reduce_sum(drawn)}, _Price(1.0, 1), tf.constant(1))
+        price = SimpleNamespace(gate_weight=1.0, gate_steps=1)
+        values = gates.with_price({'loss': tf.reduce_sum(drawn)}, price, tf.constant(1))
     gradient = tape.gradient(values['loss'], gates.log_alpha).numpy()
     assert np.isfinite(drawn).all() and np.isfinite(gradient).all()
     assert (gradient >= 0).all() and (gradient > 0).all() == (logit in (-20.0, 0.0))
@@ -107,7 +105,7 @@ def test_a_draw_of_zero_has_a_finite_gate(monkeypatch):
     assert np.isfinite(tape.gradient(drawn, gates.log_alpha)).all() and not drawn.numpy().any()
 
 
-def predictions(model, group, layout):
+def losses(model, group, layout):
     trainer = Trainer(model, [group])
     tensors = trainer._tensors[0].with_layout(layout)
     values = trainer._single_step_losses(tensors, 4, SEED, None)
@@ -117,18 +115,17 @@ def predictions(model, group, layout):
 @pytest.mark.parametrize('preset', ['pcg', 'fcg_original'])
 def test_open_gates_are_the_dense_graph_and_shut_ones_no_edge(tmp_path, preset):
     """Mean and sum aggregation; losses over random windows, two message-passing steps."""
-    kind = 'adjacency' if preset == 'fcg_original' else 'mode_edges'
-    overrides = {kind: 'correlation' if kind == 'adjacency' else synthetic.N_MODES**2}
-    overrides |= {'mode_edges': synthetic.N_MODES**2, 'message_passing_steps': 2}
+    overrides = {'adjacency': 'correlation', 'mode_edges': synthetic.N_MODES**2}
+    overrides['message_passing_steps'] = 2
     model, (group,), _ = models.make(tmp_path, preset, overrides=overrides)
     dense = model.layout(group.n_rigid)
     gates = EdgeGates(synthetic.N_MODES)
     keep = np.random.default_rng(0).random((synthetic.N_MODES,) * 2) < 0.5
     for mask in (np.ones_like(keep), keep):
         gates.log_alpha.assign(np.where(mask, 1e3, -1e3))
-        gated = predictions(model, group, gates.gated(dense, 4, SEED))
+        gated = losses(model, group, gates.gated(dense, 4, SEED))
         model.fix_mode_edges(mask)
-        fixed = predictions(model, group, model.layout(group.n_rigid))
+        fixed = losses(model, group, model.layout(group.n_rigid))
         assert model.layout(group.n_rigid).n_edge == dense.n_edge - (~mask).sum()
         for name, value in fixed.items():  # float32 sums in another order: 1e-7 seen
             assert gated[name] == pytest.approx(value, rel=1e-5), name
@@ -146,13 +143,6 @@ def test_gates_belong_to_modes_whatever_the_size_of_the_body(tmp_path):
         expected = drawn[:, ends[0], ends[1]] if min(ends) >= 0 else 1.0
         np.testing.assert_array_equal(layout.edge_gates[:, edge], expected)
     assert model.layout(group.n_rigid).edge_gates is None
-
-
-def test_training_without_gates_has_no_trace_of_them(tmp_path):
-    model, groups, _ = models.make(tmp_path)
-    trainer = Trainer(model, groups)
-    assert trainer.gates is None and not trainer.is_gated(0)
-    assert not [v.name for v in model.simulator.variables if 'gate' in v.name]
 
 
 def test_learned_edges_lie_beside_the_model_and_in_it(data, trained):
@@ -204,13 +194,16 @@ def test_a_high_price_shuts_gates_and_a_low_one_does_not(data, tmp_path):
     assert left[100.0].degenerate == 'empty' and left[100.0].n_edge == 0
 
 
-def test_impossible_settings_are_refused():
-    for message, overrides in (
+@pytest.mark.parametrize(
+    ('message', 'overrides'),
+    [
         ('gates must close', {'gate_steps': 3000}),
         ('gates must close', {'gate_steps': 30, 'num_steps': 30}),
         ('leave one of them out', {'adjacency': 'fully_connected'}),
         ('gate_steps is 0', {'gate_steps': 0}),
         ('gate_weight is -1', {'gate_weight': -1.0}),
-    ):
-        with pytest.raises(ValueError, match=message):
-            presets.make_config('pcg', **{'gate_weight': 0.1} | overrides)
+    ],
+)
+def test_impossible_settings_are_refused(message, overrides):
+    with pytest.raises(ValueError, match=message):
+        presets.make_config('pcg', **{'gate_weight': 0.1} | overrides)

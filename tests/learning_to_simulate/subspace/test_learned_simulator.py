@@ -1,4 +1,6 @@
-"""One step against a numpy twin, and what must hold for any weights."""
+"""One step of every network against numpy twins, and what must hold for any weights."""
+
+import dataclasses
 
 import graph_nets as gn
 import numpy as np
@@ -6,63 +8,58 @@ import pytest
 import tensorflow as tf
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.rollout import RolloutFunction, roll_out, rollout_inputs
 from learning_to_simulate.subspace import graph_network, learned_simulator, rigid_body
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.twins.numpy_twin import Twin
+from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
+SECOND_ORDER = {
+    'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5,
+}  # fmt: skip
+TORQUE = {'overrides': {'predict_torque': True}, 'torque': True}
+DRIVEN = {'motion': 'driven', 'context': True}
 CASES = {
-    'pcg': {'preset': 'pcg'},
+    'pcg': {},
     'pcg, all velocities': {'overrides': {'velocity_inputs': 5}},
-    'pcg, second order': {
-        'overrides': {'mode_order': 2, 'rigid_order': 2, 'rate_scaled': False, 'velocity_inputs': 5}
-    },
-    'pcg, driven, context': {'motion': 'driven', 'context': True},
+    'pcg, second order': {'overrides': SECOND_ORDER},
+    'pcg, driven': DRIVEN,
+    'pcg, driven, changing context': DRIVEN | {'context': 'changing'},
     'pcg, predicted': {'motion': 'predicted'},
     'pcg_thesis': {'preset': 'pcg_thesis'},
-    'pcg_thesis, driven': {
-        'preset': 'pcg_thesis',
-        'motion': 'driven',
-        'context': True,
-        'rigid_motion': 'driven',
-    },
+    'pcg_thesis, driven': {'preset': 'pcg_thesis', 'rigid_motion': 'driven'} | DRIVEN,
     'fcg_original, two steps': {
         'preset': 'fcg_original',
         'overrides': {'message_passing_steps': 2},
     },
     'fcg_original, predicted': {'preset': 'fcg_original', 'motion': 'predicted'},
-    'pcg, torque': {'overrides': {'predict_torque': True}, 'torque': True},
-    'pcg_thesis, torque': {
-        'preset': 'pcg_thesis', 'overrides': {'predict_torque': True}, 'torque': True,
-    },
-}  # fmt: skip
-
-
-def first_step(model, group, run=0):
-    """Positions [V, 3] and force [3] of frame H by the package, for one run."""
-    one = group.select(run)
-    layout = model.layout(group.n_rigid)
-    state, known, context, _ = rollout_inputs(one, layout, model.simulator.scene)
-    if known is not None:
-        known = rigid_body.KnownMotion(known.offset[0], known.velocity[0])
-    state, force = model.simulator.step(state, known, context, layout)
-    return state.offset[0].numpy() + layout.origin, force[0].numpy()
+    'pcg, torque': TORQUE,
+    'pcg_thesis, torque': {'preset': 'pcg_thesis'} | TORQUE,
+} | {
+    f'{preset}, {name}': {'preset': preset, 'shaken': 0.3} | data
+    for preset in ('mlp', 'mixer_se', 'mixer_scse')
+    for name, data in (
+        ('prescribed', {}),
+        ('driven', DRIVEN | TORQUE),
+        ('predicted', {'motion': 'predicted', 'context': True}),
+    )
+}
 
 
 @pytest.mark.parametrize('case', CASES.values(), ids=CASES)
 def test_step_equals_the_numpy_twin(case, tmp_path):
     model, (group,), _ = models.make(tmp_path, **case)
-    position, force = first_step(model, group)
-    context = None if group.context is None else group.context[0]
-    expected, expected_force = Twin(model, group.n_rigid).step(
-        group.position[0, :H], group.position[0, H, : group.n_rigid], context
-    )
+    (position,), (load,) = models.steps(model, group, run=1)
+    twin = Twin if model.simulator.config.has_graph else WholeStateTwin
+    history, body = group.position[1, :H], group.position[1, H, : group.n_rigid]
+    expected, expected_load = twin(model, group.n_rigid).step(history, body, group.context_at(H, 1))
     # Measured over the cases: displacements 4e-6 of their range, force 3e-6; float32 round-off of
     # sums over about 100 terms. Ten times that.
-    before = group.position[0, H - 1]
+    before = history[-1]
     moved = np.abs(expected - before).max()
     np.testing.assert_allclose(position - before, expected - before, atol=4e-5 * moved)
-    np.testing.assert_allclose(force, expected_force, atol=3e-5 * np.abs(expected_force).max())
+    np.testing.assert_allclose(load, expected_load, atol=3e-5 * np.abs(expected_load).max())
 
 
 @pytest.mark.parametrize(
@@ -72,31 +69,25 @@ def test_step_equals_the_numpy_twin(case, tmp_path):
 )
 def test_what_was_true_reproduces_the_run(tmp_path, monkeypatch, overrides):
     """Integration alone (LagrangeBench's test): what was true goes in, the truth comes out."""
-    model, groups, _ = models.make(tmp_path, overrides=overrides)
-    group, simulator = groups[0], model.simulator
-    layout = model.layout(group.n_rigid)
-    state, known, context, n_frame = rollout_inputs(group, layout, simulator.scene)
-    truth = tf.constant(group.velocity, tf.float32)
-    frame = {'now': H}
+    model, (group,), _ = models.make(tmp_path, overrides=overrides)
+    simulator, frame = model.simulator, iter(range(H, 1000))
+    truth = tf.constant(group.velocity[:1], tf.float32)
 
     def cheat(state, known, context, layout):
-        target = simulator.normalized_target(truth[:, frame['now']], state, known, layout)
+        target = simulator.normalized_target(truth[:, next(frame)], state, known, layout)
         return target, tf.zeros([len(target), 3])
 
     monkeypatch.setattr(simulator, 'predict', cheat)
-    for k in range(n_frame):
-        frame['now'] = H + k
-        coming = known.at(k)
-        state, _ = simulator.step(state, coming, context, layout)
-    error = np.abs(state.offset.numpy() + layout.origin - group.position[:, -1])
-    assert error.max() < 1e-6 * np.ptp(group.position[:, :, group.n_rigid :], axis=1).max()
+    positions, _ = models.steps(model, group, count=group.position.shape[1] - H)
+    error = positions - group.position[0, H:]
+    assert np.abs(error[-1]).max() < 1e-6 * np.ptp(group.position[:, :, group.n_rigid :])
 
 
 def test_batch_of_runs_equals_single_runs(tmp_path):
     model, (group,), _ = models.make(tmp_path, context=True, motion='driven')
     function = RolloutFunction(model.simulator, model.layout(group.n_rigid))
     together = roll_out(function, group)
-    for run in range(len(group.position)):
+    for run in range(2):
         alone = roll_out(function, group.select(run))
         scale = np.ptp(group.position[run], axis=0).max()
         np.testing.assert_allclose(together.position[run], alone.position[0], atol=2e-5 * scale)
@@ -104,21 +95,25 @@ def test_batch_of_runs_equals_single_runs(tmp_path):
 
 
 def test_scene_without_a_part_has_no_variable_for_it(tmp_path):
-    """Absent means absent: no force head, no context inputs, no look at the coming frame."""
+    """Absent means absent: no force head, no context inputs, no look at the coming frame, no edge
+    of a network without a graph."""
+
+    def shapes(name, **case):
+        model, _, _ = models.make(tmp_path / name, **case)
+        return {v.name: v.shape for v in model.simulator.trainable_variables}
 
     def width(name, **case):
-        model, _, _ = models.make(tmp_path / name, **case)
-        first = [
-            v for v in model.simulator.trainable_variables if 'node_model/mlp/linear_0/w' in v.name
-        ]
-        last = [v for v in model.simulator.trainable_variables if 'decoder/linear_2/w' in v.name]
-        return first[0].shape[0], last[0].shape[1]
+        made = shapes(name, **case)
+        (first,) = (x[0] for n, x in made.items() if 'node_model/mlp/linear_0/w' in n)
+        (last,) = (x[1] for n, x in made.items() if 'decoder/linear_2/w' in n)
+        return first, last
 
     inputs, outputs = width('plain')
     assert width('no force', force=False) == (inputs, outputs - 3)
     assert width('context', context=True) == (inputs + 4, outputs)  # two values, two logarithms
-    predicted = width('predicted', motion='predicted')
-    assert predicted == (inputs - 3 - 2, outputs)
+    assert width('predicted', motion='predicted') == (inputs - 3 - 2, outputs)
+    for preset in ('mlp', 'mixer_scse'):
+        assert not [n for n in shapes(preset, preset=preset) if 'edge' in n or 'embedding' in n]
 
 
 def test_rate_scaling_makes_motion_proportional_to_the_body(tmp_path):
@@ -127,21 +122,50 @@ def test_rate_scaling_makes_motion_proportional_to_the_body(tmp_path):
     Exact but for the two rate inputs themselves, which the weights below ignore.
     """
     model, (group,), _ = models.make(tmp_path)
-    weights = next(
-        v for v in model.simulator.trainable_variables if 'node_model/mlp/linear_0/w' in v.name
-    )
-    values = weights.numpy()
-    values[6:8] = 0.0  # inputs: 3 velocities, 3 positions, log rate, rate
-    weights.assign(values)
+    weights = model.simulator.network.weights().node_encoder.layers[0][0]
+    rows = np.arange(weights.shape[0])[:, None]
+    weights.assign(np.where((rows == 6) | (rows == 7), 0.0, weights))  # log rate, rate
     layout = model.layout(group.n_rigid)
     state, known, context, _ = rollout_inputs(group, layout, model.simulator.scene)
     moves = []
     for factor in (1.0, 2.0):
-        scaled = learned_simulator.SimulatorState(state.offset, factor * state.velocity)
+        scaled = state._replace(velocity=factor * state.velocity)
         coming = rigid_body.KnownMotion(known.offset[0], factor * known.velocity[0])
         after, _ = model.simulator.step(scaled, coming, context, layout)
         moves.append((after.velocity[:, layout.n_rigid :, -1]).numpy())
     np.testing.assert_allclose(moves[1], 2 * moves[0], rtol=1e-4, atol=1e-9)
+
+
+def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path):
+    """The same prediction as that of a graph which never had those edges."""
+    model, (group, *_), _ = models.make(tmp_path)
+    simulator, layout = model.simulator, model.layout(group.n_rigid)
+    lasting, n, up = simulator.config, layout.n_rigid, simulator.scene.up_axis
+    heights = group.position[0, H - 1 :, :n, up]
+    surfaces = (float(heights.min()) - 0.01, float(np.median(heights)), float(heights.max()))
+    seen = set()
+    for surface, frame in zip(surfaces, (H, 20, 30), strict=True):
+        frames = group.position[:1, frame - H : frame + 1]
+        offset = frames - layout.origin
+        state = learned_simulator.initial_state(offset[:, :-1], np.diff(frames[:, :-1], axis=1))
+        motion = (offset[:, -1, :n], frames[:, -1, :n] - frames[:, -2, :n])
+        known = rigid_body.KnownMotion(*(tf.constant(x, tf.float32) for x in motion))
+        in_soil = np.append(heights[frame - H] <= surface, np.ones(layout.n_node - n, bool))
+        kept = in_soil[layout.senders] & in_soil[layout.receivers]
+        seen.add(int(kept.sum()))
+        mask = np.zeros((layout.n_node, layout.n_node), bool)
+        mask[layout.receivers[kept], layout.senders[kept]] = True
+        adjacency = Adjacency.from_mask(mask)
+        fewer = learned_simulator.Layout(
+            adjacency, n, simulator.scene, simulator.statistics, lasting
+        )
+        expected, force = simulator.step(state, known, None, fewer)
+        simulator.config = dataclasses.replace(lasting, surface_height=surface)
+        got, same = simulator.step(state, known, None, layout)
+        simulator.config = lasting
+        np.testing.assert_allclose(got.offset, expected.offset, atol=1e-6)
+        np.testing.assert_allclose(same, force, rtol=1e-4, atol=1e-4)
+    assert seen == {5, 11, layout.n_edge}  # None of the body's edges, those of one row, and all.
 
 
 def test_history_of_wrong_length_is_refused():
@@ -157,7 +181,7 @@ def test_message_passing_equals_graph_nets():
     senders, receivers = rng.integers(0, n_node, (2, n_edge)).astype(np.int32)
 
     def make():
-        return graph_network._mlp(width, 2)
+        return graph_network.mlp(width, 2)
 
     ours = graph_network._InteractionNetwork(make, 'processor')
     incidence = (np.arange(n_node)[:, None] == receivers).astype(np.float32)

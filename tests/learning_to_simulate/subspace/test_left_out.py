@@ -1,10 +1,7 @@
-"""Nodes that a config leaves out: modes, and particles of a body that turns."""
-
-import dataclasses
+"""Nodes that a config leaves out: modes, and particles of a body."""
 
 import numpy as np
 import pytest
-import tensorflow as tf
 
 from learning_to_simulate import (
     checkpoints,
@@ -13,32 +10,20 @@ from learning_to_simulate import (
     presets,
     reading_utils,
     registry,
-    rollout,
 )
-from learning_to_simulate.subspace.learned_simulator import Layout
-from learning_to_simulate.subspace.rigid_body import KnownMotion
 from pca_tools import dataset, files, rigid_fit, subspace
 from tests.learning_to_simulate import models, synthetic
 
 H = 6
-RING = {'motion': 'driven', 'rigid_counts': (8,)}
-
-
-def _roll_out(model, group):
-    """One run, eagerly."""
-    tf.config.run_functions_eagerly(True)
-    try:
-        function = rollout.RolloutFunction(model.simulator, model.layout(group.n_rigid))
-        return rollout.roll_out(function, group.select(0))
-    finally:
-        tf.config.run_functions_eagerly(False)
+RING = {'motion': 'driven', 'rigid_counts': (8,), 'overrides': {'rigid_stride': 2}}
+TWO_MODES = {'overrides': {'modes': 2, 'mode_edges': 4}}
 
 
 def test_fewer_modes_are_judged_against_all_of_the_dataset(tmp_path):
-    model, (group, *_), metadata = models.make(tmp_path, overrides={'modes': 2, 'mode_edges': 4})
+    model, (group, *_), metadata = models.make(tmp_path, **TWO_MODES)
     assert model.simulator.scene.n_modes == 2 and group.position.shape[2] == 4 + 2
     run = dataset.read_split(str(tmp_path), 'train')[0]
-    result = _roll_out(model, group)
+    result = models.rolled(model, group.select(0))
     summary = evaluation.summarise([(0, group.select(0), result)], model, metadata, 'train')
     # By hand: errors of the two modes, and all of the third.
     truth = run.position[H:].astype(np.float64)
@@ -60,9 +45,7 @@ def test_fewer_modes_are_judged_against_all_of_the_dataset(tmp_path):
 
 
 def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
-    model, (group, *_), metadata = models.make(
-        tmp_path / 'data', overrides={'modes': 2, 'mode_edges': 4}
-    )
+    model, (group, *_), metadata = models.make(tmp_path / 'data', **TWO_MODES)
     space = subspace.fit([np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))], 3)
     stepper = models.stepper(model, group.n_rigid, space)
     stepper.reset(group.position[0, :H])
@@ -82,8 +65,8 @@ def test_fewer_modes_make_particles_and_are_loaded_again(tmp_path):
         reading_utils.read_groups(str(tmp_path / 'data'), 'test', metadata, modes=4)
 
 
-def test_thinned_body_keeps_its_height_and_comes_back_rigid(tmp_path):
-    model, (group, *_), _ = models.make(tmp_path, overrides={'rigid_stride': 2}, **RING)
+def test_thinned_ring_keeps_its_height_and_comes_back_rigid(tmp_path):
+    model, (group, *_), _ = models.make(tmp_path, **RING)
     run = dataset.read_split(str(tmp_path), 'train')[0]
     body = run.position[:, :8].astype(np.float64)
     np.testing.assert_array_equal(group.kept[0], [0, 2, 4, 6])
@@ -91,7 +74,7 @@ def test_thinned_body_keeps_its_height_and_comes_back_rigid(tmp_path):
     kept = group.position[0, :, :4, 1].mean(axis=1)
     # What the model predicts is the height of the axle, not of some point that turns around it.
     np.testing.assert_allclose(kept - kept[0], height, atol=1e-6)
-    position = _roll_out(model, group).position
+    position = models.rolled(model, group.select(0)).position
     (whole,) = group.select(0).all_particles(position)
     # The untrained height differs from the true one; everything else is given.
     lift = position[0, :, :4, 1].mean(axis=1) - group.position[0, H:, :4, 1].mean(axis=1)
@@ -102,20 +85,31 @@ def test_thinned_body_keeps_its_height_and_comes_back_rigid(tmp_path):
         assert rigid_fit.fit_rigid_motion(body[0], frame[:8]).residual < 1e-5
     (true,) = group.select(0).all_particles(group.position[:1], as_recorded=True)
     np.testing.assert_allclose(true, run.position, atol=1e-6)
-
-
-def test_rollout_that_blew_up_is_written_as_such(tmp_path):
-    _, (group, *_), _ = models.make(tmp_path, overrides={'rigid_stride': 2}, **RING)
-    position = group.position[:1, H:].copy()
-    position[0, 3:] = np.nan
+    position[0, 3:] = np.nan  # a rollout that blew up is written as such
     (whole,) = group.select(0).all_particles(position)
     assert np.isfinite(whole[:3]).all() and np.isnan(whole[3:]).all()
+
+
+def test_thinned_blade_keeps_its_lowest_particles_and_comes_back_whole(tmp_path):
+    folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
+    metadata = dataset.read_metadata(folder)
+    (group,) = reading_utils.read_groups(folder, 'train', metadata, rigid_particles=2)
+    runs = dataset.read_split(folder, 'train')
+    assert len(group.position) == len(runs) and group.n_rigid == 2
+    for run, whole, kept in zip(runs, group.all_particles(group.position), group.kept):
+        np.testing.assert_array_equal(whole, run.position)
+        lowest = np.sort(run.position[0, : run.n_rigid, 1])[:2]
+        np.testing.assert_array_equal(np.sort(run.position[0, kept, 1]), lowest)
+    again = group.all_particles(group.position[:, 6:] + 1.0)[1]
+    moved = again - runs[1].position[6:]
+    assert np.isclose(moved[:, group.kept[1]], 1).all()
+    assert np.isclose(moved, 0).sum() == moved[:, :4].size  # the other four rigid particles
 
 
 @pytest.mark.parametrize('stride', [3, 4])
 def test_thinning_that_moves_the_axle_is_refused(tmp_path, stride):
     with pytest.raises(ValueError, match='train record 0: rigid_stride keeps [23] of 8 .* needs'):
-        models.make(tmp_path, overrides={'rigid_stride': stride}, **RING)
+        models.make(tmp_path, **RING | {'overrides': {'rigid_stride': stride}})
 
 
 def test_neighbours_of_a_thinned_body_skip_what_is_left_out():
@@ -136,38 +130,3 @@ def test_neighbours_of_a_thinned_body_skip_what_is_left_out():
 def test_impossible_choices_are_refused(fields):
     with pytest.raises(ValueError, match='modes|rigid_stride'):
         presets.make_config(**{'preset': 'pcg'} | fields)
-
-
-def test_edges_of_particles_above_the_ground_do_not_exist_in_that_frame(tmp_path):
-    """The same prediction as that of a graph which never had those edges."""
-    model, (group, *_), _ = models.make(tmp_path)
-    simulator, layout = model.simulator, model.layout(group.n_rigid)
-    lasting, n, up = simulator.config, layout.n_rigid, simulator.scene.up_axis
-    heights = group.position[0, H - 1 :, :n, up]
-    surfaces = (float(heights.min()) - 0.01, float(np.median(heights)), float(heights.max()))
-    seen = set()
-    for surface, frame in zip(surfaces, (H, 20, 30), strict=True):
-        frames = group.position[:1, frame - H : frame + 1]
-        offset = frames - layout.origin
-        state = rollout.initial_state(offset[:, :-1], np.diff(frames[:, :-1], axis=1))
-        motion = (offset[:, -1, :n], frames[:, -1, :n] - frames[:, -2, :n])
-        known = KnownMotion(*(tf.constant(x, tf.float32) for x in motion))
-        in_soil = np.append(heights[frame - H] <= surface, np.ones(layout.n_node - n, bool))
-        kept = in_soil[layout.senders] & in_soil[layout.receivers]
-        seen.add(int(kept.sum()))
-        mask = np.zeros((layout.n_node, layout.n_node), bool)
-        mask[layout.receivers[kept], layout.senders[kept]] = True
-        adjacency = connectivity_utils.Adjacency.from_mask(mask)
-        fewer = Layout(adjacency, n, simulator.scene, simulator.statistics, lasting)
-        expected, force = simulator.step(state, known, None, fewer)
-        simulator.config = dataclasses.replace(lasting, surface_height=surface)
-        got, same = simulator.step(state, known, None, layout)
-        simulator.config = lasting
-        np.testing.assert_allclose(got.offset, expected.offset, atol=1e-6)
-        np.testing.assert_allclose(same, force, rtol=1e-4, atol=1e-4)
-    assert seen == {5, 11, layout.n_edge}  # None of the body's edges, those of one row, and all.
-
-
-def test_a_tool_depth_needs_a_graph():
-    with pytest.raises(ValueError, match='surface_height'):
-        presets.make_config('mlp', surface_height=0.3)

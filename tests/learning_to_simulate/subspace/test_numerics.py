@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from learning_to_simulate import normalization, presets, reading_utils
+from learning_to_simulate import normalization, presets
 from learning_to_simulate.subspace import noise_utils, trainer
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset
@@ -23,22 +23,26 @@ def test_noise_walks_to_the_asked_deviation():
 
 
 def test_our_statistics_are_those_of_each_class(tmp_path):
-    model, groups, _ = models.make(tmp_path, rigid_counts=(4, 6), overrides={'velocity_inputs': 5})
+    model, groups, _ = models.make(tmp_path, rigid_counts=(4, 6), overrides={'rigid_particles': 0})
+    assert len(groups) == 2
     s, r = model.simulator.statistics, synthetic.N_MODES
     runs = [g.position[i] for g in groups for i in range(len(g.position))]
+
+    def floored(std):
+        return np.maximum(std, normalization.STD_FLOOR * std.max())
+
     for k in range(r):
         x = np.concatenate([run[:, k - r] for run in runs])
         v = np.concatenate([np.diff(run[:, k - r], axis=0) for run in runs])
+        a = np.concatenate([np.diff(run[:, k - r], n=2, axis=0) for run in runs])
         np.testing.assert_allclose(s.origin[1 + k], x.mean(axis=0))
-        floor = normalization.STD_FLOOR * v.std(axis=0).max()
-        np.testing.assert_allclose(s.velocity_std[1 + k], np.maximum(v.std(axis=0), floor))
+        np.testing.assert_allclose(s.velocity_mean[1 + k], v.mean(axis=0))
+        np.testing.assert_allclose(s.velocity_std[1 + k], floored(v.std(axis=0)))
+        np.testing.assert_allclose(s.acceleration_std[1 + k], floored(a.std(axis=0)))
+        np.testing.assert_allclose(s.position_range[:, 1 + k], [x.min(axis=0), x.max(axis=0)])
     pairs = np.concatenate([(run[:, :-r] - run[:, -r:][:, 1:2]).reshape(-1, 3) for run in runs])
     np.testing.assert_allclose(s.displacement_mean[2, 0], pairs.mean(axis=0), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        s.displacement_std[2, 0],
-        np.maximum(pairs.std(axis=0), 1e-3 * pairs.std(axis=0).max()),
-        rtol=1e-6,
-    )
+    np.testing.assert_allclose(s.displacement_std[2, 0], floored(pairs.std(axis=0)), rtol=1e-6)
 
 
 def test_published_statistics_come_from_the_metadata_with_the_noise(tmp_path):
@@ -49,16 +53,39 @@ def test_published_statistics_come_from_the_metadata_with_the_noise(tmp_path):
     assert (s.displacement_std == 0.025).all()
 
 
-def test_statistics_survive_json(tmp_path):
+def test_statistics_survive_json_and_know_their_shapes(tmp_path):
     model, _, _ = models.make(tmp_path, motion='driven', context=True)
-    s = model.simulator.statistics
-    again = normalization.Statistics.from_json(s.to_json())
-    for name, value in vars(s).items():
-        other = getattr(again, name)
-        assert (value is None and other is None) or (value == other).all(), name
+    scene, values = model.simulator.scene, model.simulator.statistics.to_json()
+    again = normalization.Statistics.from_json(values)
+    again.check(scene)
+    for name, value in vars(model.simulator.statistics).items():
+        np.testing.assert_equal(getattr(again, name), value)
+    for name, wrong in (
+        ('origin', [0.0]), ('height_std', [0.0]), ('target_std', None), ('force_mean', None),
+        ('context_range', [[1.0, 1.0], [0.0, 0.0]]), ('log_context_mean', [1.0]),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=f'statistics.{name}'):
+            normalization.Statistics.from_json(values | {name: wrong}).check(scene)
 
 
-def test_one_step_loss_is_equation_13():
+@pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis'])
+def test_torque_has_statistics_of_its_own_and_leaves_the_force_alone(tmp_path, preset):
+    """One scale for all axes, that of the loudest; the published family has one of each axis."""
+    wanted = {'predict_torque': True}
+    model, _, _ = models.make(tmp_path / 'a', preset, torque=True, overrides=wanted)
+    without, _, _ = models.make(tmp_path / 'b', preset, torque=True)
+    s, other = model.simulator.statistics, without.simulator.statistics
+    runs = dataset.read_split(str(tmp_path / 'a'), 'train')
+    torque = np.concatenate([run.torque.astype(np.float64) for run in runs])
+    spread = torque.std(axis=0)
+    np.testing.assert_allclose(s.torque_mean, torque.mean(axis=0), rtol=1e-6)
+    expected = spread if preset == 'pcg_thesis' else np.full(3, spread.max())
+    np.testing.assert_allclose(s.torque_std, expected, rtol=1e-6)
+    changed = dataclasses.replace(s, torque_mean=None, torque_std=None)
+    assert changed.to_json() == other.to_json()
+
+
+def test_loss_of_one_step_is_equation_13():
     """Sum over moving nodes of |a - â|² over their number, plus |F - F̂|², mean over graphs."""
     rng = np.random.default_rng(0)
     target, predicted = rng.normal(size=(2, 4, 5, 3)).astype(np.float32)
@@ -68,27 +95,10 @@ def test_one_step_loss_is_equation_13():
     expected = np.mean([((p - t)[2:] ** 2).sum() / 3 for p, t in zip(predicted, target)]) + np.mean(
         [((p - t) ** 2).sum() for p, t in zip(predicted_force, force)]
     )
-    values = trainer.one_step_loss(target, predicted, force, predicted_force, moving)
+    error, loads = (predicted - target)[:, None], (predicted_force[:, None], force[:, None])
+    values = trainer.training_loss(error, moving, *loads, [1.0])
     np.testing.assert_allclose(values['loss'], expected, rtol=1e-5)
-    without = trainer.one_step_loss(target, predicted, None, None, moving)
-    assert set(without) == {'loss', 'loss_mse'}
-
-
-def test_thinned_body_keeps_its_lowest_particles_and_comes_back_whole(tmp_path):
-    folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
-    metadata = dataset.read_metadata(folder)
-    (group,) = reading_utils.read_groups(folder, 'train', metadata, rigid_particles=2)
-    runs = dataset.read_split(folder, 'train')
-    assert len(group.position) == len(runs) and group.n_rigid == 2
-    for run, whole, kept in zip(runs, group.all_particles(group.position), group.kept):
-        np.testing.assert_array_equal(whole, run.position)
-        lowest = np.sort(run.position[0, : run.n_rigid, 1])[:2]
-        np.testing.assert_array_equal(np.sort(run.position[0, kept, 1]), lowest)
-    predicted = group.position[:, 6:] + 1.0
-    again = group.all_particles(predicted)[1]
-    moved = again - runs[1].position[6:]
-    assert np.isclose(moved[:, group.kept[1]], 1).all()
-    assert np.isclose(moved, 0).sum() == moved[:, :4].size  # the other four rigid particles
+    assert set(trainer.training_loss(error, moving, None, None, [])) == {'loss', 'loss_mse'}
 
 
 def test_presets_are_the_published_settings():
@@ -96,12 +106,8 @@ def test_presets_are_the_published_settings():
     assert (fcg.noise_std, pcg.noise_std) == (6.7e-4, 6.7e-6)
     assert (fcg.adjacency, pcg.adjacency) == ('fully_connected', 'algorithm2')
     for c in (fcg, pcg):
-        assert (c.latent_size, c.message_passing_steps, c.learning_rate, c.batch_size) == (
-            128,
-            1,
-            1e-4,
-            2,
-        )
+        sizes = c.latent_size, c.message_passing_steps, c.learning_rate, c.batch_size
+        assert sizes == (128, 1, 1e-4, 2)
 
 
 @pytest.mark.parametrize('force', [0.0, 37.5])

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import evaluation, reading_utils, rollout
+from learning_to_simulate import evaluation, rollout
 from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.subspace import method
 from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
@@ -45,15 +44,20 @@ def write(folder, motions=('prescribed', 'prescribed'), each=True):
 
 
 def make(folder, preset='pcg', **overrides):
-    metadata = dataset.read_metadata(folder)
     config = make_config(preset, **models.SMALL | overrides)
-    groups = reading_utils.read_groups(folder, 'train', metadata, **config.nodes)
-    return method.make_model(folder, metadata, groups, config), groups[0]
+    model, (group,), _ = models.of_dataset(folder, config)
+    return model, group
 
 
 @pytest.fixture(scope='module')
-def made(tmp_path_factory):
-    return make(write(str(tmp_path_factory.mktemp('data'))))
+def data(tmp_path_factory):
+    """Not to be changed."""
+    return write(str(tmp_path_factory.mktemp('data')))
+
+
+@pytest.fixture(scope='module')
+def made(data):
+    return make(data)
 
 
 def test_the_scene_knows_its_bodies_and_the_force_on_each(made):
@@ -64,46 +68,40 @@ def test_the_scene_knows_its_bodies_and_the_force_on_each(made):
     total = evaluation.total_force(group.force[0])
     expected = synthetic.make_trajectory(0, 7).force
     np.testing.assert_allclose(total, expected, rtol=1e-5, atol=1e-5)
-    layout = model.layout(7)
     r = scene.n_modes
-    np.testing.assert_array_equal(layout.embedded, [0] * 4 + [r + 1] * 3 + list(range(1, r + 1)))
+    expected = [0] * 4 + [r + 1] * 3 + list(range(1, r + 1))
+    np.testing.assert_array_equal(model.layout(7).embedded, expected)
 
 
-def test_thinning_keeps_the_lowest_of_each_body(tmp_path):
-    folder = write(str(tmp_path))
-    model, group = make(folder, rigid_particles=2)
+def test_thinning_keeps_the_lowest_of_each_body(data):
+    model, group = make(data, rigid_particles=2)
     assert model.simulator.scene.bodies == (('blade', 2), ('wheel', 2)) and group.n_rigid == 4
-    run = dataset.read_split(folder, 'train')[0]
+    run = dataset.read_split(data, 'train')[0]
     for body, kept in ((range(4), group.kept[0][:2]), (range(4, 7), group.kept[0][2:])):
         lowest = sorted(body, key=lambda i: run.position[0, i, 1])[:2]
         assert sorted(lowest) == kept.tolist()
 
 
 @pytest.mark.parametrize('preset', ['pcg', 'pcg_thesis', 'mlp'])
-def test_a_step_is_that_of_the_numpy_twin(tmp_path, preset):
+def test_a_step_is_that_of_the_numpy_twin(data, preset):
     own = {'mode_edges': 0} if preset == 'mlp' else {}
-    model, group = make(write(str(tmp_path)), preset, rigid_particles=0, **own)
+    model, group = make(data, preset, rigid_particles=0, **own)
+    (position,), (force,) = models.steps(model, group)
     twin = WholeStateTwin if preset == 'mlp' else Twin
-    layout = model.layout(7)
-    state, known, _, _ = rollout.rollout_inputs(group.select(0), layout, model.simulator.scene)
-    coming = type(known)(known.offset[0], known.velocity[0])
-    after, force = model.simulator.step(state, coming, None, layout)
     expected, expected_force = twin(model, 7).step(
         group.position[0, :H], group.position[0, H, :7], None
     )
-    np.testing.assert_allclose(after.offset[0] + layout.origin, expected, atol=1e-5)
-    assert force.shape == (1, 6)
-    size = np.abs(expected_force).max()
-    np.testing.assert_allclose(force[0], expected_force, atol=1e-4 * size)
+    np.testing.assert_allclose(position, expected, atol=1e-5)
+    assert force.shape == (6,)
+    np.testing.assert_allclose(force, expected_force, atol=1e-4 * np.abs(expected_force).max())
 
 
 def test_training_windows_hold_the_force_on_each(made):
     model, group = made
-    trainer = Trainer(model, [group])
-    (tensors,) = trainer._tensors
-    s = model.simulator.statistics
-    force = tensors.windows(8, H + 1, tf.constant([1, 2]))[2]
-    run, start = (x.numpy() for x in tensors.picks(8, H + 1, tf.constant([1, 2])))
+    (tensors,) = Trainer(model, [group])._tensors
+    s, seed = model.simulator.statistics, tf.constant([1, 2])
+    force = tensors.windows(8, H + 1, seed).load
+    run, start = (x.numpy() for x in tensors.picks(8, H + 1, seed))
     expected = (group.force[run, start + H] - s.force_mean) / s.force_std
     np.testing.assert_allclose(force[:, H], expected, rtol=1e-4, atol=1e-5)
 
@@ -116,11 +114,10 @@ def test_rollout_files_hold_the_total_and_each(made, tmp_path):
         str(tmp_path), 'test', [(0, group.select(0), result)], {}, {}
     )
     arrays = files.read_npz(written[0])
-    assert arrays['predicted_body_forces'].shape == (position.shape[1], 2, 3)
-    np.testing.assert_allclose(
-        arrays['predicted_body_forces'].sum(axis=1), arrays['predicted_forces'], rtol=1e-5
-    )
-    np.testing.assert_allclose(arrays['ground_truth_forces'], arrays['predicted_forces'], rtol=1e-5)
+    each, total = arrays['predicted_body_forces'], arrays['predicted_forces']
+    assert each.shape == (position.shape[1], 2, 3)
+    np.testing.assert_allclose(each.sum(axis=1), total, rtol=1e-5)
+    np.testing.assert_allclose(arrays['ground_truth_forces'], total, rtol=1e-5)
 
 
 def test_live_steps_by_particles_give_the_force_on_each(made):
@@ -143,20 +140,20 @@ def test_bodies_that_move_by_themselves_are_refused_before_any_work(tmp_path, mo
         make(write(str(tmp_path), motions))
 
 
-def test_what_knows_one_body_says_so(made, tmp_path):
-    model, group = made
-    with pytest.raises(ValueError, match='the C form knows one'):
-        model_data.values(model, 7)
-    with pytest.raises(ValueError, match='predict_torque knows one'):
-        make(write(str(tmp_path)), predict_torque=True)
-    with pytest.raises(ValueError, match='7 nodes, not 6'):
-        s = model.simulator
-        Layout(model.layout(7), 6, s.scene, s.statistics, True)
+def test_what_knows_one_body_says_so(made, data):
+    model, _ = made
+    s = model.simulator
+    for message, call in (
+        ('the C form knows one', lambda: model_data.values(model, 7)),
+        ('predict_torque knows one', lambda: make(data, predict_torque=True)),
+        ('7 nodes, not 6', lambda: Layout(model.layout(7), 6, s.scene, s.statistics, s.config)),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 def test_damaged_numbers_of_bodies_are_refused(made):
-    model, _ = made
-    scene, statistics = model.simulator.scene, model.simulator.statistics
+    scene, statistics = made[0].simulator.scene, made[0].simulator.statistics
     scene.check()
     statistics.check(scene)
     with pytest.raises(ValueError, match='body'):

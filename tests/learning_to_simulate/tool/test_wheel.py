@@ -61,9 +61,7 @@ def test_nothing_stirs_before_the_wheel_does():
     at_rest = slice(0, 6)
     assert not found.bins[at_rest, :, wheel.INFLUENCE].any()
     assert found.bins[0, :, wheel.CUT].max() == pytest.approx(0.006, abs=1e-5)
-    np.testing.assert_array_equal(
-        found.bins[0, :, wheel.CUT], found.bins[0, :, wheel.FIRST_CUT]
-    )
+    np.testing.assert_array_equal(found.bins[0, :, wheel.CUT], found.bins[0, :, wheel.FIRST_CUT])
     assert found.bins[-1, :, wheel.INFLUENCE].max() == 1
     far = np.abs(world.GRID.offsets) > wheel.REACH + 0.06 + 0.04
     assert not found.bins[-1, far, wheel.INFLUENCE].any()
@@ -75,9 +73,7 @@ def test_the_bed_under_the_wheel_is_level_with_its_neighbours():
     surface = bed.surface.copy()
     surface[:, np.abs(world.GRID.offsets) < 0.02] -= 0.006
     plane = world.path()[:1]
-    drive, rut = wheel.start(
-        world.GRID, bed._replace(surface=surface), world.SIZE[None], plane[0]
-    )
+    drive, rut = wheel.start(world.GRID, bed._replace(surface=surface), world.SIZE[None], plane[0])
     np.testing.assert_allclose(rut.surface, world.SURFACE)
     assert drive.sunk == pytest.approx(0.006)
 

@@ -1,6 +1,6 @@
-"""The simulator once more in plain numpy and float64, written from the equations and edge by edge.
+"""The simulator once more in plain numpy and float64, written from the equations.
 
-It shares no code with the package but the stored statistics and weights.
+It shares no code with the package but the stored statistics and weights. B is a batch of graphs.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ def _norm(x, scale, offset):
 
 
 class Twin:
-    """One step of a `Model` for one run.
+    """One step of a `Model`.
 
     Args:
       model: the model.
@@ -24,142 +24,148 @@ class Twin:
     def __init__(self, model, n_rigid):
         s = model.simulator
         self.s, self.config, self.scene = s.statistics, s.config, s.scene
-        self.n_rigid, self.r = n_rigid, s.scene.n_modes
+        self.n, self.r, self.up = n_rigid, s.scene.n_modes, s.scene.up_axis
         layout = model.layout(n_rigid)
-        self.edges = list(zip(layout.senders.tolist(), layout.receivers.tolist()))
+        self.senders, self.receivers = layout.senders, layout.receivers
         self.weights = {
             v.name.split(':')[0]: v.numpy().astype(float) for v in s.trainable_variables
         }
-        self.types = s.particle_types
-        self.rated = self.config.rate_scaled and self.scene.rigid_motion in ('prescribed', 'driven')
+        self.k = np.array([0] * n_rigid + list(range(1, self.r + 1)))  # classes
+        self.is_ours, self.driven = self.config.style == 'ours', self.scene.rigid_motion == 'driven'
+        self.known = self.driven or self.scene.rigid_motion == 'prescribed'
+        # Rows of the embedding; those of further bodies come behind those of the modes.
+        counts = [count for _, count in self.scene.bodies]
+        body = np.searchsorted(np.cumsum(counts), np.arange(n_rigid), side='right') if counts else 0
+        self.rows = self.k.copy()
+        self.rows[:n_rigid] += np.where(np.asarray(body) > 0, self.r + body, 0)
+        if not self.is_ours:
+            self.rows = np.where(self.k == 0, *s.particle_types)
+
+    def given(self, body):
+        """Positions or moves [B, R, 3] of a body, less the mean height that is not given."""
+        body = body.copy()
+        if self.driven:
+            body[..., self.up] -= body[..., self.up].mean(-1, keepdims=True)
+        return body
+
+    def rate(self, coming):
+        """[B, 1, 1] given displacement of the body [B, R, 3] over its mean in training."""
+        if not (self.config.rate_scaled and self.known):
+            return np.ones((len(coming), 1, 1))
+        speed = np.sqrt((self.given(coming) ** 2).sum(-1).mean(-1)) / self.s.body_speed[0]
+        return np.maximum(speed, 0.05)[:, None, None]
+
+    def inputs(self, position, velocity, coming, context):
+        """Name -> values [B, V, w] of nodes, [B, R, w] of the body, or [B, 1, w] of the scene.
+
+        Args:
+          position: [B, V, 3] of the newest frame, noise included.
+          velocity: [B, H - 1, V, 3], newest last.
+          coming: [B, R, 3] displacement of the body in the coming frame.
+          context: [B, C] or None.
+        """
+        s, k, c, n = self.s, self.k, self.config, self.n
+        rate = self.rate(coming)
+        v = (velocity[:, H - 1 - c.velocity_inputs :] / rate[:, None]).swapaxes(0, 1)
+        found = {'velocity': np.concatenate((v - s.velocity_mean[k]) / s.velocity_std[k], -1)}
+        if self.is_ours:
+            found['offset'] = (position - s.origin[k]) / s.position_std[k]
+            if c.velocity_inputs > 1:
+                a = (np.diff(v, axis=0) - s.acceleration_mean[k]) / s.acceleration_std[k]
+                found['acceleration'] = np.concatenate(a, -1)
+        if c.rate_scaled and self.known:
+            found['rate'] = np.concatenate([np.log(rate), rate], -1)
+        if self.is_ours and self.known:
+            found['coming'] = (self.given(coming) / rate - s.velocity_mean[0]) / s.velocity_std[0]
+        if self.is_ours and self.driven:
+            height = (position[:, :n, self.up] - s.origin[0, self.up]).mean(-1) / s.height_std[0]
+            change = velocity[:, :, :n, self.up].mean(-1) / s.height_velocity_std[0]
+            height = np.concatenate([height[:, None], change], -1)[:, None]
+            found['height'] = np.repeat(height, n, axis=1)
+        if 'learned_simulator/embedding' in self.weights:
+            table = self.weights['learned_simulator/embedding'][self.rows]
+            found['embedding'] = np.broadcast_to(table, (len(position), *table.shape))
+        if context is not None:
+            values = [(context - s.context_mean) / s.context_std]
+            if self.is_ours:
+                values.append((np.log(context) - s.log_context_mean) / s.log_context_std)
+            found['context'] = np.concatenate(values, -1)[:, None]
+        return found
+
+    def network(self, position, velocity, coming, context=None):
+        """Normalised target [B, V, 3] and loads [B, F]; arguments of `inputs`."""
+        found = self.inputs(position, velocity, coming, context)
+        nodes = np.zeros((*position.shape[:2], sum(x.shape[-1] for x in found.values())))
+        start = 0
+        for x in found.values():
+            n = self.n if x.shape[1] == self.n and x.shape[1] != 1 else nodes.shape[1]
+            nodes[:, :n, start : start + x.shape[-1]] = x
+            start += x.shape[-1]
+        pair = self.k[self.receivers], self.k[self.senders]
+        d = position[:, self.senders] - position[:, self.receivers]
+        d = (d - self.s.displacement_mean[pair]) / self.s.displacement_std[pair]
+        length = np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-6)
+        p = 'learned_simulator/encode_process_decode/'
+        n = self._mlp(p + 'encoder/node_model/', nodes)
+        e = self._mlp(p + 'encoder/edge_model/', np.concatenate([d, length], -1))
+        for m in range(self.config.message_passing_steps):
+            block = f'{p}processor_{m}/'
+            ends = [e, n[:, self.receivers], n[:, self.senders]]
+            messages = self._mlp(block + 'edge_block/', np.concatenate(ends, -1))
+            received = np.zeros_like(n)
+            for edge, receiver in enumerate(self.receivers):
+                count = (self.receivers == receiver).sum() if self.is_ours else 1
+                received[:, receiver] += messages[:, edge] / count
+            update = self._mlp(block + 'node_block/', np.concatenate([received, n], -1))
+            n, e = n + update, e + messages
+        out = self._mlp(p, n, 'decoder')
+        return out[..., :3], out[..., 3:].mean(axis=1)
 
     def _mlp(self, prefix, x, name='mlp'):
         w = {k[len(prefix) :]: v for k, v in self.weights.items() if k.startswith(prefix)}
-        for i in range(3):
+        for i in range(self.config.hidden_layers + 1):
             x = x @ w[f'{name}/linear_{i}/w'] + w[f'{name}/linear_{i}/b']
-            x = np.maximum(x, 0) if i < 2 else x
+            x = np.maximum(x, 0) if i < self.config.hidden_layers else x
         return x if name == 'decoder' else _norm(x, w['layer_norm/scale'], w['layer_norm/offset'])
 
-    def _class(self, node):
-        return 0 if node < self.n_rigid else 1 + node - self.n_rigid
-
-    def _row(self, node):
-        """Row of the embedding by class; those of further bodies come behind those of the modes."""
-        counts = [count for _, count in self.scene.bodies]
-        body = sum(node >= end for end in np.cumsum(counts[:-1])) if node < self.n_rigid else 0
-        return self.r + body if body else self._class(node)
+    def moves(self, target, velocity, coming):
+        """[B, V, 3] that a normalised target stands for."""
+        order = np.where(self.k == 0, self.config.rigid_order, self.config.mode_order)[:, None]
+        found = target * self.s.target_std[self.k] + self.s.target_mean[self.k]
+        return found * self.rate(coming) + np.where(order == 2, velocity[:, -1], 0.0)
 
     def step(self, history, next_body, context):
-        """The next positions and the force, and behind it the torque where that is predicted.
+        """The next positions [V, 3] and the force, and the torque behind it where it is predicted.
 
         Args:
           history: [H, V, 3] absolute positions.
           next_body: [R, 3] true rigid positions of the coming frame.
           context: [C] or None.
         """
-        s, c, n_node = self.s, self.config, history.shape[1]
-        velocity = np.diff(history, axis=0)
-        body_now, up = history[-1, : self.n_rigid], self.scene.up_axis
-        coming = next_body - body_now
-        driven = self.scene.rigid_motion == 'driven'
-        shape_change = coming.copy()
-        if driven:
-            shape_change[:, up] -= coming[:, up].mean()
-        rate = 1.0
-        if self.rated:
-            rate = max(np.sqrt((shape_change**2).sum(1).mean()) / s.body_speed[0], 0.05)
-        nodes = []
-        for i in range(n_node):
-            k = self._class(i)
-            v = velocity[-c.velocity_inputs :, i] / rate
-            row = [((v - s.velocity_mean[k]) / s.velocity_std[k]).ravel()]
-            if c.style == 'ours':
-                row.append((history[-1, i] - s.origin[k]) / s.position_std[k])
-                if c.velocity_inputs > 1:
-                    a = np.diff(v, axis=0)
-                    row.append(((a - s.acceleration_mean[k]) / s.acceleration_std[k]).ravel())
-            if self.rated:
-                row.append([np.log(rate), rate])
-            if c.style == 'ours' and self.scene.rigid_motion in ('prescribed', 'driven'):
-                known = np.zeros(3)
-                if k == 0:
-                    known = (shape_change[i] / rate - s.velocity_mean[0]) / s.velocity_std[0]
-                row.append(known)
-            if c.style == 'ours' and driven:
-                height = np.zeros(H)
-                if k == 0:
-                    height[0] = (body_now[:, up] - s.origin[0, up]).mean() / s.height_std[0]
-                    height[1:] = velocity[:, : self.n_rigid, up].mean(1) / s.height_velocity_std[0]
-                row.append(height)
-            table = self.weights['learned_simulator/embedding']
-            row.append(
-                table[self._row(i)] if c.style == 'ours' else table[self.types[0 if k == 0 else 1]]
-            )
-            if context is not None:
-                row.append((context - s.context_mean) / s.context_std)
-                if c.style == 'ours':
-                    row.append((np.log(context) - s.log_context_mean) / s.log_context_std)
-            nodes.append(np.concatenate(row))
-        edges = []
-        for sender, receiver in self.edges:
-            pair = self._class(receiver), self._class(sender)
-            d = history[-1, sender] - history[-1, receiver]
-            d = (d - s.displacement_mean[pair]) / s.displacement_std[pair]
-            edges.append(np.append(d, max(np.linalg.norm(d), 1e-6)))
-        out = self._network(np.array(nodes), np.array(edges))
+        s, n, up = self.s, self.n, self.up
+        position, velocity = history[-1], np.diff(history, axis=0)[None]
+        coming = (next_body - position[:n])[None]
+        context = None if context is None else context[None]
+        target, load = self.network(position[None], velocity, coming, context)
+        moves = self.moves(target, velocity, coming)[0]
+        if self.driven:
+            shape = self.given(next_body[None])[0] - self.given(position[None, :n])[0]
+            moves[:n] = shape + moves[:n, up].mean() * np.eye(3)[up]
+        elif self.known:
+            moves[:n] = next_body - position[:n]
         mean, std = s.force_mean, s.force_std
-        if c.predict_torque:
+        if self.config.predict_torque:
             mean, std = np.append(mean, s.torque_mean), np.append(std, s.torque_std)
-        load = out[:, 3:].mean(0) * std + mean
-        load = load * self._share(history[-1], next_body)
-        return self._integrate(history, velocity, out[:, :3], next_body, rate, driven), load
+        return position + moves, (load[0] * std + mean) * self._share(position, next_body)
 
     def _share(self, now, body):
         """What a body at [R, 3] may show of its force, with the modes of now."""
-        s, up = self.s, self.scene.up_axis
-        if s.contact is None:
+        if self.s.contact is None:
             return 1.0
-        (axis, clear), least = s.contact, np.inf
-        offset = (now[self.n_rigid :] - s.origin[1:]).ravel()
-        for place, height, *weights in s.surface:
+        (axis, clear), least = self.s.contact, np.inf
+        offset = (now[self.n :] - self.s.origin[1:]).ravel()
+        for place, height, *weights in self.s.surface:
             surface = height + offset @ weights
             for point in body:
-                least = min(least, point[up] - surface + 0.5 * abs(point[int(axis)] - place))
+                least = min(least, point[self.up] - surface + 0.5 * abs(point[int(axis)] - place))
         return float(np.clip((clear + 0.005 - least) / 0.005, 0, 1))
-
-    def _network(self, nodes, edges):
-        p = 'learned_simulator/encode_process_decode/'
-        n = self._mlp(p + 'encoder/node_model/', nodes)
-        e = self._mlp(p + 'encoder/edge_model/', edges)
-        for m in range(self.config.message_passing_steps):
-            block = p + f'processor_{m}/'
-            inputs = [np.concatenate([e[k], n[r], n[s]]) for k, (s, r) in enumerate(self.edges)]
-            messages = self._mlp(block + 'edge_block/', np.array(inputs))
-            received = np.zeros_like(n)
-            for i in range(len(n)):
-                arriving = [messages[k] for k, (_, r) in enumerate(self.edges) if r == i]
-                if arriving:
-                    total = np.sum(arriving, axis=0)
-                    received[i] = total / len(arriving) if self.config.style == 'ours' else total
-            update = self._mlp(block + 'node_block/', np.concatenate([received, n], -1))
-            n, e = n + update, e + messages
-        return self._mlp(p, n, 'decoder')
-
-    def _integrate(self, history, velocity, out, next_body, rate, driven):
-        position, up = history[-1].copy(), self.scene.up_axis
-        moves = np.empty_like(position)
-        for i in range(len(position)):
-            k = self._class(i)
-            order = self.config.rigid_order if k == 0 else self.config.mode_order
-            moves[i] = (out[i] * self.s.target_std[k] + self.s.target_mean[k]) * rate
-            if order == 2:
-                moves[i] += velocity[-1, i]
-        body = slice(0, self.n_rigid)
-        if self.scene.rigid_motion == 'prescribed':
-            moves[body] = next_body - position[body]
-        elif driven:
-            moves[body] = moves[body, up].mean() * np.eye(3)[up]
-            shape = next_body.copy()
-            shape[:, up] += position[body, up].mean() - next_body[:, up].mean()
-            moves[body] += shape - position[body]
-        return position + moves

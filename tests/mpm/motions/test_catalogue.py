@@ -1,4 +1,8 @@
-"""What an id means."""
+"""What an id means, and what holds for the motions of all kinds."""
+
+import hashlib
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -7,6 +11,7 @@ from mpm import scenes
 from mpm.motions import catalogue, checks, drawn_tools, grid
 from mpm.motions.operator_paths import operator_drive
 from mpm.motions.recording import Recording
+from tests.mpm import small
 
 TIMES = np.linspace(0, 5, 30)
 
@@ -105,7 +110,54 @@ def test_bad_seeds_are_refused(seeds, kinds, words):
 
 def test_runs_are_named_by_case_or_by_kind_and_seed():
     scene = scenes.EXCAVATION
-    assert catalogue.select_runs(scene, ['lift_3', '21']) == (21, 'lift_0003')
-    for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999']):
+    assert catalogue.select_runs(scene, ['lift_3', ' 21']) == (21, 'lift_0003')
+    assert catalogue.select_runs(scenes.WHEEL, ['full']) == tuple(range(1, 244))
+    assert catalogue.select_runs(scene, ['mini']) == scenes.mini_cases(scene)
+    for names in ([], ['lift_0003', 'lift_3'], ['21', '21'], ['slip_0001'], ['999'], ['0'], ['']):
         with pytest.raises(ValueError):
             catalogue.select_runs(scene, names)
+
+
+KINDS = [(name, kind) for name, kinds in catalogue.KINDS.items() for kind in kinds]
+# A press goes down by 5 cm in a twentieth of a second.
+QUICK = ('press', 'free', 'actuated')
+
+
+@pytest.mark.parametrize(('name', 'kind'), KINDS)
+def test_motions_fit_into_their_bin_and_are_smooth(name, kind):
+    for drawn in small.drawn(name, kind):
+        drive, whole = drawn.drive, drawn.whole
+        checks.check_drive(drive, drawn.box, drawn.motion.frames, 8)
+        # Where a bucket turns from one lowest corner to the next, its depth is smooth and its
+        # reference point is not.
+        moving = np.stack([whole[:, 0], drawn.depth(whole), *whole.T[2:]], axis=1)
+        if drive.body.is_wheel:
+            moving[:, 1] = whole[:, 1]
+        velocity = np.diff(moving, axis=0) / small.DT
+        acceleration = np.diff(velocity, axis=0) / small.DT
+        assert np.abs(velocity[0]).max() < 1e-3
+        # From rest, and no jump beside the largest value: a step of a millisecond changes little,
+        # where a jump would be all of it.
+        for values in (velocity,) if kind in QUICK else (velocity, acceleration):
+            jump = np.abs(np.diff(values, axis=0)).max(axis=0)
+            assert (jump <= 0.2 * np.abs(values).max(axis=0) + 1e-9).all()
+
+
+def _digest(drawn):
+    motion = drawn.motion
+    parameters = repr((motion.parameters, motion.ground)).encode()
+    return hashlib.sha256(drawn.whole.tobytes() + parameters).hexdigest()
+
+
+def test_motions_are_functions_of_kind_and_seed():
+    """In another process as well; no two are the same."""
+    kinds = [(name, kind) for name, kind in KINDS if kind != 'tools']
+    code = (
+        'from tests.mpm.motions.test_catalogue import KINDS, _digest, catalogue, scenes, small\n'
+        'small.range = lambda count: (3,)\n'
+        f'for name, kind in {kinds}: print(_digest(small.drawn(name, kind)[0]))\n'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    for (name, kind), there in zip(kinds, done.stdout.split(), strict=True):
+        digests = [_digest(drawn) for drawn in small.drawn(name, kind)]
+        assert digests[3] == there and len(set(digests)) == len(digests), kind

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from mpm.motions.levels import Levels
+from mpm.motions.levels import Levels, Track
 
 LEVELS = Levels(np.array([0.0, 0.7, 1.0, 2.5, 3.1]), np.array([0.0, 0.12, 0.12, -0.05, 0.0]))
 
@@ -49,3 +49,12 @@ def test_integral_goes_on_at_the_last_level():
 def test_times_that_do_not_ascend_are_refused(times):
     with pytest.raises(ValueError, match='ascending'):
         Levels(np.array(times), np.zeros(2))
+
+
+def test_a_track_keeps_what_is_not_named():
+    track = Track(x=1.0, y=2.0)
+    track.add(0.5, x=3.0)
+    track.add(0.25, y=-1.0)
+    assert (track.times, track.time, track.last('x')) == ([0.0, 0.5, 0.75], 0.75, 3.0)
+    assert track.values == {'x': [1.0, 3.0, 3.0], 'y': [2.0, 2.0, -1.0]}
+    np.testing.assert_array_equal(track.levels('y')(np.array([0.0, 0.75])), [2.0, -1.0])

@@ -1,64 +1,27 @@
-"""Paths of an operator: functions of kind and seed, within their limits, smooth, of their kind."""
-
-import subprocess
-import sys
-from typing import NamedTuple
+"""Paths of an operator: within their limits, and of their kind."""
 
 import numpy as np
 import pytest
 
 from mpm import bodies, scenes
-from mpm.motions import catalogue, checks, operator_paths
-from mpm.motions.drive import Drive
-from mpm.motions.operator_paths import KINDS, TURNS, operator_drive
-
-SCENE = scenes.EXCAVATION
-SEEDS = {'tools': 20}  # of kinds that are slow to draw; 80 of the others
-STEPS = 16
-DT = 1.0 / 60.0 / STEPS
+from mpm.motions import operator_paths
+from mpm.motions.operator_paths import KINDS, TURNS
+from tests.mpm import small
+from tests.mpm.small import DT, STEPS
 
 
-def scene_of(kind):
-    return catalogue.in_bin(SCENE, operator_paths.BINS.get(kind))
-
-
-class Path(NamedTuple):
-    """A drive, its parameters, and float64 [T, 4] poses: of the whole run, of the recorded part."""
-
-    drive: Drive
-    parameters: dict
-    whole: np.ndarray
-    poses: np.ndarray
-
-    def depth(self, poses):
-        """Of the lowest point below the flat surface, m."""
-        return SCENE.bin.surface - poses[:, 1] - bodies.lowest(self.drive.body, poses[:, 2])
-
-    @property
-    def leans(self):
-        """The range of its kind of tool, deg."""
-        is_polygon = len(self.drive.body.outline) > 2
-        return operator_paths.BUCKET_LEANS if is_polygon else (0.0, bodies.MAX_LEAN_DEG)
-
-
-@pytest.fixture(scope='module', params=KINDS)
+@pytest.fixture(params=KINDS)
 def paths(request):
-    """(kind, the paths of its first seeds)."""
-    made = []
-    for seed in range(SEEDS.get(request.param, 80)):
-        drive, parameters = operator_drive(scene_of(request.param), request.param, seed)
-        frames = drive.lead_in + parameters.get('frames', 320)
-        whole = drive.pose(np.arange(frames * STEPS + 1) * DT)
-        made.append(Path(drive, parameters, whole, whole[drive.lead_in * STEPS :]))
-    return request.param, made
+    """(kind, its paths)."""
+    return request.param, small.drawn('excavation', request.param)
 
 
 def test_limits_are_kept(paths):
     kind, made = paths
     for path in made:
-        box, whole = scene_of(kind).bin, path.whole
-        checks.check_drive(path.drive, box, len(path.poses) // STEPS, STEPS)
-        lean, (low, high) = -np.degrees(whole[:, 2]), path.leans
+        whole, body = path.whole, path.drive.body
+        low, high = operator_paths.BUCKET_LEANS if len(body.outline) > 2 else (0.0, 60.0)
+        lean = -np.degrees(whole[:, 2])
         assert lean.min() >= low - 1e-9 and lean.max() <= high + 1e-9
         assert path.depth(whole).max() <= operator_paths.MAX_DEPTH + 1e-9
         speed = np.abs(np.diff(path.poses[:, 0])) / DT
@@ -82,10 +45,9 @@ def test_no_soil_is_squeezed_against_the_wall_behind(paths):
     The generator looks at whole frames and at central differences, hence the margins.
     """
     kind, made = paths
-    box = scene_of(kind).bin
-    wall = scenes.CORNER + box.size[0]
     pushes = 0
     for path in made:
+        wall = scenes.CORNER + path.box.size[0]
         x, y, angle, _ = path.whole.T
         depth = path.depth(path.whole)
         back = np.stack([np.cos(angle), np.sin(angle)])
@@ -94,23 +56,6 @@ def test_no_soil_is_squeezed_against_the_wall_behind(paths):
         pushes += pushing.any()
         assert (wall - x[1:] - depth[1:])[pushing].min(initial=1.0) > 0.12 - 3e-3
     assert pushes >= (kind != 'trench')  # backs do push, away from the wall
-
-
-def test_velocity_and_acceleration_are_continuous(paths):
-    _, made = paths
-    for path in made[:40]:
-        # Of what the story draws: x, depth, lean. Where a bucket turns from one lowest corner to
-        # the next, its depth is smooth and its reference point is not.
-        x, y, angle, _ = path.poses.T
-        drawn = np.stack([x, path.depth(path.poses), angle], axis=1)
-        velocity = np.diff(drawn, axis=0) / DT
-        acceleration = np.diff(velocity, axis=0) / DT
-        # From rest, and no jump beside the largest value (of a piece that the end cuts, of what is
-        # seen of it): a step of a millisecond changes little, where a jump would be all of it.
-        assert np.abs(velocity[0]).max() < 1e-3
-        for values in (velocity, acceleration):
-            jump = np.abs(np.diff(values, axis=0)).max(axis=0)
-            assert (jump <= 0.2 * np.abs(values).max(axis=0) + 1e-9).all()
 
 
 def test_each_plot_shows_what_it_is_for(paths):
@@ -135,9 +80,9 @@ def test_each_plot_shows_what_it_is_for(paths):
             out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)[0]
             assert is_below[out + 1 :].sum() >= 45
         if kind == 'trench':
-            assert 1.1 < np.ptp(x) < 1.6 and path.parameters['frames'] > 320
+            assert 1.1 < np.ptp(x) < 1.6 and path.motion.frames > 320
         else:
-            assert 'frames' not in path.parameters
+            assert path.motion.frames == 320
 
 
 def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
@@ -165,59 +110,34 @@ def test_an_earlier_pass_cuts_the_bed_before_the_first_frame(paths):
         assert (depth[1:][moves] < 0.0).all()
 
 
+def parameters_of(*kinds):
+    return [path.parameters for kind in kinds for path in small.drawn('excavation', kind)]
+
+
 def test_passes_lie_beside_each_other():
-    drawn = [operator_drive(scene_of('beside'), 'beside', seed) for seed in range(60)]
-    ways, passes = [], []
-    for drive, parameters in drawn:
-        width = 2 * drive.body.half_width
-        ways.append(max(abs(offset) for offset in parameters['offsets_m']) / width)
-        passes.append(len(parameters['offsets_m']))
+    found = parameters_of('beside')
+    ways = [max(map(abs, p['offsets_m'])) / p['blade_width_m'] for p in found]
     assert max(ways) <= operator_paths.FARTHEST + 1e-3 and min(ways) < 0.3
-    assert set(passes) == {1, 2}
+    assert {len(p['offsets_m']) for p in found} == {1, 2}
 
 
 def test_soils_lie_within_the_law():
-    grounds = [operator_drive(SCENE, 'soils', seed)[1]['ground'] for seed in range(60)]
-    angles = [ground['friction_angle_deg'] for ground in grounds]
-    assert 28.0 <= min(angles) < 31.0 and 40.0 < max(angles) <= 43.0
-    assert {ground.get('gravity') for ground in grounds} == {None, 1.62, 3.72}
-    densities = [ground['bulk_density'] for ground in grounds if 'bulk_density' in ground]
-    assert 5 < len(densities) < 30 and min(densities) >= 1300.0 and max(densities) <= 1900.0
-    assert all(len(ground) < 3 for ground in grounds)  # density or gravity, not both
-    motion = catalogue.motion_of(SCENE, 'soils_0000')
-    assert motion.ground.friction_angle_deg == angles[0] and 'ground' not in motion.parameters
-
-
-def test_path_is_a_function_of_kind_and_seed(paths):
-    kind, made = paths
-    ends = np.array([path.poses[-1] for path in made])
-    assert len(np.unique(ends.round(9), axis=0)) == len(made)
-    code = (
-        'import numpy as np; from mpm.scenes import EXCAVATION\n'
-        'from mpm.motions import catalogue, operator_paths\n'
-        f'scene = catalogue.in_bin(EXCAVATION, operator_paths.BINS.get({kind!r}))\n'
-        f'd, p = operator_paths.operator_drive(scene, {kind!r}, 17)\n'
-        'print(d.pose(np.linspace(0, 9, 50)).tobytes().hex(), p)'
-    )
-    run = [sys.executable, '-c', code]
-    other = subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
-    here = made[17].drive.pose(np.linspace(0, 9, 50)).tobytes().hex()
-    assert other == f'{here} {made[17].parameters}'
+    grounds = [path.motion.ground for path in small.drawn('excavation', 'soils')]
+    angle, density, gravity = np.array(grounds).T
+    usual = scenes.Ground()
+    assert 28.0 <= angle.min() < 31.0 and 40.0 < angle.max() <= 43.0
+    assert set(gravity) == {usual.gravity, 1.62, 3.72}
+    is_other = density != usual.bulk_density
+    assert 2 < is_other.sum() < 15 and density.min() >= 1300.0 and density.max() <= 1900.0
+    assert (gravity[is_other] == usual.gravity).all()  # density or gravity, not both
 
 
 def test_bodies_starts_and_leans_differ():
     kinds = (*TURNS, 'halts')
-    drawn = [operator_drive(SCENE, kind, seed) for kind in kinds for seed in range(40)]
-    widths = [parameters['blade_width_m'] for _, parameters in drawn]
+    found = parameters_of(*kinds)
+    widths = [p['blade_width_m'] for p in found]
     assert set(widths) == {0.30, bodies.BLADE_WIDTH}
     assert 0.2 < np.mean(np.array(widths) == 0.30) < 0.4
-    assert 0.1 < np.mean([p['lean_max_deg'] > 45.0 for _, p in drawn]) < 0.4
-    start = np.array([drive.pose(np.zeros(1))[0, 0] for drive, _ in drawn])
+    assert 0.1 < np.mean([p['lean_max_deg'] > 45.0 for p in found]) < 0.4
+    start = np.array([d.whole[0, 0] for kind in kinds for d in small.drawn('excavation', kind)])
     assert 0.3 < np.mean(np.isclose(start, 0.82)) < 0.7 and start.min() < 0.65
-
-
-def test_unknown_kind_and_negative_seed_are_refused():
-    with pytest.raises(ValueError, match="unknown kind 'dig'.*smooth"):
-        operator_drive(SCENE, 'dig', 0)
-    with pytest.raises(ValueError, match='-1'):
-        operator_drive(SCENE, 'lift', -1)

@@ -1,82 +1,96 @@
-"""Rows are kept, made once, and judged."""
+"""Results are kept, made once, chosen by name, and judged."""
 
 import json
 import pathlib
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from mpm import verify, versions
-from mpm.verification import rows
-from mpm.verification.rows import Check, Table, reported
+from mpm import verify
+from mpm.verification import anchors, ladder, rows, similarity
+from mpm.verification.rows import Check
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 
-def test_rows_are_written_when_made_and_not_made_again(tmp_path):
-    path, made = str(tmp_path / 'verify.json'), []
+def test_results_are_written_when_made_and_not_made_again(tmp_path):
+    path, made = str(tmp_path / 'new' / 'verify.json'), []
 
-    def make():
+    def first():
         made.append(1)
-        return [Check('a', np.float64(1.02), 1.0, 0.05, 'note'), reported('b', 7.0, '')]
+        return [Check('a', np.float64(1.02), 1.0, 0.05, 'note'), Check('b', 7.0)]
 
-    Table(path).add('first', make)
-    table = Table(path)
-    table.add('first', make)
-    assert len(made) == 1
+    jobs = {('entries', 'first'): rows.kept_checks(first), ('entries', 'second'): lambda: 1 / 0}
     with pytest.raises(ZeroDivisionError):
-        table.add('second', lambda: [1 / 0])
-    table.add('third', lambda: [Check('c', 2.0, 1.0, 0.05, '')])
-    again = Table(path)
-    assert list(again.entries) == ['first', 'third'] and again.failed == ['c']
-    lines = again.text().splitlines()
-    assert len(lines) == 5 and '| a (note) | 1.02 | 1 | 0.05 | pass |' in lines[2]
-    assert '| b | 7 |  |  | reported |' in lines[3] and '**FAIL**' in lines[4]
+        rows.make(path, jobs)
+    third = rows.kept_checks(lambda: [Check('c', 2.0, 1.0, 0.05)])
+    rows.make(path, jobs | {('entries', 'third'): third, ('cases', 'x', 'y'): dict}, ['first', 'i'])
+    content = rows.read_kept(path)
+    assert list(content['entries']) == ['first', 'third'] and len(made) == 1
+    assert set(content['entries']['first']) == {'cpu_s', 'checks'} and 'cases' not in content
+    lines = rows.table(path).splitlines()
+    assert lines[2:] == [
+        '| a | 1.02 | 1 | 0.05 |  |', '| b | 7 |  |  |  |', '| c | 2 | 1 | 0.05 | **fails** |'
+    ]  # fmt: skip
+    assert verify.show(path).endswith('2 of 3 checks pass; 0 s of CPU\n\nfailed: c')
+    # A line for each result.
+    rows.make(path, {('cases', 'x', 'y'): lambda: {'many': [1, 2, 3]}})
+    assert pathlib.Path(path).read_text().count('\n') == 12
 
 
 @pytest.mark.parametrize('figure', [0.94, 1.06, float('nan')])
 def test_figure_outside_its_bounds_fails(figure):
-    assert not Check('a', figure, 1.0, 0.05, '').passed
+    assert not Check('a', figure, 1.0, 0.05).passed
 
 
-@pytest.mark.parametrize('content', ['{', '[]', '{"solver_version": "2"}'])
-def test_other_files_are_refused(tmp_path, content):
+@pytest.mark.parametrize('content', ['{', '[]', '{"solver_version": "4"}'])
+def test_files_of_others_are_refused(tmp_path, content):
     path = tmp_path / 'verify.json'
     path.write_text(content)
-    with pytest.raises(ValueError, match='not a table of checks'):
-        Table(str(path))
+    with pytest.raises(
+        ValueError, match='verify.json(: is not a JSON file| is not of solver version)'
+    ):
+        rows.make(str(path), {})
 
 
-def test_rows_of_another_solver_are_refused(tmp_path):
+def test_unknown_names_are_refused_before_anything_is_made(tmp_path):
     path = tmp_path / 'verify.json'
-    path.write_text(json.dumps({'solver_version': '1', 'entries': {}}))
-    with pytest.raises(ValueError, match='solver version 1'):
-        Table(str(path))
-
-
-def test_unknown_rows_are_refused_before_any_is_made(tmp_path):
-    path = tmp_path / 'verify.json'
-    with pytest.raises(ValueError, match="unknown rows \\['nonsense'\\]; there are free_fall"):
-        verify.run_rows_of(str(tmp_path), str(path), ['free_fall', 'nonsense'])
+    with pytest.raises(ValueError, match="no row 'nonsense'; there are free_fall, shear"):
+        rows.make(str(path), verify.jobs('raw'), ['free_fall', 'nonsense'])
     assert not path.exists()
 
 
-def test_cheap_rows_pass(tmp_path):
-    table = verify.run_rows_of(str(tmp_path), str(tmp_path / 'v.json'), ['free_fall', 'momentum'])
-    assert len(table.entries) == 2 and not table.failed
+@pytest.mark.parametrize(
+    ('report', 'made'),
+    [
+        ('verify', verify.jobs('raw')), ('ladder', ladder.jobs()), ('anchors', anchors.jobs()),
+        ('similarity', similarity.jobs()),
+    ],
+)  # fmt: skip
+def test_kept_results_are_those_that_a_report_makes(report, made):
+    """The README shows them as they are (`tests/test_documents.py`)."""
+    content = rows.read_kept(str(ROOT / 'mpm' / 'verification' / f'{report}.json'))
+    depths = {place[0]: len(place) for place in made}
+
+    def places(inner, depth):
+        return {()} if not depth else {
+            (name, *rest) for name, kept in inner.items() for rest in places(kept, depth - 1)
+        }  # fmt: skip
+
+    for top in content.keys() - {'solver_version'}:
+        assert {(top, *rest) for rest in places(content[top], depths[top] - 1)} <= made.keys()
+    assert len(content) > 1
 
 
-def test_record_holds_rows_that_the_command_makes():
-    """The README shows the record as it is (`tests/test_documents.py`)."""
-    made = list(verify.rows_of('raw'))
-    kept = Table(str(ROOT / 'mpm' / 'verification' / 'verify.json')).entries
-    assert kept and set(kept) <= set(made)
-
-
-def test_reports_of_another_solver_are_refused(tmp_path):
-    path = tmp_path / 'ladder.json'
-    assert rows.read_kept(str(path)) == {'solver_version': versions.SOLVER_VERSION}
-    for text in ('{"solver_version": "4", "cases": {}}', '[]'):
-        path.write_text(text)
-        with pytest.raises(ValueError, match='is not of solver version'):
-            rows.read_kept(str(path))
+def test_command_makes_rows_and_tells_of_a_failure(tmp_path):
+    path = tmp_path / 'v.json'
+    command = [sys.executable, '-m', 'mpm.verify', f'--json={path}', '--rows=free_fall']
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert '2 of 2 checks pass' in done.stdout
+    content = json.loads(path.read_text())
+    content['entries']['free_fall']['checks'][0]['passed'] = False
+    path.write_text(json.dumps(content))
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 1 and 'failed: free fall: relative error' in done.stdout

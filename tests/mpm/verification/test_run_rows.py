@@ -1,4 +1,4 @@
-"""The figures that are read from a run, on made-up runs."""
+"""The figures that are read from a run, on made-up runs, and pairs of runs on a coarse scene."""
 
 import os
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mpm import raw_run, run, scenes
-from mpm.motions import grid
+from mpm.simulation import Settings
 from mpm.verification import run_rows
+from tests.mpm import small
 
 
 @pytest.mark.parametrize('share', [0.0, 0.02, 0.2])
@@ -39,7 +40,7 @@ def test_cutting_is_at_constant_speed_and_about_level(case):
     made = made_up(case)
     frames = run_rows.cutting_force(made).astype(int)
     assert len(frames) > 60 and (np.diff(frames) == 1).all()
-    pose = grid.make_drive(scenes.EXCAVATION, made.parameters).pose(frames / 60)
+    pose = run_rows.path_of(made.parameters)[frames]
     slope = np.abs(np.diff(pose[:, 1]) / np.diff(pose[:, 0]))
     assert slope.max() < 0.36
     way = -np.diff(pose[:, 0]) * 60
@@ -54,16 +55,8 @@ def test_rows_of_all_runs_simulate_some_where_there_are_none(tmp_path, monkeypat
         made.append((scene.name, tuple(cases)))
         os.makedirs(folder)
         parameters = {'penetration_deepest_cells': 0.1, 'penetration_inside': 0}
-        entries = [
-            {
-                'file': f'{case}.npz',
-                'case': case,
-                'bytes': 0,
-                'sha256': '',
-                'parameters': parameters,
-            }
-            for case in cases
-        ]
+        entry = {'bytes': 0, 'sha256': '', 'parameters': parameters}
+        entries = [{'file': f'{case}.npz', 'case': case} | entry for case in cases]
         raw_run.write_manifest(folder, scene, entries)
 
     monkeypatch.setattr(run_rows, 'generate', generate)
@@ -71,3 +64,19 @@ def test_rows_of_all_runs_simulate_some_where_there_are_none(tmp_path, monkeypat
         (check,) = run_rows.leak(scene, str(tmp_path))
         assert check.figure == 0.1
     assert made == [(scene.name, run_rows.FIRST_CASES[scene.name])]
+
+
+def test_pairs_tell_what_changes():
+    (step,) = run_rows.halved_step(small.BLADE, 186, 25)
+    assert 0.0 < abs(step.figure) < 0.01 and step.passed and '25 frames' in step.note
+    rows = run_rows.short_cut('sleep', small.BLADE, 186, 12)
+    assert [row.passed for row in rows] == [True, True]
+
+
+def test_steps_in_single_precision_change_a_run_by_rounding_alone():
+    """Against the same kernels in float64: not equal, and not more apart than rounding explains."""
+    force, simulation = run_rows.drive(small.BLADE, 186, 12, Settings())
+    exact, other = run_rows.drive(small.BLADE, 186, 12, Settings(single=False))
+    apart = np.abs(simulation.positions() - other.positions()).max()
+    assert 0.0 < apart < 2e-6  # m; measured 1e-7
+    assert np.abs(force - exact).max() < 2e-4 * np.abs(exact).max()

@@ -4,31 +4,34 @@ import numpy as np
 import pytest
 
 from mpm import bodies, packing
-from mpm.constitutive import make_soil
 from mpm.grid import make_grid
+from mpm.motions.drive import poses
 from mpm.scenes import CORNER, EARTH_GRAVITY, Bin
 from mpm.solver import Solver
+from tests.mpm import small
 
-BLADE, WHEEL = bodies.make_blade(0.12), bodies.make_wheel(0.15)
 BOX = Bin((1.2, 0.12, 0.24), 0.04, 0.04, (30, 3, 6), 1, 0.4, ())
 
 
 def moving(body, start, height, speed=0.4):
     def path(times):
-        still = 0.0 * times
-        lowest = CORNER + 0.12 + height
-        return np.stack(
-            [start - speed * times, still + lowest, 0.1 - times, still + CORNER + 0.12], axis=1
+        return poses(
+            times, CORNER + start - speed * times, CORNER + 0.12 + height, 0.1 - times, 0.22
         )
 
     return body, path
 
 
-def pushed(moved, intervals=27):
+BLADE = moving(bodies.make_blade(0.12), 0.4, -0.01)
+WHEEL, ABOVE, NEAR = (
+    moving(bodies.make_wheel(0.15), *place) for place in ((0.9, 0.06), (0.9, 0.3), (0.45, 0.06))
+)
+
+
+def pushed(*moved, intervals=27):
     """Particles after a push, and the mean force on each body."""
-    soil = make_soil(1.5e6, 0.7)
-    solver = Solver(make_grid(BOX), soil, packing.particle_volume(BOX))
-    rows = packing.at_rest(packing.lattice(BOX, 0), soil, BOX.surface, EARTH_GRAVITY)
+    solver = Solver(make_grid(BOX), small.SOIL, packing.particle_volume(BOX))
+    rows = packing.at_rest(packing.lattice(BOX, 0), small.SOIL, BOX.surface, EARTH_GRAVITY)
     block = solver.block(rows)
     times = solver.dt * np.arange(intervals * solver.steps + 1)
     given = tuple((body, path(times), None, None) for body, path in moved)
@@ -38,24 +41,20 @@ def pushed(moved, intervals=27):
 
 def test_each_is_treated_as_the_first_is():
     """Order changes nothing but the order of sums."""
-    blade, wheel = moving(BLADE, CORNER + 0.4, -0.01), moving(WHEEL, CORNER + 0.9, 0.06)
-    here, forces = pushed([blade, wheel])
-    there, swapped = pushed([wheel, blade])
+    here, forces = pushed(BLADE, WHEEL)
+    there, swapped = pushed(WHEEL, BLADE)
     assert np.abs(forces).max(axis=1).min() > 1.0  # both push
     np.testing.assert_allclose(here, there, rtol=0, atol=1e-9 * np.abs(here).max())
     np.testing.assert_allclose(forces, swapped[::-1], rtol=0, atol=1e-6 * np.abs(forces).max())
 
 
 def test_a_second_one_in_the_air_changes_no_bit():
-    blade, above = moving(BLADE, CORNER + 0.4, -0.01), moving(WHEEL, CORNER + 0.9, 0.3)
-    alone, force = pushed([blade])
-    both, forces = pushed([blade, above])
+    (alone, force), (both, forces) = pushed(BLADE), pushed(BLADE, ABOVE)
     np.testing.assert_array_equal(both, alone)
     np.testing.assert_array_equal(forces[0], force[0])
     assert not forces[1].any()
 
 
 def test_bodies_that_touch_the_same_soil_are_refused():
-    near = moving(WHEEL, CORNER + 0.45, 0.06)
     with pytest.raises(ValueError, match='so close that both may touch'):
-        pushed([moving(BLADE, CORNER + 0.4, -0.01), near])
+        pushed(BLADE, NEAR)

@@ -1,0 +1,82 @@
+"""Coarse scenes, their packings and simulations: the same code at a hundredth of the cost; and the
+first motions of each kind, in the scenes as they are."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from mpm import bodies, packing, run, scenes
+from mpm.constitutive import make_soil
+from mpm.experiments import coarse
+from mpm.motions import catalogue
+from mpm.motions.catalogue import Motion
+from mpm.simulation import Settings
+
+SOIL = make_soil(1.5e6, 0.76)
+BLADE, WHEEL = coarse(scenes.EXCAVATION), coarse(scenes.WHEEL)
+
+
+@functools.cache
+def _settled(box):
+    return packing.settle(box, SOIL, 0)
+
+
+def packed(scene):
+    """The settled particles of a scene and their statistics; made once, a copy for each."""
+    particles, statistics = _settled(scene.bin)
+    return particles.copy(), statistics
+
+
+def simulation(scene, case, particles=None, **settings):
+    """The simulation of a case (or of a `catalogue.Motion`) before its first frame."""
+    chosen = Settings(**settings)
+    motion = run.prepared(scene, case, chosen) if isinstance(case, int | str) else case
+    rows = packed(scene)[0] if particles is None else particles
+    return run.make_simulation(scene, motion, rows, chosen)
+
+
+def frames(made, count):
+    """Advances a simulation; force (N) and torque (N m) on its body, [count, 6]."""
+    return np.array([np.concatenate(made.frame()) for _ in range(count)])
+
+
+STEPS = 16  # a frame, of a path that is looked at
+DT = 1.0 / 60.0 / STEPS
+
+
+class Drawn(NamedTuple):
+    """A motion, its bin, and its poses at `DT`, float64 [T, 4]: all of them, the recorded ones."""
+
+    motion: Motion
+    box: scenes.Bin
+    whole: np.ndarray
+    poses: np.ndarray
+
+    @property
+    def drive(self):
+        """Of the motion."""
+        return self.motion.drive
+
+    @property
+    def parameters(self):
+        """Of the motion."""
+        return self.motion.parameters
+
+    def depth(self, poses):
+        """Of the lowest point below the flat surface, m."""
+        return self.box.surface - poses[:, 1] - bodies.lowest(self.motion.drive.body, poses[:, 2])
+
+
+@functools.cache
+def drawn(name, kind):
+    """The motions of the first seeds of a kind; few of tools, which are slow to draw."""
+    made, scene = [], scenes.SCENES[name]
+    for seed in range(8 if kind == 'tools' else 30):
+        case = catalogue.seed_case(kind, seed)
+        within = catalogue.in_bin(scene, catalogue.bin_name(scene, case))
+        motion = catalogue.motion_of(within, case)
+        whole = motion.drive.pose(np.arange(motion.simulated_frames * STEPS + 1) * DT)
+        recorded = whole[motion.drive.lead_in * STEPS :]
+        made.append(Drawn(motion, within.bin, whole, recorded))
+    return made

@@ -1,0 +1,67 @@
+"""What the flags of the command name, and what it refuses."""
+
+import pathlib
+import subprocess
+import sys
+import types
+
+import pytest
+
+from mpm import generate, scenes
+from mpm.motions.recording import Recording
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def chosen(scene, **values):
+    usual = {'cases': [], 'operator_seeds': None, 'kinds': None, 'path': [], 'tool': None}
+    usual |= {'blade_width': 0.3, 'like_case': 122}
+    return generate.chosen_runs(types.SimpleNamespace(scene=scene, **usual | values))
+
+
+def test_flags_choose_cases_then_seeds_then_paths():
+    seeds = {'operator_seeds': '9000-9001', 'kinds': 'press'}
+    scene, runs, tool = chosen('excavation', cases=['lift_3', '22'], path=['a.csv'], **seeds)
+    mine = Recording('a.csv', 122, 0.3)
+    assert runs == (22, 'lift_0003', 'press_9000', 'press_9001', mine)
+    assert scene is scenes.EXCAVATION and tool is None
+    assert chosen('wheel')[1] == ()
+
+
+@pytest.mark.parametrize(
+    ('values', 'words'),
+    [
+        ({'scene': 'excavation', 'cases': ['999']}, 'cases 1 to 250, got 999'),
+        ({'scene': 'wheel', 'cases': ['some']}, "wheel has no run 'some'"),
+        ({'scene': 'wheel', 'operator_seeds': '1', 'kinds': 'lift'}, r"kinds \['lift'\] of wheel"),
+        ({'scene': 'excavation', 'kinds': 'lift'}, 'give --operator_seeds'),
+        ({'scene': 'wheel', 'tool': 'nothing.json'}, "No such file or directory: 'nothing.json'"),
+        ({'scene': 'sea'}, "unknown scene 'sea'"),
+    ],
+)
+def test_bad_choices_are_refused(values, words):
+    with pytest.raises((ValueError, OSError), match=words):
+        chosen(**values)
+
+
+@pytest.mark.parametrize(
+    ('argument', 'words'),
+    [
+        ('--youngs_modulus=-1', 'youngs_modulus is -1.0, must lie in'),
+        ('--path=nothing.csv', "No such file or directory: 'nothing.csv'"),
+    ],
+)
+def test_command_ends_in_one_line(tmp_path, argument, words):
+    out = f'--output_path={tmp_path / "out"}'
+    command = [
+        sys.executable,
+        '-m',
+        'mpm.generate',
+        '--scene=excavation',
+        '--cases=1',
+        out,
+        argument,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 1 and not list(tmp_path.iterdir())
+    assert words in done.stderr and 'Traceback' not in done.stderr
