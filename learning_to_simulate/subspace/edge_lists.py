@@ -280,7 +280,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
     if kind.endswith('.npy'):
         mask = read_mask(kind)
         source = f'{name} (sha256 {files.sha256_of_file(kind)[:12]})'
-        return ModeEdges(*((mask, None) if len(mask) == n_modes else (None, mask)), source)
+        return ModeEdges(*((mask, None) if len(mask) == n_modes else (None, mask)), source)  # type: ignore[call-arg]
     edges = read(kind)
     try:
         edges.check_data(data_path)
