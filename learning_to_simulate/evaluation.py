@@ -23,15 +23,10 @@ METRICS_FILE = 'metrics.json'
 
 
 def roll_out_all(roll_out, groups, progress=iter) -> list:
-    """Rolls out every run of a split on its own.
-
-    Args:
-      roll_out: called with a one-run `RunGroup`, returns its `Rollout`.
-      groups: list of `RunGroup`.
-      progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+    """Rolls out every run of a list of `RunGroup` on its own; `progress` wraps the runs (`tqdm`).
 
     Returns:
-      list of (record index, one-run `RunGroup`, `Rollout`), sorted by record.
+      list of (record index, one-run `RunGroup`, its `Rollout`), sorted by record.
     """
     runs = sorted(
         ((int(g.record[i]), g.select(i)) for g in groups for i in range(len(g.position))),
@@ -64,11 +59,7 @@ class Evaluator:
         return roll_out(self._functions[key], group)
 
     def run(self, groups, split: str, progress=iter):
-        """Rolls out every run of a split; arguments as of `roll_out_all` and `summarise`.
-
-        Returns:
-          results of `roll_out_all`, metrics of `summarise`.
-        """
+        """Results of `roll_out_all` and metrics of `summarise` for the runs of a split."""
         results = roll_out_all(self.roll_out, groups, progress)
         return results, summarise(results, self._model, self._metadata, split, self._more)
 
@@ -216,13 +207,8 @@ def _summary(methods, truths, scene):
 
 
 def soil_of_run(group, rollout, scene):
-    """`SoilTruth` of a recorded run and the predicted particles [F, P, 3] that it is compared with.
-
-    Args:
-      group: one-run `RunGroup`.
-      rollout: its `rollout.Rollout`.
-      scene: of the model.
-    """
+    """`SoilTruth` of a one-run `RunGroup`, and the particles [F, P, 3] that its `Rollout` predicts
+    for it."""
     n = group.n_rigid
     recorded = group.with_left_modes(group.position, as_recorded=True)[0, :, n:]
     found = _Truths({'mode_number': scene.n_modes}, None, scene).of(group, recorded)

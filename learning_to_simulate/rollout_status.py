@@ -81,6 +81,19 @@ def widened(low, high, factor):
     return middle - factor * half, middle + factor * half
 
 
+def outside(status: RolloutStatus, measure: str, value: float, low: float, high: float) -> str:
+    """Why a value has a status; low and high are the range of training, not the wider one in which
+    all is well."""
+    twice = 'twice ' if status == RolloutStatus.LEFT_BOUNDS else ''
+    value += 0.0  # a 0 without sign
+    return f'{measure} {value:.4g} is outside {twice}[{low:.4g}, {high:.4g}] of training'
+
+
+def _limits(low, high, factor):
+    """[4, ...]: least and most that is not outside, and the range of training."""
+    return np.stack([*widened(low, high, factor), low, high])
+
+
 class Ranges:
     """The ranges of a model's training runs, for bodies of one size.
 
@@ -89,6 +102,13 @@ class Ranges:
       statistics: of the training runs.
       scene: says what of the body's motion is given.
       force_limit: N, the largest force of the training runs, or None if it is not known.
+
+    Attributes:
+      bounds, start_limits: [4, V, D] of predicted nodes, and of those of a start: least and most
+        that is not outside, then the range of training.
+      context: [4, C], likewise, or None.
+      motion: the same of a given body, or None: [4, D] of its coordinates, its displacements, its
+        extent, and [4, 1] of the root mean square of its displacement.
     """
 
     def __init__(self, n_rigid: int, statistics, scene, force_limit: float | None = None):
@@ -97,21 +117,18 @@ class Ranges:
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
         extra = 1 + 2 * RANGE_MARGIN
-        low, high = widened(*statistics.position_range, BOUNDS_FACTOR)  # type: ignore[call-arg]
-        self._bounds = low[node_class[self._first :]], high[node_class[self._first :]]
-        low, high = widened(*statistics.position_range, extra)  # type: ignore[call-arg]
-        self._start = low[node_class], high[node_class]
+        self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]
+        self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]
         self._force_limit = np.inf if force_limit is None else BOUNDS_FACTOR * force_limit
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
-        self._context = None
+        self.context = self.motion = None
         if statistics.context_range is not None:
             low, high = statistics.context_range
             more = RANGE_MARGIN * np.abs(low), RANGE_MARGIN * np.abs(high)
-            self._context = low - more[0], high + more[1], low, high
-        self._limits = None
+            self.context = np.stack([low - more[0], high + more[1], low, high])
         if scene.rigid_motion.is_known and statistics.given_range is not None:
-            self._limits = [
-                widened(*limits, extra)  # type: ignore[call-arg]
+            self.motion = [
+                _limits(*limits, extra)
                 for limits in (
                     statistics.given_range, statistics.given_velocity_range,
                     statistics.body_extent_range, statistics.body_speed_range,
@@ -130,7 +147,7 @@ class Ranges:
         body = position[: self._n]
         return (
             self._unlike_context(frame, context)
-            or _first_outside(RolloutStatus.EXTRAPOLATING, position, *self._start, frame)
+            or _first_outside(RolloutStatus.EXTRAPOLATING, position, self.start_limits, frame)
             or self._unlike_motion(frame, body, before)
             or OK
         )
@@ -158,11 +175,11 @@ class Ranges:
         return unlike or OK
 
     def _predicted(self, frame, position, force, torque):
-        low, high = self._bounds
-        predicted = position[self._first :]
+        bounds, predicted = self.bounds[:, self._first :], position[self._first :]
+        least, most = bounds[:2]
         size = 0.0 if force is None else float(np.dot(force, force)) ** 0.5
         turns = torque is None or np.isfinite(torque).all()
-        inside = ((predicted >= low) & (predicted <= high)).all()  # false for NaN as well
+        inside = ((predicted >= least) & (predicted <= most)).all()  # false for NaN as well
         if inside and size <= self._force_limit and np.isfinite(size) and turns:
             return OK
         bad = RolloutStatus.NON_FINITE
@@ -172,35 +189,32 @@ class Ranges:
             return Judgement(bad, frame, -1, 'force is not finite')
         if not turns:
             return Judgement(bad, frame, -1, 'torque is not finite')
-        outside = _first_outside(
-            RolloutStatus.LEFT_BOUNDS, predicted, low, high, frame, self._first
-        )
-        if outside:
-            return outside
+        left = _first_outside(RolloutStatus.LEFT_BOUNDS, predicted, bounds, frame, self._first)
+        if left:
+            return left
         reason = f'force {size:.4g} N is above {BOUNDS_FACTOR:g} x the largest of training'
         reason += f' ({self._force_limit:.4g} N)'
         return Judgement(RolloutStatus.LEFT_BOUNDS, frame, -1, reason)
 
     def _unlike_context(self, frame, context):
-        if self._context is None or context is None:
+        if self.context is None or context is None:
             return None
-        least, most, low, high = self._context
+        least, most, low, high = self.context
         inside = (context >= least) & (context <= most)
         if inside.all():
             return None
         i = int((~inside).argmax())
-        reason = f'{self._scene.context_names[i]} {context[i]:.4g} is outside '
-        reason += f'[{low[i]:.4g}, {high[i]:.4g}] of training'
-        return Judgement(RolloutStatus.EXTRAPOLATING, frame, -1, reason)
+        status, name = RolloutStatus.EXTRAPOLATING, self._scene.context_names[i]
+        return Judgement(status, frame, -1, outside(status, name, context[i], low[i], high[i]))
 
     def _unlike_motion(self, frame, body, before):
-        if self._limits is None:
+        if self.motion is None:
             return None
         if self._driven:  # the height is not given: the up component holds the shape only
             up = self._scene.up_axis
             body = without_height(body, up)
             before = None if before is None else without_height(before, up)
-        (low, high), *moving, (slowest, fastest) = self._limits
+        (low, high, *_), *moving, (slowest, fastest, *_) = self.motion
         extent = body.max(axis=0) - body.min(axis=0)
         good = ((body >= low) & (body <= high)).all()
         good &= ((extent >= moving[1][0]) & (extent <= moving[1][1])).all()
@@ -218,22 +232,22 @@ class Ranges:
             rows.insert(1, ('displacement', step, 1, 0))
             rows.append(('displacement of the body', speed, 3, -1))
         found = (
-            _first_outside(RolloutStatus.EXTRAPOLATING, x, *self._limits[which], frame, node, name)
+            _first_outside(RolloutStatus.EXTRAPOLATING, x, self.motion[which], frame, node, name)
             for name, x, which, node in rows
         )
         return next(filter(None, found), None)
 
 
-def _first_outside(status, values, low, high, frame, first_node=0, name='coordinate'):
-    """The first of values [V, D] outside [low, high] ([V, D] or [D]), or None; m, displacements per
-    frame."""
-    bad = ~((values >= low) & (values <= high))
+def _first_outside(status, values, limits, frame, first_node=0, name='coordinate'):
+    """The first of values [V, D] outside limits ([4, V, D] or [4, D]), or None; m, displacements
+    per frame."""
+    bad = ~((values >= limits[0]) & (values <= limits[1]))
     if not bad.any():
         return None
     node, axis = (int(i) for i in np.argwhere(bad)[0])
-    low, high = (np.broadcast_to(x, values.shape)[node, axis] for x in (low, high))
-    reason = f'{name} {"xyz"[axis] if values.shape[1] == 3 else ""}'.strip()
-    reason += f' {values[node, axis]:.4g} m is outside [{low:.4g}, {high:.4g}] m'
+    low, high = (np.broadcast_to(x, values.shape)[node, axis] for x in limits[2:])
+    measure = f'{name} {"xyz"[axis]} (m)' if values.shape[1] == 3 else f'{name} (m)'
+    reason = outside(status, measure, values[node, axis], low, high)
     return Judgement(status, frame, node + first_node, reason)
 
 

@@ -98,9 +98,9 @@ def define_flags() -> None:
     flags.DEFINE_float(
         'friction_angle_deg', None, 'Of the soil, 15 to 50 deg; default: what each run has.'
     )
-    flags.DEFINE_float('bulk_density', None, 'Of the packed soil, kg/m3; likewise.')
-    flags.DEFINE_float('gravity', None, 'm/s2; likewise.')
-    flags.DEFINE_float('tool_friction', None, 'Of soil on the tool; likewise.')
+    flags.DEFINE_float('bulk_density', None, 'Of the packed soil, kg/m3; the same.')
+    flags.DEFINE_float('gravity', None, 'Acceleration, m/s2; the same.')
+    flags.DEFINE_float('tool_friction', None, 'Coulomb coefficient of soil on the tool; the same.')
     flags.DEFINE_integer('seed', 0, 'Seed of the initial packing.')
 
 

@@ -67,7 +67,7 @@ DIGESTS = 'digests.json'
 class Selection(NamedTuple):
     """Which runs of a part are meant."""
 
-    limit: int | None = None  # only so many from the beginning of what the others leave
+    limit: int | None = None  # runs, from the beginning of what the others leave
     held: Mapping[str, set[str]] = MappingProxyType({})  # of `held_by`; these are left out
     splits: Sequence[str] = splits.SPLITS
 

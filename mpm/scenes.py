@@ -19,6 +19,7 @@ from mpm.constitutive import PACKED_DENSITY
 
 FRAME_RATE = 60.0
 FRAMES = 321  # the state before driving, then 320 driven frames
+DURATION = (FRAMES - 1) / FRAME_RATE  # s
 CORNER = 0.1  # m, lower corner of the bin on each axis
 EARTH_GRAVITY = 9.81
 

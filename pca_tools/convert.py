@@ -29,8 +29,8 @@ Examples:
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
-import tempfile
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -39,13 +39,11 @@ import numpy as np
 from absl import flags
 from tqdm import tqdm
 
-from pca_tools import command, dataset, files, particles, raw_writer, subspace, workers
-from pca_tools.encode import FLOOR_MODES, SUBSPACE_NAME, EncodedRun, encode_runs, make_metadata
-from pca_tools.metadata import METADATA_NAME, metadata_problems
+from pca_tools import command, encode, files, particles, raw_writer, subspace, workers
 from pca_tools.raw_runs import RawRuns, SoilPositions
 from pca_tools.splits import given_splits, split_cases
 from pca_tools.statistics import mean_share
-from pca_tools.storage.folder_lock import LOCK_NAME
+from pca_tools.storage import markdown
 
 DEFAULT_SPLIT = (0.8, 0.1, 0.1)
 # What must agree between raw runs and the dataset they are to fit; a scene may say more.
@@ -55,6 +53,10 @@ _SCENE_KEYS = (
 # Flags that say how a subspace is made and its runs dealt: with --like both are there.
 _FLAGS_WITHOUT_LIKE = (
     'num_modes', 'centering', 'split', 'seed', 'hold_out', 'frame_stride',
+)  # fmt: skip
+_FLAGS_AS_ARGUMENTS = (
+    'centering', 'seed', 'hold_out', 'frame_stride', 'max_memory_mb', 'like', 'overwrite',
+    'check_units', 'match_particles', 'cluster', 'packed',
 )  # fmt: skip
 
 
@@ -87,12 +89,12 @@ def convert(
     """
     if frame_stride < 1:
         raise ValueError(f'frame_stride is {frame_stride}, at least 1 was expected')
-    refuse_occupied_output(output_path, overwrite)
+    encode.refuse_occupied_output(output_path, overwrite)
     runs = RawRuns(raw_path)
-    base, space = (None, None) if like is None else load_base(like)
+    base, space = (None, None) if like is None else encode.load_space(like)
     if match_particles:
-        runs.match_particles(None if space is None else space.initial)
-    runs.check(check_units, progress_bar)
+        runs.match_particles(space and space.initial)
+    runs.check(check_units, space)
     without_pose = runs[0].rigid_pose is None and runs[0].body_pose is None
     if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(
@@ -100,110 +102,57 @@ def convert(
             'trained on them, the swept field cannot',
             stacklevel=2,
         )
-    if base is not None:
-        refuse_other_scene(like, base, runs)
-        _refuse_trained_on(like, base, runs)
-    if space is None:
-        parts = _deal(runs, split, seed, hold_out)
+    if base is None:
+        dealt = _deal(runs, split, seed, hold_out)
         with contextlib.nullcontext() if cluster is None else workers.start(cluster) as crew:
             wide = subspace.fit(
-                SoilPositions(runs, parts['train'], frame_stride), modes, centering, max_memory_mb,
-                names=[str(runs.cases[index]) for index in parts['train']], progress=progress_bar,
-                spare_modes=max(max(FLOOR_MODES) - modes, 0), crew=crew,
+                SoilPositions(runs, dealt['train'], frame_stride), modes, centering, max_memory_mb,
+                names=[str(runs.cases[index]) for index in dealt['train']],
+                progress=functools.partial(tqdm, unit='run'),
+                spare_modes=max(max(encode.FLOOR_MODES) - modes, 0), crew=crew,
             )  # fmt: skip
         space = wide.truncated(modes)
     else:
-        parts, wide = {'test': list(range(len(runs)))}, space
-    parts = {name: part for name, part in parts.items() if part}
+        refuse_other_scene(like, base, runs)
+        _refuse_trained_on(like, base, runs)
+        dealt, wide = {'test': list(range(len(runs)))}, space
     sampled = particles.choose_particles(space.initial)
-    encoded = encode_runs(runs, parts, wide, space.n_modes, sampled, progress_bar)
-    metadata = make_metadata(runs.world, encoded, space, frame_stride, base, packed)
-    problems = metadata_problems(metadata)
-    if problems:
-        raise ValueError(f'{raw_path}: gives impossible metadata: ' + '; '.join(problems))
-    write_dataset(output_path, encoded, space, sampled, metadata, overwrite)
+    parts = {
+        name: encode.encode_runs(runs, part, wide, space.n_modes, sampled)
+        for name, part in dealt.items()
+        if part
+    }
+    metadata = encode.make_metadata(parts, space, runs.world, base, frame_stride, packed)
+    encode.write(output_path, encode.Contents(parts, space, sampled, metadata), overwrite)
     return metadata
 
 
 def _deal(
-    runs: RawRuns,
-    split: Sequence[float] | None,
-    seed: int,
-    hold_out: Sequence[int | str],
+    runs: RawRuns, split: Sequence[float] | None, seed: int, hold_out: Sequence[int | str]
 ) -> dict[str, list[int]]:
     """Returns split -> indices of runs: as asked for, as the runs say, or by the default shares."""
     if split is None:
         given = [runs.parameters(index).get('split') for index in range(len(runs))]
-        parts = given_splits(runs.cases, given, hold_out)
-        if parts is not None:
+        if (parts := given_splits(runs.cases, given, hold_out)) is not None:
             return parts
     return split_cases(runs.cases, split or DEFAULT_SPLIT, seed, hold_out)
 
 
-def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
-    """Raises unless the output is absent, empty, or a finished dataset that may be replaced.
-
-    Raises:
-        ValueError: the folder holds something; the message says what to do.
-        OSError: nothing can be written beside it.
-    """
-    above = os.path.realpath(output_path)
-    if not os.path.ismount(above):  # which is filled from inside
-        above = os.path.dirname(above)
-    while not os.path.lexists(above):
-        above = os.path.dirname(above)
-    try:
-        tempfile.TemporaryDirectory(dir=above).cleanup()
-    except OSError as error:
-        raise OSError(error.errno, f'cannot write {output_path}: {error.strerror}') from error
-    if not os.path.exists(output_path):
-        return
-    if not os.path.isdir(output_path):
-        raise ValueError(f'{output_path}: is a file, a folder was expected')
-    held = set(os.listdir(output_path)) - {LOCK_NAME}  # of `append`
-    if not held:
-        return
-    if files.MANIFEST_NAME not in held or METADATA_NAME not in held:
-        raise ValueError(
-            f'{output_path}: is not empty and not a finished dataset; nothing was changed, name '
-            'another folder'
-        )
-    foreign = held - set(files.check_manifest(output_path) or ()) - {files.MANIFEST_NAME}
-    if foreign:
-        raise ValueError(
-            f'{output_path}: holds files that are not of the dataset ({sorted(foreign)[:5]}); '
-            'nothing was changed; move them away, or name another folder'
-        )
-    if not overwrite:
-        raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
-
-
-def load_base(like: str) -> tuple[dict[str, Any], subspace.Subspace]:
-    """Returns metadata and subspace of the dataset that new runs are to fit.
-
-    Raises:
-        FileNotFoundError, ValueError: there is none, or its files do not fit each other.
-    """
-    base = dataset.read_metadata(like)
-    space = subspace.Subspace.load(os.path.join(like, SUBSPACE_NAME))
-    if base.get('pca', {}).get('digest') != space.digest:
-        raise ValueError(f'{like}: {SUBSPACE_NAME} is not the one that the metadata names')
-    return base, space
-
-
 def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
     """Raises ValueError if the runs are of another scene than the dataset; warns of versions."""
-    scene = base.get('scene', {})
     for key in _SCENE_KEYS:
-        if scene.get(key) != runs.scene.get(key):
+        held, new = (scene.get(key) for scene in (base.get('scene', {}), runs.scene))
+        if held != new:
             raise ValueError(
-                f'{like}: is of another scene: its {key} is {scene.get(key)!r}, that of the '
-                f'raw runs {runs.scene.get(key)!r}'
+                f'{like}: is of another scene: its {key} is {held!r}, that of the raw runs {new!r}'
             )
     if base['dt'] != runs.dt:
         raise ValueError(f'{like}: has dt {base["dt"]}, the raw runs have {runs.dt}')
-    versions = {_solver_version(case) for case in base.get('cases', {}).get('train', [])}
-    new = {_solver_version(runs.parameters(index)) for index in range(len(runs.cases))}
+    trained = base.get('cases', {}).get('train', [])
+    versions, new = (
+        {str(case.get('solver_version', 'not stated')) for case in cases}
+        for cases in (trained, map(runs.parameters, range(len(runs))))
+    )
     if versions and not new <= versions:
         warnings.warn(
             f'{like}: its runs are of solver version {sorted(versions)}, the raw runs of '
@@ -213,92 +162,49 @@ def refuse_other_scene(like: str, base: dict[str, Any], runs: RawRuns) -> None:
 
 
 def _refuse_trained_on(like: str, base: dict[str, Any], runs: RawRuns) -> None:
-    trained = {kind_and_case(case) for case in base.get('cases', {}).get('train', [])}
-    known = [case for case, key in zip(runs.cases, keys_of(runs)) if key in trained]
+    trained = {run_key(case) for case in base.get('cases', {}).get('train', [])}
+    known = [
+        case
+        for index, case in enumerate(runs.cases)
+        if run_key({**runs.parameters(index), 'case': case}) in trained
+    ]
     if known:
         raise ValueError(f'{like}: was trained on the cases {known}; they are no test of it')
 
 
-def keys_of(runs: RawRuns) -> list[tuple[Any, str]]:
-    """Returns what tells each run from all others, see `kind_and_case`."""
-    return [
-        (runs.parameters(index).get('kind'), str(case)) for index, case in enumerate(runs.cases)
-    ]
-
-
-def _solver_version(parameters: dict[str, Any]) -> str:
-    return str(parameters.get('solver_version', 'not stated'))
-
-
-def kind_and_case(parameters: dict[str, Any]) -> tuple[Any, str]:
-    """Returns the key of a run: case numbers count anew in every kind (grid, driven paths)."""
+def run_key(parameters: dict[str, Any]) -> tuple[Any, str]:
+    """Returns what tells a run from all others: case numbers count anew in every kind (grid, driven
+    paths)."""
     return parameters.get('kind'), str(parameters.get('case'))
-
-
-def write_dataset(
-    output_path: str,
-    encoded: dict[str, list[EncodedRun]],
-    space: subspace.Subspace,
-    sampled: np.ndarray,
-    metadata: dict[str, Any],
-    overwrite: bool,
-) -> None:
-    """Writes all files beside the output, the manifest last, and then gives the folder its name."""
-
-    def fill(folder: str) -> None:
-        listed: dict[str, dict[str, Any]] = {METADATA_NAME: {}, SUBSPACE_NAME: {}}
-        files.write_json(os.path.join(folder, METADATA_NAME), metadata)
-        space.save(os.path.join(folder, SUBSPACE_NAME))
-        for name, part in encoded.items():
-            path = dataset.split_path(folder, name)
-            runs = [run.trajectory for run in part]
-            records = dataset.write_split(path, runs, metadata.get('packed', False))
-            listed[os.path.basename(path)] = {'records': records}
-            path = particles.sample_path(folder, name)
-            particles.write_sample(
-                path, [run.sample for run in part], sampled, space.initial[sampled]
-            )
-            listed[os.path.basename(path)] = {}
-        files.write_manifest(folder, listed)
-
-    files.write_folder_atomically(output_path, fill, replace=overwrite)
-
-
-def progress_bar(sequence, label: str):
-    """Wraps a pass over runs in a progress bar."""
-    return tqdm(sequence, desc=label, unit='run')
 
 
 def summary(metadata: dict[str, Any], output_path: str) -> str:
     """Returns the closing lines: counts, truncation error and motion kept by split."""
-    lines = [
+    floors, rows = metadata['projection_floors'], []
+    for split, values in metadata['projection_mse'].items():
+        kept = mean_share(metadata['motion_kept'][split], metadata['motion_mse'][split])
+        rows.append((
+            split, len(values), float(np.mean(values)), 1e3 * float(np.mean(values)) ** 0.5,
+            max(metadata['projection_max_mm'][split]), f'{100 * kept:.2f}',
+            *(1e3 * mse**0.5 for mse in floors[split]),
+        ))  # fmt: skip
+    header = (
+        'split', 'runs', 'truncated MSE [m^2]', 'RMS [mm]', 'farthest [mm]', 'motion kept [%]',
+        *(f'RMS that {count} modes leave [mm]' for count in floors['modes']),
+    )  # fmt: skip
+    entries = files.read_json(os.path.join(output_path, files.MANIFEST_NAME))['files'].values()
+    n_bytes = sum(entry['bytes'] for entry in entries)
+    return '\n'.join([
         f'{output_path}: scene {metadata["scene"]["name"]}, N = {metadata["n_soil"]}, '
         f'R = {metadata["particles_rigid"]}, r = {metadata["mode_number"]}, '
         f'T = {metadata["frames_stored"]}, centering {metadata["pca"]["centering"]}',
-        'split    runs   truncated MSE [m^2]   RMS [mm]  farthest [mm]   motion kept',
-    ]
-    floors = metadata['projection_floors']
-    for name, values in metadata['projection_mse'].items():
-        mse = float(np.mean(values))
-        kept = mean_share(metadata['motion_kept'][name], metadata['motion_mse'][name])
-        lines.append(
-            f'{name:<8}{len(values):>5}{mse:>22.3e}{1e3 * mse**0.5:>11.3f}'
-            f'{max(metadata["projection_max_mm"][name]):>15.2f}{100 * kept:>13.2f}%'
-        )
-    for name in metadata['projection_mse']:
-        cells = ', '.join(
-            f'{1e3 * mse**0.5:.3f} with {count}'
-            for count, mse in zip(floors['modes'], floors[name])
-        )
-        lines.append(f'RMS [mm] that modes leave, {name}: {cells}')
-    entries = files.read_json(os.path.join(output_path, files.MANIFEST_NAME))['files'].values()
-    n_bytes = sum(entry['bytes'] for entry in entries)
-    n_runs = sum(map(len, metadata['projection_mse'].values()))
-    return '\n'.join([*lines, f'{n_runs} runs in {1e-6 * n_bytes:.1f} MB'])
+        markdown.table(header, rows, aligned=True),
+        f'{sum(row[1] for row in rows)} runs in {1e-6 * n_bytes:.1f} MB',
+    ])  # fmt: skip
 
 
 def define_flags() -> None:
-    """Defines the flags; not at import, so that several commands can be imported together."""
+    """Defines the flags."""
     flags.DEFINE_string('raw_path', None, 'Folder of raw solver runs.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the new dataset.')
     flags.DEFINE_integer('num_modes', 8, 'Number of modes r to keep.')
@@ -353,12 +259,9 @@ def main(values) -> None:
         if not values.output_path:
             return
     metadata = convert(
-        values.raw_path, values.output_path, modes=values.num_modes, centering=values.centering,
-        split=values.split and [float(share) for share in values.split], seed=values.seed,
-        hold_out=values.hold_out, frame_stride=values.frame_stride,
-        max_memory_mb=values.max_memory_mb, like=values.like, overwrite=values.overwrite,
-        check_units=values.check_units, match_particles=values.match_particles,
-        cluster=values.cluster, packed=values.packed,
+        values.raw_path, values.output_path, modes=values.num_modes,
+        split=values.split and [float(share) for share in values.split],
+        **{name: values[name].value for name in _FLAGS_AS_ARGUMENTS},
     )  # fmt: skip
     print(summary(metadata, values.output_path))
 

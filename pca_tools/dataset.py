@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,15 +23,9 @@ import numpy as np
 from pca_tools import files, packing, rigid_fit, tfrecord_io
 from pca_tools.metadata import DIM, METADATA_NAME, SPLITS, read_metadata
 
-__all__ = [
-    'KINEMATIC_PARTICLE_ID', 'MODE_PARTICLE_ID', 'RIGID_PARTICLE_ID', 'SPLITS', 'Trajectory',
-    'read_metadata', 'read_split', 'split_path', 'trajectory_problems', 'write_split',
-]  # fmt: skip
-
 RIGID_PARTICLE_ID = 0
 KINEMATIC_PARTICLE_ID = 3
 MODE_PARTICLE_ID = 6
-NUM_PARTICLE_TYPES = 9
 # Scores are packed to within half of it, m; float32 resolves 2.4e-7 of scores near 3 m.
 SCORE_RESOLUTION = 1e-6
 # Largest distance (m) of a rigid particle from where the pose puts it for it to be left out.
@@ -118,14 +112,11 @@ def split_path(folder: str, split: str) -> str:
 
 
 def read_split(folder: str, split: str) -> list[Trajectory]:
-    """Reads all runs of a split and checks each against the metadata and the manifest.
+    """Returns all runs of a split, in file order, each checked against metadata and manifest.
 
     Args:
         folder: dataset folder, ours or the authors' (which have neither manifest nor scene).
         split: train, valid or test.
-
-    Returns:
-        The runs, in file order.
 
     Raises:
         FileNotFoundError: the folder, its metadata or the split is missing.
@@ -176,26 +167,25 @@ def read_records_as_trajectories(path: str) -> list[Trajectory]:
 
 
 def _trajectory_from_record(record: tfrecord_io.SequenceRecord, where: str) -> Trajectory:
-    particle_type = node_types(record, where)
+    particle_type = record.node_types(where)
+    shapes = {'position': (None, DIM), **FRAME_SERIES}
     if record.packed:
         try:
             series = _unpacked(record.packed, particle_type)
         except ValueError as error:
             raise ValueError(f'{where}: {error}') from error
     else:
-        names = [name for name in ('position', *FRAME_SERIES) if name in record.frames]
-        widths = {'position': len(particle_type) * DIM}
-        widths |= {n: math.prod(s) for n, s in FRAME_SERIES.items() if None not in s}
+        widths = {name: math.prod(shape) for name, shape in shapes.items() if None not in shape}
+        widths['position'] = len(particle_type) * DIM
         series = {
-            name: stack_frames(record.frames[name], widths.get(name), f'{where}: {name}')
-            for name in names
+            name: record.series(name, widths.get(name), where)
+            for name in shapes
+            if name in record.frames
         }
-    for name, shape in {'position': (None, DIM), **FRAME_SERIES}.items():
-        if name in series:
-            values = series[name]
-            if values.shape[1] % math.prod(filter(None, shape)):
-                raise ValueError(f'{where}: {name} has {values.shape[1]} values a frame')
-            series[name] = values.reshape(len(values), *(size or -1 for size in shape))
+    for name, values in series.items():
+        if values.shape[1] % math.prod(filter(None, shapes[name])):
+            raise ValueError(f'{where}: {name} has {values.shape[1]} values a frame')
+        series[name] = values.reshape(len(values), *(size or -1 for size in shapes[name]))
     return Trajectory(record.key, particle_type, **series)
 
 
@@ -245,36 +235,6 @@ def _rigid_shape(rigid: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
     return shape if apart < POSE_TOLERANCE else None
 
 
-def node_types(record: tfrecord_io.SequenceRecord, where: str) -> np.ndarray:
-    """Returns the particle types of a record, int64 [V].
-
-    Raises:
-        ValueError: they are no row of int64; `where` names the record.
-    """
-    if len(record.particle_type) % 8 or not record.particle_type:
-        raise ValueError(
-            f'{where}: particle_type has {len(record.particle_type)} bytes, a positive multiple '
-            'of 8 (int64) was expected'
-        )
-    return np.frombuffer(record.particle_type, '<i8').astype(np.int64)
-
-
-def stack_frames(frames: list[bytes], values: int | None, where: str) -> np.ndarray:
-    """Stacks per-frame float32 buffers to [T, values]; None takes the size of the first frame."""
-    if not frames:
-        raise ValueError(f'{where}: has no frames')
-    expected = len(frames[0]) if values is None else 4 * values
-    if expected % 4 or not expected:
-        raise ValueError(f'{where}: frame 0 has {expected} bytes, not a whole number of float32')
-    for index, frame in enumerate(frames):
-        if len(frame) != expected:
-            raise ValueError(
-                f'{where}: frame {index} has {len(frame)} bytes, {expected} were expected '
-                f'({expected // 4} float32); the node count of the record and its buffers disagree'
-            )
-    return np.frombuffer(b''.join(frames), '<f4').astype(np.float32).reshape(len(frames), -1)
-
-
 def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> list[str]:
     """Returns what is wrong with a run under a dataset's metadata, one sentence each.
 
@@ -299,31 +259,32 @@ def trajectory_problems(trajectory: Trajectory, metadata: dict[str, Any]) -> lis
         problems.append(
             f'has {trajectory.n_frames} frames, sequence_length + 1 = {frames} were expected'
         )
-    for name, values, statistics in (
-        ('force', trajectory.force, metadata.get('rigid_body_force_mean')),
-        ('step_context', trajectory.step_context, metadata.get('context_mean')),
-    ):
-        if (values is None) != (statistics is None):
-            key = 'rigid_body_force_mean' if name == 'force' else 'context_mean'
-            present, absent = (f'the record has {name}', f'metadata lacks {key}')
-            if values is None:
-                present, absent = (f'metadata has {key}', f'the record lacks {name}')
-            problems.append(f'{present} but {absent}')
-        elif values is not None:
-            if values.shape[1] != len(statistics):
-                problems.append(
-                    f'{name} has {values.shape[1]} values, the metadata {len(statistics)}'
-                )
-            if len(values) != trajectory.n_frames:
-                problems.append(f'{name} has {len(values)} frames, position {trajectory.n_frames}')
-            problems += _non_finite_problems(values, name)
-    for name in FRAME_SERIES.keys() - {'force', 'step_context'}:
+    for name, key in (('force', 'rigid_body_force_mean'), ('step_context', 'context_mean')):
+        values = getattr(trajectory, name)
+        if values is None and key in metadata:
+            problems.append(f'metadata has {key} but the record lacks {name}')
+        elif values is not None and key not in metadata:
+            problems.append(f'the record has {name} but metadata lacks {key}')
+        elif values is not None and values.shape[-1] != len(metadata[key]):
+            problems.append(
+                f'{name} has {values.shape[-1]} values, the metadata {len(metadata[key])}'
+            )
+    return problems + _series_problems(trajectory)
+
+
+def _series_problems(trajectory: Trajectory) -> list[str]:
+    """Returns what is wrong with the shapes and values of a run."""
+    problems = []
+    for name, shape in {'position': (len(trajectory.particle_type), DIM), **FRAME_SERIES}.items():
         values = getattr(trajectory, name)
         if values is not None:
-            if not has_shape(values, trajectory.n_frames, FRAME_SERIES[name]):
-                problems.append(f'{name} has {values.shape} for {trajectory.n_frames} frames')
-            problems += _non_finite_problems(values, name)
-    return problems + _non_finite_problems(trajectory.position, 'position')
+            if not has_shape(values, trajectory.n_frames, shape):
+                problems.append(
+                    f'{name} has shape {values.shape}, {trajectory.n_frames} frames of {shape} '
+                    'were expected'
+                )
+            problems += non_finite_problems(values, name)
+    return problems
 
 
 def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
@@ -333,56 +294,39 @@ def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
     )
 
 
-def _non_finite_problems(values: np.ndarray, name: str) -> list[str]:
+def non_finite_problems(values: np.ndarray, name: str, point: str = 'node') -> list[str]:
+    """Returns a sentence that counts values that are not finite, with the place of the first.
+
+    Args:
+        values: [T, points, axes] or [T, axes].
+        name: of the series.
+        point: what a point is called.
+    """
     bad = np.argwhere(~np.isfinite(values))
     if not len(bad):
         return []
-    first = ', '.join(
-        f'{axis} {index}'
-        for axis, index in zip(('frame', 'node', 'axis')[: values.ndim - 1], bad[0])
-    )
+    axes = ('frame', 'axis') if values.ndim == 2 else ('frame', point, 'axis')
+    first = ', '.join(f'{axis} {index}' for axis, index in zip(axes, bad[0]))
     return [f'{name} holds {len(bad)} NaN or infinite values, the first at {first}']
 
 
 def write_split(path: str, trajectories: Sequence[Trajectory], packed: bool = False) -> int:
-    """Writes runs as a TFRecord file, whole or not at all.
+    """Writes runs as a TFRecord file, whole or not at all; returns the number of records.
 
     Args:
         path: `<folder>/<split>.tfrecord`.
         trajectories: the runs, in file order.
         packed: the form of the records, see above.
 
-    Returns:
-        The number of records.
-
     Raises:
         ValueError: shapes that do not fit each other, or NaN.
         OSError: the file could not be written.
     """
-    return tfrecord_io.write_records(path, list(_records_of(path, trajectories, packed)))
-
-
-def _records_of(
-    path: str, trajectories: Iterable[Trajectory], packed: bool
-) -> Iterable[tfrecord_io.SequenceRecord]:
-    for index, trajectory in enumerate(trajectories):
-        where = f'{path}: record {index}'
-        nodes = len(trajectory.particle_type)
-        frames = {}
-        for name, shape in {'position': (nodes, DIM), **FRAME_SERIES}.items():
-            values = getattr(trajectory, name)
-            if values is None:
-                continue
-            if not has_shape(values, trajectory.n_frames, shape):
-                raise ValueError(
-                    f'{where}: {name} has shape {values.shape}, {trajectory.n_frames} frames of '
-                    f'{shape} were expected'
-                )
-            problems = _non_finite_problems(values, name)
-            if problems:
-                raise ValueError(f'{where}: {problems[0]}')
-            if not packed:
-                frames[name] = [frame.tobytes() for frame in np.ascontiguousarray(values, '<f4')]
-        types = np.ascontiguousarray(trajectory.particle_type, '<i8').tobytes()
-        series = _packed(trajectory) if packed else {}
-        yield tfrecord_io.SequenceRecord(int(trajectory.key), types, frames, series)
+    records = []
+    for index, run in enumerate(trajectories):
+        if problems := _series_problems(run):
+            raise ValueError(f'{path}: record {index}: {problems[0]}')
+        series = {name: getattr(run, name) for name in ('position', *FRAME_SERIES)}
+        record = tfrecord_io.SequenceRecord.of(run.key, run.particle_type, {} if packed else series)
+        records.append(dataclasses.replace(record, packed=_packed(run) if packed else {}))
+    return tfrecord_io.write_records(path, records)

@@ -1,24 +1,31 @@
-"""From raw runs to what a dataset stores of them: scores, particles, and what was lost."""
+"""What a dataset holds of its runs, in memory: made of raw runs, read from a folder, written.
+
+A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
+split (`particles_<split>.npz`) and a manifest. `convert`, `append` and `subset` only choose which
+runs these are.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import statistics
+import tempfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
-from pca_tools import dataset, matching, packing, particles
-from pca_tools.metadata import DIM, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
+from pca_tools import dataset, files, packing, particles
+from pca_tools.metadata import METADATA_NAME, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.statistics import motion_statistics
-from pca_tools.subspace import Subspace
+from pca_tools.storage.folder_lock import LOCK_NAME
+from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
 # The truncation error is measured at these numbers of modes, and at the number that is kept.
 FLOOR_MODES = (8, 16, 24, 48)
-SUBSPACE_NAME = 'subspace.npz'
 # DeepMind's key; the subspace graphs only scale edge features by it (the authors' value).
 CONNECTIVITY_RADIUS = 0.025
 
@@ -42,43 +49,65 @@ class EncodedRun:
     sample: tuple[bytes, int]
 
 
+Parts = Mapping[str, Sequence[EncodedRun]]  # by split
+
+
+@dataclasses.dataclass(frozen=True)
+class Contents:
+    """A whole dataset in memory.
+
+    Attributes:
+        parts: split -> runs, in the order of their records.
+        space: their subspace.
+        sampled: int [P], which particles are kept as such.
+        metadata: of `make_metadata`.
+    """
+
+    parts: Parts
+    space: Subspace
+    sampled: np.ndarray
+    metadata: dict[str, Any]
+
+    def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Contents:
+        """Returns a dataset of other runs in the same subspace, with the same statistics.
+
+        Args:
+            parts: its runs; splits without any are left out.
+            world: `scene`, `bounds` and `dt` of those that are new.
+        """
+        parts = {split: part for split, part in parts.items() if part}
+        base = self.metadata
+        metadata = make_metadata(
+            parts, self.space, world or base, base, packed=base.get('packed', False)
+        )
+        return dataclasses.replace(self, parts=parts, metadata=metadata)
+
+
 def encode_runs(
-    runs: RawRuns,
-    parts: Mapping[str, Sequence[int]],
-    space: Subspace,
-    n_modes: int,
-    sampled: np.ndarray,
-    progress=lambda sequence, label: sequence,
-) -> dict[str, list[EncodedRun]]:
-    """Projects all runs, one in memory at a time.
+    runs: RawRuns, indices: Sequence[int], space: Subspace, n_modes: int, sampled: np.ndarray
+) -> list[EncodedRun]:
+    """Projects raw runs, one in memory at a time.
 
     Args:
         runs: the raw runs.
-        parts: split -> indices into `runs`.
+        indices: which of them.
         space: subspace of at least `n_modes` modes; further ones only give floors.
         n_modes: r, modes in the records.
         sampled: int [P], particles to keep as such.
-        progress: wraps the pass, called with the sequence and a label.
-
-    Returns:
-        split -> encoded runs.
 
     Raises:
-        ValueError: a run is damaged, or its particles are not those of the subspace.
+        ValueError: a run is damaged.
     """
-    kept = space.truncated(n_modes)
-    encoded: dict[str, list[EncodedRun]] = {name: [] for name in parts}
-    order = [(name, index) for name, indices in parts.items() for index in indices]
-    for name, index in progress(order, 'encode'):
+    kept, encoded = space.truncated(n_modes), []
+    for index in tqdm(indices, desc='encode', unit='run'):
         run = runs[index]
-        _refuse_other_particles(run, space)
         scores = space.encode(run.positions)
         kept_scores = np.ascontiguousarray(scores[:, :n_modes])
         sample = run.positions[:: particles.FRAME_STRIDE, sampled]
         packed = packing.pack_steps(sample, space.initial[sampled], particles.RESOLUTION)
-        encoded[name].append(
+        encoded.append(
             EncodedRun(
-                make_trajectory(len(encoded[name]), run, kept_scores, runs.scene),
+                _trajectory(run, kept_scores, runs.scene),
                 {'case': run.case, **run.parameters},
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
@@ -86,17 +115,6 @@ def encode_runs(
             )
         )
     return encoded
-
-
-def _refuse_other_particles(run: RawRun, space: Subspace) -> None:
-    """Raises if column i is not the same particle as in the subspace."""
-    if run.positions.shape[1] != space.n_soil:
-        raise ValueError(
-            f'case {run.case}: has {run.positions.shape[1]} particles, the subspace {space.n_soil}'
-        )
-    first = f'case {space.runs[0]}'
-    if fault := matching.order_fault(run.positions[0], space.initial, first):
-        raise ValueError(f'case {run.case}: {fault}')
 
 
 def projection_details(
@@ -143,17 +161,8 @@ def _floors(
     }
 
 
-def make_trajectory(
-    key: int, run: RawRun, scores: np.ndarray, scene: dict[str, Any]
-) -> dataset.Trajectory:
-    """Returns the record of a run.
-
-    Args:
-        key: its place in its split.
-        run: T frames.
-        scores: [T, r, 3] encoded positions.
-        scene: of the raw runs.
-    """
+def _trajectory(run: RawRun, scores: np.ndarray, scene: dict[str, Any]) -> dataset.Trajectory:
+    """Returns the record of a run; scores [T, r, 3], scene of the raw runs."""
     one = {'rigid_motion': scene['rigid_motion'], 'points': run.rigid_positions.shape[1]}
     types = [
         np.full(
@@ -164,47 +173,144 @@ def make_trajectory(
         )
         for body in scene.get('bodies', [one])
     ]
+    types.append(np.full(scores.shape[1], dataset.MODE_PARTICLE_ID))
     context = run.step_context
     if context is None and len(run.context):
         context = np.tile(run.context.astype(np.float32), (len(scores), 1))
     series = {name: getattr(run, name) for name in dataset.FRAME_SERIES} | {'step_context': context}
-    types.append(np.full(scores.shape[1], dataset.MODE_PARTICLE_ID))
     return dataset.Trajectory(
-        key,
+        0,
         np.concatenate(types).astype(np.int64),
         np.concatenate([run.rigid_positions, scores.astype(np.float32)], axis=1),
         **series,
     )
 
 
+def load(data_path: str) -> Contents:
+    """Reads a dataset with a particle sample: its runs as they were when it was written.
+
+    The truncation error by number of modes is kept for a split, not for a run: each has its mean.
+
+    Raises:
+        FileNotFoundError, ValueError: there is none, or its files do not fit each other.
+    """
+    metadata, space = load_space(data_path)
+    parts = {}
+    for split, cases in metadata['cases'].items():
+        sample = particles.read_sample(data_path, split)
+        floors = metadata['projection_floors']
+        by_modes = dict(zip(floors['modes'], floors[split]))
+        parts[split] = [
+            EncodedRun(
+                trajectory,
+                cases[index],
+                {key: metadata[key][split][index] for key in PROJECTION_KEYS},
+                {count: mse for count, mse in by_modes.items() if count <= space.n_modes},
+                sample.packed(index),
+            )
+            for index, trajectory in enumerate(dataset.read_split(data_path, split))
+        ]
+    return Contents(parts, space, sample.indices, metadata)
+
+
+def load_space(data_path: str) -> tuple[dict[str, Any], Subspace]:
+    """Returns metadata and subspace of a dataset, without its runs; raises as `load`."""
+    metadata = dataset.read_metadata(data_path)
+    space = Subspace.load(os.path.join(data_path, SUBSPACE_NAME))
+    if metadata.get('pca', {}).get('digest') != space.digest:
+        raise ValueError(f'{data_path}: {SUBSPACE_NAME} is not the one that the metadata names')
+    return metadata, space
+
+
+def refuse_occupied_output(output_path: str, overwrite: bool) -> None:
+    """Raises unless the output is absent, empty, or a finished dataset that may be replaced.
+
+    Raises:
+        ValueError: the folder holds something; the message says what to do.
+        OSError: nothing can be written beside it.
+    """
+    above = os.path.realpath(output_path)
+    if not os.path.ismount(above):  # which is filled from inside
+        above = os.path.dirname(above)
+    while not os.path.lexists(above):
+        above = os.path.dirname(above)
+    try:
+        tempfile.TemporaryDirectory(dir=above).cleanup()
+    except OSError as error:
+        raise OSError(error.errno, f'cannot write {output_path}: {error.strerror}') from error
+    if not os.path.exists(output_path):
+        return
+    if not os.path.isdir(output_path):
+        raise ValueError(f'{output_path}: is a file, a folder was expected')
+    held = set(os.listdir(output_path)) - {LOCK_NAME}  # of `append`
+    if not held:
+        return
+    if files.MANIFEST_NAME not in held or METADATA_NAME not in held:
+        raise ValueError(
+            f'{output_path}: is not empty and not a finished dataset; nothing was changed, name '
+            'another folder'
+        )
+    foreign = held - set(files.check_manifest(output_path) or ()) - {files.MANIFEST_NAME}
+    if foreign:
+        raise ValueError(
+            f'{output_path}: holds files that are not of the dataset ({sorted(foreign)[:5]}); '
+            'nothing was changed; move them away, or name another folder'
+        )
+    if not overwrite:
+        raise ValueError(f'{output_path}: holds a finished dataset; use --overwrite to replace it')
+
+
+def write(output_path: str, contents: Contents, overwrite: bool) -> None:
+    """Writes a dataset: all files beside the output, the manifest last, and then the folder takes
+    its name."""
+    space, metadata, sampled = contents.space, contents.metadata, contents.sampled
+
+    def fill(folder: str) -> None:
+        listed: dict[str, dict[str, Any]] = {METADATA_NAME: {}, SUBSPACE_NAME: {}}
+        files.write_json(os.path.join(folder, METADATA_NAME), metadata)
+        space.save(os.path.join(folder, SUBSPACE_NAME))
+        for name, part in contents.parts.items():
+            path = dataset.split_path(folder, name)
+            runs = [dataclasses.replace(run.trajectory, key=i) for i, run in enumerate(part)]
+            records = dataset.write_split(path, runs, metadata.get('packed', False))
+            listed[os.path.basename(path)] = {'records': records}
+            path = particles.sample_path(folder, name)
+            packed = [run.sample for run in part]
+            particles.write_sample(path, packed, sampled, space.initial[sampled])
+            listed[os.path.basename(path)] = {}
+        files.write_manifest(folder, listed)
+
+    files.write_folder_atomically(output_path, fill, replace=overwrite)
+
+
 def make_metadata(
-    world: dict[str, Any],
-    encoded: dict[str, list[EncodedRun]],
+    parts: Parts,
     space: Subspace,
-    frame_stride: int,
-    base: dict[str, Any] | None,
-    packed: bool,
+    world: dict[str, Any],
+    base: dict[str, Any] | None = None,
+    frame_stride: int = 1,
+    packed: bool = True,
 ) -> dict[str, Any]:
     """Returns the metadata of a dataset.
 
     Args:
-        world: `scene`, `bounds` and `dt` of the runs that are new.
-        encoded: split -> runs.
+        parts: split -> runs.
         space: their subspace.
-        frame_stride: of the frames that it was fitted to.
+        world: `scene`, `bounds` and `dt` of the runs that are new.
         base: metadata of the dataset to fit in with, whose scene and statistics stay and whose
             bounds are widened by those of the new runs; None: statistics of train.
+        frame_stride: of the frames that the subspace was fitted to.
         packed: form of the records, see `pca_tools.dataset`.
     """
     scene, bounds = world['scene'], world['bounds']
     if base is None:
-        moments = motion_statistics([run.trajectory for run in encoded['train']])
+        moments = motion_statistics([run.trajectory for run in parts['train']])
     else:
         moments = {key: base[key] for key in base if key.endswith(('_mean', '_std'))}
         scene, bounds = base['scene'], union_of_bounds([base['bounds'], bounds])
-    trajectories = [run.trajectory for part in encoded.values() for run in part]
+    trajectories = [run.trajectory for part in parts.values() for run in part]
     n_frames = max(run.n_frames for run in trajectories)
-    lengths = {name: [run.trajectory.n_frames for run in part] for name, part in encoded.items()}
+    lengths = {name: [run.trajectory.n_frames for run in part] for name, part in parts.items()}
     differ = any(run.n_frames != n_frames for run in trajectories)
 
     return {
@@ -217,7 +323,7 @@ def make_metadata(
         # Only where the runs differ in length: sequence_length is then the longest.
         **({'frames_of_runs': lengths} if differ else {}),
         'default_connectivity_radius': CONNECTIVITY_RADIUS,
-        'dim': DIM,
+        'dim': 3,
         'dt': world['dt'],
         'units': {
             'position': 'm',
@@ -243,21 +349,21 @@ def make_metadata(
             'digest': space.digest,
         },
         'projection_floors': {
-            'modes': list(next(iter(encoded.values()))[0].floors),
-            **{name: _mean_floors(part) for name, part in encoded.items()},
+            'modes': list(next(iter(parts.values()))[0].floors),
+            **{name: _mean_floors(part) for name, part in parts.items()},
         },
-        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in encoded},
+        'particles': {name: os.path.basename(particles.sample_path('', name)) for name in parts},
         **{
-            key: {name: [run.details[key] for run in part] for name, part in encoded.items()}
+            key: {name: [run.details[key] for run in part] for name, part in parts.items()}
             for key in PROJECTION_KEYS
         },
         'dataset_split': {
-            name: [run.parameters['case'] for run in part] for name, part in encoded.items()
+            name: [run.parameters['case'] for run in part] for name, part in parts.items()
         },
-        'cases': {name: [run.parameters for run in part] for name, part in encoded.items()},
+        'cases': {name: [run.parameters for run in part] for name, part in parts.items()},
     }
 
 
-def _mean_floors(part: list[EncodedRun]) -> list[float]:
+def _mean_floors(part: Sequence[EncodedRun]) -> list[float]:
     """Returns the mean floors of a split, as many as `projection_floors.modes`, m^2."""
     return np.mean([list(run.floors.values()) for run in part], axis=0).tolist()

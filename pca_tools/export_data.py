@@ -18,6 +18,7 @@ Examples:
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -27,12 +28,11 @@ import numpy as np
 from absl import flags
 
 from pca_tools import command, dataset, files
-from pca_tools.encode import SUBSPACE_NAME
 from pca_tools.formats import detect
 from pca_tools.formats.full_space import SOIL_TYPE, FullSpaceData, FullSpaceRun
 from pca_tools.metadata import SPLITS
 from pca_tools.raw_runs import RawRuns
-from pca_tools.subspace import Subspace
+from pca_tools.subspace import SUBSPACE_NAME, Subspace
 
 
 def export_data(
@@ -79,28 +79,34 @@ def full_space_of(
     """Returns a dataset, or rollouts on it, as trajectories of particles: body first, then soil."""
     metadata = dataset.read_metadata(data_path)
     scene = metadata.get('scene', {})
-    space = None
-    if raw_path is None or rollouts is not None:
-        path = os.path.join(data_path, SUBSPACE_NAME)
-        if not os.path.exists(path):
-            raise FileNotFoundError(
-                f'{path}: no such file; scores cannot be decoded without it: give --raw_path'
-            )
-        space = Subspace.load(path)
-    if rollouts is not None:
-        runs = _rollout_runs(rollouts, space, particle_stride)
-        source = f'the rollouts {rollouts}'
+    path = os.path.join(data_path, SUBSPACE_NAME)
+    if raw_path is not None and rollouts is None:
+        source, soil_of = f'the raw runs {raw_path}', _soil_of_raw_runs(raw_path)
+    elif not os.path.exists(path):
+        raise FileNotFoundError(
+            f'{path}: no such file; scores cannot be decoded without it: give --raw_path'
+        )
     else:
-        raw = None if raw_path is None else RawRuns(raw_path)
+        space = Subspace.load(path)
+        source = f'{data_path}, decoded from {space.n_modes} modes'
 
-        def runs() -> Iterator[FullSpaceRun]:
-            for split, case, run in _records(data_path, metadata, splits):
-                own = raw and _own_soil(raw, case)
-                soil = space.decode(run.position[:, run.n_rigid :]) if own is None else own
-                yield _with_soil(run, soil, split, case, particle_stride)
+        def soil_of(case: Any, scores: np.ndarray) -> np.ndarray:
+            return space.decode(scores)
 
-        source = f'{data_path}, decoded from {space and space.n_modes} modes'
-        source = source if raw is None else f'the raw runs {raw_path}'
+    if rollouts is not None:
+        source = f'the rollouts {rollouts}'
+        records = functools.partial(_rollouts, _rollout_paths(rollouts), space.n_modes)
+    else:
+        records = functools.partial(_records, data_path, metadata, splits)
+
+    def runs() -> Iterator[FullSpaceRun]:
+        for name, split, case, positions, types, series in records():
+            is_mode = types == dataset.MODE_PARTICLE_ID
+            soil = soil_of(case, positions[:, is_mode])[:, ::particle_stride].astype(np.float32)
+            body = positions[:, ~is_mode].astype(np.float32)
+            kinds = np.append(types[~is_mode], np.full(soil.shape[1], SOIL_TYPE)).astype(np.int64)
+            yield FullSpaceRun(name, split, np.concatenate([body, soil], axis=1), kinds, **series)
+
     context = metadata.get('context_mean', [])
     return FullSpaceData(
         source=source,
@@ -111,81 +117,68 @@ def full_space_of(
         context_names=scene.get('context_names') or [f'context_{i}' for i in range(len(context))],
         rigid_motion=scene.get('rigid_motion'),
         radius=metadata['default_connectivity_radius'],
+        name=scene.get('name', 'soil'),
     )
 
 
-def _records(folder: str, metadata: dict[str, Any], splits: Sequence[str]):
-    """Yields (split, case, record) of the splits that a dataset has."""
+def _soil_of_raw_runs(raw_path: str):
+    """Returns a function that gives the particles of a raw run, [T, N, 3]."""
+    raw = RawRuns(raw_path)
+    places = {str(case): index for index, case in enumerate(raw.cases)}
+
+    def soil_of(case: Any, scores: np.ndarray) -> np.ndarray:
+        if str(case) not in places:
+            raise ValueError(f'{raw_path}: lacks the case {case} of the dataset')
+        return raw[places[str(case)]].positions
+
+    return soil_of
+
+
+def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) -> Iterator[tuple]:
+    """Yields name, split, case, positions and types of nodes, and series of every record."""
     for split in splits:
-        if os.path.exists(dataset.split_path(folder, split)):
+        if os.path.exists(dataset.split_path(data_path, split)):
             cases = metadata.get('dataset_split', {}).get(split, [])
-            for index, run in enumerate(dataset.read_split(folder, split)):
-                yield split, cases[index] if index < len(cases) else index, run
+            for index, run in enumerate(dataset.read_split(data_path, split)):
+                case = cases[index] if index < len(cases) else index
+                series = {'force': run.force, 'context': run.step_context}
+                yield f'{split}_{case}', split, case, run.position, run.particle_type, series
 
 
-def _own_soil(raw: RawRuns, case) -> np.ndarray:
-    """Returns the particles of a raw run."""
-    places = {str(known): index for index, known in enumerate(raw.cases)}
-    if str(case) not in places:
-        raise ValueError(f'{raw.folder}: lacks the case {case} of the dataset')
-    return raw[places[str(case)]].positions
-
-
-def _with_soil(run: dataset.Trajectory, soil, split, case, stride) -> FullSpaceRun:
-    soil = np.asarray(soil[:, ::stride], np.float32)
-    body = run.position[:, : run.n_rigid]
-    types = np.append(run.particle_type[: run.n_rigid], np.full(soil.shape[1], SOIL_TYPE, np.int64))
-    return FullSpaceRun(
-        f'{split}_{case}', split, np.concatenate([body, soil], axis=1), types,
-        force=run.force, context=run.step_context,
-    )  # fmt: skip
-
-
-def _rollout_runs(path: str, space: Subspace, stride: int):
-    """Runs of one rollout file, or of all of a folder."""
-    names = [path]
-    if os.path.isdir(path):
-        names = sorted(
-            os.path.join(path, name)
-            for name in os.listdir(path)
-            if name.startswith('rollout_') and name.endswith('.npz')
-        )
-    if not names:
+def _rollout_paths(path: str) -> list[str]:
+    """Returns the path of one rollout file, or those of all in a folder."""
+    names = sorted(os.listdir(path)) if os.path.isdir(path) else []
+    held = [n for n in names if n.startswith('rollout_') and n.endswith('.npz')]
+    if os.path.isdir(path) and not held:
         raise FileNotFoundError(f'{path}: holds no rollout_*.npz')
-
-    def runs() -> Iterator[FullSpaceRun]:
-        for name in names:
-            yield _rollout_run(name, files.read_npz(name), space, stride)
-
-    return runs
+    return [os.path.join(path, name) for name in held] or [path]
 
 
-def _rollout_run(path: str, arrays: dict[str, Any], space: Subspace, stride: int) -> FullSpaceRun:
-    needed = ('initial_positions', 'predicted_rollout', 'particle_types')
-    lacking = [key for key in needed if key not in arrays]
-    if lacking:
-        raise ValueError(f'{path}: is not a rollout, it lacks {lacking}')
-    nodes = np.concatenate([arrays['initial_positions'], arrays['predicted_rollout']])
-    types = arrays['particle_types']
-    modes = types == dataset.MODE_PARTICLE_ID
-    if nodes.ndim != 3 or nodes.shape[1] != len(types) or modes.sum() != space.n_modes:
-        raise ValueError(
-            f'{path}: {nodes.shape} positions of {modes.sum()} modes do not fit the subspace of '
-            f'{space.n_modes}'
-        )
-    force = None
-    if 'predicted_forces' in arrays and 'initial_forces' in arrays:
-        force = np.concatenate([arrays['initial_forces'], arrays['predicted_forces']])
-    name = os.path.basename(path).removesuffix('.npz')
-    split = next((split for split in SPLITS if f'_{split}_' in name), 'test')
-    soil = np.asarray(space.decode(nodes[:, modes])[:, ::stride], np.float32)
-    positions = np.concatenate([nodes[:, ~modes].astype(np.float32), soil], axis=1)
-    kinds = np.append(types[~modes], np.full(soil.shape[1], SOIL_TYPE)).astype(np.int64)
-    return FullSpaceRun(name, split, positions, kinds, force=force)
+def _rollouts(paths: Sequence[str], n_modes: int) -> Iterator[tuple]:
+    """Yields the same as `_records` of rollout files: given frames, then predicted ones."""
+    for path in paths:
+        arrays = files.read_npz(path)
+        needed = ('initial_positions', 'predicted_rollout', 'particle_types')
+        if lacking := [key for key in needed if key not in arrays]:
+            raise ValueError(f'{path}: is not a rollout, it lacks {lacking}')
+        first, predicted, types = (arrays[key] for key in needed)
+        nodes, found = np.concatenate([first, predicted]), np.sum(types == dataset.MODE_PARTICLE_ID)
+        if nodes.ndim != 3 or nodes.shape[1] != len(types) or found != n_modes:
+            raise ValueError(
+                f'{path}: {nodes.shape} positions of {found} modes do not fit the subspace of '
+                f'{n_modes}'
+            )
+        series = {}
+        if 'predicted_forces' in arrays and 'initial_forces' in arrays:
+            forces = [arrays['initial_forces'], arrays['predicted_forces']]
+            series['force'] = np.concatenate(forces)
+        name = os.path.basename(path).removesuffix('.npz')
+        split = next((split for split in SPLITS if f'_{split}_' in name), 'test')
+        yield name, split, None, nodes, types, series
 
 
 def define_flags() -> None:
-    """Defines the flags; not at import, so that several commands can be imported together."""
+    """Defines the flags."""
     flags.DEFINE_string('output_path', None, 'Folder of the export.', required=True)
     flags.DEFINE_enum('format', None, sorted(detect.FORMATS), 'Of the export.', required=True)
     flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, to export their own particles.')

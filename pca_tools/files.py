@@ -8,13 +8,14 @@ sha256.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
 import os
 import sys
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,8 +84,7 @@ def read_npz(
 
     Args:
         path: the file.
-        max_bytes: a file whose arrays together unpack to more than this is refused before it is
-            unpacked.
+        max_bytes: a file whose arrays unpack to more together is refused before it is unpacked.
         only: names of the arrays to read, those of them that are there; None for all.
 
     Raises:
@@ -92,42 +92,52 @@ def read_npz(
         ValueError: git-lfs pointer, not a zip file, truncated, damaged, an object array, more bytes
             than the limit, or a member whose header disagrees with its size.
     """
-    refuse_git_lfs_pointer(path)
     arrays: dict[str, np.ndarray] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            archives.refuse_lost_members(path, archive)
-            members = archive.infolist()
-            total = sum(member.file_size for member in members)
-            if total > max_bytes:
-                raise ValueError(f'unpacks to {total} bytes, more than the limit of {max_bytes}')
-            for member in members:
-                name, ending = os.path.splitext(member.filename)
-                if ending != '.npy' or name in arrays:
-                    raise ValueError(
-                        f'member {member.filename!r} is not a numpy array or comes twice'
-                    )
-                if only is not None and name not in only:
-                    continue
-                # What numpy writes; others may ask for more memory than the file has bytes.
-                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise ValueError(f'member {member.filename!r} is packed in an unknown way')
-                with archive.open(member) as file:
-                    arrays[name] = _read_array(file, member.file_size, max_bytes)
-    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
-        raise ValueError(
-            f'{path}: is not a complete .npz file of plain arrays ({_reason(error)}); copy or make '
-            'it again'
-        ) from error
+    with opened_npz(path, max_bytes) as members:
+        for name, file, size in members:
+            if only is None or name in only:
+                arrays[name] = _read_array(file, size, max_bytes)
     return arrays
 
 
-def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
-    """Reads a `.npy` file, without pickles and never more than the file holds.
+@contextlib.contextmanager
+def opened_npz(path: str, max_bytes: int) -> Iterator[Iterator[tuple[str, Any, int]]]:
+    """Opens a `.npz` file: (name, open file, size in bytes) of every array.
 
-    Args:
-        path: the file.
-        max_bytes: a larger file is refused before it is read.
+    Whatever is raised meanwhile, and all that is wrong with the archive, becomes a ValueError with
+    the path.
+    """
+    refuse_git_lfs_pointer(path)
+
+    def members(archive: zipfile.ZipFile) -> Iterator[tuple[str, Any, int]]:
+        seen = set()
+        for member in archive.infolist():
+            name, ending = os.path.splitext(member.filename)
+            if ending != '.npy' or name in seen:
+                raise ValueError(f'member {member.filename!r} is not a numpy array or comes twice')
+            # What numpy writes; others may ask for more memory than the file has bytes.
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f'member {member.filename!r} is packed in an unknown way')
+            seen.add(name)
+            with archive.open(member) as file:
+                yield name, file, member.file_size
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            archives.refuse_lost_members(path, archive)
+            total = sum(member.file_size for member in archive.infolist())
+            if total > max_bytes:
+                raise ValueError(f'unpacks to {total} bytes, more than the limit of {max_bytes}')
+            yield members(archive)
+    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
+        raise ValueError(
+            f'{path}: is not a complete .npz file of arrays ({_reason(error)}); copy or make it '
+            'again'
+        ) from error
+
+
+def read_npy(path: str, max_bytes: int = MAX_BYTES) -> np.ndarray:
+    """Reads a `.npy` file of at most `max_bytes`, without pickles and never more than it holds.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -187,13 +197,12 @@ def _read_array(file: Any, size: int, max_bytes: int) -> np.ndarray:
 
 
 def refuse_git_lfs_pointer(path: str) -> None:
-    """Raises if a file is missing, empty, or the small text that git-lfs leaves in place of a large
-    file.
+    """Refuses what is no file, empty, or the small text that git-lfs leaves for a large file.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is empty or a pointer; the message says how large the real file is and
-            how to get it.
+        ValueError: a folder, an empty file, or a pointer: how large the real file is and how to get
+            it.
     """
     if os.path.isdir(path):
         raise ValueError(f'{path}: is a folder, a file was expected')
@@ -214,11 +223,13 @@ def refuse_git_lfs_pointer(path: str) -> None:
 
 def sha256_of_file(path: str) -> str:
     """Returns the hexadecimal sha256 of a file's bytes."""
-    digest = hashlib.sha256()
     with open(path, 'rb') as file:
-        while block := file.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, 'sha256').hexdigest()
+
+
+def fingerprint(path: str) -> dict[str, Any]:
+    """Returns what a manifest says of a file: `bytes` and `sha256`."""
+    return {'bytes': os.path.getsize(path), 'sha256': sha256_of_file(path)}
 
 
 def write_manifest(
@@ -231,14 +242,10 @@ def write_manifest(
         files: file name (no folders) -> facts to record beside bytes and sha256, such as
             `{'records': 32}`.
         name: of the manifest, for a folder that has several.
-
-    Raises:
-        FileNotFoundError: a listed file is missing.
     """
-    entries = {}
-    for file, facts in files.items():
-        path = os.path.join(folder, file)
-        entries[file] = {'bytes': os.path.getsize(path), 'sha256': sha256_of_file(path), **facts}
+    entries = {
+        file: {**fingerprint(os.path.join(folder, file)), **facts} for file, facts in files.items()
+    }
     write_json(os.path.join(folder, name), {'schema_version': 1, 'files': entries})
 
 
@@ -253,12 +260,10 @@ def check_manifest(
         manifest_name: of the manifest, for a folder that has several.
 
     Returns:
-        file name -> its manifest entry, or None if the folder has no manifest (the authors'
-        folders).
+        file name -> its manifest entry, or None if the folder has no manifest (the authors').
 
     Raises:
-        ValueError: a file is missing, unlisted, or differs in bytes or sha256; the message has both
-            values.
+        ValueError: a file is missing, unlisted, or differs in bytes or sha256.
     """
     path = os.path.join(folder, manifest_name)
     if not os.path.exists(path):
@@ -297,6 +302,5 @@ def _check_entry(path: str, entry: dict[str, Any]) -> None:
     if sha256_of_file(path) != entry['sha256']:
         raise ValueError(
             f'{path}: its content differs from the manifest (sha256 {entry["sha256"][:12]}... '
-            'expected); '
-            'copy or make it again'
+            'expected); copy or make it again'
         )

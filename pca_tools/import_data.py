@@ -143,7 +143,7 @@ def _three_bounds(bounds: list[list[float]] | None, scale: float) -> list[list[f
 
 
 def define_flags() -> None:
-    """Defines the flags; not at import, so that several commands can be imported together."""
+    """Defines the flags."""
     flags.DEFINE_string(
         'output_path', None, 'Folder of the new raw runs; without it the data are only named.'
     )
@@ -151,10 +151,7 @@ def define_flags() -> None:
     flags.DEFINE_float('dt', None, 'Seconds per frame, where the data do not say or say it wrong.')
     flags.DEFINE_integer('up_axis', None, 'Axis against gravity: 0, 1 or 2.')
     flags.DEFINE_enum(
-        'body',
-        None,
-        RIGID_MOTIONS,
-        'What is known of the motion of the body; default by type.',
+        'body', None, RIGID_MOTIONS, 'What is known of the motion of the body; default by type.'
     )
     flags.DEFINE_string('name', None, 'Name of the scene. Default: that of the folder.')
     flags.DEFINE_float('length_scale', 1.0, 'Factor that makes metres of their lengths.')
@@ -171,13 +168,9 @@ def main(values, arguments: Sequence[str]) -> None:
     if values.output_path is None:
         print(explain(arguments[0], values.format))
         return
-    text = import_data(
-        arguments[0], values.output_path, format_name=values.format, dt=values.dt,
-        up_axis=values.up_axis, body=values.body, name=values.name,
-        length_scale=values.length_scale, force_scale=values.force_scale,
-        check_units=values.check_units,
-    )  # fmt: skip
-    print(text)
+    names = ('dt', 'up_axis', 'body', 'name', 'length_scale', 'force_scale', 'check_units')
+    options = {name: values[name].value for name in names}
+    print(import_data(arguments[0], values.output_path, format_name=values.format, **options))
 
 
 if __name__ == '__main__':

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import enum
+import itertools
 import math
 import os
 import sys
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from absl import flags
@@ -26,6 +26,7 @@ from pca_tools import command, dataset, files, legacy_pickles, particles, rigid_
 from pca_tools.dataset import Trajectory
 from pca_tools.metadata import AXES, SPLITS
 from pca_tools.statistics import HISTORY, mean_share
+from pca_tools.storage import markdown
 from pca_tools.subspace import CLUSTER_GAP, Subspace
 
 # A body that bends by more than this (m) between frames is not rigid; float32 positions near 1 m
@@ -34,28 +35,23 @@ RIGID_TOLERANCE = 1e-4
 # Scenes move at centimetres per second; half a second a frame or 10 m/s is a mistaken dt.
 PLAUSIBLE_DT = (1e-4, 0.5)
 PLAUSIBLE_SPEED = 10.0
-# A run is far from the training runs if the modes leave so many times their error of it.
+# A run is far from the training runs if the modes leave this many times their error of it.
 FAR_FACTOR = 3.0
 # Statistics of a part of the runs differ from those of all runs, but not by this factor.
 STATISTICS_FACTOR = 10.0
 STATISTICS_TOLERANCE = 1e-4
+OK, WARN, ERROR = 'OK', 'WARN', 'ERROR'
 _MAX_NAMED = 5
 
 
-class Level(enum.Enum):
-    """How bad a finding is."""
+class Finding(NamedTuple):
+    """One result of a check: `OK`, `WARN` or `ERROR`, and a sentence: what is and what to do."""
 
-    OK = 'OK'
-    WARN = 'WARN'
-    ERROR = 'ERROR'
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One result of a check: a level and a sentence that says what is and what to do."""
-
-    level: Level
+    level: str
     text: str
+
+
+Findings = Iterator[Finding | tuple[str, str]]
 
 
 @dataclasses.dataclass
@@ -86,23 +82,11 @@ class Inspection:
     @property
     def failed(self) -> bool:
         """True if any finding is an error."""
-        return any(finding.level is Level.ERROR for finding in self.findings)
+        return any(finding.level == ERROR for finding in self.findings)
 
     def of_split(self, key: str, split: str) -> list:
         """Returns what the metadata hold under a key for each run of a split, [] for nothing."""
         return self.metadata.get(key, {}).get(split, [])
-
-    def ok(self, text: str) -> None:
-        """Adds a passed check."""
-        self.findings.append(Finding(Level.OK, text))
-
-    def warn(self, text: str) -> None:
-        """Adds a defect that readers live with."""
-        self.findings.append(Finding(Level.WARN, text))
-
-    def error(self, text: str) -> None:
-        """Adds a defect that makes the folder unusable."""
-        self.findings.append(Finding(Level.ERROR, text))
 
 
 def inspect_folder(folder: str) -> Inspection:
@@ -112,67 +96,67 @@ def inspect_folder(folder: str) -> Inspection:
         What was found; nothing is raised for a bad dataset.
     """
     found = Inspection(folder)
-    try:
-        found.metadata = dataset.read_metadata(folder)
-    except (ValueError, OSError) as error:
-        found.error(str(error))
-        return found
-    found.ok('metadata.json has all keys, with possible values')
-    _check_manifest(found)
-    _read_splits(found)
-    if found.runs:
-        for check in (
-            _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
-            _check_motion, _check_truncation,
-        ):  # fmt: skip
-            check(found)
-    _check_particles(found)
-    _check_subspace(found)
-    _check_pickles(found)
+    of_runs = (
+        _check_nodes, _check_frames, _check_case_ids, _check_duplicates, _check_statistics,
+        _check_motion, _check_truncation,
+    )  # fmt: skip
+    _run(found, _check_metadata)
+    if found.metadata is not None:
+        for check in (_check_manifest, *(_read_split(split) for split in SPLITS)):
+            _run(found, check)
+        if not found.splits:
+            found.findings.append(Finding(ERROR, f'{folder}: holds no readable split'))
+        for check in (*(of_runs * bool(found.splits)), _check_particles, _check_subspace):
+            _run(found, check)
+        _run(found, _check_pickles, WARN)
     return found
 
 
-def _check_manifest(found: Inspection) -> None:
+def _run(found: Inspection, check, level: str = ERROR) -> None:
+    """Adds the findings of a check; a file that cannot be read is one of the given level."""
     try:
-        entries = files.check_manifest(found.folder)
+        for finding in check(found):
+            found.findings.append(Finding(*finding))
     except (ValueError, OSError) as error:
-        found.error(str(error))
-        return
+        found.findings.append(Finding(level, str(error)))
+
+
+def _check_metadata(found: Inspection) -> Findings:
+    found.metadata = dataset.read_metadata(found.folder)
+    yield OK, 'metadata.json has all keys, with possible values'
+
+
+def _check_manifest(found: Inspection) -> Findings:
+    entries = files.check_manifest(found.folder)
     if entries is None:
-        found.warn(
+        yield WARN, (
             'no manifest.json: a file cut at a record boundary would not be noticed; compare the '
             'record counts below with the source'
         )
     else:
-        found.ok(f'manifest: {len(entries)} files have the bytes and sha256 that it lists')
+        yield OK, f'manifest: {len(entries)} files have the bytes and sha256 that it lists'
 
 
-def _read_splits(found: Inspection) -> None:
-    for split in SPLITS:
+def _read_split(split: str):
+    def check(found: Inspection) -> Findings:
         path = dataset.split_path(found.folder, split)
         if not os.path.exists(path):
-            found.warn(f'there is no {split}.tfrecord')
-            continue
-        try:
-            runs = dataset.read_records_as_trajectories(path)
-        except (ValueError, OSError) as error:
-            found.error(str(error))
-            continue
-        problems = [
-            f'{path}: record {index}: {problem}'
-            for index, run in enumerate(runs)
-            for problem in dataset.trajectory_problems(run, found.metadata)
-        ]
-        for problem in problems:
-            found.error(problem)
-        if not problems:
-            found.ok(f'{split}: {len(runs)} records, complete, finite, as the metadata says')
+            yield WARN, f'there is no {split}.tfrecord'
+            return
+        runs = dataset.read_records_as_trajectories(path)
+        is_good = True
+        for index, run in enumerate(runs):
+            for problem in dataset.trajectory_problems(run, found.metadata):
+                is_good = False
+                yield ERROR, f'{path}: record {index}: {problem}'
+        if is_good:
             found.splits[split] = runs
-    if not found.splits:
-        found.error(f'{found.folder}: holds no readable split')
+            yield OK, f'{split}: {len(runs)} records, complete, finite, as the metadata says'
+
+    return check
 
 
-def _check_nodes(found: Inspection) -> None:
+def _check_nodes(found: Inspection) -> Findings:
     """Rigid counts and node types against the metadata."""
     promised = found.metadata.get('particles_rigid')
     counts = collections.Counter(run.n_rigid for run in found.runs)
@@ -180,32 +164,28 @@ def _check_nodes(found: Inspection) -> None:
         held = ', '.join(
             f'{runs} of {len(found.runs)} runs have {n}' for n, runs in sorted(counts.items())
         )
-        found.warn(
+        yield WARN, (
             f'particles_rigid says {promised} but {held}; the count of each record is the one '
             'that is used'
         )
     scene = found.metadata.get('scene')
     if scene is None:
-        found.warn('no scene in the metadata: what is prescribed follows from the node types')
-        return
-    if 'bodies' in scene:
-        return  # each has its own motion, and its types with it
-    given = scene['rigid_motion'] == 'prescribed'
-    expected = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
-    wrong = sum(not np.all(run.particle_type[: run.n_rigid] == expected) for run in found.runs)
-    if wrong:
-        found.error(
-            f'{wrong} runs have rigid nodes that are not of type {expected}, which rigid_motion '
-            f'{scene["rigid_motion"]!r} asks for; convert the raw runs again'
-        )
+        yield WARN, 'no scene in the metadata: what is prescribed follows from the node types'
+    elif 'bodies' not in scene:  # of several each has its own motion, and its types with it
+        given = scene['rigid_motion'] == 'prescribed'
+        expected = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
+        if wrong := sum(np.any(run.particle_type[: run.n_rigid] != expected) for run in found.runs):
+            yield ERROR, (
+                f'{wrong} runs have rigid nodes that are not of type {expected}, which '
+                f'rigid_motion {scene["rigid_motion"]!r} asks for; convert the raw runs again'
+            )
 
 
-def _check_frames(found: Inspection) -> None:
+def _check_frames(found: Inspection) -> Findings:
     """Frames that repeat, and keys that do not count."""
     runs = found.runs
-    repeated = sum(np.array_equal(run.position[0], run.position[1]) for run in runs)
-    if repeated:
-        found.warn(
+    if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in runs):
+        yield WARN, (
             f'{repeated} of {len(runs)} runs begin with the same frame twice: their first '
             'velocity is 0, and frame 0 is not a state of its own'
         )
@@ -216,43 +196,43 @@ def _check_frames(found: Inspection) -> None:
         if np.array_equal(run.position[0], run.position[-1])
     ]
     if still:
-        found.warn(f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}')
+        yield WARN, f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}'
     for split, part in found.splits.items():
         if [run.key for run in part] != list(range(len(part))):
-            found.warn(
+            yield WARN, (
                 f'{split}: keys are {sorted({run.key for run in part})}, not the index of each '
                 'record; runs are told apart by their place in the file'
             )
 
 
-def _check_case_ids(found: Inspection) -> None:
+def _check_case_ids(found: Inspection) -> Findings:
     """Case ids: repeated, shared by splits, or not as many as records."""
     cases = found.metadata.get('dataset_split')
     if cases is None:
-        found.warn('no dataset_split: which case a record is remains unknown')
+        yield WARN, 'no dataset_split: which case a record is remains unknown'
         return
     for split, part in found.splits.items():
         ids = cases.get(split, [])
         if len(ids) != len(set(ids)):
-            found.warn(
+            yield WARN, (
                 f'dataset_split.{split} has {len(ids)} ids but {len(set(ids))} different ones: it '
                 'was drawn with replacement'
             )
         if len(ids) != len(part):
-            found.warn(
+            yield WARN, (
                 f'{split} has {len(part)} records, dataset_split.{split} names {len(ids)} cases: '
                 'which record is which case cannot be told from it'
             )
-    for first, second in (('train', 'valid'), ('train', 'test'), ('valid', 'test')):
+    for first, second in itertools.combinations(SPLITS, 2):
         shared = sorted(set(cases.get(first, [])) & set(cases.get(second, [])), key=str)
         if shared:
-            found.error(
+            yield ERROR, (
                 f'the cases {shared[:_MAX_NAMED]} are in {first} and {second}: errors on {second} '
                 'would flatter; split again'
             )
 
 
-def _check_duplicates(found: Inspection) -> None:
+def _check_duplicates(found: Inspection) -> Findings:
     places = collections.defaultdict(list)
     for split, part in found.splits.items():
         for index, run in enumerate(part):
@@ -261,20 +241,19 @@ def _check_duplicates(found: Inspection) -> None:
     for same in repeats:
         text = ' = '.join(f'{split} {index}' for split, index in same)
         if len({split for split, _ in same}) > 1:
-            found.error(f'the same run lies in different splits: {text}; remove it from one')
+            yield ERROR, f'the same run lies in different splits: {text}; remove it from one'
         else:
-            found.warn(f'the same run lies in the file more than once: {text}')
+            yield WARN, f'the same run lies in the file more than once: {text}'
     if not repeats:
-        found.ok(f'all {len(found.runs)} runs differ')
+        yield OK, f'all {len(found.runs)} runs differ'
 
 
-def _check_statistics(found: Inspection) -> None:
+def _check_statistics(found: Inspection) -> Findings:
     """Normalisation statistics: zero deviations, and agreement with the records."""
     held = found.metadata
     for key in ('vel_std', 'acc_std', 'rigid_body_force_std', 'context_std'):
-        zero = [axis for axis, value in enumerate(held.get(key, [])) if value == 0]
-        if zero:
-            found.warn(
+        if zero := [axis for axis, value in enumerate(held.get(key, [])) if value == 0]:
+            yield WARN, (
                 f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'
             )
     if 'train' not in found.splits:
@@ -285,55 +264,57 @@ def _check_statistics(found: Inspection) -> None:
     whole = cases is not None and (
         fitted is None or sorted(fitted) == sorted(str(case.get('case')) for case in cases)
     )
-    before = len(found.findings)
+    agree = True
     for key, values in statistics.motion_statistics(found.splits['train']).items():
         mean, promised = np.array(values), np.array(held[key])
         scale = np.linalg.norm(held[f'{key.rsplit("_", 1)[0]}_std'])
         ratio = scale / max(np.linalg.norm(mean), 1e-30)
         if whole and np.max(np.abs(mean - promised)) > STATISTICS_TOLERANCE * max(scale, 1e-12):
-            found.error(f'{key} is {held[key]}, the training records give {values}; convert again')
+            agree = False
+            yield ERROR, (
+                f'{key} is {held[key]}, the training records give {values}; convert again'
+            )
         elif key.endswith('_std') and not 1 / STATISTICS_FACTOR < ratio < STATISTICS_FACTOR:
-            found.error(
+            agree = False
+            yield ERROR, (
                 f'{key} is {ratio:.3g} times that of the training records (1 / dt is '
                 f'{1 / held["dt"]:.3g}): velocities and accelerations are per frame, not divided '
                 'by dt'
             )
-    if len(found.findings) == before:
+    if agree:
         text = 'statistics agree with the training records' + ('' if whole else ' in size')
         if fitted is not None and not whole:
             text += f': they are of the {len(fitted)} runs that the subspace was fitted on'
-        found.ok(text)
+        yield OK, text
 
 
-def _check_motion(found: Inspection) -> None:
+def _check_motion(found: Inspection) -> Findings:
     """Time step, speed and rigidity of the body."""
     dt = found.metadata['dt']
     if not PLAUSIBLE_DT[0] <= dt <= PLAUSIBLE_DT[1]:
-        found.error(f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?')
+        yield ERROR, f'dt is {dt} s per frame, outside {PLAUSIBLE_DT}; is it in frames per second?'
     moved = [run for run in found.runs if run.n_rigid]
     if not moved:
         return
     bodies = [run.position[:, : run.n_rigid] for run in moved]
     fastest = max(float(np.linalg.norm(np.diff(b, axis=0), axis=-1).max()) for b in bodies) / dt
     if fastest > PLAUSIBLE_SPEED:
-        found.error(
+        yield ERROR, (
             f'the rigid body reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of '
             'length is wrong'
         )
     bounds = found.metadata['bounds']
     low, high = np.array(bounds).T
-    outside = sum(bool(np.any((body < low) | (body > high))) for body in bodies)
-    if outside:
-        found.warn(f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}')
+    if outside := sum(bool(np.any((body < low) | (body > high))) for body in bodies):
+        yield WARN, f'in {outside} of {len(moved)} runs rigid points leave the bounds {bounds}'
     points = [body['points'] for body in found.metadata.get('scene', {}).get('bodies', [])]
     worst = max(rigid_misfit(run, points) for run in moved)
     if worst > RIGID_TOLERANCE:
-        found.error(f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)')
+        yield ERROR, f'the rigid body changes its shape by up to {1e3 * worst:.3g} mm (RMS)'
     else:
-        found.ok(f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)')
-    forceless = sum(run.force is not None and not np.any(run.force) for run in found.runs)
-    if forceless:
-        found.warn(f'{forceless} runs have no force at any frame')
+        yield OK, f'the rigid body keeps its shape within {1e3 * worst:.2g} mm (RMS)'
+    if forceless := sum(run.force is not None and not np.any(run.force) for run in found.runs):
+        yield WARN, f'{forceless} runs have no force at any frame'
 
 
 def rigid_misfit(run: Trajectory, points: Sequence[int] = (), frames: int = 9) -> float:
@@ -346,18 +327,16 @@ def rigid_misfit(run: Trajectory, points: Sequence[int] = (), frames: int = 9) -
     """
     later = np.unique(np.linspace(0, run.n_frames - 1, frames).astype(int))
     bodies = np.split(run.position[:, : run.n_rigid], np.cumsum(points, dtype=int)[:-1], axis=1)
-    return max(
-        (
-            rigid_fit.fit_rigid_motion(body[0], body[frame]).residual
-            for body in bodies
-            if body.shape[1] >= rigid_fit.MIN_POINTS
-            for frame in later
-        ),
-        default=0.0,
+    misfits = (
+        rigid_fit.fit_rigid_motion(body[0], body[frame]).residual
+        for body in bodies
+        if body.shape[1] >= rigid_fit.MIN_POINTS
+        for frame in later
     )
+    return max(misfits, default=0.0)
 
 
-def _check_truncation(found: Inspection) -> None:
+def _check_truncation(found: Inspection) -> Findings:
     """Runs of valid and test that the modes do not hold: they differ from all training runs."""
     train = found.of_split('projection_mse', 'train')
     if not train:
@@ -373,51 +352,40 @@ def _check_truncation(found: Inspection) -> None:
     ]
     if far:
         more = f' and {len(far) - _MAX_NAMED} more' if len(far) > _MAX_NAMED else ''
-        found.warn(
+        yield WARN, (
             f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
             f'mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}{more}: these runs do '
             'something that no training run does; add such runs to train'
         )
 
 
-def _check_particles(found: Inspection) -> None:
+def _check_particles(found: Inspection) -> Findings:
     """The particle samples beside the records."""
     good = []
     for split, runs in found.splits.items():
         path = particles.sample_path(found.folder, split)
         if not os.path.exists(path):
             continue
-        try:
-            sample = particles.ParticleSample(path)
-            whole = len(sample) == len(runs) and all(
-                -(-run.n_frames // sample.frame_stride) == len(soil)
-                for run, soil in zip(runs, sample)
-            )
-        except (ValueError, OSError) as error:
-            found.error(str(error))
-            continue
-        if whole:
-            good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
+        sample = particles.ParticleSample(path)
+        frames = [-(-run.n_frames // sample.frame_stride) for run in runs]
+        if frames != [len(soil) for soil in sample]:
+            yield ERROR, f'{path}: holds other runs than {split}.tfrecord; convert again'
         else:
-            found.error(f'{path}: holds other runs than {split}.tfrecord; convert again')
+            good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
     if good:
-        found.ok(
+        yield OK, (
             f'particle samples ({len(sample.indices)} particles, every {sample.frame_stride} '
             f'frames, to {5e2 * sample.resolution:.2g} mm), a run: ' + ', '.join(good)
         )
 
 
-def _check_subspace(found: Inspection) -> None:
+def _check_subspace(found: Inspection) -> Findings:
     """`subspace.npz` against metadata and splits."""
     held = found.metadata
     name = held.get('pca', {}).get('file')
     if name is None:
         return
-    try:
-        space = Subspace.load(os.path.join(found.folder, os.path.basename(name)))
-    except (ValueError, OSError) as error:
-        found.error(str(error))
-        return
+    space = Subspace.load(os.path.join(found.folder, os.path.basename(name)))
     found.n_soil, found.floors = space.n_soil, space.projection_floors
     for what, promised, is_there in (
         ('digest', held['pca'].get('digest'), space.digest),
@@ -425,52 +393,47 @@ def _check_subspace(found: Inspection) -> None:
         ('n_soil', held.get('n_soil'), space.n_soil),
     ):
         if promised != is_there:
-            found.error(
+            yield ERROR, (
                 f'{name}: {what} is {is_there}, the metadata says {promised}; the scores belong '
                 'to another subspace'
             )
     others = [*found.of_split('cases', 'valid'), *found.of_split('cases', 'test')]
-    seen = {str(case.get('case')) for case in others} & set(space.runs)
-    if seen:
-        found.error(f'{name}: was fitted on {sorted(seen)}, which are not training runs')
+    if seen := {str(case.get('case')) for case in others} & set(space.runs):
+        yield ERROR, f'{name}: was fitted on {sorted(seen)}, which are not training runs'
     else:
-        found.ok(
+        yield OK, (
             f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'
         )
     gap = space.gaps[space.n_modes - 1] if len(space.gaps) >= space.n_modes else math.inf
     if gap < CLUSTER_GAP:
-        found.warn(
+        yield WARN, (
             f'{name}: singular values {space.n_modes} and {space.n_modes + 1} differ by only '
             f'{100 * gap:.1f} %: the last mode may turn from fit to fit'
         )
 
 
-def _check_pickles(found: Inspection) -> None:
+def _check_pickles(found: Inspection) -> Findings:
     """The authors' pickles beside their records."""
     vectors = os.path.join(found.folder, legacy_pickles.EIGENVECTORS_NAME)
     if os.path.exists(vectors):
         try:
             files.refuse_git_lfs_pointer(vectors)
         except ValueError as error:
-            found.warn(f'{error}; scores cannot be decoded, errors are given in the subspace')
+            yield WARN, f'{error}; scores cannot be decoded, errors are given in the subspace'
     name = legacy_pickles.EIGENVALUES_NAME
     if not os.path.exists(os.path.join(found.folder, name)):
         return
-    try:
-        values = legacy_pickles.read_array(os.path.join(found.folder, name))
-    except ValueError as error:
-        found.warn(str(error))
-        return
+    values = legacy_pickles.read_array(os.path.join(found.folder, name))
     negative = int(np.count_nonzero(values.real < 0))
     if np.iscomplexobj(values) or negative:
-        found.warn(
+        yield WARN, (
             f'{name}: type {values.dtype}, {negative} of {len(values)} values are negative: they '
             'come from a solver for non-symmetric matrices; negative ones are taken as 0'
         )
     found.n_soil = len(values)
     if found.runs:
         found.floors, runs = floors_of_eigenvalues(values.real, found.runs)
-        found.warn(
+        yield WARN, (
             f'the mode energies of the records fit eigenvalues of {runs:.0f} runs: the published '
             'modes were fitted on all runs, validation and test included'
         )
@@ -510,76 +473,81 @@ def report(found: Inspection, modes: int = 12) -> str:
         found: of `inspect_folder`.
         modes: rows of the table of truncation errors.
     """
-    lines = [found.folder]
+    blocks = [found.folder]
     if found.metadata is not None:
-        lines += _contents(found) + _kinds(found) + _ranges(found) + _trivial(found)
-        lines += _floors(found, modes)
-    lines += ['', 'Findings']
-    lines += [f'  {finding.level.value:<6}{finding.text}' for finding in found.findings]
-    counts = {level: sum(f.level is level for f in found.findings) for level in Level}
-    lines.append('  ' + ', '.join(f'{count} {level.value}' for level, count in counts.items()))
-    return '\n'.join(lines)
+        blocks += [_contents(found), *_floors(found, modes)]
+    if found.splits:
+        blocks[2:2] = [_kinds(found), _ranges(found), _trivial(found)]
+    findings = [f'  {level:<6}{text}' for level, text in found.findings]
+    counts = collections.Counter(level for level, _ in found.findings)
+    total = '  ' + ', '.join(f'{counts[level]} {level}' for level in (OK, WARN, ERROR))
+    blocks.append('\n'.join(['Findings', *findings, total]))
+    return '\n\n'.join(filter(None, blocks))
 
 
-def _contents(found: Inspection) -> list[str]:
+def _contents(found: Inspection) -> str:
     held = found.metadata
     scene = held.get('scene')
-    lines = [
-        f'  scene {scene.get("name", "unnamed")}, rigid motion {scene["rigid_motion"]}, '
-        f'{AXES[scene.get("up_axis", 1)]} up'
-        if scene
-        else '  no scene given',
-        f'  dt {held["dt"]:.6g} s, {held["sequence_length"]} + 1 frames '
+    about = 'no scene given'
+    if scene:
+        about = f'scene {scene.get("name", "unnamed")}, rigid motion {scene["rigid_motion"]}, '
+        about += f'{AXES[scene.get("up_axis", 1)]} up'
+    size = (
+        f'dt {held["dt"]:.6g} s, {held["sequence_length"]} + 1 frames '
         f'({held["sequence_length"] * held["dt"]:.3g} s), r = {held["mode_number"]} modes, '
-        f'N = {found.n_soil or "unknown"}',
-        '',
-        f'  {"split":<7}{"runs":>5}  {"R":<10}{"context":<9}{"series":<30}',
-    ]
+        f'N = {found.n_soil or "unknown"}'
+    )
+    rows = []
     for split, part in found.splits.items():
-        rigid = ', '.join(str(count) for count in sorted({run.n_rigid for run in part}))
-        context = 'no' if part[0].step_context is None else str(part[0].step_context.shape[1])
-        series = [
-            name + ('' if count == len(part) else f' ({count} runs)')
+        counts = {
+            name: sum(getattr(run, name) is not None for run in part)
             for name in dataset.FRAME_SERIES
             if name != 'step_context'
-            and (count := sum(getattr(run, name) is not None for run in part))
-        ]
-        lines.append(f'  {split:<7}{len(part):>5}  {rigid:<10}{context:<9}{", ".join(series)}')
-    return lines
+        }
+        rows.append((
+            split, len(part), ', '.join(map(str, sorted({run.n_rigid for run in part}))),
+            'no' if part[0].step_context is None else part[0].step_context.shape[1],
+            ', '.join(
+                name + f' ({count} runs)' * (count < len(part))
+                for name, count in counts.items()
+                if count
+            ),
+        ))  # fmt: skip
+    header = ('split', 'runs', 'R', 'context', 'series')
+    return f'{about}\n{size}\n\n' + markdown.table(header, rows, aligned=True)
 
 
-def _kinds(found: Inspection) -> list[str]:
+def _kinds(found: Inspection) -> str:
     """Runs by kind (`kind` in their parameters) and split, and the share of their motion that the
     modes keep."""
-    cells: dict[str, dict[str, list[int]]] = {}
+    places = collections.defaultdict(list)  # (kind, split) -> records
     for split, part in found.splits.items():
         cases = found.of_split('cases', split)
         for index in range(len(part)):
-            case = cases[index] if index < len(cases) and isinstance(cases[index], dict) else {}
-            places = cells.setdefault(str(case.get('kind', 'not stated')), {})
-            places.setdefault(split, []).append(index)
-    lines = ['', '  runs (motion energy kept)' + ''.join(f'{name:>20}' for name in found.splits)]
-    rows = dict(sorted(cells.items())) | ({} if len(cells) < 2 else {'all': {}})
-    for kind, places in rows.items():
-        texts = []
-        for split, part in found.splits.items():
-            chosen = places.get(split, []) if places else list(range(len(part)))
-            kept, moved = (found.of_split(k, split) for k in ('motion_kept', 'motion_mse'))
-            text = str(len(chosen) or '-')
-            if chosen and max(chosen) < min(len(kept), len(moved)):
-                share = mean_share([kept[i] for i in chosen], [moved[i] for i in chosen])
-                text += f' ({100 * share:.2f} %)'
-            texts.append(f'{text:>20}')
-        lines.append(f'    {kind:<23}{"".join(texts)}')
-    return lines if found.splits else []
+            kind = cases[index].get('kind', 'not stated') if index < len(cases) else 'not stated'
+            places[str(kind), split].append(index)
+            places['all', split].append(index)
+
+    def cell(kind: str, split: str) -> str:
+        chosen = places[kind, split]
+        kept, moved = (found.of_split(key, split) for key in ('motion_kept', 'motion_mse'))
+        if not chosen or max(chosen) >= min(len(kept), len(moved)):
+            return str(len(chosen) or '-')
+        share = mean_share([kept[i] for i in chosen], [moved[i] for i in chosen])
+        return f'{len(chosen)} ({100 * share:.2f} %)'
+
+    kinds = sorted({kind for kind, _ in places} - {'all'})
+    rows = [
+        (kind, *(cell(kind, split) for split in found.splits))
+        for kind in kinds + ['all'] * (len(kinds) > 1)
+    ]
+    return markdown.table(('runs (motion energy kept)', *found.splits), rows, aligned=True)
 
 
-def _ranges(found: Inspection) -> list[str]:
+def _ranges(found: Inspection) -> str:
     """Smallest and largest values over all runs."""
     runs = found.runs
-    if not runs:
-        return []
-    rows = {
+    series = {
         'rigid position [m]': [run.position[:, : run.n_rigid] for run in runs],
         'rigid step [m/frame]': [np.diff(run.position[:, : run.n_rigid], axis=0) for run in runs],
         'mode score [m]': [run.position[:, run.n_rigid :] for run in runs],
@@ -587,66 +555,66 @@ def _ranges(found: Inspection) -> list[str]:
         'force [N]': [run.force for run in runs if run.force is not None],
         'torque [N m]': [run.torque for run in runs if run.torque is not None],
     }
-    lines = ['', f'  {"range":<22}{"x":>22}{"y":>22}{"z":>22}']
-    for name, samples in rows.items():
-        values = np.concatenate([sample.reshape(-1, 3) for sample in samples] or [np.empty((0, 3))])
+    rows = []
+    for name, samples in series.items():
+        values = np.concatenate([np.empty((0, 3)), *(part.reshape(-1, 3) for part in samples)])
         if len(values):
             ends = zip(values.min(axis=0), values.max(axis=0))
-            cells = ''.join(f'{f"{low:.3g} .. {high:.3g}":>22}' for low, high in ends)
-            lines.append(f'  {name:<22}{cells}')
+            rows.append((name, *(f'{low:.3g} .. {high:.3g}' for low, high in ends)))
     if runs[0].step_context is not None:
         values = np.concatenate([run.step_context for run in runs])
         names = found.metadata.get('scene', {}).get('context_names') or range(values.shape[1])
         for name, low, high in zip(names, values.min(axis=0), values.max(axis=0)):
-            lines.append(f'  {f"context {name}":<30}{low:.4g} .. {high:.4g}')
-    return lines
+            rows.append((f'context {name}', f'{low:.4g} .. {high:.4g}'))
+    return markdown.table(('range', 'x', 'y', 'z'), rows, aligned=True)
 
 
-def _trivial(found: Inspection) -> list[str]:
+def _trivial(found: Inspection) -> str:
     """Errors of the predictors that need no model; only where N is known."""
-    if found.n_soil is None or not found.runs:
-        return []
-    lines = [
-        '',
-        '  soil MSE of the trivial predictors [1e-4 m^2]     persistence  constant velocity',
-    ]
+    if found.n_soil is None:
+        return ''
+    rows, notes = [], []
     for split, part in found.splits.items():
         long = [run for run in part if run.n_frames > HISTORY]
         if len(long) < len(part):
-            lines.append(
-                f'    {split}: {len(part) - len(long)} runs of {HISTORY} frames or fewer, which a '
+            notes.append(
+                f'{split}: {len(part) - len(long)} runs of {HISTORY} frames or fewer, which a '
                 'model is given, are left out'
             )
         if long:
             errors = [statistics.trivial_errors(run, found.n_soil) for run in long]
-            still, constant = (
-                1e4 * np.mean([error[key] for error in errors])
-                for key in ('stay_still', 'constant_velocity')
-            )
-            lines.append(f'    {split:<46}{still:>12.4g}{constant:>20.4g}')
-    return lines
+            keys = ('stay_still', 'constant_velocity')
+            rows.append((split, *(1e4 * float(np.mean([e[key] for e in errors])) for key in keys)))
+    header = ('soil MSE without a model [1e-4 m^2]', 'persistence', 'constant velocity')
+    return '\n'.join([markdown.table(header, rows, aligned=True), *notes])
 
 
 def _floors(found: Inspection, modes: int) -> list[str]:
     """Truncation error against the number of modes: of the fit by mode, and by split."""
-    lines = []
+    tables = []
     if found.floors is not None:
         kept = found.metadata['mode_number']
-        lines += ['', '  modes   truncation error [1e-4 m^2]   RMS [mm]']
-        for count in sorted({*range(1, min(modes, len(found.floors) - 1) + 1), kept}):
-            mse, mark = found.floors[count], '  <- kept' * (count == kept)
-            lines.append(f'  {count:>5}{1e4 * mse:>30.4g}{1e3 * mse**0.5:>11.3f}{mark}')
+        counts = sorted({*range(1, min(modes, len(found.floors) - 1) + 1), kept})
+        rows = [
+            (f'{n}{" <- kept" * (n == kept)}', 1e4 * found.floors[n], 1e3 * found.floors[n] ** 0.5)
+            for n in counts
+        ]
+        header = ('modes', 'truncation error [1e-4 m^2]', 'RMS [mm]')
+        tables.append(markdown.table(header, rows, aligned=True))
     held = found.metadata.get('projection_floors')
     if isinstance(held, dict) and isinstance(held.get('modes'), list):
-        lines += ['', '  RMS that modes leave [mm]' + ''.join(f'{m:>10}' for m in held['modes'])]
-        for split in [name for name in held if name != 'modes']:
-            cells = ''.join(f'{1e3 * value**0.5:>10.3f}' for value in held[split])
-            lines.append(f'    {split:<23}{cells}')
-    return lines
+        rows = [
+            (split, *(1e3 * value**0.5 for value in values))
+            for split, values in held.items()
+            if split != 'modes'
+        ]
+        header = ('RMS that modes leave [mm]', *map(str, held['modes']))
+        tables.append(markdown.table(header, rows, aligned=True))
+    return tables
 
 
 def define_flags() -> None:
-    """Defines the flags of the command."""
+    """Defines the flags."""
     flags.DEFINE_integer('modes', 12, 'Rows of the table of truncation errors.')
 
 

@@ -27,10 +27,7 @@ EIGENVALUES_NAME = 'pca_eigen_values.pkl'
 EIGENVECTORS_NAME = 'pca_eigen_vectors.pkl'
 MEAN_NAME = 'pca_mean_scalar.pkl'
 _MAX_BYTES = 2**30
-_MULTIARRAY_MODULES = ('numpy.core.multiarray', 'numpy._core.multiarray')
 _NUMBER_TYPE = re.compile('[fiuc](1|2|4|8|16)')
-
-
 # What numpy's pickles of arrays, scalars and tuples or lists of them are made of.
 _OPCODES = frozenset((
     'PROTO', 'FRAME', 'STOP', 'MARK', 'POP', 'POP_MARK', 'GLOBAL', 'STACK_GLOBAL', 'REDUCE',
@@ -72,45 +69,35 @@ class _Type(metaclass=_Fixed):
 
 
 class _Array(metaclass=_Fixed):
-    """Stands in for numpy's `_reconstruct` and the array it makes: notes the array's state."""
+    """Stands in for numpy's `_reconstruct`, `scalar` and what these make: notes what it is given.
 
-    __slots__ = ('state',)
+    A scalar is called with its type and its bytes; an array gets a state: version, shape, type,
+    whether its order is Fortran's, bytes (or a list of objects).
+    """
 
-    def __init__(self, *_):
-        self.state = None
+    __slots__ = ('arguments', 'state')
+
+    def __init__(self, *arguments):
+        self.arguments, self.state = arguments, None
 
     def __setstate__(self, state):
         self.state = state
 
     def array(self) -> np.ndarray:
-        _, shape, kind, fortran, data = self.state
+        if self.state is None:
+            (kind, data), shape, fortran = self.arguments, (), False
+        else:
+            _, shape, kind, fortran, data = self.state
         if not isinstance(kind, _Type) or not isinstance(data, bytes):
             raise ValueError('is not an array of numbers')
         # Raises where the bytes do not fit the shape.
         return np.ndarray(shape, kind.dtype(), bytearray(data), order='F' if fortran else 'C')
 
 
-class _Scalar(metaclass=_Fixed):
-    """Stands in for numpy's `scalar`."""
-
-    __slots__ = ('kind', 'data')
-
-    def __init__(self, kind, data):
-        self.kind, self.data = kind, data
-
-    def __setstate__(self, state):
-        raise ValueError('gives a number a state')
-
-    def array(self) -> np.ndarray:
-        if not isinstance(self.kind, _Type) or not isinstance(self.data, bytes):
-            raise ValueError('is not a number')
-        return np.ndarray((), self.kind.dtype(), bytearray(self.data))
-
-
 _ADMITTED = {('numpy', 'ndarray'): _Array, ('numpy', 'dtype'): _Type} | {
-    (module, name): stand_in
-    for module in _MULTIARRAY_MODULES
-    for name, stand_in in (('_reconstruct', _Array), ('scalar', _Scalar))
+    (module, name): _Array
+    for module in ('numpy.core.multiarray', 'numpy._core.multiarray')
+    for name in ('_reconstruct', 'scalar')
 }
 
 
@@ -127,9 +114,6 @@ class _ArrayUnpickler(pickle.Unpickler):
 def read_array(path: str) -> np.ndarray:
     """Reads a pickled numpy array or scalar of numbers.
 
-    Args:
-        path: pickle file.
-
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: git-lfs pointer, empty or damaged file, or a pickle of anything but numbers in a
@@ -143,7 +127,7 @@ def read_array(path: str) -> np.ndarray:
         data = file.read()
     try:
         noted = _load(data)
-        if not isinstance(noted, (_Array, _Scalar)):
+        if not isinstance(noted, _Array):
             raise ValueError(f'holds {type(noted).__name__}')
         return noted.array()
     except Exception as error:  # a damaged pickle fails in many ways, none of which is ours
@@ -151,18 +135,14 @@ def read_array(path: str) -> np.ndarray:
 
 
 def parse_objects(data: bytes, where: str) -> Any:
-    """Parses the pickle inside a `.npy` member of type object.
-
-    Args:
-        data: bytes behind the header.
-        where: file and member, for messages.
+    """Parses the pickle behind the header of a `.npy` member of type object.
 
     Returns:
         nested lists and tuples of numpy arrays of numbers, and plain numbers; an object array
-        becomes a list, one of several axes a list of lists.
+        becomes a list, one of two axes a list of lists.
 
     Raises:
-        ValueError: anything else in it.
+        ValueError: anything else in it; `where` names file and member.
     """
     try:
         return _plain(_load(data), 0)
@@ -194,12 +174,12 @@ def _plain(noted: Any, depth: int) -> Any:
     if depth > _MAX_DEPTH:
         raise ValueError('is nested too deeply')
     if isinstance(noted, _Array) and noted.state is not None and len(noted.state) == 5:
-        shape, kind, items = noted.state[1], noted.state[2], noted.state[4]
+        _, shape, kind, _, items = noted.state
         if isinstance(items, list):
             if not isinstance(kind, _Type) or not str(kind.name).startswith('O'):
                 raise ValueError('is not an array of objects')
             return _shaped([_plain(item, depth + 1) for item in items], shape)
-    if isinstance(noted, (_Array, _Scalar)):
+    if isinstance(noted, _Array):
         return noted.array()
     if isinstance(noted, (list, tuple)):
         return type(noted)(_plain(item, depth + 1) for item in noted)
@@ -209,11 +189,11 @@ def _plain(noted: Any, depth: int) -> Any:
 
 
 def _shaped(items: list, shape: Any) -> Any:
-    """Gives a flat list the axes of its array."""
-    if shape == ():
-        return items[0] if len(items) == 1 else items
+    """Gives a flat list the axes of its array, two at most."""
     if len(shape) > 2 or np.prod(shape, dtype=object) != len(items):
         raise ValueError(f'has {len(items)} objects in an array of shape {shape}')
+    if not shape:
+        return items[0]
     if len(shape) == 1:
         return items
     return [items[i : i + shape[1]] for i in range(0, len(items), max(shape[1], 1))]

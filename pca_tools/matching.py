@@ -39,6 +39,8 @@ def order_fault(points: np.ndarray, reference: np.ndarray, name: str) -> str:
         reference: [N, 3] those of the run that says which particle is which.
         name: of that run, for the text.
     """
+    if len(points) != len(reference):
+        return f'has {len(points)} particles, {name} {len(reference)}'
     spacing = median_spacing(reference)
     own = np.linalg.norm(np.asarray(points, np.float64) - reference, axis=1)
     nearest = _tree(reference).query(points)[0]

@@ -33,13 +33,7 @@ _REQUIRED = (
 
 
 def read_metadata(folder: str) -> dict[str, Any]:
-    """Reads and checks the metadata of a dataset folder, ours or the authors'.
-
-    Args:
-        folder: dataset folder with `metadata.json`.
-
-    Returns:
-        The metadata as written; nothing is added or changed.
+    """Returns the checked metadata of a dataset folder, ours or the authors', as written.
 
     Raises:
         FileNotFoundError: the folder or the file is missing.
@@ -78,127 +72,6 @@ def _what_else(folder: str) -> str:
     return f'. {detect.explain(kind, folder)}' if known else ''
 
 
-def metadata_problems(metadata: Any) -> list[str]:
-    """Returns what is wrong with a metadata dictionary, one sentence each; empty if nothing is."""
-    if not isinstance(metadata, dict):
-        return [f'must be a JSON object, found {type(metadata).__name__}']
-    missing = [key for key in _REQUIRED if key not in metadata]
-    if missing:
-        return [f'lacks {", ".join(missing)}']
-    problems = []
-    if metadata['dim'] != DIM:
-        problems.append(f'dim is {metadata["dim"]!r}, only {DIM} is supported')
-    for key in ('dt', 'default_connectivity_radius'):
-        if not is_number(metadata[key]) or metadata[key] <= 0:
-            problems.append(f'{key} is {metadata[key]!r}, a positive number was expected')
-    for key in ('sequence_length', 'mode_number', 'n_soil', 'particles_rigid'):
-        least = int(key != 'particles_rigid')
-        if not is_index(metadata.get(key, least)) or metadata.get(key, least) < least:
-            problems.append(
-                f'{key} is {metadata[key]!r}, an integer of at least {least} was expected'
-            )
-    problems += bounds_problems(metadata['bounds'])
-    for name in ('vel', 'acc', 'rigid_body_force', 'rigid_body_torque', 'context'):
-        problems += _statistics_problems(metadata, name, None if name == 'context' else DIM)
-    if metadata.get('schema_version', SCHEMA_VERSION) != SCHEMA_VERSION:
-        problems.append(
-            f'schema_version is {metadata["schema_version"]!r}, this program reads {SCHEMA_VERSION}'
-        )
-    problems += _record_problems(metadata)
-    if 'scene' in metadata:
-        problems += scene_problems(metadata['scene']) or _disagreements(metadata)
-    return problems
-
-
-def bounds_problems(bounds: Any) -> list[str]:
-    """Returns what is wrong with bounds, which must be [[low, high]] * 3 in metres."""
-    if not isinstance(bounds, list) or len(bounds) != DIM:
-        return [f'bounds is {bounds!r}, {DIM} pairs [low, high] in metres were expected']
-    for pair in bounds:
-        if not _is_numbers(pair, 2) or pair[0] >= pair[1]:
-            return [f'bounds has {pair!r}, a pair [low, high] with low < high was expected']
-    return []
-
-
-def scene_problems(scene: Any) -> list[str]:
-    """Returns what is wrong with the scene of a dataset or of raw runs."""
-    if not isinstance(scene, dict):
-        return [f'scene is {scene!r}, an object was expected']
-    problems = []
-    for key, is_possible, expected in (
-        ('name', isinstance(scene.get('name', ''), str), 'a text'),
-        ('rigid_motion', scene.get('rigid_motion') in RIGID_MOTIONS, f'one of {RIGID_MOTIONS}'),
-        ('up_axis', is_index(scene.get('up_axis', 1)) and scene.get('up_axis', 1) < DIM,
-         '0 (x), 1 (y) or 2 (z)'),
-        ('context_names', _all_are(scene.get('context_names', []), lambda n: isinstance(n, str)),
-         'a list of texts'),
-        ('rigid_edges', _all_are(scene.get('rigid_edges', []), _is_edge),
-         'a list of pairs of rigid points'),
-        ('bodies', 'bodies' not in scene
-         or _all_are(scene['bodies'], _is_body) and len(scene['bodies']) > 1,
-         f'a list of two or more objects with name, rigid_motion (one of {RIGID_MOTIONS[1:]}) and '
-         'points'),
-    ):  # fmt: skip
-        if not is_possible:
-            problems.append(f'scene.{key} is {short(scene.get(key))}, {expected} was expected')
-    return problems
-
-
-def _disagreements(metadata: dict[str, Any]) -> list[str]:
-    """What a scene says that the other metadata do not."""
-    scene, problems = metadata['scene'], []
-    names, context = scene.get('context_names', []), metadata.get('context_mean', [])
-    if isinstance(context, list) and len(names) != len(context):
-        problems.append(
-            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
-        )
-    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
-        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
-    count = metadata.get('particles_rigid', math.inf)
-    beyond = [edge for edge in scene.get('rigid_edges', []) if max(edge) >= count]
-    if beyond:
-        problems.append(
-            f'scene.rigid_edges has {beyond[0]}, two of {count} rigid particles were expected'
-        )
-    return problems
-
-
-def _statistics_problems(metadata: dict[str, Any], name: str, length: int | None) -> list[str]:
-    """Checks a pair `<name>_mean`, `<name>_std`; a pair that is absent as a whole is no problem."""
-    held = {f'{name}_{kind}': metadata.get(f'{name}_{kind}') for kind in ('mean', 'std')}
-    if not held.keys() & metadata.keys():
-        return []
-    problems = [
-        f'{key} is {value!r}, {length or "finite"} numbers were expected'
-        for key, value in held.items()
-        if not _is_numbers(value, length)
-    ]
-    if problems:
-        return problems
-    mean, std = held.values()
-    if len(mean) != len(std):
-        return [f'{name}_mean has {len(mean)} values but {name}_std has {len(std)}']
-    if min(std, default=0.0) < 0:
-        return [f'{name}_std has a negative value: {std!r}']
-    return []
-
-
-def _record_problems(metadata: dict[str, Any]) -> list[str]:
-    """Checks the optional keys that hold one value per record of each split."""
-    problems = []
-    if not isinstance(metadata.get('pca', {}), dict):
-        problems.append(f'pca is {metadata["pca"]!r}, an object was expected')
-    for key in ('dataset_split', 'cases', 'frames_of_runs', *PROJECTION_KEYS):
-        value = metadata.get(key, {})
-        if not isinstance(value, dict) or not _all_are(
-            list(value.values()), lambda part: isinstance(part, list)
-        ):
-            problems.append(f'{key} must be an object with one list for each split')
-        elif key in PROJECTION_KEYS and not all(_is_numbers(part, None) for part in value.values()):
-            problems.append(f'{key} must hold one number for each record')
-    return problems
-
-
 def is_number(value: Any) -> bool:
     """Whether a value of a JSON file is a finite number that a float can hold."""
     return (
@@ -213,22 +86,12 @@ def is_index(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
-def short(value: Any) -> str:
-    """Returns a value as text that fits into a message."""
-    text = repr(value)
-    return text if len(text) < 200 else text[:197] + '...'
-
-
-def _all_are(values: Any, is_one: Callable[[Any], bool]) -> bool:
-    return isinstance(values, list) and all(map(is_one, values))
-
-
-def _is_numbers(value: Any, length: int | None) -> bool:
-    return _all_are(value, is_number) and (length is None or len(value) == length)
-
-
-def _is_edge(value: Any) -> bool:
-    return _all_are(value, is_index) and len(value) == 2
+def _list_of(is_one: Callable[[Any], bool], length: int | None = None) -> Callable[[Any], bool]:
+    return lambda values: (
+        isinstance(values, list)
+        and (length is None or len(values) == length)
+        and all(map(is_one, values))
+    )
 
 
 def _is_body(value: Any) -> bool:
@@ -239,3 +102,116 @@ def _is_body(value: Any) -> bool:
         and is_index(value.get('points'))
         and value['points'] > 0
     )
+
+
+def _is_pair(value: Any) -> bool:
+    return _list_of(is_number, 2)(value) and value[0] < value[1]
+
+
+def _of_splits(what: str, is_one: Callable[[Any], bool]) -> tuple[str, Callable[[Any], bool]]:
+    """The check of a key that holds one value for each record of each split."""
+    is_part = _list_of(is_one)
+    return f'an object with a list for each split, one {what} a record,', lambda value: (
+        isinstance(value, dict) and all(map(is_part, value.values()))
+    )
+
+
+# Key -> what is expected, and whether a value is that.
+Checks = dict[str, tuple[str, Callable[[Any], bool]]]
+_POSITIVE = ('a positive number', lambda value: is_number(value) and value > 0)
+_COUNT = ('an integer of at least 1', lambda value: is_index(value) and value > 0)
+_VECTOR = (f'{DIM} numbers', _list_of(is_number, DIM))
+_DEVIATIONS = (f'{DIM} numbers, none negative,', lambda v: _VECTOR[1](v) and min(v) >= 0)
+WORLD_CHECKS: Checks = {
+    'dt': ('a positive number of seconds', _POSITIVE[1]),
+    'bounds': (f'{DIM} pairs [low, high] in metres, low < high,', _list_of(_is_pair, DIM)),
+}
+_CHECKS: Checks = WORLD_CHECKS | {
+    'dim': (f'{DIM}', lambda value: value == DIM),
+    'default_connectivity_radius': _POSITIVE,
+    'sequence_length': _COUNT, 'mode_number': _COUNT, 'n_soil': _COUNT,
+    'particles_rigid': ('an integer of at least 0', is_index),
+    **{
+        f'{name}_{kind}': check
+        for name in ('vel', 'acc', 'rigid_body_force', 'rigid_body_torque')
+        for kind, check in (('mean', _VECTOR), ('std', _DEVIATIONS))
+    },
+    'context_mean': ('finite numbers', _list_of(is_number)),
+    'context_std': ('numbers, none negative,', _list_of(lambda v: is_number(v) and v >= 0)),
+    'schema_version': (f'{SCHEMA_VERSION}', lambda value: value == SCHEMA_VERSION),
+    'pca': ('an object', lambda value: isinstance(value, dict)),
+    'dataset_split': _of_splits('case id', lambda value: isinstance(value, (int, str))),
+    'cases': _of_splits('object', lambda value: isinstance(value, dict)),
+    'frames_of_runs': _of_splits('number', is_index),
+    **dict.fromkeys(PROJECTION_KEYS, _of_splits('number', is_number)),
+}  # fmt: skip
+_SCENE_CHECKS: Checks = {
+    'name': ('a text', lambda value: isinstance(value, str)),
+    'rigid_motion': (f'one of {RIGID_MOTIONS}', RIGID_MOTIONS.__contains__),
+    'up_axis': ('0 (x), 1 (y) or 2 (z)', lambda value: is_index(value) and value < DIM),
+    'context_names': ('a list of texts', _list_of(lambda value: isinstance(value, str))),
+    'rigid_edges': ('a list of pairs of rigid points', _list_of(_list_of(is_index, 2))),
+    'bodies': (
+        f'a list of two or more objects with name, rigid_motion (one of {RIGID_MOTIONS[1:]}) and '
+        'points',
+        lambda value: _list_of(_is_body)(value) and len(value) > 1,
+    ),
+}
+
+
+def problems_of(values: dict[str, Any], checks: Checks, prefix: str = '') -> list[str]:
+    """Returns a sentence about each value that is there and not what is expected."""
+    return [
+        f'{prefix}{key} is {short(values[key])}, {expected} was expected'
+        for key, (expected, is_right) in checks.items()
+        if key in values and not is_right(values[key])
+    ]
+
+
+def metadata_problems(metadata: Any) -> list[str]:
+    """Returns what is wrong with a metadata dictionary, one sentence each; empty if nothing is."""
+    if not isinstance(metadata, dict):
+        return [f'must be a JSON object, found {type(metadata).__name__}']
+    if missing := [key for key in _REQUIRED if key not in metadata]:
+        return [f'lacks {", ".join(missing)}']
+    problems = problems_of(metadata, _CHECKS)
+    scene = metadata.get('scene', {'rigid_motion': 'none'})
+    problems += scene_problems(scene)
+    if problems:
+        return problems
+    for name in ('rigid_body_force', 'rigid_body_torque', 'context'):
+        means, deviations = (metadata.get(f'{name}_{kind}', []) for kind in ('mean', 'std'))
+        if len(means) != len(deviations):
+            problems.append(f'{name}_mean has {len(means)} values but {name}_std {len(deviations)}')
+    return problems + (_disagreements(metadata) if 'scene' in metadata else [])
+
+
+def scene_problems(scene: Any) -> list[str]:
+    """Returns what is wrong with the scene of a dataset or of raw runs."""
+    if not isinstance(scene, dict):
+        return [f'scene is {short(scene)}, an object was expected']
+    return problems_of({'rigid_motion': None, **scene}, _SCENE_CHECKS, 'scene.')
+
+
+def _disagreements(metadata: dict[str, Any]) -> list[str]:
+    """What a scene says that the other metadata do not."""
+    scene, problems = metadata['scene'], []
+    names, context = scene.get('context_names', []), metadata.get('context_mean', [])
+    if len(names) != len(context):
+        problems.append(
+            f'scene.context_names has {len(names)} names but context_mean has {len(context)} values'
+        )
+    if bool(scene.get('force')) != ('rigid_body_force_mean' in metadata):
+        problems.append('scene.force and the presence of rigid_body_force_mean disagree')
+    count = metadata.get('particles_rigid', math.inf)
+    if beyond := [edge for edge in scene.get('rigid_edges', []) if max(edge) >= count]:
+        problems.append(
+            f'scene.rigid_edges has {beyond[0]}, two of {count} rigid particles were expected'
+        )
+    return problems
+
+
+def short(value: Any) -> str:
+    """Returns a value as text that fits into a message."""
+    text = repr(value)
+    return text if len(text) < 200 else text[:197] + '...'

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pca_tools import files, packing
+from pca_tools.metadata import DIM
 
-DIM = 3
 SAMPLE_SIZE = 600
 FRAME_STRIDE = 4
 # Metres; positions are kept to half of it.
@@ -80,10 +80,7 @@ def write_sample(
     Args:
         path: of the file.
         packed: bytes of `packing.pack_steps` and number of frames F of each run.
-        indices: int [P], which particles.
-        rest: float64 [P, 3] that they were packed with.
-        frame_stride: frames of the record from one kept frame to the next.
-        resolution: that they were packed with.
+        indices, rest, frame_stride, resolution: see `ParticleSample`.
     """
     blobs = [data for data, _ in packed]
     files.write_npz(

@@ -20,13 +20,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from absl import flags
+from tqdm import tqdm
 
 from pca_tools import command, dataset, files
-from pca_tools.convert import SUBSPACE_NAME, progress_bar
 from pca_tools.metadata import AXES
 from pca_tools.raw_runs import RawRuns
 from pca_tools.storage import markdown
-from pca_tools.subspace import DIM, Subspace
+from pca_tools.subspace import DIM, SUBSPACE_NAME, Subspace
 
 
 def plot_energy_and_error(space: Subspace, path: str) -> None:
@@ -42,11 +42,8 @@ def plot_energy_and_error(space: Subspace, path: str) -> None:
     left.set(xlabel='mode', ylabel='share of the energy', title='Energy')
     left.legend()
     right.semilogy(counts, 1e3 * np.sqrt(space.projection_floors[1:]), 'o-', markersize=3)
-    right.set(
-        xlabel='modes kept r',
-        ylabel='RMS per coordinate [mm]',
-        title=f'Projection error of the {len(space.runs)} training runs',
-    )
+    title = f'Projection error of the {len(space.runs)} training runs'
+    right.set(xlabel='modes kept r', ylabel='RMS per coordinate [mm]', title=title)
     for axes in (left, right):
         axes.axvline(space.n_modes, color='0.5', linestyle='--', linewidth=1)
         axes.grid(True, which='both', alpha=0.3)
@@ -78,14 +75,9 @@ def plot_modes(space: Subspace, path: str, up_axis: int = 1) -> None:
             (row[1], z, f'{AXES[depth]} [m]'),
         ):
             points = axes.scatter(
-                x[order],
-                across[order],
-                c=weights[order],
-                s=3,
-                cmap='RdBu_r',
-                vmin=-limit,
+                x[order], across[order], c=weights[order], s=3, cmap='RdBu_r', vmin=-limit,
                 vmax=limit,
-            )
+            )  # fmt: skip
             axes.set(aspect='equal', ylabel=name)
         share = 100 * space.explained_variance_ratio[mode]
         row[0].set_title(f'mode {mode + 1}: {share:.3g} % of the energy, side', fontsize=9)
@@ -129,34 +121,41 @@ def compare_reductions(
             f'{runs.folder}: has {len(training)} training and {len(held_out)} held-out runs of '
             'this subspace, both are needed'
         )
-    train = _thinned_rows(space, runs, training, max_rows)
-    test = _thinned_rows(space, runs, held_out, max_rows)
+    train, test = (
+        _thinned_rows(space, runs, indices, max_rows) for indices in (training, held_out)
+    )
     models = {
-        'PCA, the stored subspace': _StoredSubspace(space.components),
         'PCA of the thinned frames': decomposition.PCA(
             space.n_modes, svd_solver='arpack', random_state=0
-        ),
+        )
     } | {
         f'kernel PCA of the same (RBF {gamma:g}, ridge {alpha:g})': decomposition.KernelPCA(
             space.n_modes, kernel='rbf', gamma=gamma, fit_inverse_transform=True, alpha=alpha
         )
         for alpha in alphas
     }
-    rows = []
-    for name, model in models.items():
-        start = time.process_time()
-        model.fit(train)
-        fitted = time.process_time()
-        train_mse, test_mse = (
-            float(np.mean((model.inverse_transform(model.transform(part)) - part) ** 2))
-            for part in (train, test)
+    # How each is fitted, encodes and decodes.
+    methods = {
+        'PCA, the stored subspace': (
+            lambda rows: None,
+            lambda rows: rows @ space.components,
+            lambda scores: scores @ space.components.T,
         )
-        scores, decoding = model.transform(test), time.process_time()
-        model.inverse_transform(scores)
-        decode = 1e3 * (time.process_time() - decoding) * DIM / len(test)
+    } | {name: (m.fit, m.transform, m.inverse_transform) for name, m in models.items()}
+    rows = []
+    for name, (fit, encode, decode) in methods.items():
+        start = time.process_time()
+        fit(train)
+        fit_seconds = time.process_time() - start
+        scores = encode(test)
+        start = time.process_time()
+        decoded = decode(scores)
+        decode_ms = 1e3 * (time.process_time() - start) * DIM / len(test)
         rows.append({
-            'method': name, 'modes': space.n_modes, 'train_mse': train_mse, 'test_mse': test_mse,
-            'fit_seconds': fitted - start, 'decode_ms': decode,
+            'method': name, 'modes': space.n_modes,
+            'train_mse': float(np.mean((decode(encode(train)) - train) ** 2)),
+            'test_mse': float(np.mean((decoded - test) ** 2)),
+            'fit_seconds': fit_seconds, 'decode_ms': decode_ms,
         })  # fmt: skip
     return rows
 
@@ -164,28 +163,12 @@ def compare_reductions(
 def _thinned_rows(space: Subspace, runs: RawRuns, indices: list[int], max_rows: int) -> np.ndarray:
     """Returns centred rows [rows, N] of evenly chosen frames of the given runs."""
     rows = []
-    for index in progress_bar(indices, 'frames'):
+    for index in tqdm(indices, desc='frames', unit='run'):
         positions = runs[index].positions
         frames = max(max_rows // (DIM * len(indices)), 2)
         chosen = np.unique(np.linspace(0, len(positions) - 1, frames).astype(int))
         rows.append((positions[chosen] - space.mean).transpose(0, 2, 1).reshape(-1, space.n_soil))
     return np.concatenate(rows)
-
-
-class _StoredSubspace:
-    """The stored components behind the interface of scikit-learn's reductions."""
-
-    def __init__(self, components: np.ndarray):
-        self._components = components
-
-    def fit(self, rows: np.ndarray) -> None:
-        """Does nothing: it is fitted already."""
-
-    def transform(self, rows: np.ndarray) -> np.ndarray:
-        return rows @ self._components
-
-    def inverse_transform(self, scores: np.ndarray) -> np.ndarray:
-        return scores @ self._components.T
 
 
 def table(space: Subspace, reductions: Sequence[dict]) -> str:
@@ -212,7 +195,7 @@ def table(space: Subspace, reductions: Sequence[dict]) -> str:
 
 
 def define_flags() -> None:
-    """Defines the flags; not at import, so that several commands can be imported together."""
+    """Defines the flags."""
     flags.DEFINE_string('output_path', None, 'Folder for pictures and numbers.', required=True)
     flags.DEFINE_string('raw_path', None, 'Raw runs of the dataset, for the kernel PCA row.')
     flags.DEFINE_float('kernel_gamma', 0.04, 'Gamma of the RBF kernel in 1/m^2.')

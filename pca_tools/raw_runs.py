@@ -1,24 +1,44 @@
 """Raw runs: one `.npz` per run and a `manifest.json`; the format is in `docs/data.md`.
 
-The ground-truth solver writes them, and `pca_tools.write_raw` for data of any other origin. The
-folder is trusted no further than its manifest: bytes and sha256 are checked when a run is first
-opened.
+The ground-truth solver writes them, and `pca_tools.write_raw` for data of any other origin. Nothing
+in the folder is trusted: bytes and sha256 are held against the manifest when a run is first opened.
+Every check returns sentences, so that a person learns of all faults at once.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 import os
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
-from pca_tools import files, matching, raw_checks
-from pca_tools.dataset import FrameSeries
-from pca_tools.metadata import AXES
-from pca_tools.raw_checks import SERIES
+from pca_tools import files, matching, metadata
+from pca_tools.dataset import FRAME_SERIES, FrameSeries, has_shape, non_finite_problems
+from pca_tools.metadata import AXES, DIM
+from pca_tools.subspace import Subspace
+
+# Arrays with a first axis of frames -> shape of a frame; None: as many as the scene has.
+SERIES = {'positions': (None, DIM), 'rigid_positions': (None, DIM)} | {
+    name.removeprefix('rigid_'): shape for name, shape in FRAME_SERIES.items()
+}
+SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
+ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
+# More faults than this are counted, not listed.
+MAX_LISTED = 30
+# Soil on a table or under a machine: grains closer than 10 um or farther than 1 m, beds of more
+# than 500 m, or anything at 20 m/s are mistaken units before they are soil.
+SPACING = (1e-5, 1.0)
+EXTENT = (1e-3, 500.0)
+SPEED = 20.0
+# Of the extent of the bounds: how far inside the free space above the bed must exceed that below,
+# and that of every other axis, before an axis is taken for the upward one.
+_ASYMMETRY = 0.2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,9 +84,7 @@ class RawRuns(Sequence):
         if not os.path.isdir(folder):
             raise FileNotFoundError(f'{folder}: no such folder of raw runs')
         manifest = files.read_json(path)
-        faults = raw_checks.manifest_faults(manifest)
-        if faults:
-            raise raw_checks.faults_error(path, faults)
+        raise_faults(path, manifest_faults(manifest))
         self.scene: dict[str, Any] = manifest['scene']
         self.dt: float = manifest['dt']
         self.bounds: list[list[float]] = manifest['bounds']
@@ -85,7 +103,10 @@ class RawRuns(Sequence):
     def __len__(self) -> int:
         return len(self._entries)
 
-    def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
+    def __iter__(self) -> Iterator[RawRun]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> RawRun:
         """Opens run `index`.
 
         Raises:
@@ -97,23 +118,20 @@ class RawRuns(Sequence):
         path = os.path.join(self.folder, os.path.basename(entry['file']))
         files.refuse_git_lfs_pointer(path)
         if index not in self._verified:
-            size = os.path.getsize(path)
-            if (size, files.sha256_of_file(path)) != (entry['bytes'], entry['sha256']):
+            if files.fingerprint(path) != {key: entry[key] for key in ('bytes', 'sha256')}:
                 raise ValueError(
-                    f'{path}: differs from the manifest ({size} bytes, {entry["bytes"]} listed); '
-                    'copy it again from where it is whole, or, if it was changed on purpose, let '
-                    'the manifest follow: python -m pca_tools.convert --rehash '
-                    f'--raw_path={self.folder}'
+                    f'{path}: differs from the manifest ({os.path.getsize(path)} bytes, '
+                    f'{entry["bytes"]} listed); copy it again from where it is whole, or, if it '
+                    'was changed on purpose, let the manifest follow: '
+                    f'python -m pca_tools.convert --rehash --raw_path={self.folder}'
                 )
             self._verified.add(index)
         arrays = files.read_npz(path)
-        faults = raw_checks.array_faults(arrays, self.scene)
-        if faults:
+        if faults := array_faults(arrays, self.scene):
             raise ValueError(f'{path}: ' + '; '.join(faults))
         run = self._run_of(arrays, entry['case'])
         shape = (run.positions.shape[1], run.torque is not None, run.rigid_pose is not None)
-        if self._shape is None:
-            self._shape = shape
+        self._shape = self._shape or shape
         if shape != self._shape:
             raise ValueError(
                 f'{path}: has (particles, torque, pose) {shape}, the runs before it {self._shape}; '
@@ -125,14 +143,6 @@ class RawRuns(Sequence):
             self._orders[index] = matching.match_particles(run.positions[0], self._reference)
         return dataclasses.replace(run, positions=run.positions[:, self._orders[index]])
 
-    def match_particles(self, reference: np.ndarray | None = None) -> None:
-        """Lets all runs list their particles in one order: nearest neighbours in frame 0.
-
-        Args:
-            reference: [N, 3] metres; default frame 0 of the first run.
-        """
-        self._reference = self[0].positions[0] if reference is None else reference
-
     def _run_of(self, arrays: dict[str, np.ndarray], case: int | str) -> RawRun:
         series = {name: np.asarray(arrays[name], np.float32) for name in SERIES if name in arrays}
         if 'pose' in series:
@@ -141,18 +151,23 @@ class RawRuns(Sequence):
             series['force'] = None
         if self.scene['rigid_motion'] == 'none':
             series['rigid_positions'] = np.zeros((len(series['positions']), 0, 3), np.float32)
-        parameters, context = raw_checks.read_context(arrays, self.scene)
+        parameters, context = _read_context(arrays, self.scene)
         return RawRun(case=case, context=context, parameters=parameters, **series)
+
+    def match_particles(self, reference: np.ndarray | None = None) -> None:
+        """Lets all runs list their particles in one order: nearest neighbours in frame 0.
+
+        Args:
+            reference: [N, 3] metres; default frame 0 of the first run.
+        """
+        self._reference = self[0].positions[0] if reference is None else reference
 
     def parameters(self, index: int) -> dict[str, Any]:
         """Returns the parameters of run `index`, from the manifest where it lists them."""
         listed = self._entries[index].get('parameters')
         return listed if isinstance(listed, dict) else self[index].parameters
 
-    def __iter__(self) -> Iterator[RawRun]:
-        return (self[index] for index in range(len(self)))
-
-    def check(self, check_units: bool = True, progress=lambda sequence, label: sequence) -> None:
+    def check(self, check_units: bool = True, space: Subspace | None = None) -> None:
         """Opens every run and refuses the folder with all that is wrong with it.
 
         A scene that does not say which axis points up gets the one that gravity or the bounds tell,
@@ -160,53 +175,47 @@ class RawRuns(Sequence):
 
         Args:
             check_units: whether positions and dt must be plausible in metres and seconds.
-            progress: wraps the pass, called with the sequence and a label.
+            space: whose particles the runs must have, in its order; default: those of the first.
 
         Raises:
-            ValueError: faults of any run, implausible units, or no telling which axis points up.
+            ValueError: faults of any run, other particles, implausible units, or no telling which
+                axis points up.
         """
-        extent, faults = raw_checks.Extent(), []
-        bounds = np.asarray(self.bounds, np.float64)
-        first = None
-        for index in progress(range(len(self)), 'check'):
+        extent, faults = Extent(), []
+        reference = space and (space.initial, f'case {space.runs[0]}')
+        for index in tqdm(range(len(self)), desc='check', unit='run'):
             try:
                 run = self[index]
             except (ValueError, OSError) as error:
                 faults.append(str(error))
                 continue
-            extent.add(run.positions, run.rigid_positions, self.dt, bounds)
-            first = run if first is None else first
-            begin, name = first.positions[0], f'case {first.case}'
-            if fault := matching.order_fault(run.positions[0], begin, name):
+            extent.add(run.positions, run.rigid_positions, self.dt)
+            reference = reference or (run.positions[0], f'case {run.case}')
+            if fault := matching.order_fault(run.positions[0], *reference):
                 faults.append(f'case {run.case}: {fault}')
         if np.all(np.isfinite(extent.low)):
             if check_units:
-                faults += raw_checks.unit_faults(extent, self.bounds, self.dt)
+                faults += unit_faults(extent, self.bounds, self.dt)
             faults += self._up_axis_faults(extent)
-        if faults:
-            raise raw_checks.faults_error(self.folder, faults)
+        raise_faults(self.folder, faults)
 
-    def _up_axis_faults(self, extent: raw_checks.Extent) -> list[str]:
-        axis, reason = raw_checks.infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
+    def _up_axis_faults(self, extent: Extent) -> list[str]:
+        axis, reason = infer_up_axis(extent, self.bounds, self.scene.get('gravity'))
         stated = self.scene.get('up_axis')
         if stated is None and axis is None:
             return [
-                'scene.up_axis is missing and cannot be inferred '
-                f'({reason}); write it into the manifest: 0 (x), 1 (y) or 2 (z)'
+                f'scene.up_axis is missing and cannot be inferred ({reason}); write it into the '
+                'manifest: 0 (x), 1 (y) or 2 (z)'
             ]
         if stated is None:
-            warnings.warn(
-                f'{self.folder}: scene.up_axis is missing; {axis} ({AXES[axis]}) is taken, because '
-                f'{reason}',
-                stacklevel=3,
-            )
+            found = f'is missing; {axis} ({AXES[axis]}) is taken, because {reason}'
             self.scene = {**self.scene, 'up_axis': axis}
-        elif axis is not None and axis != stated:
-            warnings.warn(
-                f'{self.folder}: scene.up_axis is {stated} ({AXES[stated]}) but {AXES[axis]} looks '
-                f'like the upward axis: {reason}',
-                stacklevel=3,
-            )
+        elif axis not in (None, stated):
+            found = f'is {stated} ({AXES[stated]}) but {AXES[axis]} looks like the upward axis: '
+            found += reason
+        else:
+            return []
+        warnings.warn(f'{self.folder}: scene.up_axis {found}', stacklevel=3)
         return []
 
 
@@ -215,9 +224,7 @@ class SoilPositions(Sequence):
 
     def __init__(self, runs: RawRuns, indices: Sequence[int], frame_stride: int = 1):
         """Takes every `frame_stride`-th frame of the runs `indices` of `runs`, in that order."""
-        self._runs = runs
-        self._indices = list(indices)
-        self._stride = frame_stride
+        self._runs, self._indices, self._stride = runs, list(indices), frame_stride
 
     def part(self, start: int, stop: int) -> SoilPositions:
         """Returns the runs from number `start` up to `stop`."""
@@ -226,5 +233,216 @@ class SoilPositions(Sequence):
     def __len__(self) -> int:
         return len(self._indices)
 
-    def __getitem__(self, index: int) -> np.ndarray:  # type: ignore[override]
+    def __getitem__(self, index: int) -> np.ndarray:
         return self._runs[self._indices[index]].positions[:: self._stride]
+
+
+def raise_faults(where: str, faults: Sequence[str]) -> None:
+    """Raises one ValueError that lists all faults of a file or folder, if there are any."""
+    if len(faults) == 1:
+        raise ValueError(f'{where}: {faults[0]}')
+    if faults:
+        listed = ''.join(f'\n  - {fault}' for fault in faults[:MAX_LISTED])
+        more = f'\n  and {len(faults) - MAX_LISTED} more' if len(faults) > MAX_LISTED else ''
+        raise ValueError(f'{where}: {len(faults)} faults, nothing was converted{listed}{more}')
+
+
+def manifest_faults(manifest: Any) -> list[str]:
+    """Returns what is wrong with the manifest of a raw folder."""
+    if not isinstance(manifest, dict) or not {'scene', 'dt', 'bounds', 'runs'} <= manifest.keys():
+        return ['is not a manifest of raw runs (scene, dt, bounds, runs)']
+    scene, runs = manifest['scene'], manifest['runs']
+    faults = metadata.problems_of(manifest, metadata.WORLD_CHECKS)
+    lacking = [key for key in SCENE_KEYS if isinstance(scene, dict) and key not in scene]
+    faults += [f'scene {scene!r} lacks {lacking}'] if lacking else metadata.scene_problems(scene)
+    if not isinstance(runs, list) or not runs:
+        return [*faults, 'lists no runs; let the solver finish at least one']
+    wrong = [
+        f'a run is listed as {metadata.short(entry)}, not with {sorted(ENTRY_KEYS)}; '
+        '`python -m pca_tools.convert --rehash` fills in what follows from the files'
+        for entry in runs
+        if not isinstance(entry, dict)
+        or ENTRY_KEYS - entry.keys()
+        or not isinstance(entry['file'], str)
+        or not is_case(entry['case'])
+    ]
+    return faults + (wrong or repeated_cases([entry['case'] for entry in runs]))
+
+
+def is_case(value: Any) -> bool:
+    """Whether a value can be the id of a run: a whole number or a text."""
+    return isinstance(value, (int, str)) and not isinstance(value, bool)
+
+
+def repeated_cases(cases: Sequence[int | str]) -> list[str]:
+    """Returns a sentence about case ids that come more than once."""
+    texts = [str(case) for case in cases]
+    repeated = sorted({text for text in texts if texts.count(text) > 1})
+    return [f'lists the cases [{", ".join(repeated)}] more than once'] if repeated else []
+
+
+def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[str]:
+    """Returns what is wrong with the arrays of one run.
+
+    Args:
+        arrays: of the `.npz` file.
+        scene: of the manifest.
+    """
+    has_body = scene['rigid_motion'] != 'none'
+    wanted = ['positions', 'parameters']
+    wanted += ['rigid_positions'] * has_body + ['force'] * bool(scene['force'])
+    lacking = [key for key in wanted if key not in arrays]
+    faults = [f'lacks the arrays {lacking}'] if lacking else []
+    soil = arrays.get('positions', np.empty(0))
+    frames = len(soil) if soil.ndim else 0
+    for name, shape in (SERIES | {'step_context': (len(scene['context_names']),)}).items():
+        if name not in arrays or (name == 'rigid_positions' and not has_body):
+            continue
+        values = arrays[name]
+        is_numbers = values.size and values.dtype.kind in 'fiu'
+        if not is_numbers or not has_shape(values, frames, shape):
+            sizes = ' x '.join('any' if size is None else str(size) for size in shape)
+            faults.append(
+                f'{name} has shape {values.shape}, {values.dtype} for {frames} frames of {sizes} '
+                'values'
+            )
+        else:
+            faults += non_finite_problems(values, name, 'point')
+    bodies, body = scene.get('bodies', []), arrays.get('rigid_positions', np.empty(0))
+    if has_body and body.ndim == 3:
+        highest = max((max(edge) for edge in scene['rigid_edges']), default=-1)
+        if highest >= body.shape[1]:
+            faults.append(f'rigid_edges name point {highest}, the body has {body.shape[1]}')
+        counts = {one['name']: one['points'] for one in bodies}
+        if bodies and sum(one['points'] for one in bodies) != body.shape[1]:
+            faults.append(f'has {body.shape[1]} rigid points, its bodies {counts}')
+    for name in ('body_force', 'body_pose'):
+        values = arrays.get(name, np.empty(0))
+        if values.ndim == 3 and values.shape[1] != len(bodies):
+            faults.append(f'{name} is of {values.shape[1]} bodies, the scene has {len(bodies)}')
+    if 'parameters' in arrays:
+        try:
+            _read_context(arrays, scene)
+        except ValueError as error:
+            faults.append(str(error))
+    return faults
+
+
+def _read_context(
+    arrays: dict[str, np.ndarray], scene: dict[str, Any]
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Returns the parameters of a run and its context values, float64 [C]."""
+    names = scene['context_names']
+    try:
+        parameters = json.loads(str(arrays['parameters']))
+        context = np.array([float(parameters['context'][name]) for name in names])
+        if not isinstance(parameters, dict) or not np.all(np.isfinite(context)):
+            raise ValueError(f'context {context} is not finite')
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise ValueError(
+            f'parameters must be a JSON object with context {names}: {error!r}'
+        ) from error
+    return parameters, context
+
+
+@dataclasses.dataclass
+class Extent:
+    """Where the soil is in all runs, and how fast soil and body are.
+
+    Attributes:
+        low, high: [3] least and greatest soil coordinate in frame 0, metres.
+        spacing: median distance of a soil particle to its nearest neighbour, metres.
+        speed, fastest: of the fastest point of soil or body, metres per second; which it is.
+    """
+
+    low: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, np.inf))
+    high: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, -np.inf))
+    spacing: float = math.nan
+    speed: float = 0.0
+    fastest: str = 'soil'
+
+    def add(self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float) -> None:
+        """Takes in one run; arrays as of `RawRun`."""
+        first = np.asarray(positions[0], np.float64)
+        self.low = np.minimum(self.low, first.min(axis=0))
+        self.high = np.maximum(self.high, first.max(axis=0))
+        if math.isnan(self.spacing):
+            self.spacing = matching.median_spacing(first)
+        for name, points in (('soil', positions), ('body', rigid_positions)):
+            steps = (float(np.abs(b - a).max(initial=0)) for a, b in zip(points[:-1], points[1:]))
+            speed = max(steps, default=0.0) / dt
+            if speed > self.speed:
+                self.speed, self.fastest = speed, name
+
+
+def unit_faults(extent: Extent, bounds: Any, dt: float) -> list[str]:
+    """Returns what says that positions, bounds or dt are not in metres and seconds.
+
+    Args:
+        extent: of the runs.
+        bounds: [[low, high]] * 3.
+        dt: seconds per frame.
+    """
+    faults = []
+    size = float(np.max(extent.high - extent.low))
+    low, high = np.asarray(bounds, np.float64).T
+    middle = 0.5 * (extent.low + extent.high)
+    if np.any((middle < low) | (middle > high)) or size > 2 * np.max(high - low):
+        ratio = float(np.max(np.abs([extent.low, extent.high])) / np.max(np.abs(bounds)))
+        spans = zip(AXES, extent.low, extent.high)
+        span = ', '.join(f'{axis} {start:.4g} .. {end:.4g}' for axis, start, end in spans)
+        faults.append(
+            f'the soil lies outside the bounds: it spans {span}, the bounds are {bounds}'
+            + _unit_guess(ratio)
+        )
+    if not SPACING[0] <= extent.spacing <= SPACING[1] and math.isfinite(extent.spacing):
+        faults.append(
+            f'soil particles are {extent.spacing:.3g} m apart (median)'
+            + _unit_guess(1000.0 if extent.spacing > SPACING[1] else 1.0)
+        )
+    if not EXTENT[0] <= size <= EXTENT[1]:
+        faults.append(f'the soil spans {size:.3g} m')
+    if extent.speed > SPEED:
+        faults.append(
+            f'the {extent.fastest} moves at {extent.speed:.3g} m/s ({extent.speed * dt:.3g} m in a '
+            f'frame of {dt:.3g} s): the unit of length or dt is wrong'
+        )
+    if faults:
+        faults.append(
+            'metres and seconds are expected; if these are: --nocheck_units '
+            '(check_units=False in write_raw)'
+        )
+    return faults
+
+
+def _unit_guess(ratio: float) -> str:
+    if 200 < ratio < 5000:
+        return '; these look like millimetres: multiply all positions by 0.001'
+    if 20 < ratio <= 200:
+        return '; these look like centimetres: multiply all positions by 0.01'
+    return ''
+
+
+def infer_up_axis(extent: Extent, bounds: Any, gravity: Any = None) -> tuple[int | None, str]:
+    """Finds the axis against gravity.
+
+    Args:
+        extent: of the runs.
+        bounds: [[low, high]] * 3.
+        gravity: vector of three numbers, if the runs state one.
+
+    Returns:
+        The axis or None, and what says so: the gravity vector; or that the soil lies at the bottom
+        of the bounds, with free space above it, on that axis much more than on the others.
+    """
+    if isinstance(gravity, list) and len(gravity) == DIM and all(map(metadata.is_number, gravity)):
+        if not any(gravity):
+            return None, 'gravity is zero'
+        return int(np.argmax(np.abs(gravity))), f'gravity is {gravity}'
+    low, high = np.asarray(bounds, np.float64).T
+    lean = ((high - extent.high) - (extent.low - low)) / (high - low)
+    axis = int(np.argmax(lean))
+    text = ', '.join(f'{name} {100 * value:z.0f} %' for name, value in zip(AXES, lean))
+    reason = f'free space above the soil less that below it, of the bounds: {text}'
+    is_clear = lean[axis] >= _ASYMMETRY and lean[axis] - np.delete(lean, axis).max() >= _ASYMMETRY
+    return axis if is_clear else None, reason

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools import files, raw_checks
+from pca_tools import files, raw_runs
 from pca_tools.metadata import AXES
-from pca_tools.raw_checks import SERIES, faults_error
+from pca_tools.raw_runs import SERIES
 
 _RUN_KEYS = (*SERIES, 'case', 'context', 'parameters', 'split', 'kind')
 # Bounds that are not given: the hull of soil and body, wider by this share of its size.
@@ -72,7 +72,7 @@ def write_raw(
         raise ValueError(f'{folder}: no runs were given')
     if os.path.isdir(folder) and os.listdir(folder):
         raise ValueError(f'{folder}: is not empty; name another folder')
-    scene = {
+    scene: dict[str, Any] = {
         'name': name,
         'rigid_motion': body or ('prescribed' if 'rigid_positions' in first else 'none'),
         'rigid_edges': [[int(a), int(b)] for a, b in rigid_edges],
@@ -90,57 +90,51 @@ def write_raw(
         'scene': scene,
         'dt': dt,
         'bounds': [[0.0, 1.0]] * 3 if bounds is None else [list(map(float, b)) for b in bounds],
-        'runs': [{key: '' for key in raw_checks.ENTRY_KEYS}],
+        'runs': [dict.fromkeys(raw_runs.ENTRY_KEYS, '')],
     }
-    faults = raw_checks.manifest_faults(manifest)
-    if faults:
-        raise faults_error(folder, faults)
+    raw_runs.raise_faults(folder, raw_runs.manifest_faults(manifest))
 
     def fill(temporary: str) -> None:
         every = itertools.chain([first], runs)
-        manifest['runs'] = _write_runs(temporary, every, manifest, bounds, check_units)
+        _write_runs(temporary, every, manifest, bounds is None, check_units)
         files.write_json(os.path.join(temporary, files.MANIFEST_NAME), manifest)
 
     files.write_folder_atomically(folder, fill, replace=False)
 
 
-def _write_runs(folder, runs, manifest, bounds, check_units) -> list[dict[str, Any]]:
-    """Writes all runs and sets the bounds that were not given; returns the manifest's entries."""
+def _write_runs(folder, runs, manifest, find_bounds, check_units) -> None:
+    """Writes all runs, and their entries (and bounds, where none are given) into the manifest."""
     scene, dt = manifest['scene'], manifest['dt']
-    given = None if bounds is None else np.asarray(manifest['bounds'])
-    extent, entries, faults = raw_checks.Extent(), [], []
-    low, high, n_soil = np.full(3, np.inf), np.full(3, -np.inf), None
+    extent, entries, faults, corners, n_soil = raw_runs.Extent(), [], [], [], None
     for index, run in enumerate(runs):
         arrays, problems = _arrays_of(index, run, scene)
-        problems = problems or raw_checks.array_faults(arrays, scene)
-        soil = arrays.get('positions')
-        if not problems and n_soil not in (None, soil.shape[1]):
-            problems = [f'has {soil.shape[1]} particles, the runs before it {n_soil}']
+        problems = problems or raw_runs.array_faults(arrays, scene)
+        if not problems and n_soil not in (None, arrays['positions'].shape[1]):
+            problems = [
+                f'has {arrays["positions"].shape[1]} particles, the runs before it {n_soil}'
+            ]
         if problems:
             faults += [f'run {index}: {problem}' for problem in problems]
             continue
+        soil = arrays['positions']
         n_soil = soil.shape[1]
-        points = arrays.get('rigid_positions', np.empty((len(soil), 0, 3), np.float32))
-        extent.add(soil, points, dt, given)
-        for part in (soil, points):
-            if part.size:
-                low = np.minimum(low, part.min(axis=(0, 1)))
-                high = np.maximum(high, part.max(axis=(0, 1)))
+        body = arrays.get('rigid_positions', np.empty((len(soil), 0, 3), np.float32))
+        extent.add(soil, body, dt)
+        points = np.concatenate([soil, body], axis=1)
+        corners += [points.min(axis=(0, 1)), points.max(axis=(0, 1))]
         if not faults:  # after the first fault the rest is only looked at
-            entries.append(_write_run(folder, index, run, arrays))
-    cases = [str(entry['case']) for entry in entries]
-    repeated = sorted({case for case in cases if cases.count(case) > 1})
-    if repeated:
-        faults.append(f'the cases [{", ".join(repeated)}] come more than once')
-    if n_soil is not None:
-        if given is None:
-            margin = _MARGIN * max(float(np.max(high - low)), 1e-9)
-            manifest['bounds'] = np.stack([low - margin, high + margin], axis=1).tolist()
-        if check_units:
-            faults += raw_checks.unit_faults(extent, manifest['bounds'], dt)
-    if faults:
-        raise faults_error('write_raw', faults)
-    return entries
+            name = _FILE_NAME.format(index)
+            files.write_npz(os.path.join(folder, name), **arrays)
+            entries.append(_entry(folder, {'file': name}, str(arrays['parameters'])))
+    faults += raw_runs.repeated_cases([entry['case'] for entry in entries])
+    if corners and find_bounds:
+        low, high = np.float64(np.min(corners, axis=0)), np.float64(np.max(corners, axis=0))
+        margin = _MARGIN * max(float(np.max(high - low)), 1e-9)
+        manifest['bounds'] = np.stack([low - margin, high + margin], axis=1).tolist()
+    if corners and check_units:
+        faults += raw_runs.unit_faults(extent, manifest['bounds'], dt)
+    raw_runs.raise_faults('write_raw', faults)
+    manifest['runs'] = entries
 
 
 def _arrays_of(
@@ -169,7 +163,7 @@ def _arrays_of(
     parameters = {**(run.get('parameters') or {}), 'case': run.get('case', index)}
     parameters['context'] = {key: float(value) for key, value in context.items()}
     parameters |= {key: run[key] for key in ('split', 'kind') if run.get(key) is not None}
-    if isinstance(parameters['case'], bool) or not isinstance(parameters['case'], (int, str)):
+    if not raw_runs.is_case(parameters['case']):
         faults.append(f'case is {parameters["case"]!r}, a whole number or a text was expected')
     try:
         arrays['parameters'] = np.array(json.dumps(parameters, allow_nan=False))
@@ -178,16 +172,12 @@ def _arrays_of(
     return arrays, faults
 
 
-def _write_run(folder, index, run, arrays) -> dict[str, Any]:
-    path = os.path.join(folder, _FILE_NAME.format(index))
-    files.write_npz(path, **arrays)
-    return {
-        'file': _FILE_NAME.format(index),
-        'case': run.get('case', index),
-        'bytes': os.path.getsize(path),
-        'sha256': files.sha256_of_file(path),
-        'parameters': json.loads(str(arrays['parameters'])),
-    }
+def _entry(folder: str, listed: dict[str, Any], parameters: str) -> dict[str, Any]:
+    """Returns what the manifest says of a run; what was listed of it stays."""
+    held = json.loads(parameters)
+    case = listed.get('case', held.get('case', os.path.splitext(listed['file'])[0]))
+    path = os.path.join(folder, os.path.basename(listed['file']))
+    return {**listed, 'case': case, **files.fingerprint(path), 'parameters': held}
 
 
 def rehash(folder: str) -> list[str]:
@@ -213,36 +203,18 @@ def rehash(folder: str) -> list[str]:
         isinstance(entry, dict) and isinstance(entry.get('file'), str) for entry in runs
     ):
         raise ValueError(f'{path}: "runs" must list at least the "file" of every run')
-    filled = [{'bytes': 0, 'sha256': '', 'case': i, **entry} for i, entry in enumerate(runs)]
-    faults = raw_checks.manifest_faults({**manifest, 'runs': filled})
-    if faults:
-        raise faults_error(path, faults)
-    entries = []
+    stand_ins = [{'bytes': 0, 'sha256': '', 'case': i, **entry} for i, entry in enumerate(runs)]
+    raw_runs.raise_faults(path, raw_runs.manifest_faults({**manifest, 'runs': stand_ins}))
+    entries, faults = [], []
     for entry in runs:
         file = os.path.join(folder, os.path.basename(entry['file']))
         try:
             arrays = files.read_npz(file)
-            problems = raw_checks.array_faults(arrays, manifest['scene'])
+            raw_runs.raise_faults(file, raw_runs.array_faults(arrays, manifest['scene']))
+            entries.append(_entry(folder, entry, str(arrays['parameters'])))
         except (ValueError, OSError) as error:
             faults.append(str(error))
-            continue
-        if problems:
-            faults += [f'{file}: {problem}' for problem in problems]
-            continue
-        parameters = json.loads(str(arrays['parameters']))
-        stem = os.path.splitext(os.path.basename(file))[0]
-        entries.append(
-            {
-                **entry,
-                'case': entry.get('case', parameters.get('case', stem)),
-                'bytes': os.path.getsize(file),
-                'sha256': files.sha256_of_file(file),
-                'parameters': parameters,
-            }
-        )
     manifest = {**manifest, 'runs': entries}
-    faults = faults or raw_checks.manifest_faults(manifest)
-    if faults:
-        raise faults_error(path, faults)
+    raw_runs.raise_faults(path, faults or raw_runs.manifest_faults(manifest))
     files.write_json(path, manifest)
     return [new['file'] for old, new in zip(runs, entries) if old != new]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,34 +23,24 @@ def motion_statistics(trajectories: Sequence[Trajectory]) -> dict[str, list[floa
         rigid_body_force_std` [3], the same for `torque`, and `context_mean, context_std` [C] where
         the runs have them.
     """
-    velocity = _moments(np.diff(_moving(run), axis=0) for run in trajectories)
-    acceleration = _moments(np.diff(_moving(run), n=2, axis=0) for run in trajectories)
-    statistics = {
-        'vel_mean': velocity[0],
-        'vel_std': velocity[1],
-        'acc_mean': acceleration[0],
-        'acc_std': acceleration[1],
-    }
-    if trajectories[0].force is not None:
-        mean, std = _moments(run.force.astype(np.float64) for run in trajectories)
-        statistics |= {'rigid_body_force_mean': mean, 'rigid_body_force_std': std}
-    if trajectories[0].torque is not None:
-        mean, std = _moments(run.torque.astype(np.float64) for run in trajectories)
-        statistics |= {'rigid_body_torque_mean': mean, 'rigid_body_torque_std': std}
-    if trajectories[0].step_context is not None:
-        mean, std = _moments(run.step_context.astype(np.float64) for run in trajectories)
-        statistics |= {'context_mean': mean, 'context_std': std}
+    moving = [
+        run.position[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
+        for run in trajectories
+    ]
+    statistics = {}
+    for name, samples in (
+        ('vel', [np.diff(positions, axis=0) for positions in moving]),
+        ('acc', [np.diff(positions, n=2, axis=0) for positions in moving]),
+        ('rigid_body_force', [run.force for run in trajectories]),
+        ('rigid_body_torque', [run.torque for run in trajectories]),
+        ('context', [run.step_context for run in trajectories]),
+    ):
+        if samples[0] is not None:
+            rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in samples])
+            rows = rows.astype(np.float64)
+            statistics[f'{name}_mean'] = rows.mean(axis=0).tolist()
+            statistics[f'{name}_std'] = rows.std(axis=0).tolist()
     return statistics
-
-
-def _moving(run: Trajectory) -> np.ndarray:
-    return run.position[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
-
-
-def _moments(samples: Iterable[np.ndarray]) -> tuple[list[float], list[float]]:
-    """Returns mean and standard deviation over all but the last axis of all samples."""
-    rows = np.concatenate([sample.reshape(-1, sample.shape[-1]) for sample in samples])
-    return rows.mean(axis=0).tolist(), rows.std(axis=0).tolist()
 
 
 def mean_share(shares: Sequence[float], weights: Sequence[float]) -> float:

@@ -20,9 +20,8 @@ from typing import Any
 
 from absl import flags
 
-from pca_tools import command, convert, particles
-from pca_tools.append import numbered, read_encoded
-from pca_tools.encode import make_metadata
+from pca_tools import command, convert, encode
+from pca_tools.encode import EncodedRun
 from pca_tools.metadata import SPLITS
 from pca_tools.splits import spread_over
 
@@ -40,7 +39,7 @@ def subset(
     Args:
         data_path: a dataset of `convert` with a particle sample.
         output_path: the smaller one.
-        train_runs: so many, spread over those of the kinds; 0: all of them.
+        train_runs: how many, spread over those of the kinds; 0: all of them.
         kinds: of training runs, each with how many of its runs, spread over them; 0 or no number:
             all of the kind. None: all kinds.
         overwrite: replace a finished dataset.
@@ -55,12 +54,14 @@ def subset(
             asked for; a split without any, or no kinds, with `every_split`.
     """
     limits = kinds if isinstance(kinds, Mapping) else dict.fromkeys(kinds, 0)
-    convert.refuse_occupied_output(output_path, overwrite)
-    base, space = convert.load_base(data_path)
-    held = read_encoded(data_path, base)
-    if 'train' not in held:
-        raise ValueError(f'{data_path}: has no training runs to choose from, only {list(held)}')
-    found = [_kind(run) for run in held['train']]
+    if every_split and not limits:
+        raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
+    encode.refuse_occupied_output(output_path, overwrite)
+    whole = encode.load(data_path)
+    train = whole.parts.get('train')
+    if not train:
+        raise ValueError(f'{data_path}: has no training runs to choose from, only {[*whole.parts]}')
+    found = [_kind(run) for run in train]
     if unknown := limits.keys() - set(found):
         raise ValueError(f'{data_path}: trains on no {sorted(unknown)}, only {sorted(set(found))}')
     places = [] if limits else list(range(len(found)))
@@ -68,10 +69,15 @@ def subset(
         of_kind = [place for place, name in enumerate(found) if name == kind]
         places += _spread(of_kind, limit, f'{data_path}: runs of the kind {kind}')
     chosen = _spread(sorted(places), train_runs, f'{data_path}: such training runs')
-    parts = held | {'train': numbered([held['train'][place] for place in chosen])}
+    parts = {**whole.parts, 'train': [train[place] for place in chosen]}
     if every_split:
-        parts |= _of_kinds(limits, held, data_path)
-    return _write(data_path, output_path, parts, base, space, overwrite)
+        others = [split for split in parts if split != 'train']
+        parts |= {split: [r for r in parts[split] if _kind(r) in limits] for split in others}
+        if empty := [split for split in others if not parts[split]]:
+            raise ValueError(f'{data_path}: {", ".join(empty)} without a run of {sorted(limits)}')
+    few = whole.with_parts(parts)
+    encode.write(output_path, few, overwrite)
+    return few.metadata
 
 
 def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) -> dict[str, Any]:
@@ -89,41 +95,18 @@ def deal(data_path: str, output_path: str, places: Mapping[str, Sequence[int]]) 
         FileNotFoundError: a file is missing.
         ValueError: `output_path` is occupied.
     """
-    convert.refuse_occupied_output(output_path, False)
-    base, space = convert.load_base(data_path)
-    held = read_encoded(data_path, base)
-    runs = [run for split in SPLITS for run in held.get(split, [])]
-    parts = {
-        split: numbered([runs[place] for place in of_split]) for split, of_split in places.items()
-    }
-    return _write(data_path, output_path, parts, base, space, False)
+    encode.refuse_occupied_output(output_path, False)
+    whole = encode.load(data_path)
+    runs = [run for split in SPLITS for run in whole.parts.get(split, [])]
+    dealt = whole.with_parts(
+        {split: [runs[place] for place in of_split] for split, of_split in places.items()}
+    )
+    encode.write(output_path, dealt, overwrite=False)
+    return dealt.metadata
 
 
-def _write(data_path, output_path, parts, base, space, overwrite):
-    """Writes encoded runs with what they share; returns the metadata."""
-    world = {key: base[key] for key in ('scene', 'bounds', 'dt')}
-    metadata = make_metadata(world, parts, space, 1, base, base.get('packed', False))
-    indices = particles.read_sample(data_path, next(iter(base['cases']))).indices
-    convert.write_dataset(output_path, parts, space, indices, metadata, overwrite)
-    return metadata
-
-
-def _kind(run) -> str:
+def _kind(run: EncodedRun) -> str:
     return run.parameters.get('kind') or 'run'
-
-
-def _of_kinds(kinds, held, data_path):
-    """Runs of the kinds in the splits other than train."""
-    if not kinds:
-        raise ValueError('every_split keeps some kinds of runs alone, but no kinds were named')
-    judged = {
-        split: numbered([run for run in runs if _kind(run) in kinds])
-        for split, runs in held.items()
-        if split != 'train'
-    }
-    if empty := [split for split, runs in judged.items() if not runs]:
-        raise ValueError(f'{data_path}: {", ".join(empty)} without a run of {sorted(kinds)}')
-    return judged
 
 
 def _spread(places: list[int], limit: int, what: str) -> list[int]:
@@ -148,11 +131,11 @@ def kinds_of(texts: Sequence[str]) -> dict[str, int]:
 
 
 def define_flags() -> None:
-    """Defines the flags; not at import, so that several commands can be imported together."""
+    """Defines the flags."""
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('output_path', None, 'Folder of the smaller dataset.', required=True)
     flags.DEFINE_integer('train_runs', 0, 'Training runs, spread over all; 0: all.', lower_bound=0)
-    flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20: so many; default: all.')
+    flags.DEFINE_list('kinds', [], 'Kinds of training runs, or grid:20: that many; default: all.')
     flags.DEFINE_bool('every_split', False, 'Only these kinds in valid and test, too.')
     flags.DEFINE_bool('overwrite', False, 'Replace a finished dataset.')
 

@@ -23,6 +23,7 @@ from pca_tools import decompose, files
 from pca_tools.decompose import DIM, decompose_covariance, decompose_matrix
 
 CENTERINGS = ('configuration', 'scalar')
+SUBSPACE_NAME = 'subspace.npz'
 # Singular values kept beyond the modes, for the truncation error against r.
 SPECTRUM_LENGTH = 64
 # A cut between two singular values closer than this leaves the last mode free to turn from fit to
@@ -171,58 +172,50 @@ class Subspace:
             ValueError: damaged or foreign file, arrays that do not fit, or a digest that disagrees.
         """
         arrays = files.read_npz(path)
-        missing = {field.name for field in dataclasses.fields(cls)} | {'digest'}
-        missing -= arrays.keys()
-        if missing:
+        names = {field.name for field in dataclasses.fields(cls)}
+        if missing := (names | {'digest'}) - arrays.keys():
             raise ValueError(f'{path}: is not a subspace, it lacks {sorted(missing)}')
         kinds = {'runs': 'U', 'centering': 'U', 'digest': 'U', 'n_rows': 'i'}
         for name, array in arrays.items():
-            kind, scalar = kinds.get(name, 'f'), name in _SCALARS
-            if array.dtype.kind != kind or (scalar and array.ndim):
+            kind = kinds.get(name, 'f')
+            if array.dtype.kind != kind or (name in _SCALARS and array.ndim):
                 raise ValueError(
                     f'{path}: {name} of type {array.dtype} and shape {array.shape} is not that of '
                     'a subspace'
                 )
             if kind == 'f' and not np.all(np.isfinite(array)):
                 raise ValueError(f'{path}: {name} holds NaN or infinite values')
-        subspace = cls(
-            mean=arrays['mean'],
-            components=arrays['components'],
-            singular_values=arrays['singular_values'],
-            total_energy=float(arrays['total_energy']),
-            n_rows=int(arrays['n_rows']),
-            centering=str(arrays['centering']),
-            runs=tuple(arrays['runs'].tolist()),
-            initial=arrays['initial'],
-        )
-        if subspace.components.ndim != 2:
-            raise ValueError(f'{path}: components have shape {subspace.components.shape}')
-        mean_shapes = {'configuration': (subspace.n_soil, DIM), 'scalar': ()}
-        if (
-            mean_shapes.get(subspace.centering) != subspace.mean.shape
-            or subspace.singular_values.ndim != 1
-            or len(subspace.singular_values) < subspace.n_modes
-            or subspace.initial.shape != (subspace.n_soil, DIM)
-        ):
-            raise ValueError(
-                f'{path}: arrays do not fit: centering {subspace.centering!r}, mean '
-                f'{subspace.mean.shape}, components {subspace.components.shape}'
-            )
-        if subspace.digest != str(arrays['digest']):
-            raise ValueError(f'{path}: the digest does not fit the arrays; the file was changed')
+        digest = str(arrays.pop('digest'))
         # What the digest leaves out: kept consistent by the ratios, which are stored as well.
-        ratio = arrays.get('explained_variance_ratio', np.empty(0))
+        ratio = arrays.pop('explained_variance_ratio', np.empty(0))
+        values = {name: a.item() if name in _SCALARS else a for name, a in arrays.items()}
+        space = cls(**{n: values[n] for n in names} | {'runs': tuple(arrays['runs'].tolist())})
+        shapes = {'configuration': (len(space.initial), DIM), 'scalar': ()}
+        n_soil, n_modes = (*space.components.shape, 0, 0)[:2]
         if (
-            subspace.n_rows < 2
-            or not subspace.total_energy > 0
-            or ratio.shape != subspace.singular_values.shape
-            or not np.allclose(ratio, subspace.explained_variance_ratio, rtol=1e-9, atol=0)
+            space.components.ndim != 2
+            or shapes.get(space.centering) != space.mean.shape
+            or space.singular_values.ndim != 1
+            or len(space.singular_values) < n_modes
+            or space.initial.shape != (n_soil, DIM)
         ):
             raise ValueError(
-                f'{path}: total_energy {subspace.total_energy} and n_rows {subspace.n_rows} do not '
-                'fit the singular values'
+                f'{path}: arrays do not fit: centering {space.centering!r}, mean '
+                f'{space.mean.shape}, components {space.components.shape}'
             )
-        return subspace
+        if space.digest != digest:
+            raise ValueError(f'{path}: the digest does not fit the arrays; the file was changed')
+        if (
+            space.n_rows < 2
+            or not space.total_energy > 0
+            or ratio.shape != space.singular_values.shape
+            or not np.allclose(ratio, space.explained_variance_ratio, rtol=1e-9, atol=0)
+        ):
+            raise ValueError(
+                f'{path}: total_energy {space.total_energy} and n_rows {space.n_rows} do not fit '
+                'the singular values'
+            )
+        return space
 
 
 def fit(

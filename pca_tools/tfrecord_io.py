@@ -15,7 +15,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
 
 from pca_tools import files
 
@@ -43,15 +45,58 @@ class SequenceRecord:
     frames: dict[str, list[bytes]]
     packed: dict[str, bytes] = dataclasses.field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls, key: int, particle_type: np.ndarray, series: Mapping[str, np.ndarray | None]
+    ) -> SequenceRecord:
+        """Returns the record of series [T, ...], one buffer a frame; None is left out."""
+        frames = {
+            name: [frame.tobytes() for frame in np.ascontiguousarray(values, '<f4')]
+            for name, values in series.items()
+            if values is not None
+        }
+        return cls(int(key), np.ascontiguousarray(particle_type, '<i8').tobytes(), frames)
+
+    def node_types(self, where: str) -> np.ndarray:
+        """Returns the particle types, int64 [V].
+
+        Raises:
+            ValueError: they are no row of int64; `where` names the record.
+        """
+        size = len(self.particle_type)
+        if size % 8 or not size:
+            raise ValueError(
+                f'{where}: particle_type has {size} bytes, a positive multiple of 8 (int64) was '
+                'expected'
+            )
+        return np.frombuffer(self.particle_type, '<i8').astype(np.int64)
+
+    def series(self, name: str, width: int | None, where: str) -> np.ndarray:
+        """Returns a series as float32 [T, width]; width None takes the size of the first frame.
+
+        Raises:
+            ValueError: no frames, or one of another size; `where` names the record.
+        """
+        frames, where = self.frames[name], f'{where}: {name}'
+        if not frames:
+            raise ValueError(f'{where}: has no frames')
+        expected = len(frames[0]) if width is None else 4 * width
+        if expected % 4 or not expected:
+            raise ValueError(f'{where}: frame 0 has {expected} bytes, not whole float32 numbers')
+        for index, frame in enumerate(frames):
+            if len(frame) != expected:
+                raise ValueError(
+                    f'{where}: frame {index} has {len(frame)} bytes, {expected} were expected '
+                    f'({expected // 4} float32); the node count of the record and its buffers '
+                    'disagree'
+                )
+        joined = np.frombuffer(b''.join(frames), '<f4').astype(np.float32)
+        return joined.reshape(len(frames), -1)
+
 
 def scan_record_headers(path: str) -> list[tuple[int, int]]:
-    """Walks the record headers of a TFRecord file without reading its data.
-
-    Args:
-        path: the file.
-
-    Returns:
-        (offset, data length) in bytes of every record.
+    """Returns (offset, data length) in bytes of every record of a TFRecord file, by walking its
+    headers without reading its data.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -68,9 +113,8 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
             header = file.read(_HEADER_BYTES)
             if len(header) < _HEADER_BYTES:
                 raise ValueError(
-                    f'{where}: the file ends inside a record header ({len(header)} of '
-                    f'{_HEADER_BYTES} bytes); '
-                    'it is truncated or has foreign bytes at its end: copy or convert it again'
+                    f'{where}: the file ends inside a record header; it is truncated or has '
+                    'foreign bytes at its end: copy or convert it again'
                 )
             length, checksum = struct.unpack('<QI', header)
             if checksum != masked_crc32c(header[:8]):
@@ -81,8 +125,7 @@ def scan_record_headers(path: str) -> list[tuple[int, int]]:
             if length > MAX_RECORD_BYTES:
                 raise ValueError(
                     f'{where}: the header promises {length} bytes, the limit is '
-                    f'{MAX_RECORD_BYTES}; '
-                    'the file is damaged or hostile and is not read'
+                    f'{MAX_RECORD_BYTES}; the file is damaged or hostile and is not read'
                 )
             end = offset + _HEADER_BYTES + length + _FOOTER_BYTES
             if end > size:
@@ -121,12 +164,9 @@ def read_records(path: str) -> Iterator[SequenceRecord]:
 def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
     """Parses one serialised SequenceExample.
 
-    Args:
-        data: the serialised message.
-        where: file and record, for messages.
-
     Raises:
-        ValueError: the message is foreign or lacks a feature of the schema.
+        ValueError: the message is foreign or lacks a feature of the schema; `where` names file and
+            record.
     """
     tf = _tensorflow()
     from google.protobuf.message import DecodeError
@@ -139,8 +179,7 @@ def parse_sequence_example(data: bytes, where: str) -> SequenceRecord:
     if len(types) != 1:
         raise ValueError(
             f'{where}: context feature particle_type has {len(types)} bytes values, 1 was '
-            'expected; '
-            'the record is not a trajectory of this format'
+            'expected; the record is not a trajectory of this format'
         )
     keys = example.context.feature['key'].int64_list.value
     frames = {}

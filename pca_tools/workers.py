@@ -49,7 +49,7 @@ class Outcome:
 class Workers:
     """Processes that take tasks; made by `start`."""
 
-    def __init__(self, client=None, pool: concurrent.futures.Executor | None = None):
+    def __init__(self, client=None, pool: concurrent.futures.ProcessPoolExecutor | None = None):
         """Takes a Dask client or a pool."""
         self.client = client
         self._pool = pool
@@ -64,13 +64,12 @@ class Workers:
         Raises:
             OSError: the pool lost a process (Dask does not mind), or the scheduler is gone.
         """
-        yield from (
-            self._run_pool(self._pool, function, inputs)
-            if self._pool
-            else self._run_dask(function, inputs)
-        )
+        if self._pool:
+            yield from self._run_pool(self._pool, function, inputs)
+        else:
+            yield from self._run_dask(function, inputs)
 
-    def _run_pool(self, pool: concurrent.futures.Executor, function, inputs) -> Iterator[Outcome]:
+    def _run_pool(self, pool, function, inputs) -> Iterator[Outcome]:
         waiting = {pool.submit(function, item): (i, 0) for i, item in enumerate(inputs)}
         try:
             while waiting:
@@ -131,26 +130,22 @@ def start(where: str = '', processes: int | None = None) -> Iterator[Workers]:
         OSError: no scheduler answers.
     """
     kind, _, number = where.partition(':')
-    count = _count(number, where) if kind in ('local', 'slurm') and number else processes
-    count = count or os.cpu_count() or 1
-    if not where:
-        context = multiprocessing.get_context('spawn')
-        with concurrent.futures.ProcessPoolExecutor(count, context, parent.end_with_parent) as pool:
-            yield Workers(pool=pool)
-        return
-    if kind not in ('local', 'slurm', 'tcp', 'tls'):
+    if kind not in ('', 'local', 'slurm', 'tcp', 'tls'):
         raise ValueError(
             f'cluster is {where!r}; local, local:4, slurm, slurm:64 or tcp://host:port was expected'
         )
+    if kind in ('local', 'slurm') and number:
+        if not number.isdigit() or int(number) < 1:
+            raise ValueError(f'cluster is {where!r}; a number of workers was expected')
+        processes = int(number)
+    count = processes or os.cpu_count() or 1
     with contextlib.ExitStack() as stack:
-        yield Workers(client=_client(stack, kind, where, count))
-
-
-@contextlib.contextmanager
-def threads(count: int) -> Iterator[Workers]:
-    """Threads of this process, for functions that wait for processes of their own."""
-    with concurrent.futures.ThreadPoolExecutor(count) as pool:
-        yield Workers(pool=pool)
+        if kind:
+            yield Workers(client=_client(stack, kind, where, count))
+        else:
+            context = multiprocessing.get_context('spawn')
+            pool = concurrent.futures.ProcessPoolExecutor(count, context, parent.end_with_parent)
+            yield Workers(pool=stack.enter_context(pool))
 
 
 def _client(stack: contextlib.ExitStack, kind: str, where: str, count: int):
@@ -190,9 +185,3 @@ def slurm_cluster():
         worker_extra_args=list(SLURM_LIFETIME),
         job_script_prologue=['export DASK_DISTRIBUTED__WORKER__DAEMON=False'],
     )  # fmt: skip
-
-
-def _count(number: str, where: str) -> int:
-    if not number.isdigit() or int(number) < 1:
-        raise ValueError(f'cluster is {where!r}; a number of workers was expected after the colon')
-    return int(number)

@@ -30,22 +30,15 @@ from learning_to_simulate.export.exporting import FORMATS, export
 def summary(description: dict, output_path: str) -> str:
     """What was written and how it compares, for the terminal."""
     compared = description['compared']
-    differences = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
-    lines = [
+    apart = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
+    times = ', '.join(f'{name} {ms:.3g} ms' for name, ms in compared['ms_per_call'].items())
+    return (
         f'wrote {output_path} ({description["format"]}, signatures '
-        f'{", ".join(description["signatures"])})',
-        f'largest difference to the source over {compared["steps"]} steps: {differences} '
-        f'(allowed {compared["tolerance"]:g})',
-        f'step: first call {compared["first_call_s"]:.3g} s, then '
-        f'{compared["ms_per_step_median"]:.3g} ms',
-    ]
-    for name, key in (('reconstruct', 'ms_per_reconstruction'), ('soil', 'ms_per_particles')):
-        if key in compared:
-            lines.append(
-                f'{name}: largest difference {compared["particles_difference_m"]:.2g} m, '
-                f'{compared[key]:.3g} ms'
-            )
-    return '\n'.join(lines)
+        f'{", ".join(description["signatures"])})\n'
+        f'largest difference to the source over {compared["calls"]} calls: {apart} (allowed '
+        f'{compared["tolerance"]:g}), particles {compared["particles_difference_m"]:.2g} m\n'
+        f'loaded in {description["load_s"]:.3g} s, then {times}'
+    )
 
 
 def define_flags() -> None:

@@ -15,7 +15,21 @@ from tensorflow.python.framework import convert_to_constants
 
 from pca_tools import files
 
-TFLITE_FILE = 'step.tflite'  # of the step
+
+def concrete(functions: dict, kind: str) -> dict:
+    """Name -> concrete function; those of a SavedModel are compiled by XLA.
+
+    Args:
+      functions: name -> function and its inputs by name, `tf.TensorSpec`.
+      kind: of the format.
+    """
+    compiled = kind == 'savedmodel' or None
+    return {
+        name: tf.function(function, autograph=False, jit_compile=compiled).get_concrete_function(
+            **inputs
+        )
+        for name, (function, inputs) in functions.items()
+    }
 
 
 def _write_saved_model(functions, variables, folder: str):
@@ -86,7 +100,7 @@ def _write_onnx(functions, variables, folder: str):
             frozen.graph.as_graph_def(), input_names=ends[0], output_names=ends[1], opset=17,
             custom_op_handlers={'SelectV2': (_where, []), 'Log1p': (_log1p, [])},
         )  # fmt: skip
-        inputs = {name: name.split(':')[0] for name in ends[0]}
+        inputs = {end: end.split(':')[0] for end in ends[0]}
         _rename(proto.graph, inputs | dict(zip(ends[1], _outputs(concrete), strict=True)))
         _write_bytes(paths[name], proto.SerializeToString())
 

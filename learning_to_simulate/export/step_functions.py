@@ -1,26 +1,37 @@
-"""The exported functions of a simulator in a subspace: step and reconstruct."""
+"""The exported functions of a model in a subspace: `step` and `reconstruct`.
+
+A step takes the state that the model has in Python, float32 offsets from `origin` and the last
+displacements, and gives the next one. Positions themselves do not fit into float32.
+"""
 
 import os
-import time
 
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import loads, registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.subspace import rigid_body
 from learning_to_simulate.subspace.learned_simulator import SimulatorState, initial_state
-from learning_to_simulate.subspace.rigid_body import KnownMotion, known_motion
+from learning_to_simulate.subspace.rigid_body import Correction, known_motion
 from pca_tools import subspace
 
-# Largest difference of one step to the source model, as a share of the largest motion or force of
-# the compared frames. Measured 4e-7 (excavation) and 2e-6 (wheel): float32 sums in another order.
-TOLERANCE = 1e-4
-# Metres; float32 positions of a metre resolve 1e-7.
-RECONSTRUCT_TOLERANCE = 2e-6
 COMPARED_STEPS = 8
-NAMES = {'tflite': 'LiteRT', 'onnx': 'ONNX'}
+MEANING = {
+    'offset': 'position of the nodes minus origin, m',
+    'velocity': 'their last displacements [V, H - 1, D], newest last, m/frame',
+    'rigid_offset': 'of the body in the coming frame; where only its height is predicted, at any '
+    'height',
+    'rigid_velocity': 'displacement of the body into that frame, m/frame',
+    'context': 'context_names of the scene',
+    'next_offset': 'offset in the coming frame',
+    'next_velocity': 'velocity in the coming frame',
+    'force': 'on the body, N',
+    'torque': 'about the point of recorded poses, N m',
+    'modes': 'scores of the modes: origin + offset of the last nodes, m',
+    'particles': 'of the soil, m',
+}
 
 
 class StepFunctions:
@@ -31,16 +42,25 @@ class StepFunctions:
       layout: its graph.
       space: `Subspace` for `reconstruct`, or None: then there is no such function.
       group: one-run `RunGroup` to compare on.
+
+    Raises:
+      ValueError: a model with a memory of the path.
+
+    Attributes:
+      variables: the weights.
+      meaning: of inputs and outputs, by name.
     """
+
+    meaning = MEANING
 
     def __init__(self, simulator, layout, space, group=None):
         if simulator.config.path_inputs:
             raise ValueError(
                 'path_inputs: an exported step has no memory of the path; use the stepper of Python'
             )
-        self.simulator, self.layout, self.space = simulator, layout, space
+        self._simulator, self._layout, self._space = simulator, layout, space
+        self._scene, self._group = simulator.scene, group
         self.variables = simulator.trainable_variables
-        self._group = group
 
     @classmethod
     def of_dataset(cls, model_path: str, data_path: str, n_rigid: int | None = None):
@@ -65,279 +85,94 @@ class StepFunctions:
             space = model.fitting_subspace(subspace.Subspace.load(path))
         return cls(model.simulator, model.layout(n_rigid), space, by_size[n_rigid].select(0))
 
-    def step(self, position_history, next_rigid_position=None, context=None):
-        """One frame from recorded or predicted frames.
-
-        Args:
-          position_history: float64 [H, V, D], m, oldest first; R rigid particles, then r modes.
-          next_rigid_position: float64 [R, D], m, the body in the coming frame, where its motion is
-            given; where only the height is predicted, any height.
-          context: float32 [C].
-
-        Returns:
-          dict of `next_position` float64 [V, D], its parts `modes` [r, D] and `rigid_position`
-          [R, D], `force` float32 [D], N, and `torque` [D], N m, where it is predicted.
-        """
-        layout, scene = self.layout, self.simulator.scene
-        n, last = layout.n_rigid, position_history[-1]
-        offset = (position_history - layout.origin)[None]
-        state = initial_state(offset, offset[:, 1:] - offset[:, :-1])
-        known = None
-        if scene.rigid_motion.is_known:
-            body = next_rigid_position - layout.origin[:n], next_rigid_position - last[:n]
-            known = known_motion(*body, scene)
-            known = KnownMotion(*(tf.cast(x, tf.float32)[None] for x in known[:2]))
-        context = None if context is None else context[None]
-        after, load = self.simulator.step(state, known, context, layout)
-        # The displacement is added in float64: positions of modes do not fit into float32.
-        position = last + tf.cast(after.velocity[0, :, -1], tf.float64)
-        if scene.rigid_motion == RigidMotion.PREDICTED:
-            shape = last[:n] - tf.reduce_mean(last[:n], axis=0, keepdims=True)
-            body = rigid_body.rigid_correction(shape[None], position[None, :n])[0]
-            position = tf.concat([body, position[n:]], axis=0)
-        outputs = {'next_position': position, 'modes': position[n:]}
-        if n:
-            outputs['rigid_position'] = position[:n]
-        return outputs | self.loads_of(load)
-
-    def state_step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
-        """One frame of the float32 state that LiteRT and ONNX carry.
-
-        Args:
-          offset: float32 [V, D], position minus origin, m.
-          velocity: float32 [V, H - 1, D], the last displacements, newest last, m/frame.
-          rigid_offset, rigid_velocity: float32 [R, D] of the coming frame, as `KnownMotion`.
-          context: float32 [C].
-
-        Returns:
-          dict of the next `offset` and `velocity`, `force` [D], N, and `torque` [D], N m, where it
-          is predicted.
-        """
-        known = None
+    def step(self, offset, velocity, rigid_offset=None, rigid_velocity=None, context=None):
+        """The coming frame, a predicted body kept rigid; arguments and results as of `MEANING`."""
+        layout, known = self._layout, None
         if rigid_offset is not None:
-            known = KnownMotion(rigid_offset[None], rigid_velocity[None])
+            known = known_motion(rigid_offset[None], rigid_velocity[None], self._scene)
         context = None if context is None else context[None]
-        state = SimulatorState(offset[None], velocity[None])
-        after, load = self.simulator.step(state, known, context, self.layout)
-        outputs = {'offset': after.offset[0], 'velocity': after.velocity[0]}
-        return outputs | self.loads_of(load)
-
-    def loads_of(self, load) -> dict:
-        """Name -> [D] of what there is of the loads [1, F] of a step."""
-        parts = zip(loads.NAMES, loads.split(load, self.simulator.statistics), strict=True)
-        return {name: part[0] for name, part in parts if part is not None}
+        state, correction, n = SimulatorState(offset[None], velocity[None]), None, layout.n_rigid
+        if self._scene.rigid_motion == RigidMotion.PREDICTED:
+            correction = Correction(state.offset[:, :n], layout.origin[:n])
+        after, load = corrected_step(self._simulator, layout, state, known, context, correction)
+        found = {'next_offset': after.offset[0], 'next_velocity': after.velocity[0]}
+        parts = zip(loads.NAMES, loads.split(load, self._simulator.statistics), strict=True)
+        return found | {name: part[0] for name, part in parts if part is not None}
 
     def reconstruct(self, modes):
-        """Soil particles float32 [N, D], m, of mode scores float64 [r, D] (inverse PCA)."""
-        space = self.space
-        weights = tf.constant(space.components, tf.float32)
-        return {
-            'particles': tf.linalg.matmul(weights, tf.cast(modes, tf.float32))
-            + space.mean.astype(np.float32)
-        }
+        """Soil particles float32 [N, D], m, of mode scores float32 [r, D] (inverse PCA)."""
+        components, mean = (
+            tf.constant(x, tf.float32) for x in (self._space.components, self._space.mean)
+        )
+        return {'particles': tf.linalg.matmul(components, modes) + mean}
 
-    def step_signature(self, kind: str) -> dict[str, tf.TensorSpec]:
-        """Inputs of the exported step by name."""
-        scene, layout = self.simulator.scene, self.layout
-        dim, n = self.simulator.dim, layout.n_rigid
-        shapes: dict[str, tuple[tuple[int, ...], tf.DType]]
-        if kind == 'savedmodel':
-            shapes = {'position_history': ((H, layout.n_node, dim), tf.float64)}
-            if scene.rigid_motion.is_known:
-                shapes['next_rigid_position'] = ((n, dim), tf.float64)
-        else:
-            shapes = {
-                'offset': ((layout.n_node, dim), tf.float32),
-                'velocity': ((layout.n_node, H - 1, dim), tf.float32),
-            }
-            if scene.rigid_motion.is_known:
-                shapes |= {f'rigid_{x}': ((n, dim), tf.float32) for x in ('offset', 'velocity')}
-        if scene.context_names:
-            shapes['context'] = ((len(scene.context_names),), tf.float32)
-        return {name: tf.TensorSpec(*s, name=name) for name, s in shapes.items()}
-
-    def compare(self, loaded, kind: str, folder: str) -> dict:
-        """Differences to the source over steps from recorded histories, and times per call.
-
-        Args:
-          loaded: name -> function of arrays, as read again.
-          kind: of the format.
-          folder: nothing is written into it here.
-
-        Raises:
-          ValueError: a difference above the tolerance, or outputs that are not finite.
-        """
-        group, space, n = self._group, self.space, self.layout.n_rigid
-        n_frame = group.position.shape[1]
-        moved, expected, seconds = [], [], []
-        found = {}  # name of a load -> pairs of exported and source
-        for k in np.linspace(H, n_frame - 1, COMPARED_STEPS).astype(int):
-            inputs = self.inputs(kind, group, k)
-            start = time.perf_counter()
-            outputs = {name: np.asarray(value) for name, value in loaded['step'](**inputs).items()}
-            seconds.append(time.perf_counter() - start)
-            before = group.position[0, k - 1]
-            if kind == 'savedmodel':
-                moved.append(outputs['next_position'] - before)
-            else:
-                moved.append(outputs[self.output_name(kind, 'velocity')][:, -1])
-            velocity, of_source = self.source_step(group, k)
-            expected.append(velocity)
-            for name, load in of_source.items():
-                pair = outputs[self.output_name(kind, name)], load
-                found.setdefault(name, []).append(pair)
-        differences = {'modes': _difference(moved, expected, slice(n, None))}
-        if n:
-            differences['rigid'] = _difference(moved, expected, slice(n))
-        for name, pairs in found.items():
-            differences[name] = _difference(*zip(*pairs), slice(None))  # type: ignore[call-arg]
-        values = {
-            'steps': COMPARED_STEPS,
-            'relative_difference': differences,
-            'tolerance': TOLERANCE,
-            'first_call_s': seconds[0],
-            'ms_per_step_median': 1e3 * float(np.median(seconds[1:])),
-        }
-        bad = {name: d for name, d in differences.items() if not d <= TOLERANCE}
-        if 'reconstruct' in loaded:
-            modes = group.position[0, :, n:]
-
-            def reconstruct(scores):
-                return np.asarray(loaded['reconstruct'](modes=scores)['particles'])
-
-            particles = [reconstruct(modes[k]) for k in (0, n_frame - 1)]
-            apart = max(
-                float(np.abs(p - space.decode(modes[k])).max())
-                for p, k in zip(particles, (0, n_frame - 1))
-            )
-            values |= {
-                'particles_difference_m': apart,
-                'particles_tolerance_m': RECONSTRUCT_TOLERANCE,
-            }
-            start = time.perf_counter()
-            for frame in modes[:COMPARED_STEPS]:
-                reconstruct(frame)
-            values['ms_per_reconstruction'] = 1e3 * (time.perf_counter() - start) / COMPARED_STEPS
-            if not apart <= RECONSTRUCT_TOLERANCE:
-                bad['particles_m'] = apart
-        if bad:
-            raise ValueError(
-                f'the exported model differs from its source by {bad}, more than {TOLERANCE:g} of '
-                f'the largest motion or {RECONSTRUCT_TOLERANCE:g} m; nothing was written'
-            )
-        return values
-
-    @staticmethod
-    def output_name(kind: str, name: str) -> str:
-        """What an output is called: in ONNX none has the name of an input."""
-        return f'next_{name}' if kind == 'onnx' else name
-
-    def concrete(self, kind: str) -> dict:
-        """Name -> concrete function of a format; those of a SavedModel are compiled by XLA.
+    def functions(self, kind: str) -> dict:
+        """Name -> function and its inputs by name.
 
         Raises:
           ValueError: a scene that the format cannot hold.
         """
-        is_saved_model = kind == 'savedmodel'
-        if not is_saved_model and self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
+        if kind != 'savedmodel' and self._scene.rigid_motion == RigidMotion.PREDICTED:
             raise ValueError(
-                f'{NAMES[kind]} has no eigenvalue solver for the correction of a predicted rigid '
+                'LiteRT and ONNX have no eigenvalue solver for the correction of a predicted rigid '
                 'body; export a SavedModel, or a model whose rigid motion is given or driven'
             )
+        n_node, n, dim = self._layout.n_node, self._layout.n_rigid, self._simulator.dim
+        shapes: dict[str, tuple] = {'offset': (n_node, dim), 'velocity': (n_node, H - 1, dim)}
+        if self._scene.rigid_motion.is_known:
+            shapes |= {'rigid_offset': (n, dim), 'rigid_velocity': (n, dim)}
+        if self._scene.context_names:
+            shapes['context'] = (len(self._scene.context_names),)
+        found = {'step': (self.step, shapes)}
+        if self._space is not None:
+            found['reconstruct'] = self.reconstruct, {'modes': (self._scene.n_modes, dim)}
+        return {
+            name: (function, {k: tf.TensorSpec(s, name=k) for k, s in rows.items()})
+            for name, (function, rows) in found.items()
+        }
 
-        def step(**inputs):
-            found = self.step(**inputs) if is_saved_model else self.state_step(**inputs)
-            return {self.output_name(kind, name): value for name, value in found.items()}
+    def samples(self) -> dict:
+        """Name -> calls, (inputs, outputs of the source), of frames of the run."""
+        group, n = self._group, self._layout.n_rigid
+        offset, velocity = group.position[0] - self._layout.origin, group.velocity[0]
+        calls = []
+        frames = np.linspace(H, len(offset) - 1, COMPARED_STEPS).astype(int)
+        for k in frames:
+            before = slice(k - H, k)
+            state = initial_state(offset[None, before], velocity[None, before][:, 1:])
+            inputs = {'offset': state.offset[0], 'velocity': state.velocity[0]}
+            if self._scene.rigid_motion.is_known:
+                inputs |= {'rigid_offset': offset[k, :n], 'rigid_velocity': velocity[k, :n]}
+            if group.context is not None:
+                inputs['context'] = group.context_at(k, 0)
+            inputs = {name: np.asarray(x, np.float32) for name, x in inputs.items()}
+            outputs = self.step(**{name: tf.constant(x) for name, x in inputs.items()})
+            calls.append((inputs, {name: x.numpy() for name, x in outputs.items()}))
+        if self._space is None:
+            return {'step': calls}
+        modes = group.position[0, frames, n:].astype(np.float32)
+        decoded = [({'modes': m}, {'particles': self._space.decode(m)}) for m in modes]
+        return {'step': calls, 'reconstruct': decoded}
 
-        compiled = is_saved_model or None
-        function = tf.function(step, jit_compile=compiled)
-        functions = {'step': function.get_concrete_function(**self.step_signature(kind))}
-        if is_saved_model and self.space is not None:
-            shape = [self.simulator.scene.n_modes, self.simulator.dim]
-            spec = tf.TensorSpec(shape, tf.float64, name='modes')
-            function = tf.function(self.reconstruct, jit_compile=compiled)
-            functions['reconstruct'] = function.get_concrete_function(spec)
-        return functions
+    def parts(self, outputs) -> dict:
+        """What is compared: the last displacements of body and modes, loads, particles."""
+        if 'particles' in outputs:
+            return {'particles_m': outputs['particles']}
+        n, moved = self._layout.n_rigid, outputs['next_velocity'][:, -1]
+        body = {'rigid': moved[:n]} if n else {}
+        return {'modes': moved[n:]} | body | {k: outputs[k] for k in loads.NAMES if k in outputs}
 
-    def inputs(self, kind: str, group, frame: int) -> dict[str, np.ndarray]:
-        """Inputs of the exported step that predicts a frame of a recorded run (`RunGroup`)."""
-        layout, scene = self.layout, self.simulator.scene
-        n, position = layout.n_rigid, group.position[0]
-        values = {}
-        if kind == 'savedmodel':
-            values['position_history'] = position[frame - H : frame]
-            if scene.rigid_motion.is_known:
-                values['next_rigid_position'] = position[frame, :n]
-        else:
-            state, known = self._recorded(group, frame)
-            values |= {'offset': state.offset[0].numpy(), 'velocity': state.velocity[0].numpy()}
-            if known is not None:
-                values['rigid_offset'], values['rigid_velocity'] = (x[0].numpy() for x in known[:2])
-        if group.context is not None:
-            values['context'] = group.context_at(frame, 0).astype(np.float32)
-        return values
-
-    def source_step(self, group, frame: int):
-        """What the source model says: displacements [V, D], and name -> [D] of the loads."""
-        state, known = self._recorded(group, frame)
-        context = group.context_at(frame)
-        context = None if context is None else tf.constant(context, tf.float32)
-        after, load = self.simulator.step(state, known, context, self.layout)
-        velocity = after.velocity[0, :, -1].numpy().astype(np.float64)
-        if self.simulator.scene.rigid_motion == RigidMotion.PREDICTED:
-            n, last = self.layout.n_rigid, group.position[:, frame - 1]
-            shape = last[:, :n] - last[:, :n].mean(axis=1, keepdims=True)
-            placed = rigid_body.rigid_correction(shape, last[:, :n] + velocity[None, :n])
-            velocity[:n] = placed[0].numpy() - last[0, :n]
-        return velocity, {name: part.numpy() for name, part in self.loads_of(load).items()}
-
-    def _recorded(self, group, frame):
-        """State and known motion, float32, before a recorded frame."""
-        n, scene = self.layout.n_rigid, self.simulator.scene
-        offset, velocity = group.position - self.layout.origin, group.velocity
-        h = slice(frame - H, frame)
-        state = initial_state(offset[:, h], velocity[:, h][:, 1:])
-        known = known_motion(offset[:, frame, :n], velocity[:, frame, :n], scene)
-        if known is not None:
-            known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
-        return state, known
-
-    def describe(self, kind: str) -> dict:
+    def describe(self) -> dict:
         """What a user of the exported model must know; JSON-able."""
-        scene, config, layout = self.simulator.scene, self.simulator.config, self.layout
-        signature = {k: [list(s.shape), s.dtype.name] for k, s in self.step_signature(kind).items()}
-        signatures = {'step': signature}
-        if self.space is not None:
-            modes = [[scene.n_modes, self.simulator.dim], 'float64']
-            if kind == 'savedmodel':
-                signatures['reconstruct'] = {'modes': modes}
-        values = {
-            'format': kind,
-            'signatures': signatures,
+        scene, config, layout = self._scene, self._simulator.config, self._layout
+        chosen = f'the {layout.n_rigid} lowest of the first frame, in record order'
+        if config.rigid_stride > 1 or not config.rigid_particles:
+            chosen = f'every {config.rigid_stride}. in record order'
+        return {
             'scene': scene.to_json(),
             'nodes': f'{layout.n_rigid} rigid particles, then {scene.n_modes} modes',
-            'rigid_particles': f'every {config.rigid_stride}. in record order'
-            if config.rigid_stride > 1 or not config.rigid_particles
-            else f'the {layout.n_rigid} lowest of the first frame, in record order',
-            'units': 'positions m, velocities m/frame, force N'
-            + (', torque N m about the point of recorded poses' if config.predict_torque else ''),
+            'rigid_particles': chosen,
             'seconds_per_frame': scene.dt,
             'frames_of_history': H,
-        }  # fmt: skip
-        if kind != 'savedmodel':
-            values['origin'] = layout.origin.tolist()
-            values['state'] = (
-                'offset = position - origin; velocity [V, H - 1, D] = last displacements, newest '
-                'last; rigid_offset and rigid_velocity of the coming frame'
-                + (', with the mean height over the particles taken out'
-                   if scene.rigid_motion == RigidMotion.DRIVEN else '')
-                + ('; outputs are named next_*' if kind == 'onnx' else '')
-            )  # fmt: skip
-        return values
-
-
-def _difference(values, expected, part):
-    """Largest difference over the largest magnitude; 0 / 0 counts as 0."""
-    a, b = (np.stack(x).astype(np.float64)[:, part] for x in (values, expected))
-    apart, size = np.abs(a - b).max(), np.abs(b).max()
-    return float(apart / size) if size > 0 else float(apart)
+            'origin': layout.origin.tolist(),
+        }

@@ -40,13 +40,8 @@ def soil_colours(particles, rest, shade) -> np.ndarray:
 
 
 def height_picture(heights, forwards: float, pixels: int = 12):
-    """uint8 picture [.., .., 3] of a height map [nx, nz], the drive from left to right.
-
-    Args:
-      heights: m from the bed at rest; NaN where there is nothing.
-      forwards: -1 where the body drives down the first axis.
-      pixels: of a cell.
-    """
+    """uint8 picture [.., .., 3] of heights [nx, nz], m from the bed at rest, NaN where there are
+    none; the drive, down the first axis where `forwards` is -1, goes from left to right."""
     low, high = HEIGHTS
     picture = blended(HEIGHT, (heights - low) / (high - low))
     picture[np.isnan(heights)] = EMPTY
@@ -55,14 +50,8 @@ def height_picture(heights, forwards: float, pixels: int = 12):
 
 
 def hull(body) -> tuple[np.ndarray, np.ndarray]:
-    """A closed mesh around a body.
-
-    Args:
-      body: [R, 3] particles, m; a flat one is thickened.
-
-    Returns:
-      float32 [P, 3] and int32 [F, 3].
-    """
+    """Corners float32 [P, 3] and triangles int32 [F, 3] of a closed mesh around a body [R, 3], m; a
+    flat one is thickened."""
     extent = np.ptp(body, axis=0)
     thin = np.eye(3)[extent.argmin()] * (THICKNESS / 2 if extent.min() < THICKNESS else 0.0)
     points = np.concatenate([body - thin, body + thin])

@@ -28,14 +28,7 @@ HELP = (
 
 
 class Panel:
-    """The panel at the side.
-
-    Args:
-      page: `page.Page`.
-      gui: of viser.
-      names: of the models that can be chosen.
-      name: of the one that is shown.
-    """
+    """The panel at the side of a `page.Page`; `names` are the models to choose from."""
 
     def __init__(self, page, gui, names, name: str):
         self._page, self._gui = page, gui

@@ -14,13 +14,7 @@ SAME_BODY_M = 1e-4
 
 
 class RecordedRun:
-    """One run of the solver.
-
-    Args:
-      record: `pca_tools.dataset.Trajectory`.
-      number: of its case, or None.
-      starts: of the model.
-      soil: of the dataset's subspace.
+    """One run of the solver, of a `dataset.Trajectory` and the number of its case (or None).
 
     Attributes:
       context: [C] or None.
@@ -70,11 +64,7 @@ class RecordedRun:
 
 
 class RecordedRuns:
-    """The test runs that fit a model.
-
-    Args:
-      model: `api.TrainedModel`.
-      data: `api.Dataset`.
+    """The test runs of an `api.Dataset`, for an `api.TrainedModel`.
 
     Attributes:
       runs: name -> `RecordedRun`.

@@ -1,32 +1,23 @@
-"""Compares models in C with the same models by TensorFlow: of an exported project over a recorded
-run, and over whole test runs, every frame, run by run.
+"""Compares models in C with the same models by TensorFlow, frame by frame, over a recorded run.
 
-A model in a subspace makes round-off larger. A third rollout shows by how much: that of TensorFlow
-from a start in which every coordinate is one unit of float32's last place higher.
-
-Example:
-  python -m learning_to_simulate.native.agreement --output=build/agreement.json \\
-      --models=models/excavation/pcg,models/excavation_v2/swept_field
+Both are steppers, so that what is compared is what a user gets.
 """
 
 import os
 import tempfile
+from typing import Any, NamedTuple
 
 import numpy as np
-from absl import flags
 
-from learning_to_simulate import checkpoints, command, registry
+from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.live.engine import SubspaceEngine
 from learning_to_simulate.live.stepper import Stepper
-from learning_to_simulate.native import field_data, library, project, starts
+from learning_to_simulate.native import engines, field_data, library, model_data, project
 from learning_to_simulate.native.binding import CField, CSubspace
-from learning_to_simulate.rollout_status import RolloutStatus, worse
+from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.swept_field.engine import FieldEngine
-from learning_to_simulate.swept_field.network import ACROSS
-from pca_tools import dataset, files, splits
+from pca_tools import dataset
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
 # to 5e-6. Where all of the body's motion is predicted, a rounding of its velocity lasts, and
@@ -38,48 +29,101 @@ COMPARED_STEPS = 40
 PARTICLE_FRAMES = 5
 
 
-def of_project(model_path, data_path, name, values, opened) -> dict:
+class Opened(NamedTuple):
+    """A model folder.
+
+    Attributes:
+      model: `subspace_model.Model`, or what a swept field is opened as.
+      starts, subspace: of `live.starts.read`.
+      n_rigid: R of the graph of a model in a subspace.
+    """
+
+    model: Any
+    starts: live_starts.Starts
+    subspace: Any
+    n_rigid: int
+
+    @classmethod
+    def of(cls, model_path: str, n_rigid: int | None = None) -> 'Opened':
+        """Reads a model folder; R is by default that of the first start.
+
+        Raises:
+          FileNotFoundError, ValueError: no model there, a damaged one, or one without starts.
+        """
+        model = registry.of_folder(model_path).load_code().load(model_path)
+        starts, subspace = live_starts.read(model_path)
+        return cls(model, starts, subspace, len(starts.kept[0]) if n_rigid is None else n_rigid)
+
+    @property
+    def field(self):
+        """The `SweptField`, or None."""
+        return getattr(self.model, 'field', None)
+
+    def values(self) -> dict:
+        """Of `model_data.values` or `field_data.values`, whose errors this raises."""
+        if self.field is not None:
+            return field_data.values(self.field, self.starts, self.subspace)
+        return model_data.values(self.model, self.n_rigid, self.subspace, self.starts)
+
+    def steppers(self, library_path: str | None = None, symbol: str = '') -> list[Stepper]:
+        """A stepper by C, of a compiled project or of this machine's library, and one by
+        TensorFlow."""
+        model, starts, space, n = self
+
+        def make(*_):
+            if library_path is not None:
+                return CSubspace.open(library_path, symbol)
+            return CSubspace.of(model, n, subspace=space)
+
+        if self.field is None:
+            by_c = engines.c_subspace_engine(model, starts, space, n, make)
+        else:
+            soil = None if library_path is None else CField.open(library_path, symbol)
+            by_c = engines.CFieldEngine(self.field, starts, space, soil)
+        return [Stepper(by_c), Stepper(engines.of(model, starts, space, engines.TENSORFLOW, n))]
+
+
+def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> dict:
     """Differences of a compiled project to TensorFlow over frames of the first test run.
 
     Args:
       model_path, data_path: of the model and its dataset.
-      name, values: of `project.write`.
-      opened: the results of `starts.read_model`; of a swept field (field, starts, subspace).
+      name: of the model in C.
+      opened: the model.
 
     Returns:
-      `steps`, `kernel`, `relative_difference` by kind, `tolerance` and `particles_difference_m`; or
+      `steps`, `engine`, `relative_difference` by kind, `tolerance` and `particles_difference_m`; or
       `skipped`: why nothing was compared.
 
     Raises:
       ValueError: a difference above the tolerance.
       library.CompileFailed: the project does not compile.
     """
-    is_field = project.is_field(values)
     with tempfile.TemporaryDirectory() as folder:
-        project.write(folder, name, values)
+        project.write(folder, name, opened.values())
         built = os.path.join(folder, 'model.so')
         try:
-            library.compile_sources(built, folder)
+            library.compile_sources(built, *library.parts_of(folder))
         except library.NoCompiler as error:
             return {'skipped': str(error)}
-        soil = (CField if is_field else CSubspace).open(built, name)
+        pair = opened.steppers(built, name)
     tolerance = TOLERANCE
-    if is_field:
+    if opened.field is not None:
         run = dataset.read_split(data_path, 'test')[0]
         if run.rigid_pose is None:
             return {'skipped': 'the first test run holds no pose of its tool'}
-        case = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])[0]
-        row = play_field(soil, Stepper(FieldEngine(*opened)), run, case.get('case'))
+        cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])
+        row = over_poses(*pair, run, cases[0].get('case'))
     else:
-        model, n, space, _ = opened
         groups = registry.open_model(model_path, data_path, 'test').groups
-        group = next((g for g in groups if g.n_rigid == n), None)
+        group = next((g for g in groups if g.n_rigid == opened.n_rigid), None)
         if group is None:
-            return {'skipped': f'no test run has {n} rigid nodes'}
-        if model.simulator.scene.rigid_motion is RigidMotion.PREDICTED:
+            return {'skipped': f'no test run has {opened.n_rigid} rigid nodes'}
+        if opened.model.simulator.scene.rigid_motion is RigidMotion.PREDICTED:
             tolerance = TOLERANCE_OF_PREDICTED
-        row = play(soil, model, space, group.select(0), COMPARED_STEPS)
-    difference = {'position': row['motion' if is_field else 'modes'], 'force': row['force']}
+        row = over_frames(*pair, group.select(0), COMPARED_STEPS)
+    names = ('position', 'force', 'particles')[: 3 if opened.field else 2]
+    difference = {name: row[name] for name in names}
     if bad := {k: v for k, v in difference.items() if not v <= tolerance}:
         raise ValueError(
             f'the C code differs from the model by {bad}, more than {tolerance:g} of the motion or '
@@ -87,217 +131,111 @@ def of_project(model_path, data_path, name, values, opened) -> dict:
         )
     return {
         'steps': row['frames'],
-        'kernel': soil.kernel,
+        'engine': pair[0].engine,
         'relative_difference': difference,
         'tolerance': tolerance,
         'particles_difference_m': row['particles_m'],
     }
 
 
-def play(soil: CSubspace, model, space, group, limit: int | None = None) -> dict:
-    """Largest differences of a model in a subspace over a recorded run, by particles of the body.
+def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None) -> dict:
+    """`compare` over a recorded run of a model in a subspace, by particles of the body.
 
     Args:
-      soil: in C, of R rigid particles.
-      model: `subspace_model.Model`.
-      space: its `Subspace`, or None.
-      group: one-run `RunGroup` of bodies of that size.
+      ours, theirs: two steppers of the model.
+      group: one-run `RunGroup`.
       limit: frames; None for all.
+    """
+    truth, n = group.position[0], group.n_rigid
+    for stepper in (ours, theirs):
+        stepper.reset(truth[:H], group.context_at(H, 0))
+    known = theirs.computing.scene.rigid_motion.is_known
+    steps = [
+        (truth[k, :n] if known else None,
+         group.context_at(k, 0) if group.context_changes else None)
+        for k in range(H, len(truth))
+    ]  # fmt: skip
+    return compare(ours, theirs, steps[:limit])
+
+
+def over_poses(ours: Stepper, theirs: Stepper, run, case=None, limit: int | None = None) -> dict:
+    """`compare` over a recorded run of a swept field.
+
+    Args:
+      ours, theirs: two steppers of the model.
+      run: `dataset.Run` with poses.
+      case: of the run; where the model knows it, its start and its bed.
+      limit: frames; None for all.
+    """
+    poses, contexts = run.rigid_pose.astype(np.float64), run.step_context
+    contexts = [None] * len(poses) if contexts is None else contexts.astype(np.float64)
+    # Of runs that start alike one start was kept: its context is the nearest.
+    case = case if case in theirs.cases else None
+    for stepper in (ours, theirs):
+        stepper.start(poses[0], case=case, context=contexts[0])
+    return compare(ours, theirs, list(zip(poses, contexts))[1:][:limit])
+
+
+def compare(ours: Stepper, theirs: Stepper, steps) -> dict:
+    """Largest differences of two steppers that have begun alike.
+
+    Args:
+      ours, theirs: two steppers of one model, by C and by TensorFlow.
+      steps: poses and contexts, or None, of `Stepper.step`.
 
     Returns:
-      `frames` that were inside the bounds (beyond them nothing is compared), `modes` and `force`,
-      largest differences as shares of the motion and of the largest force, `nudged_modes` and
-      `nudged_force`, the same between TensorFlow and TensorFlow from the nudged start,
-      `particles_m`, and `same_status`, whether kind, frame and node of the judgements agree.
-    """
-    n, scene, truth = group.n_rigid, model.simulator.scene, group.position[0]
-    coming = truth[H:] if limit is None else truth[H : H + limit]
-    nudged = np.nextafter(truth[:H].astype(np.float32), np.float32(np.inf)).astype(np.float64)
-    python, other = (Stepper(SubspaceEngine(model, None, space, n)) for _ in range(2))
-    for stepper, start in ((soil, truth[:H]), (python, truth[:H]), (other, nudged)):
-        judged = stepper.reset(start, group.context_at(H, 0))
-    judged = python.state.frame.judgement
-    every = max(1, len(coming) // PARTICLE_FRAMES)
-    position, force, particles = ([], [], []), ([], [], []), []
-    count = len(coming)
-    for k, points in enumerate(coming[:, :n]):
-        context = group.context_at(H + k, 0) if group.context_changes else None
-        for stepper, places, loads in zip((soil, python, other), position, force):
-            frame = stepper.step(points if scene.rigid_motion.is_known else None, context)
-            places.append(np.concatenate([frame.rigid_pose, frame.modes]))
-            loads.append(np.zeros(3) if frame.force is None else frame.force)
-        judged = worse(judged, python.state.frame.judgement)
-        if judged.status not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
-            count = min(count, k)
-        if k % every == 0 and k < count and space is not None:
-            particles.append(np.abs(soil.particles() - python.particles()).max())
-    expected, size = np.array(position[1]), np.abs(force[1])[:count].max(initial=0.0)
-    motion = np.abs(expected[:count] - truth[H - 1]).max(initial=0.0)
-    row = {'frames': count}
-    for name, i in (('', 0), ('nudged_', 2)):
-        apart = np.abs(np.array(position[i]) - expected)[:count].max(initial=0.0)
-        pulled = np.abs(np.subtract(force[i], force[1]))[:count].max(initial=0.0)
-        row[f'{name}modes'] = float(apart / motion) if motion > 0 else float(apart)
-        row[f'{name}force'] = float(pulled / size) if size > 0 else float(pulled)
-    return row | {
-        'particles_m': float(max(particles, default=0.0)),
-        'same_status': soil.judgement[:3] == judged[:3],
-    }
-
-
-def play_field(soil: CField, live: Stepper, run, case: int | None) -> dict:
-    """Largest differences of a swept field in C to Python over a recorded run.
-
-    Args:
-      soil: in C.
-      live: of a `FieldEngine` of the same model.
-      run: `dataset.Run` with poses.
-      case: of the run, where a wheel begins.
+      `frames` until the first that both refuse, or that left its bounds: beyond them nothing is
+      compared; `position` (of nodes, and of modes where there are) and `particles` as shares of
+      their motion, `force`, `torque` and `bound` as shares of the largest, `particles_m`, and
+      `same_status`: in how many frames kind, frame and node of the judgements agree.
 
     Raises:
       ValueError: a frame that one of them refuses and the other does not.
-
-    Returns:
-      `frames` until the first that both refuse; `motion`, of the particles, `force` and `torque`,
-      shares of the largest; `height_m`, `particles_m`; `c_to_twin_m` and `python_to_twin_m`, of the
-      particles to `twin_particles`; `same_status`, in how many frames.
     """
-    poses = run.rigid_pose.astype(np.float64)
-    contexts = [None] * len(poses)
-    if run.step_context is None:
-        # The usual blade on the flat bed: what C begins with.
-        live.start(poses[0], blade_width=soil.description.blade_width)
-        soil.start(poses[0])
-    else:
-        contexts = run.step_context.astype(np.float64)
-        # Of runs that start alike one start was kept: its context is the nearest.
-        case = case if case in live.cases else None
-        live.start(poses[0], case=case, context=contexts[0])
-        soil.start(poses[0], index=live.start_index, context=contexts[0])
-    up, before = soil.description.up_axis, soil.particles()
-    every = max(1, len(poses) // PARTICLE_FRAMES)
-    rows, same, apart, motion, heights = ([], []), 0, [0.0], [0.0], [0.0]
-    to_twin = [(0.0, 0.0)]
-    for k, (pose, context) in enumerate(zip(poses[1:], contexts[1:], strict=True), 1):
-        mine, expected = (_refused(one, pose, context) for one in (soil, live))
-        if (mine is None) != (expected is None):
+    has_modes = isinstance(theirs.computing, engines.SubspaceEngine)
+    first = theirs.state.frame
+    draws = not has_modes or first.soil.subspace is not None
+    every = max(1, len(steps) // PARTICLE_FRAMES)
+    names = ('position', 'force', 'torque', 'bound', 'particles')
+    apart: dict[str, float] = dict.fromkeys(names, 0.0)
+    sizes, same, count = dict(apart), 0, 0
+
+    def note(name, one, other, size=None):
+        if other is not None:
+            apart[name] = max(apart[name], float(np.abs(one - other).max(initial=0.0)))
+            size = other if size is None else size
+            sizes[name] = max(sizes[name], float(np.abs(size).max(initial=0.0)))
+
+    for k, (pose, context) in enumerate(steps):
+        mine, frame = (_step(stepper, pose, context) for stepper in (ours, theirs))
+        if (mine is None) != (frame is None):
             raise ValueError(f'frame {k} is refused by {"C" if mine is None else "Python"} alone')
-        if mine is None:  # a place under the floor, say
+        if frame is None or frame.now not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
             break
-        for found, frame in zip(rows, (mine, expected)):
-            found.append(np.stack([frame.force, frame.torque]))
-        same += (mine.status == 0) == (expected.now == RolloutStatus.OK)
-        heights.append(abs(mine.point[up] - expected.pose[up]))
-        if k % every == 0:
-            points = expected.particles()
-            mine, twin = soil.particles(), twin_particles(expected.soil)
-            apart.append(np.abs(mine - points).max())
-            to_twin.append((np.abs(mine - twin).max(), np.abs(points - twin).max()))
-            motion.append(np.abs(points - before).max())
-    force = torque = 0.0
-    if rows[0]:  # a wheel may be refused at once, where both find it under the floor
-        mine, theirs = (np.array(found) for found in rows)
-        size = np.maximum(np.abs(theirs).max(axis=(0, 2)), 1e-12)
-        force, torque = np.abs(mine - theirs).max(axis=(0, 2)) / size
-    return {
-        'frames': len(rows[0]),
-        'motion': float(max(apart) / max(motion)) if max(motion) > 0 else float(max(apart)),
-        'force': float(force),
-        'torque': float(torque),
-        'height_m': float(max(heights)),
-        'particles_m': float(max(apart)),
-        'c_to_twin_m': float(max(c for c, _ in to_twin)),
-        'python_to_twin_m': float(max(python for _, python in to_twin)),
-        'same_status': same,
-    }
+        count += 1
+        same += mine.now == frame.now and mine.judgement[:3] == frame.judgement[:3]
+        shown = [_shown(f, has_modes) for f in (mine, frame, first)]
+        note('position', *shown[:2], shown[1] - shown[2])
+        for name in ('force', 'torque', 'bound'):
+            note(name, getattr(mine, name), getattr(frame, name))
+        if draws and k % every == 0:
+            # In a subspace steppers decode particles themselves: here those of the library count.
+            drawn = ours.computing.step if has_modes else mine
+            points = frame.particles()
+            note('particles', drawn.particles(), points, points - first.particles())
+    shares = {k: apart[k] / sizes[k] if sizes[k] > 0 else apart[k] for k in apart}
+    particles = {'particles_m': apart['particles']}
+    return {'frames': count, 'same_status': same} | particles | shares
 
 
-def twin_particles(soil) -> np.ndarray:
-    """float64 [N, 3], m: the particles of a `SweptSoil` with the networks in float64 numpy.
-
-    Their inputs and shares are those of TensorFlow, in float32.
-    """
-    swept, field = soil.swept, soil.of.field
-    network, local, members = field.network, swept.ground.local, soil.of.members
-    of_frame = swept.frame.bins, swept.frame.scalars, local[None]
-    values = network.inputs.particles(*of_frame).numpy()[0].astype(np.float64)[None]
-    for i, (weight, bias) in enumerate(network.soil.layers):
-        if i:
-            values = values / (1.0 + np.exp(-values))  # silu
-        values = values @ weight.numpy()[:members].astype(np.float64)
-        values += bias.numpy()[:members]
-    gate = network.inputs.gate(*of_frame).numpy()[0].astype(np.float64)
-    moved = network.inputs.displacement * gate[:, None] * values.mean(axis=0)
-    moved[:, 2] *= np.clip(local[:, 2] / ACROSS, -1.0, 1.0)
-    there = swept.ground.places + moved
-    there += field.tool.inside(there, swept.pose, swept.ground.size)[1]
-    return swept.ground.points + field.axes.world(there - swept.ground.places)
+def _shown(frame, has_modes):
+    """Nodes of the body, and modes where those are cheap."""
+    return np.concatenate([frame.rigid_pose, frame.modes]) if has_modes else frame.rigid_pose
 
 
-def _refused(stepper, pose, context):
+def _step(stepper, pose, context):
     """A frame, or None where the pose is refused."""
     try:
-        return stepper.step(pose, context=context)
+        return stepper.step(pose, context)
     except ValueError:
         return None
-
-
-def measure(model_path: str, data_path: str, limit: int = 0) -> list[dict]:
-    """One row for each test run: `play` or `play_field`, with its `record`, `kind` and `case`.
-
-    Args:
-      model_path, data_path: a model that has a C form, and its dataset.
-      limit: only so many runs, spread over test; 0: all.
-
-    Raises:
-      FileNotFoundError, ValueError: no model or dataset there, or no C form.
-      library.NoCompiler: there is no C compiler.
-    """
-    if checkpoints.read_config(model_path)['config'].get('model') == 'swept_field':
-        field, parts = field_data.read(model_path)
-        live = Stepper(FieldEngine(field, *live_starts.read(model_path)))
-        soil = CField.of(field, **parts)
-        cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
-        runs, rows = dataset.read_split(data_path, 'test'), []
-        for record in splits.spread_over(len(runs), limit):
-            case = cases[record] if record < len(cases) else {}
-            row = play_field(soil, live, runs[record], case.get('case'))
-            named = {'record': record, 'kind': case.get('kind'), 'case': case.get('case')}
-            rows.append(named | row)
-        return rows
-    model, n, space, found = starts.read_model(model_path, data_path)
-    soil = CSubspace.of(model, n, space, starts=found)
-    groups = registry.open_model(model_path, data_path, 'test').groups
-    runs = [group.select(run) for group in groups for run in range(len(group.position))]
-    return [
-        {'record': int(runs[i].record[0])} | play(soil, model, space, runs[i])  # type: ignore[attr-defined]
-        for i in splits.spread_over(len(runs), limit)
-    ]
-
-
-def run(values) -> None:
-    """Runs the command with its flags."""
-    command.import_tensorflow(num_threads=1)
-    found = {}
-    if values.output and os.path.exists(values.output):
-        found = files.read_json(values.output)
-    for path in values.models:
-        scene = os.path.basename(os.path.dirname(os.path.normpath(path)))
-        print(f'comparing {path} ...', flush=True)
-        found[os.path.normpath(path)] = measure(path, os.path.join(values.data_root, scene))
-        if values.output:
-            files.write_json(values.output, found)
-    for name, rows in found.items():
-        print(name, *rows, sep='\n  ')
-
-
-if __name__ == '__main__':
-    flags.DEFINE_list(
-        'models', [*(f'models/{s}/{n}' for s in ('excavation', 'wheel')
-                     for n in ('pcg', 'pcg_thesis', 'fcg_original')),
-                   *(f'models/{s}_v2/swept_field' for s in ('excavation', 'wheel'))],
-        'Model folders.',
-    )  # fmt: skip
-    flags.DEFINE_string('data_root', 'datasets', 'Folder of the datasets, named as the scenes.')
-    flags.DEFINE_string('output', None, 'JSON file for the figures; other models in it stay.')
-    command.start(run)

@@ -4,8 +4,11 @@ TensorFlow, which then says why.
 The C engines give the frames of those of TensorFlow to round-off.
 """
 
+from typing import Any
+
 import numpy as np
 
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.engine import Proposal, SubspaceEngine
 from learning_to_simulate.live.soil import plan_extent, surface
 from learning_to_simulate.native import library
@@ -32,40 +35,40 @@ def of(model, starts=None, subspace=None, kind: str = BEST, n_rigid: int | None 
     """
     if kind not in (BEST, C, TENSORFLOW):
         raise ValueError(f'engine is {kind!r}, must be one of {(BEST, C, TENSORFLOW)}')
-    field = getattr(model, 'field', None)
-    name = 'TensorFlow'
+    field, name = getattr(model, 'field', None), 'TensorFlow'
     if kind != TENSORFLOW:
         try:
             if field is not None:
                 return CFieldEngine(field, starts, subspace)
-            engine = SubspaceEngine(model, starts, subspace, n_rigid, CStep)
-            engine.name = f'C ({engine.step.name})'
-            return engine
+            return c_subspace_engine(model, starts, subspace, n_rigid)
         except (ValueError, library.NoCompiler) as error:
             if kind == C:
                 raise
-            reason = str(error).splitlines()[0]
-            name = f'TensorFlow ({reason})'
+            name = f'TensorFlow ({str(error).splitlines()[0]})'
     if field is not None:
         return FieldEngine(field, starts, subspace, name=name)
     return SubspaceEngine(model, starts, subspace, n_rigid, name=name)
+
+
+def c_subspace_engine(model, starts, subspace, n_rigid, make=CSubspace.of) -> SubspaceEngine:
+    """The engine of a model in a subspace whose step is by C; `make` makes the `CSubspace` of
+    (model, R)."""
+    engine = SubspaceEngine(
+        model, starts, subspace, n_rigid, lambda *model_and_size: CStep(make(*model_and_size))
+    )
+    engine.name = f'C ({engine.step.name})'
+    return engine
 
 
 class CStep:
     """A step of `SubspaceEngine` by the C library: the same frames as `live.engine.TfStep`.
 
     Args:
-      model: `subspace_model.Model`; its weights are taken as they are now.
-      n_rigid: R, rigid particles that are nodes.
-
-    Raises:
-      ValueError: a model that has no C form.
-      library.NoCompiler, library.CompileFailed: as `library.load`.
+      soil: `CSubspace`.
     """
 
-    def __init__(self, model, n_rigid: int):
-        self._soil = CSubspace.of(model, n_rigid)
-        self._before = self._soil.another()
+    def __init__(self, soil: CSubspace):
+        self._soil, self._before = soil, soil.another()
         self._is_proposed = False
 
     @property
@@ -90,6 +93,10 @@ class CStep:
         frame = self._soil.step(body, context)
         return np.concatenate([frame.rigid_pose, frame.modes]), frame.force
 
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3], m, of the frame that was computed last, as the library decodes them."""
+        return self._soil.particles()
+
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
         self._is_proposed = False
@@ -109,26 +116,24 @@ class CFieldSoil:
     """The soil of a frame of a field in C; nothing is computed before it is asked for.
 
     Args:
-      engine: `CFieldEngine`, in whose newest frame it is until `keep`.
+      engine: `CFieldEngine`.
+      state: of the library in that frame.
     """
 
-    def __init__(self, engine: 'CFieldEngine'):
-        self._engine = engine
-        self._state: bytes | None = None
+    def __init__(self, engine: 'CFieldEngine', state: bytes):
+        self._engine, self._state = engine, state
         self.subspace = engine.subspace
-
-    def keep(self, state: bytes) -> None:
-        """Takes the state of its frame: the engine goes on."""
-        self._state = state
 
     @property
     def modes(self) -> np.ndarray:
         """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
-        return self._engine.encoded(self.particles())
+        if self.subspace is None:
+            raise ValueError('modes need a subspace: the model folder has none')
+        return self.subspace.encode(self.particles())
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
-        return self._engine.particles(self, self._state)
+        return self._engine.particles(self._state)
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
@@ -144,7 +149,7 @@ class CFieldEngine:
     Args:
       field: `SweptField`.
       starts, subspace: of the model folder.
-      kernel: of `binding.CField`.
+      soil: `CField` of the field; None for that of this machine's library.
 
     Raises:
       ValueError: inputs that C does not know.
@@ -155,20 +160,18 @@ class CFieldEngine:
       up, extent: axis against gravity, and what a height map spans, see `live.soil.plan_extent`.
     """
 
-    def __init__(self, field, starts, subspace=None, kernel: str = 'best'):
-        self.scene, self.starts = field.scene, starts
+    def __init__(self, field, starts, subspace=None, soil: CField | None = None):
+        self.scene, self.starts, self.subspace = field.scene, starts, subspace
         self.up, self.extent = field.axes.up, plan_extent(field.rest, field.axes.up)
-        self._field, self.subspace = field, subspace
-        given = {'starts': starts, 'subspace': subspace} if field.tool.predicts_height else {}
-        self._c = CField.of(field, kernel, **given)
-        self._scratch = self._c.another()  # for particles of frames before
+        self._field, self._c = field, soil or CField.of(field, starts, subspace)
+        self._drawn = self._c.another()  # for particles of any frame
         self._other: FieldEngine | None = None
         self._uses_other = False
-        self._start = self._ground = self._soil = self._proposed_soil = None
-        self._before = b''  # the state before the proposed frame
-        self._is_proposed = False
-        self._pose = np.zeros(7)  # of the newest frame, and of the proposed one
-        self._coming = self._pose
+        self._start = self._ground = None
+        # Of the newest frame and of the proposed one: pose, and state of the library, which is at
+        # the proposed one where there is one.
+        self._now: Any = None
+        self._coming: Any = None
 
     @property
     def name(self) -> str:
@@ -179,44 +182,37 @@ class CFieldEngine:
         """Begins from a `live.starts.Start`; as `FieldEngine.begin`."""
         if start.velocity is None:
             raise ValueError('a swept field begins from a pose: call start()')
-        field = self._field
-        ground, _ = field_engine.begin(field, self.starts, self.subspace, start, bed, blade_width)
+        field, given = self._field, (self.starts, self.subspace, start)
+        ground, _ = field_engine.begin(field, *given, bed, blade_width)
         if len(ground.points) != len(field.rest):
             return self._begin_other(start, bed, blade_width, len(ground.points))
-        self._release()
-        if field.tool.predicts_height:  # the library knows the beds of its starts
-            of_start = {'index': start.index, 'context': start.context}
-            judged = self._c.start(start.pose, start.velocity, bed, **of_start)
+        if self._c.is_wheel:  # the library knows the beds of its starts
+            options = {'index': start.index, 'context': start.context}
         else:
-            if bed is None:
-                bed = field_engine.bed_of_start(field, self.starts, self.subspace, start)
-            judged = self._c.start(start.pose, start.velocity, bed, float(ground.size[0]))
-        self._uses_other, self._is_proposed = False, False
-        self._start, self._ground, self._pose = start, ground, start.pose
-        self._soil = CFieldSoil(self)
-        force, torque = np.zeros(3), np.zeros(3)
-        nodes = start.nodes(start.pose)
-        return Proposal(judged, self._soil, nodes, start.pose, force, torque)
+            bed = field_engine.bed_of_start(field, *given) if bed is None else bed
+            options = {'blade_width': float(ground.size[0])}
+        self._c.start(start.pose, start.velocity, bed, **options)
+        self._uses_other, self._start, self._ground = False, start, ground
+        self._now, self._coming = (start.pose, self._c.save()), None
+        return self._proposal(self._judged(H - 1), *self._now, np.zeros(3), np.zeros(3))
 
     def _begin_other(self, start, bed, blade_width, n):
-        if self._other is None:
-            self._other = FieldEngine(self._field, self.starts, self.subspace)
-        self._other.name = (
-            f'TensorFlow (the C form takes a bed of {len(self._field.rest)} particles, not {n})'
-        )
-        self._release()
+        self._other = self._other or FieldEngine(self._field, self.starts, self.subspace)
+        wanted = len(self._field.rest)
+        self._other.name = f'TensorFlow (the C form takes a bed of {wanted} particles, not {n})'
         first = self._other.begin(start, bed, blade_width)
         self._uses_other = True
         return first
 
-    def _release(self):
-        """The newest soil keeps its own state: the library goes on to another one."""
-        if self._soil is not None and not self._uses_other:
-            self._soil.keep(self._now())
-        self._soil = None
+    def _judged(self, number):
+        judgement = self._c.judgement
+        return judgement if judgement == OK else judgement._replace(frame=number)
 
-    def _now(self):
-        return self._before if self._is_proposed else self._c.save()
+    def _proposal(self, judgement, pose, state, force, torque, bound=None):
+        for values in (force, torque, pose):
+            values.setflags(write=False)
+        soil, nodes = CFieldSoil(self, state), self._start.nodes(pose)
+        return Proposal(judgement, soil, nodes, pose, force, torque, bound)
 
     def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
         """The frame in which the tool reaches a pose; as `FieldEngine.propose`."""
@@ -224,108 +220,70 @@ class CFieldEngine:
             return self._other.propose(number, coming, context, dt)
         if coming is None:
             raise ValueError(f'the body is {self.scene.rigid_motion}: step() takes a pose')
-        if self._is_proposed:
-            self._proposed_soil.keep(self._c.save())  # type: ignore[attr-defined]
-            self._c.load_state(self._before)
-        else:
-            self._before = self._c.save()
-            self._is_proposed = True
+        if self._coming is not None:
+            self._c.load_state(self._now[1])
+            self._coming = None
         try:
             found = self._c.step(coming, dt, context)
         except ValueError as error:
-            self._is_proposed = False  # the library stays where it was
             self._refuse(coming, context, dt)
             raise ValueError(f'{error}; call start() anew') from None
-        if self._field.tool.predicts_height:
+        if self._c.is_wheel:
             coming[self.up] = found.point[self.up]
-        for values in (found.force, found.torque, coming):
-            values.setflags(write=False)
-        judgement = OK
-        if found.status:
-            judgement = self._c.judgement._replace(frame=number)
-        self._coming = coming
-        self._proposed_soil = CFieldSoil(self)
-        nodes = self._start.nodes(coming)  # type: ignore[attr-defined]
-        return Proposal(
-            judgement, self._proposed_soil, nodes, coming, found.force, found.torque, found.bound
-        )
+        judgement = self._judged(number) if found.status else OK
+        self._coming = coming, self._c.save()
+        return self._proposal(judgement, *self._coming, found.force, found.torque, found.bound)
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""
         if self._uses_other:
             self._other.accept()
-            return
-        self._soil.keep(self._before)  # type: ignore[attr-defined]
-        self._soil, self._pose, self._is_proposed = self._proposed_soil, self._coming, False
+        else:
+            self._now, self._coming = self._coming, None
 
     def _refuse(self, coming, context, dt):
         """Raises what Python says of a step that C refuses, with its values and limits."""
-        field, before = self._field, self._pose
-        named = None
+        field, named = self._field, None
         if self.scene.context_names:
-            now = self._c.context()
+            now = np.empty(len(self.scene.context_names))
+            self._c.call('context', now)
             given = now if context is None else context
             field.check_contexts(np.stack([now, given]))
             named = {k: v[None] for k, v in field.context(given).items()}
-        (was,) = field.tool.poses(field.axes, before[None], named)
+        (was,) = field.tool.poses(field.axes, self._now[0][None], named)
         (plane,) = field.tool.poses(field.axes, coming[None], named, was)
-        dt = self.scene.dt if dt is None else float(dt)
-        field_engine.refuse_jump(field, plane, was, dt)
-        if not field.tool.predicts_height:
+        field_engine.refuse_jump(field, plane, was, self.scene.dt if dt is None else float(dt))
+        if not self._c.is_wheel:
             field_engine.refuse_floor(field, plane, self._ground)
-        grid, first = field.grid, self._ground.origin[0]
-        radius = self._ground.size[0] if field.tool.predicts_height else grid.radius
-        low, high = grid.offsets[[0, -1]] + [radius, -radius]
-        if not low <= plane[0] - first <= high:
-            raise ValueError(
-                f'the tool is {plane[0] - first:.3f} m from its first place, the bins of the path '
-                f'reach from {low:g} to {high:g} m; begin anew where it is: '
-                f'start(pose, bed=stepper.particles())'
-            )
+        radius = self._ground.size[0] if self._c.is_wheel else field.grid.radius
+        field.grid.check_within(plane[:1] - self._ground.origin[0], radius)
 
-    def particles(self, soil: CFieldSoil, state: bytes | None) -> np.ndarray:
-        """float32 [N, 3], m, of a state; None for that of the newest or the proposed frame."""
-        if state is None:
-            # The library is at the proposed frame until that is accepted.
-            if soil is self._proposed_soil or not self._is_proposed:
-                return self._c.particles()
-            state = self._before
-        self._scratch.load_state(state)
-        return self._scratch.particles()
-
-    def encoded(self, particles) -> np.ndarray:
-        """float64 [r, 3] scores of particles, m.
-
-        Raises:
-          ValueError: without a subspace.
-        """
-        if self.subspace is None:
-            raise ValueError('modes need a subspace: the model folder has none')
-        return self.subspace.encode(particles)
+    def particles(self, state: bytes) -> np.ndarray:
+        """float32 [N, 3], m, of a state of the library."""
+        self._drawn.load_state(state)
+        return self._drawn.particles()
 
     @property
     def state(self) -> tuple:
         """All that the coming frames follow from; what is put back goes on to the same bits."""
         if self._uses_other:
             return self._other, self._other.state
-        return None, (self._start, self._ground, self._pose, self._now(), self._soil)
+        return None, (self._start, self._ground, *self._now)
 
     @state.setter
     def state(self, state: tuple) -> None:
-        self._release()
         other, kept = state
         self._uses_other = other is not None
         if self._uses_other:
             other.state = kept
             return
-        self._start, self._ground, self._pose, of_c, soil = kept
-        self._c.load_state(of_c)
-        self._is_proposed = False
-        soil.keep(of_c)
-        self._soil = CFieldSoil(self)
+        self._start, self._ground, *now = kept
+        self._c.load_state(now[1])
+        self._now, self._coming = tuple(now), None
 
     def explain(self) -> str:
         """What the newest frame leaves out."""
         if self._uses_other:
             return self._other.explain()
-        return field_engine.left_out(self._c.moving(), len(self._field.rest))
+        self._drawn.load_state(self._now[1])
+        return field_engine.left_out(self._drawn.call('moving'), len(self._field.rest))

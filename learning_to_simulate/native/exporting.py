@@ -7,8 +7,7 @@ beyond round-off the export is refused.
 import os
 
 from learning_to_simulate import checkpoints
-from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.native import agreement, field_data, fmu, model_data, project, starts
+from learning_to_simulate.native import agreement, fmu, project
 from pca_tools import files
 
 DESCRIPTION_FILE = 'export.json'
@@ -19,10 +18,10 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
 
     Args:
       model_path: trained model.
-      data_path: its dataset; gives starts, the run to compare on and the subspace.
+      data_path: its dataset; gives the run to compare on.
       output_path: folder to write; must be absent or empty.
       kind: one of `native.FORMATS`.
-      n_rigid: R of the exported graph; None for that of the model's first training run.
+      n_rigid: R of the exported graph; None for that of the model's first start.
 
     Returns:
       the description that is also in `export.json`.
@@ -34,18 +33,19 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     """
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    name = project.symbol(model_path)
-    if checkpoints.read_config(model_path)['config'].get('model') == 'swept_field':
-        values, more = _field(model_path, data_path, name)
-    else:
-        values, more = _graph(model_path, data_path, name, n_rigid)
+    name, opened = project.symbol(model_path), agreement.Opened.of(model_path, n_rigid)
+    values = opened.values()
     description = {
         'format': kind,
         'symbol': name,
         'digest': values['digest'],
         'weights_sha256': files.sha256_of_file(os.path.join(model_path, checkpoints.WEIGHTS_FILE)),
-        **more,
+        'scene': opened.model.simulator.scene.to_json(),
+        'compared': agreement.of_project(model_path, data_path, name, opened),
     }
+    for key in ('n_rigid', 'n_start', 'n_member'):
+        if key in values:
+            description[key] = values[key]
 
     def fill(folder):
         if kind == 'fmu':
@@ -58,41 +58,18 @@ def export(model_path: str, data_path: str, output_path: str, kind: str, n_rigid
     return description
 
 
-def _graph(model_path, data_path, name, n_rigid):
-    opened = model, n_rigid, subspace, found = starts.read_model(model_path, data_path, n_rigid)
-    values = model_data.values(model, n_rigid, subspace, starts=found)
-    return values, {
-        'scene': model.simulator.scene.to_json(),
-        'n_rigid': n_rigid,
-        'starts': len(found),
-        'compared': agreement.of_project(model_path, data_path, name, values, opened),
-    }
-
-
-def _field(model_path, data_path, name):
-    field, parts = field_data.read(model_path)
-    values = field_data.values(field, **parts)
-    opened = field, *live_starts.read(model_path)
-    return values, {
-        'scene': field.scene.to_json(),
-        'members': field.config.members,
-        'compared': agreement.of_project(model_path, data_path, name, values, opened),
-    }
-
-
 def summary(description: dict, output_path: str) -> str:
     """What was written and how it compares, for the terminal."""
     compared = description['compared']
-    lines = [
+    wrote = (
         f'wrote {output_path} ({description["format"]}, model {description["symbol"]}, '
-        f'digest {description["digest"][:12]})'
-    ]
-    if 'skipped' in compared:
-        return '\n'.join([*lines, f'not compared with TensorFlow: {compared["skipped"]}'])
-    apart = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
-    lines.append(
-        f'largest difference to TensorFlow over {compared["steps"]} steps: {apart} (allowed '
-        f'{compared["tolerance"]:g}), particles {compared["particles_difference_m"]:.2g} m; kernel '
-        f'{compared["kernel"]}'
+        f'digest {description["digest"][:12]})\n'
     )
-    return '\n'.join(lines)
+    if 'skipped' in compared:
+        return f'{wrote}not compared with TensorFlow: {compared["skipped"]}'
+    apart = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
+    return (
+        f'{wrote}largest difference to TensorFlow over {compared["steps"]} steps: {apart} (allowed '
+        f'{compared["tolerance"]:g}), particles {compared["particles_difference_m"]:.2g} m; '
+        f'{compared["engine"]}'
+    )

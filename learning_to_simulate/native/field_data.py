@@ -6,26 +6,22 @@ repeats is only the order of a frame's scalars.
 
 import numpy as np
 
-from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.native import c_values, field_blade, field_wheel, fold, library
+from learning_to_simulate.live import poses
+from learning_to_simulate.native import c_values, fold, library
 from learning_to_simulate.swept_field import engine
-from learning_to_simulate.swept_field import field as field_lib
-from learning_to_simulate.swept_field.calibration import CONDITIONS, LEAST_SPEED
+from learning_to_simulate.swept_field.calibration import LEAST_SPEED
 from learning_to_simulate.swept_field.network import ACROSS, LOAD_HIDDEN
-from learning_to_simulate.tool import Wheel, blade, inputs
+from learning_to_simulate.tool import Wheel, blade, inputs, wheel
 
-
-def read(model_path: str):
-    """A field, and the `starts` and `subspace` that `values` takes, by name: of a wheel.
-
-    Raises:
-      FileNotFoundError, ValueError: as `field.load` and `live_starts.read`.
-    """
-    field = field_lib.load(model_path)
-    if not isinstance(field.tool, Wheel):
-        return field, {}
-    starts, subspace = live_starts.read(model_path)
-    return field, {'starts': starts, 'subspace': subspace}
+# Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
+_BITS = {
+    'LTS_OUTSIDE_CONTEXT': (
+        'half_width', 'load', 'frame_load', 'peak_load', 'first_load', 'radius', 'gravity',
+        'friction',
+    ),
+    'LTS_OUTSIDE_START': ('bed_low', 'bed_high'),
+    'LTS_OUTSIDE_SPEED': ('speed', 'rise', 'turn', 'rim', 'drift', 'frame_time'),
+}  # fmt: skip
 
 
 def values(field, starts=None, subspace=None) -> dict:
@@ -33,38 +29,33 @@ def values(field, starts=None, subspace=None) -> dict:
 
     Args:
       field: `SweptField`.
-      starts, subspace: of the model folder (`live_starts.read`); a wheel needs its starts.
+      starts, subspace: of the model folder (`live.starts.read`); a wheel needs its starts.
 
     Raises:
-      ValueError: inputs that the C code does not know; a wheel without starts.
+      ValueError: a network or inputs that the C code cannot run; a wheel without starts.
     """
-    is_wheel, tool = isinstance(field.tool, Wheel), field.tool
-    of_tool = field_wheel.values(field, starts, subspace) if is_wheel else field_blade.values(field)
-    known = field_wheel if is_wheel else field_blade
-    _check(field, known)
-    tables = tool.tables
-    n_own = len(tables.own)
-    c, names = library.constants(), tool.scalars
+    if field.config.hidden_layers < 1:
+        raise ValueError('a swept field without hidden layers has no C form')
+    tool = field.tool
+    tables, c, limits = tool.tables, library.constants(), field.limits
     axes, grid = field.axes, field.grid
-    points = axes.points(field.rest)
     soil, load = (_numpy(net) for net in (field.network.soil, field.network.load))
     w, b = soil[0]
-    own_weights, shared = w[:, :n_own], w[:, n_own:]
+    n_own = len(tables.own)
     reach = max(np.abs(row.at).max() for row in tables.own.rows if row.at)
     result = {
         'abi': c['LTS_ABI'],
         'n_soil': len(field.rest),
         'n_member': field.config.members,
-        'n_scalar': len(names),
+        'n_scalar': len(tool.scalars),
         'axis': axes.axis,
         'sign': axes.sign,
         'up': axes.up,
         'turn': int(axes.world_loads(np.array([0.0, 0.0, 1.0]))[1][axes.across]),
         'name': field.scene.name,
-        'scalar_names': ','.join(field.limits.names),
+        'scalar_names': ','.join(limits.names),
         'middle': axes.middle,
         'dt': field.scene.dt,
-        'start_height': float(points[:, 1].max() + field.spacing / 2),
         'n_bin': len(grid.offsets),
         'n_pad': 2 + int(reach / grid.spacing),
         'n_behind': int(np.flatnonzero(grid.offsets == 0)[0]),
@@ -84,16 +75,16 @@ def values(field, starts=None, subspace=None) -> dict:
         'n_load_hidden': len(load) - 2,
         'latent': field.config.latent_size,
         'load_latent': LOAD_HIDDEN[0],
-        'soil_first': [fold.dense(part) for part in own_weights],
+        'soil_first': [fold.dense(part) for part in w[:, :n_own]],
         'soil_hidden': _layers(soil[1:-1]),
         'soil_last': _layers(soil[-1:]),
-        'soil_shared': fold.dense(*_together(shared, b)),
+        'soil_shared': fold.dense(*_together(w[:, n_own:], b)),
         'load_first': fold.dense(*_together(*load[0])),
         'load_hidden': _layers(load[1:-1]),
         'load_last': _layers(load[-1:]),
         'least_speed': LEAST_SPEED,
-        'limits': field.limits.limits,
-        'bits': np.array([c[_bit(name, known)] for name in field.limits.names]),
+        'limits': np.stack([*limits.limits, limits.low, limits.high]),
+        'bits': np.array([c[_bit(name)] for name in limits.names]),
         'bound': np.array(field.calibration.get('force', ())),
         'n_seen': n_own,
         'n_shared': len(tables.shared),
@@ -108,36 +99,100 @@ def values(field, starts=None, subspace=None) -> dict:
         'displacement': tool.displacement,
         'across': ACROSS,
     }
-    result |= of_tool
+    result |= _of_wheel(field, starts, subspace) if isinstance(tool, Wheel) else _of_blade(field)
     return result | {'digest': c_values.digest(result)}
 
 
-def _check(field, known):
-    n_scale = sum(name.startswith(f'{known.RATES[0]}_') for name in known.SCALARS)
-    limit = library.constants()['LTS_FIELD_SCALES']
-    if field.tool.scalars != known.SCALARS:
-        raise ValueError(
-            f'the C form of a swept field does not know the scalars {field.tool.scalars}'
-        )
-    if n_scale > limit:
-        raise ValueError(f'{n_scale} memories of the velocity, the C form has at most {limit}')
-    if len(CONDITIONS) != library.constants()['LTS_FIELD_CONDITIONS']:
-        raise ValueError(
-            f'the C form of a swept field does not know the conditions {[*CONDITIONS]}'
-        )
-    if field.config.hidden_layers < 1:
-        raise ValueError('a swept field without hidden layers has no C form')
+def _of_blade(field):
+    """The fields that are a blade's."""
+    tool, (u, height, _) = field.tool, field.axes.points(field.rest).max(axis=0)
+    end, level = u + field.spacing / 2, height + field.spacing / 2
+    # Where a blade may begin: as far from the end of the bed as usual, 1 cm over it, m.
+    from_end = float(np.mean(field.ranges['end']))
+    start = field.axes.world([end - from_end, level + tool.radius + 0.01, 0.0])
+    start[field.axes.across] = field.axes.middle
+    return {
+        'tool': library.constants()['LTS_FIELD_BLADE'],
+        'level': level,
+        'start': start,
+        'n_scale': len(blade.TIME_SCALES),
+        'time_scales': np.array(blade.TIME_SCALES),
+        'reach': blade.REACH,
+        'rise': blade.RISE,
+        'width': tool.width,
+        'blade_radius': tool.radius,
+        'length': tool.length,
+        'n_contact': len(blade.CONTACT_AROUND),
+        'contact': np.array(blade.CONTACT_AROUND),
+        'heap_height': blade.HEAP_HEIGHT,
+        'contact_above': blade.CONTACT_ABOVE,
+        'contact_ramp': blade.CONTACT_RAMP,
+        'force': blade.FORCE,
+        'torque': blade.TORQUE,
+        'full_width': blade.WIDTH,
+        'gain_limit': blade.GAIN_LIMIT,
+        'context_names': '',
+    }
 
 
-def _bit(name, known):
-    """The status of a scalar that is outside its range."""
-    if name in known.CONTEXT:
-        return 'LTS_OUTSIDE_CONTEXT'
-    if name in ('bed_low', 'bed_high'):
-        return 'LTS_OUTSIDE_START'
-    if name in ('drift', 'frame_time'):
-        return 'LTS_OUTSIDE_SPEED'
-    return 'LTS_OUTSIDE_SPEED' if name.split('_')[0] in known.RATES else 'LTS_OUTSIDE_POSE'
+def _of_wheel(field, starts, subspace):
+    """The fields that are a wheel's."""
+    c, names = library.constants(), field.scene.context_names
+    if starts is None or starts.context is None:
+        raise ValueError('the C form of a wheel needs its recorded starts and their contexts')
+    if len(names) > (limit := c['LTS_FIELD_CONTEXT']):
+        raise ValueError(f'a context of {len(names)} values, the C form has at most {limit}')
+    spread = starts.context.std(axis=0)
+    result = {
+        'tool': c['LTS_FIELD_WHEEL'],
+        'n_scale': len(wheel.TIME_SCALES),
+        'time_scales': np.array(wheel.TIME_SCALES),
+        'reach': wheel.REACH,
+        'rise': wheel.RISE,
+        'vertical': wheel.VERTICAL,
+        'least_sunk': wheel.LEAST_SUNK,
+        'stir': wheel.STIR,
+        'stir_load': wheel.STIR_LOAD,
+        'borne': wheel.BORNE,
+        'n_context': len(names),
+        'n_start': len(starts),
+        'context_names': ','.join(names),
+        'gravity': names.index('gravity'),
+        'friction': names.index('friction_angle_deg'),
+        'load': names.index('load'),
+        'context_scale': np.where(spread > 0, spread, 1.0),
+        'bed_mean': field.rest,
+        'level': field.axes.points(field.rest)[:, 1].max() + field.spacing / 2,
+        'start': starts.pose[0, :3],
+        'n_mode': 0 if subspace is None else subspace.n_modes,
+    }
+    if subspace is not None:
+        result |= {
+            'bed_mean': subspace.decode(np.zeros((subspace.n_modes, 3))),
+            'bed_components': subspace.components,
+        }
+    result['starts'] = [_start(field, starts, i, result['n_mode']) for i in range(len(starts))]
+    return result
+
+
+def _start(field, starts, i, n_mode):
+    """`lts_field_start_data` of one start."""
+    nodes = poses.placed(starts.body[i][starts.kept[i]], starts.pose[i])
+    context = starts.context[i]
+    size = field.tool.size(field.axes, starts.cases[i], nodes, field.context(context))
+    return {
+        'pose': starts.pose[i],
+        'radius': size[wheel.RADIUS],
+        'width': size[wheel.WIDTH],
+        'context': context,
+        'modes': starts.modes[i][:n_mode],
+    }
+
+
+def _bit(name):
+    """The status of a number that is outside its range; memories end with theirs."""
+    plain = name.rstrip('_0123456789')
+    return next((bit for bit, names in _BITS.items() if plain in names), 'LTS_OUTSIDE_POSE')
 
 
 def _table(table: inputs.Table, tool) -> dict:

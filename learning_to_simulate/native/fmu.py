@@ -12,11 +12,14 @@ import zipfile
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-import numpy as np
-
 from learning_to_simulate.native import library, project
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
+_SYSTEM = platform.system()
+_PLATFORM = {'Linux': 'linux64', 'Darwin': 'darwin64', 'Windows': 'win64'}.get(
+    _SYSTEM, f'{_SYSTEM.lower()}64'
+)
+_SUFFIX = {'Darwin': 'dylib', 'Windows': 'dll'}.get(_SYSTEM, 'so')
 _UNITS = {
     'm': {'m': '1'},
     'm/s': {'m': '1', 's': '-1'},
@@ -30,6 +33,14 @@ _LOG_CATEGORIES = {
     'logStatusError': 'refused input and failed steps',
     'logEvents': 'unused',
 }
+_CALCULATED = {'variability': 'discrete', 'initial': 'calculated'}
+_CAUSALITIES = {
+    'input': {'causality': 'input', 'variability': 'continuous'},
+    'output': {'causality': 'output', **_CALCULATED},
+    'local': {'causality': 'local', **_CALCULATED},
+    'constant': {'causality': 'local', 'variability': 'constant', 'initial': 'exact'},
+    'parameter': {'causality': 'parameter', 'variability': 'fixed', 'initial': 'exact'},
+}
 _BOOLEANS = {
     'ok': 'nothing of the following has held since the start',
     'extrapolating': 'context, start, pose or speed lies outside the training runs',
@@ -42,16 +53,16 @@ class Variable(NamedTuple):
     """A scalar variable.
 
     Attributes:
-      name, unit, text: as they are told.
-      causality: input, output, local, constant or parameter.
-      start: or None where it is calculated.
+      name, unit, causality, text: as modelDescription.xml has them; causality 'constant' is a local
+        one.
+      start: None where it is calculated.
     """
 
     name: str
     unit: str | None
     causality: str
-    start: float | None
     text: str
+    start: float | None = None
 
 
 def guid(values: dict) -> str:
@@ -65,103 +76,55 @@ def body(values: dict) -> str:
     return 'tool' if given and not project.is_wheel(values) else 'wheel'
 
 
+def reals(values: dict) -> list[Variable]:
+    """The real variables in the order of fmu_core.h."""
+    is_field, is_wheel = project.is_field(values), project.is_wheel(values)
+    state, load = f'{body(values)}_state', f'{body(values)}_load'
+    if is_field:
+        point = 'the axle, its height predicted' if is_wheel else 'the middle of the lower edge'
+        attitude, moment = 'rotation from upright', 'about the point'
+        bound = 'root mean square error per component, kept by 95 % of frames like those of valid'
+        frame = 'of the training; a step may last any time'
+    else:
+        point, attitude = 'the mean of the body points', 'rotation from the start attitude'
+        moment, bound = '0: the model has learned no torque', '0: the model has no bound'
+        frame = 'a frame of the model; never split'
+    sinkage = 'output' if body(values) == 'wheel' else 'local'
+    place = values['start'] if is_field else values['starts'][0]['points'].mean(axis=0)
+    return [
+        *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
+          for a, v in zip('xyz', place)),
+        *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
+        *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
+        *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
+        *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
+        *_vector(f'{load}.force', 'N', 'output', 'of the soil on the body'),
+        *_vector(f'{load}.moment', 'N.m', 'output', moment),
+        Variable('sinkage', 'm', sinkage, 'height lost since the start'),
+        Variable('drawbar_pull', 'N', 'output', 'force along the horizontal velocity'),
+        Variable('force_bound', 'N', 'output' if is_field else 'local', bound),
+        Variable('step_size', 's', 'constant', frame, values['dt']),
+        *_context(values),
+    ]  # fmt: skip
+
+
+def _vector(name, *rest):
+    return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
+
+
 def _context(values):
     """Parameters, and inputs that are values of the scene."""
     if project.is_field(values) and not project.is_wheel(values):
-        return [Variable('blade_width', 'm', 'parameter', values['width'], 'of the blade')]
+        return [Variable('blade_width', 'm', 'parameter', 'of the blade', values['width'])]
     names = values['context_names'].split(',') if values['n_context'] else []
     found = [
-        Variable(name, None, 'parameter', value, 'of the scene')
+        Variable(name, None, 'parameter', 'of the scene', value)
         for name, value in zip(names, values['starts'][0]['context'])
     ]
     if project.is_wheel(values):
         load = values['load']
         found[load] = found[load]._replace(unit='N', causality='input', text='on the wheel')
     return found
-
-
-def _first_place(values):
-    if project.is_wheel(values):
-        return values['starts'][0]['pose'][:3]
-    if not project.is_field(values):
-        return values['starts'][0]['points'].mean(axis=0)
-    place = np.empty(3)
-    place[values['axis']] = values['sign'] * values['start_u']
-    place[values['up']] = values['start_height'] + values['blade_radius'] + 0.01
-    place[3 - values['axis'] - values['up']] = values['middle']
-    return place
-
-
-def reals(values: dict) -> list[Variable]:
-    """The real variables in the order of fmu_core.h."""
-    is_field, called = project.is_field(values), body(values)
-    state, load = f'{called}_state', f'{called}_load'
-    point = 'the middle of the lower edge' if is_field else 'the mean of the body points'
-    if project.is_wheel(values):
-        point = 'the axle, its height predicted'
-    attitude = 'rotation from upright' if is_field else 'rotation from the start attitude'
-    moment = 'about the point' if is_field else '0: the model has learned no torque'
-    bound = (
-        'root mean square error per component, kept by 95 % of frames like those of validation'
-        if is_field
-        else '0: the model has no bound'
-    )
-    frame = (
-        'of the training; a step may last any time'
-        if is_field
-        else 'a frame of the model; never split'
-    )
-    rows = [
-        Variable(f'{state}.pos.{a}', 'm', 'input', v, f'reference point: {point}')
-        for a, v in zip('xyz', _first_place(values))
-    ]
-    rows += [
-        Variable(f'{state}.rot.e{i}', None, 'input', float(i == 0), attitude) for i in range(4)
-    ]
-    for part, unit, text in (('lin_vel', 'm/s', 'of the reference point'),
-                             ('ang_vel', 'rad/s', 'in the world frame')):  # fmt: skip
-        rows += [Variable(f'{state}.{part}.{a}', unit, 'input', 0.0, text) for a in 'xyz']
-    for part, unit, text in (('point', 'm', 'where the load is applied'),
-                             ('force', 'N', 'of the soil on the body'),
-                             ('moment', 'N.m', moment)):  # fmt: skip
-        rows += [Variable(f'{load}.{part}.{a}', unit, 'output', None, text) for a in 'xyz']
-    sinks = 'output' if called == 'wheel' else 'local'
-    rows += [
-        Variable('sinkage', 'm', sinks, None, 'height lost since the start'),
-        Variable('drawbar_pull', 'N', 'output', None, 'force along the horizontal velocity'),
-        Variable('force_bound', 'N', 'output' if is_field else 'local', None, bound),
-        Variable('step_size', 's', 'constant', values['dt'], frame),
-    ]
-    return rows + _context(values)
-
-
-def _attributes(causality):
-    return {
-        'input': {'causality': 'input', 'variability': 'continuous'},
-        'output': {'causality': 'output', 'variability': 'discrete', 'initial': 'calculated'},
-        'local': {'causality': 'local', 'variability': 'discrete', 'initial': 'calculated'},
-        'constant': {'causality': 'local', 'variability': 'constant', 'initial': 'exact'},
-        'parameter': {'causality': 'parameter', 'variability': 'fixed', 'initial': 'exact'},
-    }[causality]
-
-
-def _start_range(values):
-    return {'min': '-1', 'max': str(values.get('n_start', 1) - 1), 'start': '-1'}
-
-
-_START_TEXT = 'which training start; -1: the one whose parameters are nearest'
-_DIGEST_TEXT = 'sha256 of the numbers of the model'
-
-
-def _common(root, values):
-    sub = ElementTree.SubElement
-    parent = sub(root, 'UnitDefinitions')
-    for unit, parts in _UNITS.items():
-        sub(sub(parent, 'Unit', name=unit), 'BaseUnit', **parts)
-    parent = sub(root, 'LogCategories')
-    for category, text in _LOG_CATEGORIES.items():
-        sub(parent, 'Category', name=category, description=text)
-    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(values['dt']))
 
 
 def description(name: str, values: dict, sources) -> bytes:
@@ -172,60 +135,54 @@ def description(name: str, values: dict, sources) -> bytes:
       values: of `model_data.values` or `field_data.values`.
       sources: names of the C files.
     """
-    element, sub = ElementTree.Element, ElementTree.SubElement
-    root = element(
-        'fmiModelDescription',
-        fmiVersion='2.0',
-        modelName=name,
-        guid=guid(values),
+    sub = ElementTree.SubElement
+    root = ElementTree.Element(
+        'fmiModelDescription', fmiVersion='2.0', modelName=name, guid=guid(values),
         description=f'Soil under a moving body, scene {values["name"]}',
-        generationTool='learning_to_simulate',
-        variableNamingConvention='structured',
+        generationTool='learning_to_simulate', variableNamingConvention='structured',
         numberOfEventIndicators='0',
-    )
+    )  # fmt: skip
+    can = ('HandleVariableCommunicationStepSize', 'GetAndSetFMUstate', 'SerializeFMUstate')
     simulation = sub(
-        root,
-        'CoSimulation',
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize='true',
-        canGetAndSetFMUstate='true',
-        canSerializeFMUstate='true',
+        root, 'CoSimulation', modelIdentifier=name, **{f'can{what}': 'true' for what in can}
     )
     listed = sub(simulation, 'SourceFiles')
     for file in sources:
         sub(listed, 'File', name=file)
-    _common(root, values)
+    units = sub(root, 'UnitDefinitions')
+    for unit, parts in _UNITS.items():
+        sub(sub(units, 'Unit', name=unit), 'BaseUnit', **parts)
+    categories = sub(root, 'LogCategories')
+    for category, text in _LOG_CATEGORIES.items():
+        sub(categories, 'Category', name=category, description=text)
+    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(values['dt']))
     outputs, variables = [], sub(root, 'ModelVariables')
 
-    def scalar(vr, label, text, kind, causality, **attributes):
-        found = sub(
-            variables, 'ScalarVariable', name=label, valueReference=str(vr), description=text,
-            **_attributes(causality),
-        )  # fmt: skip
-        sub(found, kind, **_given(**attributes))
+    def scalar(vr, kind, variable, **more):
+        label, unit, causality, text, start = variable
+        attributes = {'name': label, 'valueReference': str(vr), 'description': text}
+        found = sub(variables, 'ScalarVariable', **attributes, **_CAUSALITIES[causality])
+        more |= {} if unit is None else {'unit': unit}
+        if start is not None:
+            more['start'] = start if isinstance(start, str) else repr(float(start))
+        sub(found, kind, **more)
         if causality == 'output':
-            outputs.append(len(variables))
+            outputs.append(str(len(variables)))
 
-    for vr, v in enumerate(reals(values)):
-        start = None if v.start is None else repr(float(v.start))
-        scalar(vr, v.name, v.text, 'Real', v.causality, unit=v.unit, start=start)
-    scalar(0, 'start', _START_TEXT, 'Integer', 'parameter', **_start_range(values))
+    for vr, variable in enumerate(reals(values)):
+        scalar(vr, 'Real', variable)
+    text = 'which training start; -1: the one whose parameters are nearest'
+    most = str(values.get('n_start', 1) - 1)
+    scalar(0, 'Integer', Variable('start', None, 'parameter', text, '-1'), min='-1', max=most)
     for vr, (label, text) in enumerate(_BOOLEANS.items()):
-        scalar(vr, f'status.{label}', text, 'Boolean', 'output')
-    scalar(0, 'digest', _DIGEST_TEXT, 'String', 'constant', start=values['digest'])
+        scalar(vr, 'Boolean', Variable(f'status.{label}', None, 'output', text))
+    text = 'sha256 of the numbers of the model'
+    scalar(0, 'String', Variable('digest', None, 'constant', text, values['digest']))
     structure = sub(root, 'ModelStructure')
     for part in ('Outputs', 'InitialUnknowns'):
         parent = sub(structure, part)
         for index in outputs:
-            sub(parent, 'Unknown', index=str(index))
-    return _text(root)
-
-
-def _given(**attributes):
-    return {k: v for k, v in attributes.items() if v is not None}
-
-
-def _text(root):
+            sub(parent, 'Unknown', index=index)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True)
 
@@ -250,51 +207,37 @@ def write(path: str, name: str, values: dict) -> None:
         names = sorted(file for file in os.listdir(sources) if file.endswith('.c'))
         with open(os.path.join(folder, 'modelDescription.xml'), 'wb') as out:
             out.write(description(name, values, names))
+        os.makedirs(os.path.join(folder, 'documentation'))
         project.write_template(
-            'fmi/index.html.in',
-            _made(folder, 'documentation/index.html'),
+            'fmi/index.html.in', os.path.join(folder, 'documentation', 'index.html'),
             {'NAME': name, 'BODY': body(values), **_about(values)},
-        )
+        )  # fmt: skip
         try:
-            binary = _made(folder, f'binaries/{_platform()}/{name}.{_suffix()}')
-            library.compile_flat(binary, sources)
+            binaries = os.path.join(folder, 'binaries', _PLATFORM)
+            os.makedirs(binaries)
+            library.compile_sources(os.path.join(binaries, f'{name}.{_SUFFIX}'), sources)
         except library.NoCompiler:
-            os.removedirs(os.path.dirname(binary))
+            os.removedirs(binaries)
         _zip(folder, path)
 
 
 def _about(values):
     """What the documentation says of a kind of model."""
-    if project.is_field(values):
-        begins = (
-            ' The wheel begins where the recorded one of `start` stood, in its own print: its '
-            'place is wheel_load.point; the height of wheel_state.pos is ignored.'
-        )
+    if not project.is_field(values):
         return {
-            'MOMENT': 'The moment is about the point.',
-            'STEPS': 'A communication step may last any time: nothing is integrated.'
-            + begins * project.is_wheel(values),
+            'MOMENT': 'The model has learned no torque, and the moment is 0.',
+            'STEPS': f'A frame of the model is {values["dt"]:.6g} s and is never split. Shorter '
+            'communication steps hold the force, longer ones take several frames.',
         }
+    begins = (
+        ' The wheel begins where the recorded one of `start` stood, in its own print: its place is '
+        'wheel_load.point; the height of wheel_state.pos is ignored.'
+    )
     return {
-        'MOMENT': 'The model has learned no torque, and the moment is 0.',
-        'STEPS': f'A frame of the model is {values["dt"]:.6g} s and is never split. Shorter '
-        'communication steps hold the force, longer ones take several frames.',
+        'MOMENT': 'The moment is about the point.',
+        'STEPS': 'A communication step may last any time: nothing is integrated.'
+        + begins * project.is_wheel(values),
     }
-
-
-def _made(folder, name):
-    path = os.path.join(folder, *name.split('/'))
-    os.makedirs(os.path.dirname(path), exist_ok=True)
-    return path
-
-
-def _platform():
-    system = {'Linux': 'linux', 'Darwin': 'darwin', 'Windows': 'win'}.get(platform.system())
-    return f'{system or platform.system().lower()}64'
-
-
-def _suffix():
-    return {'Darwin': 'dylib', 'Windows': 'dll'}.get(platform.system(), 'so')
 
 
 def _write_sources(folder, name, values):
@@ -312,11 +255,11 @@ def _write_sources(folder, name, values):
         f'/* Generated: what the FMI layer must know of {name}. */',
         f'#include "{name}.h"',
         f'#define FMU_MODEL {name}',
+        f'#define FMU_FIELD {int(project.is_field(values))}',
         f'#define FMU_GUID "{guid(values)}"',
         f'#define FMU_CONTEXT {values.get("n_context", 1)}',
         '/* Which value of the context is an input; -1: none. */',
         f'#define FMU_LOAD {values["load"] if project.is_wheel(values) else -1}',
-        f'#define FMU_RIGID {values.get("n_rigid", 0)}',
         f'#define FMU_GIVEN {int(given)}',
     ]
     with open(os.path.join(folder, 'fmu_model.h'), 'w', encoding='utf-8') as file:

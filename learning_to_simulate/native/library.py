@@ -24,15 +24,16 @@ _HEADERS = (
     'include/lts.h', 'src/lts_model.h', 'include/lts_field.h', 'src/lts_field_model.h',
 )  # fmt: skip
 _NUMBERS = {
+    'int': ctypes.c_int,
+    'size_t': ctypes.c_size_t,
     'int32_t': ctypes.c_int32,
     'uint32_t': ctypes.c_uint32,
     'double': ctypes.c_double,
     'float': ctypes.c_float,
 }
 _STRUCT = re.compile(r'(?:typedef struct|struct (\w+)) \{(.*?)\}\s*(\w*);', re.DOTALL)
-_COMMENT = re.compile(r'/\*.*?\*/', re.DOTALL)
-_ENUM = re.compile(r'(LTS_\w+)\s*=\s*(-?\d+)')
-_DEFINE = re.compile(r'#define (LTS_\w+) (\d+)')
+_CALL = re.compile(r'LTS_API (const char \*|\w+ )(lts_\w+)\(([^)]*)\)')
+_CONSTANT = re.compile(r'(?:#define )?(LTS_\w+)(?:\s*=)? +(-?\d+)\b')
 
 
 class NoCompiler(RuntimeError):
@@ -64,41 +65,33 @@ def compiler() -> list[str]:
     )
 
 
-def compile_sources(output: str, project: str, flags=FLAGS, extra_sources=()) -> None:
-    """Compiles the C files of a project into a shared library, whole or not at all.
+def compile_sources(output: str, *folders: str, flags=FLAGS) -> None:
+    """Compiles all C files of some folders into a shared library, whole or not at all.
 
     Args:
       output: path of the library.
-      project: folder with `include` and `src`.
+      *folders: with sources and headers; of a project its `include` and `src`.
       flags: of the compiler.
-      extra_sources: more C files.
 
     Raises:
       NoCompiler: there is none.
       CompileFailed: it fails; with what it said.
     """
-    include, src = (os.path.join(project, part) for part in ('include', 'src'))
-    _compile(output, [include, src], [*_c_files(src), *extra_sources], flags)
 
-
-def compile_flat(output: str, folder: str, flags=FLAGS) -> None:
-    """The same for a folder that holds all sources and headers."""
-    _compile(output, [folder], _c_files(folder), flags)
-
-
-def _c_files(folder):
-    return sorted(glob.glob(os.path.join(folder, '*.c')))
-
-
-def _compile(output, include, sources, flags):
     def build(name):
-        include_flags = [f'-I{folder}' for folder in include]
-        command = [*compiler(), *flags, *include_flags, *sources, '-o', name, '-lm']
+        include = [f'-I{folder}' for folder in folders]
+        sources = sorted(path for folder in folders for path in glob.glob(f'{folder}/*.c'))
+        command = [*compiler(), *flags, *include, *sources, '-o', name, '-lm']
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise CompileFailed(f'{shlex.join(command)} failed:\n{done.stderr[-2000:]}')
 
     files.write_atomically(output, build)
+
+
+def parts_of(project: str) -> list[str]:
+    """The folders of a project that `compile_sources` takes."""
+    return [os.path.join(project, part) for part in ('include', 'src')]
 
 
 @functools.cache
@@ -119,7 +112,7 @@ def load() -> ctypes.CDLL:
         if not os.path.exists(path):
             try:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
-                compile_sources(path, SOURCES)
+                compile_sources(path, *parts_of(SOURCES))
             except OSError:  # a home that cannot be written
                 return load_once()
         return declared(ctypes.CDLL(path))
@@ -127,16 +120,13 @@ def load() -> ctypes.CDLL:
         raise NoCompiler(f'{path}: the C library cannot be loaded ({error})') from error
 
 
-def load_once(flags=FLAGS, extra_sources=()) -> ctypes.CDLL:
-    """The library, compiled for this process alone; arguments and errors as of `compile_sources`.
-
-    Raises:
-      OSError: no place for it, or it cannot be loaded.
-    """
+def load_once() -> ctypes.CDLL:
+    """The library, compiled for this process alone; raises as `compile_sources`, and OSError where
+    there is no place for it or it cannot be loaded."""
     # Once loaded it needs no file; where one that is in use cannot go, it stays.
     with tempfile.TemporaryDirectory(prefix='lts-', ignore_cleanup_errors=True) as folder:
         path = os.path.join(folder, 'lts.so')
-        compile_sources(path, SOURCES, flags, extra_sources)
+        compile_sources(path, *parts_of(SOURCES))
         return declared(ctypes.CDLL(path))
 
 
@@ -146,85 +136,51 @@ def _cache_folder():
 
 
 def declared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Gives the functions their types, so that ctypes refuses what C would not survive.
+    """Gives functions the types of the headers, so that ctypes refuses what C would not survive.
 
     Raises:
-      AttributeError: a library of neither kind of models.
+      AttributeError: another library.
     """
-    pointer, size, number, real = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_double
-    bytes_of = pointer, pointer, size
-    of_all = {
-        'describe': (pointer, pointer),
-        'init': (pointer, pointer, size, number, ctypes.POINTER(pointer)),
-        'kernel': (pointer,),
-        'advance': (pointer, real, pointer, pointer, pointer),
-        'particles': bytes_of,
-        'height_map': (pointer, pointer, pointer),
-        'judge': (pointer, pointer),
-        'save': bytes_of,
-        'load': bytes_of,
-        'clone': (pointer, pointer),
-    }
-    of_graph = {
-        'reset': (pointer, pointer, pointer),
-        'start': (pointer, number, pointer, pointer, pointer),
-        'start_pose': (pointer, number, pointer),
-        'start_context': (pointer, number, pointer),
-        'prepare': (pointer,),
-        'set_context': (pointer, pointer),
-        'frame': (pointer, pointer, pointer),
-        'frame_at': (pointer, pointer, pointer),
-        'modes': (pointer, pointer),
-        'points': (pointer, pointer),
-    }
-    of_field = {
-        'members': (pointer, number, number),
-        'start': (pointer, pointer, pointer, pointer, real),
-        'start_wheel': (pointer, number, *4 * (pointer,)),
-        'start_pose': (pointer, number, pointer),
-        'start_context': (pointer, number, pointer),
-        'set_context': (pointer, pointer),
-        'context': (pointer, pointer),
-        'renew': (pointer,),
-        'frame': (pointer, pointer, real, pointer),
-        'newest': (pointer, pointer),
-        'moving': (pointer,),
-    }
-    kinds = [('lts_', of_graph), ('lts_field_', of_field)]
-    kinds = [(prefix, more) for prefix, more in kinds if hasattr(library, f'{prefix}init')]
-    for prefix, more in kinds:
-        for name, types in (of_all | more).items():
-            getattr(library, prefix + name).argtypes = types
-            getattr(library, prefix + name).restype = number
-        for name in ('size', 'state_size'):
-            getattr(library, prefix + name).argtypes = (pointer,)
-            getattr(library, prefix + name).restype = size
-    library.lts_error_text.argtypes = (number,)
-    library.lts_error_text.restype = ctypes.c_char_p
+    library.lts_error_text.restype = ctypes.c_char_p  # that of the project, or AttributeError
+    for result, name, arguments in _CALL.findall(_headers()):
+        if hasattr(library, name):  # an exported library has the functions of one kind of models
+            function = getattr(library, name)
+            function.restype = _type_of(result)
+            function.argtypes = [_type_of(a) for a in arguments.split(',')]
     return library
+
+
+def _type_of(declaration):
+    """The ctype of a parameter or a result; of any pointer to data `c_void_p`."""
+    if declaration == 'const char *':
+        return ctypes.c_char_p
+    return ctypes.c_void_p if '*' in declaration else _NUMBERS[declaration.split()[0]]
 
 
 @functools.cache
 def structures() -> dict[str, type[ctypes.Structure]]:
     """The C structures by name, laid out as the compiler lays them out."""
     found: dict = {}
-    for name in _HEADERS:
-        for tag, body, typedef in _STRUCT.findall(_COMMENT.sub('', _header(name))):
-            fields = [field for part in body.split(';') for field in _fields(part, found)]
-            found[tag or typedef] = type(tag or typedef, (ctypes.Structure,), {'_fields_': fields})
+    for tag, body, typedef in _STRUCT.findall(_headers()):
+        fields = [field for part in body.split(';') for field in _fields(part, found)]
+        found[tag or typedef] = type(tag or typedef, (ctypes.Structure,), {'_fields_': fields})
     return found
 
 
 @functools.cache
 def constants() -> dict[str, int]:
     """The constants of the headers by name."""
-    text = _COMMENT.sub('', ''.join(map(_header, _HEADERS)))
-    return {name: int(value) for name, value in _ENUM.findall(text) + _DEFINE.findall(text)}
+    return {name: int(value) for name, value in _CONSTANT.findall(_headers())}
 
 
-def _header(name):
-    with open(os.path.join(SOURCES, name), encoding='utf-8') as file:
-        return file.read()
+@functools.cache
+def _headers():
+    """Text of all headers without comments."""
+    texts = []
+    for name in _HEADERS:
+        with open(os.path.join(SOURCES, name), encoding='utf-8') as file:
+            texts.append(re.sub(r'/\*.*?\*/', '', file.read(), flags=re.DOTALL))
+    return ''.join(texts)
 
 
 def _fields(declaration, known):

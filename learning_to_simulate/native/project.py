@@ -8,39 +8,25 @@ import re
 import shutil
 
 from learning_to_simulate.native import c_values, library
-from learning_to_simulate.scene import RigidMotion
+from learning_to_simulate.native.model_data import MOTIONS
 
 VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
-_MOTIONS = [m.value for m in (RigidMotion.NONE, RigidMotion.PRESCRIBED, RigidMotion.DRIVEN,
-                              RigidMotion.PREDICTED)]  # fmt: skip
-# Template in native/ -> file of the project; @NAME@ is the model's.
+# Template in c/ -> file of the project, of all models, of those in a subspace and of fields; @NAME@
+# is the model's.
 _TEMPLATES = {
     'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
     'cmake/model.h.in': 'include/@NAME@.h',
 }
-_GRAPH_TEMPLATES = _TEMPLATES | {
+_GRAPH_TEMPLATES = {
     'cmake/README.md.in': 'README.md',
     'examples/example.cpp.in': 'examples/example.cpp',
     'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
     'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
 }
-_FIELD_TEMPLATES = _TEMPLATES | {
+_FIELD_TEMPLATES = {
     'cmake/README_field.md.in': 'README.md',
     'examples/field.cpp.in': 'examples/example.cpp',
 }
-# What a project says of a blade, and of a wheel.
-_FIELD_WORDS = (
-    {
-        'TOOL': 'blade',
-        'OUT': 'force, torque',
-        'BEGIN': 'A run begins on the flat bed, on a height map, or on particles;',
-    },
-    {
-        'TOOL': 'wheel and its load',
-        'OUT': 'sinkage, force, torque',
-        'BEGIN': 'A run begins where a recorded wheel stood (`lts_field_start_wheel`);',
-    },
-)
 # Sources of both kinds of models; the others belong to one, by the beginning of their names.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
 
@@ -53,11 +39,6 @@ def is_field(values: dict) -> bool:
 def is_wheel(values: dict) -> bool:
     """Whether values are those of a wheel's swept field."""
     return is_field(values) and values['tool'] == library.constants()['LTS_FIELD_WHEEL']
-
-
-def struct(values: dict) -> str:
-    """Name of the C structure of a model."""
-    return 'lts_field_model' if is_field(values) else 'lts_model'
 
 
 def symbol(model_path: str) -> str:
@@ -104,12 +85,12 @@ def headers(values: dict) -> list[str]:
 
 def model_source(name: str, values: dict) -> str:
     """The generated C file: weights, ranges, starts and subspace as constants."""
-    kind = struct(values)
+    kind = words(name, values)['STRUCT']
     return (
         f'/* Generated from a trained model; digest {values["digest"]}. */\n'
         f'#include "{name}.h"\n#include "{kind}.h"\n\n'
         '#if defined(__GNUC__)\n#define LTS_ALIGNED __attribute__((aligned(64)))\n'
-        '#else\n#define LTS_ALIGNED\n#endif\n\n' + c_values.Source().define(kind, name, values)
+        '#else\n#define LTS_ALIGNED\n#endif\n\n' + c_values.Structure(kind, values).source(name)
     )
 
 
@@ -126,8 +107,8 @@ def write(folder: str, name: str, values: dict) -> None:
     for header in headers(values):
         copy(header, os.path.join(folder, 'include'))
     write_sources(os.path.join(folder, 'src'), name, values)
-    templates = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
-    for template, target in templates.items():
+    more = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
+    for template, target in (_TEMPLATES | more).items():
         path = os.path.join(folder, target.replace('@NAME@', name))
         write_template(template, path, words(name, values))
 
@@ -137,8 +118,6 @@ def words(name: str, values: dict) -> dict:
     found = {
         'NAME': name,
         'GUARD': f'{name.upper()}_H',
-        'HEADER': 'lts_field.h' if is_field(values) else 'lts.h',
-        'STRUCT': struct(values),
         'VERSION': VERSION,
         'DIGEST': values['digest'],
         'SCENE': values['name'],
@@ -146,14 +125,26 @@ def words(name: str, values: dict) -> dict:
         'DT': f'{values["dt"]:.6g}',
         'RATE': f'{1 / values["dt"]:.4g}',
     }
-    if is_field(values):
-        return found | _FIELD_WORDS[is_wheel(values)] | {'MEMBERS': values['n_member']}
+    if not is_field(values):
+        return found | {
+            'HEADER': 'lts.h',
+            'STRUCT': 'lts_model',
+            'RIGID': values['n_rigid'],
+            'MOTION': MOTIONS[values['motion']].value,
+            'MODES': values['n_modes'],
+            'STARTS': values['n_start'],
+            'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
+        }
+    begin = 'A run begins on the flat bed, on a height map, or on particles;'
+    if is_wheel(values):
+        begin = 'A run begins where a recorded wheel stood (`lts_field_start_wheel`);'
     return found | {
-        'RIGID': values['n_rigid'],
-        'MOTION': _MOTIONS[values['motion']],
-        'MODES': values['n_modes'],
-        'STARTS': values['n_start'],
-        'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
+        'HEADER': 'lts_field.h',
+        'STRUCT': 'lts_field_model',
+        'MEMBERS': values['n_member'],
+        'TOOL': 'wheel and its load' if is_wheel(values) else 'blade',
+        'OUT': 'sinkage, force, torque' if is_wheel(values) else 'force, torque',
+        'BEGIN': begin,
     }
 
 

@@ -1,9 +1,5 @@
 """Writes a page that needs no server: one HTML file with the C library as WebAssembly inside.
 
-Example:
-  python -m learning_to_simulate.native.web_page --model_path=models/excavation/pcg \\
-      --data_path=datasets/excavation --output_path=soil.html
-
 Needs clang with lld and the C library of WASI (Debian: apt install clang lld wasi-libc
 libclang-rt-dev-wasm32). The kernels' vectors of four become those of WebAssembly.
 """
@@ -17,7 +13,6 @@ import subprocess
 import tempfile
 
 import numpy as np
-from absl import flags
 
 from learning_to_simulate import command
 from learning_to_simulate.native import library, project
@@ -133,7 +128,11 @@ def write(path: str, name: str, values: dict, session) -> None:
 
 
 def run(values) -> None:
-    """Runs the command with its flags."""
+    """Runs `lts export --format=page` with its flags.
+
+    Raises:
+      ValueError: no compiler for WebAssembly, or a model that has no page.
+    """
     folder = os.path.dirname(os.path.abspath(values.output_path))
     command.writable_folder(folder)
     if shutil.which('clang') is None or sysroot() is None:
@@ -142,24 +141,13 @@ def run(values) -> None:
     from learning_to_simulate import api, shipped
     from learning_to_simulate.live_page import recorded
     from learning_to_simulate.live_page.session import Session
-    from learning_to_simulate.native import model_data, starts
+    from learning_to_simulate.native import agreement
 
     path = shipped.find(values.model_path, 'models')
-    trained, n_rigid, subspace, found = starts.read_model(path, values.data_path)
-    model = api.load(path)
+    model, opened = api.load(path), agreement.Opened.of(path)
+    if opened.field is not None:
+        raise ValueError(f'{path}: a page without a server takes models in the subspace')
     os.makedirs(folder, exist_ok=True)
     session = Session(model, recorded.of_model(model, values.data_path))
-    write(
-        values.output_path,
-        project.symbol(path),
-        model_data.values(trained, n_rigid, subspace, starts=found),
-        session,
-    )
+    write(values.output_path, project.symbol(path), opened.values(), session)
     print(f'wrote {values.output_path} ({os.path.getsize(values.output_path) / 1e6:.2g} MB)')
-
-
-if __name__ == '__main__':
-    flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
-    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string('output_path', None, 'HTML file to write.', required=True)
-    command.start(run)

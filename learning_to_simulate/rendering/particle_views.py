@@ -81,16 +81,10 @@ class ViewSetup:
 
 
 def setup(frames: RolloutFrames, plane: str | None, drawn: np.ndarray) -> ViewSetup:
-    """Chooses particles, limits and scales for the frames that will be drawn.
+    """Chooses particles, limits and scales for the shown frames int [F'] that will be drawn.
 
-    Args:
-        frames: the rollout.
-        plane: key of `rollout_frames.PLANES`; None for the view from the side.
-        drawn: int [F'], which of its shown frames.
-
-    Returns:
-        The setup; it follows from the truth where there is one, so that a poor prediction does not
-        change it.
+    They follow from the truth where there is one, so that a poor prediction does not change them.
+    The plane is a key of `rollout_frames.PLANES`; None for the view from the side.
     """
     axes, which = PLANES[plane or frames.side_view], frames.reference
     body = frames.rigid[which][frames.frames[drawn]][..., axes]
@@ -143,9 +137,7 @@ def _chosen_particles(frames: RolloutFrames, axes: tuple[int, int]) -> np.ndarra
 
 def _round_up(value: float) -> float:
     """The next of 1, 1.5, 2, 3, 4, 5, 6, 8 times a power of ten."""
-    if not value > 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
+    power = 10.0 ** np.floor(np.log10(value)) if value > 0 else 1.0
     return float(next(s for s in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if s * power >= value) * power)
 
 
@@ -156,15 +148,10 @@ def _round_down(value: float) -> float:
 
 
 class ParticleView:
-    """Axes with the soil, the body and the force of truth or prediction, moved by `update`.
+    """Axes with the soil, the body and the force of `which`, truth or prediction.
 
-    Args:
-        axes: where to draw.
-        frames: the rollout.
-        which: `truth` or `prediction`.
-        view: shared setup.
-        color_by: `speed`, or `error`: then the truth, which has none, is drawn in one colour.
-        show_key: whether the scale of the force arrow is explained in the corner.
+    In colours of the error the truth, which has none, is drawn in one colour; `show_key` explains
+    the scale of the force arrow.
     """
 
     def __init__(

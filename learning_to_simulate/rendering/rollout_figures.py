@@ -64,17 +64,10 @@ _STRIP_MOMENTS = (1 / 3, 2 / 3, 1.0)
 
 
 class AnimatedFigure:
-    """Truth, where there is one, and one or several predictions side by side over time.
+    """Truth, where there is one, and predictions of the same run side by side over time.
 
     What stands still is drawn once and restored as an image; only what moves is drawn in every
-    frame.
-
-    Args:
-        frames: the rollout.
-        view: shared setup of both views.
-        color_by: `speed` or `error`.
-        dpi: pixels per inch; the figure is `WIDTH` inches wide.
-        beside: other predictions of the same run.
+    frame. `color_by` is `speed` or `error`; the figure is `WIDTH` inches wide.
 
     Attributes:
         views: the `ParticleView` of the truth and those of the predictions.
@@ -116,8 +109,7 @@ class AnimatedFigure:
         return [*views, *self._markers, self.caption]
 
     def draw(self, i: int) -> np.ndarray:
-        """Draws the i-th shown frame; returns its pixels, uint8 [height, width, 3], both sizes
-        even."""
+        """Pixels of the i-th shown frame, uint8 [height, width, 3], both sizes even."""
         for view in self.views:
             view.update(i)
         for marker in self._markers:
@@ -138,17 +130,10 @@ def strip_figure(
     dpi: int,
     beside: Sequence[RolloutFrames] = (),
 ) -> Figure:
-    """Draws three moments (columns) of truth, predictions and error (rows) above the curves.
+    """Three moments (columns) of truth, predictions and error (rows) above the curves.
 
-    Args:
-        frames: the rollout.
-        view: shared setup of all views.
-        drawn: the shown frames to choose the moments from.
-        dpi: pixels per inch.
-        beside: other predictions of the same run, a row each; the error row is of the first.
-
-    Returns:
-        The figure, ready to be saved.
+    The moments are of the frames `drawn`; predictions `beside` the first, of the same run, have a
+    row each, the error row is of the first.
     """
     moments = [drawn[round(share * (len(drawn) - 1))] for share in _STRIP_MOMENTS]
     models = [frames, *beside]

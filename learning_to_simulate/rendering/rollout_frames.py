@@ -236,14 +236,8 @@ def load(rollout_path: str, data_path: str | None, label: str = '') -> RolloutFr
 
 
 def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[str, Any]:
-    """The errors of `RolloutFrames`.
-
-    Args:
-        found: the truth.
-        predicted: [F, P, 3] particles.
-        scores: [T, r, 3] recorded scores, or particles of a record without modes.
-        start: H.
-    """
+    """The errors of `RolloutFrames`, of predicted particles [F, P, 3] and recorded scores [T, r, 3]
+    (or particles of a record without modes); `start` is H."""
     given, n_frame = scores[None, :start], len(scores) - start
     curves = {PREDICTION: predicted}
     for name, guess in ((STILL, metrics.stay_still), (CONSTANT, metrics.constant_velocity)):
@@ -256,12 +250,8 @@ def errors(found: soil_truth.SoilTruth, predicted, scores, start: int) -> dict[s
 
 
 def of_rollout(rollout, step_stride: int = 1) -> RolloutFrames:
-    """A `paths.SoilRollout` ready to be drawn; of a path there is no truth.
-
-    Args:
-        rollout: of `lts.load(...).rollout`.
-        step_stride: of a path particles are computed in every step_stride-th frame.
-    """
+    """A `paths.SoilRollout` ready to be drawn. Of a path there is no truth, and particles are
+    computed in every step_stride-th frame."""
     start, scene, truth = len(rollout.history), rollout.scene, rollout.soil_truth
     frames = np.arange(start, len(rollout.body), step_stride)
     rigid, soil, found, first = {PREDICTION: rollout.body}, {}, {}, None

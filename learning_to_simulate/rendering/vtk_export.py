@@ -24,14 +24,9 @@ def write_rollout(folder: str, frames: RolloutFrames, drawn: Iterable[int]) -> N
     """Writes a rollout as `<folder>/prediction.pvd`, its truth, if there is one, as `truth.pvd`.
 
     Each point (body first, then soil where there is a subspace) carries `displacement` since the
-    first frame (m), `velocity` since the frame shown before (m/s),
-    `particle_type` and, of the prediction, `error` (m); each
-    cloud carries `time` (s) and `force` (N).
-
-    Args:
-        folder: replaced as a whole, once everything is written.
-        frames: the rollout.
-        drawn: which of its shown frames to write.
+    first frame (m), `velocity` since the last shown frame (m/s), `particle_type` and, of the
+    prediction, `error` (m); each cloud carries `time` (s) and `force` (N). The folder is replaced
+    as a whole, once the frames `drawn` are written.
 
     Raises:
         OSError: a file cannot be written.

@@ -18,7 +18,7 @@ import dataclasses
 
 import numpy as np
 
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus, outside
 
 FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
 # Share of its training range by which a scalar may leave it.
@@ -93,14 +93,9 @@ class Ranges:
         bad = self.outside(values)
         if not bad.any():
             return Judgement(RolloutStatus.OK)
-        frame, which = (int(i) for i in np.argwhere(bad)[0])
-        return Judgement(
-            RolloutStatus.EXTRAPOLATING,
-            first + frame,
-            -1,
-            f'{self.names[which]} {values[frame, which]:.4g} is outside '
-            f'[{self.low[which]:.4g}, {self.high[which]:.4g}] of training',
-        )
+        (frame, i), status = np.argwhere(bad)[0], RolloutStatus.EXTRAPOLATING
+        reason = outside(status, self.names[i], values[frame, i], self.low[i], self.high[i])
+        return Judgement(status, first + int(frame), -1, reason)
 
     def statuses(self, values, finite) -> list[RolloutStatus]:
         """The status of each frame alone; values as of `judge`, `finite` bool [T]."""

@@ -28,19 +28,11 @@ PRESS_SPEEDS = (0.005, 0.16)  # m/s
 PRESS_DEPTH = 0.06  # m
 GROWTH = 0.4  # s, in which a weight grows
 
-_DURATION = (scenes.FRAMES - 1) / scenes.FRAME_RATE
-
 
 def machine_drive(
     scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
 ) -> tuple[Drive, dict]:
-    """Draws a drive.
-
-    Args:
-        scene: an excavation.
-        kind: one of `KINDS`.
-        seed: not negative.
-        tool: `bodies.check_tool`; None: the blade.
+    """Draws a drive of one of `KINDS`, of the blade if there is no other tool.
 
     Returns:
         The drive and its parameters, JSON-compatible; `machine` among them where something is free.
@@ -69,7 +61,7 @@ def _press(rng, box, body):
     x = rng.uniform(0.45, 0.72)
     track, speeds = Track(depth=-grid.TIP_CLEARANCE, x=x), []
     track.add(0.1)
-    while track.time < _DURATION:
+    while track.time < scenes.DURATION:
         start = max(track.last('depth'), 0.0)
         depth = rng.uniform(min(start + 0.005, PRESS_DEPTH), PRESS_DEPTH + 0.01)
         speed = math.exp(rng.uniform(*np.log(PRESS_SPEEDS)))
@@ -104,7 +96,7 @@ def _set_down(rng, box, body):
     x = rng.uniform(0.6, 0.78)
     settles = rng.uniform(1.2, 2.5)
     speed = rng.uniform(0.03, 0.12) if is_dragged else 0.0
-    halts = rng.uniform(settles + 1.0, _DURATION)
+    halts = rng.uniform(settles + 1.0, scenes.DURATION)
     travel = Levels(
         np.array([0.0, settles, settles + 0.4, halts, halts + 0.4]),
         np.array([0.0, 0.0, speed, speed, 0.0]),
@@ -113,7 +105,7 @@ def _set_down(rng, box, body):
     # A load on top, that changes once.
     most = DRAGGED_FACTOR if is_dragged else max(1.0, min(1.8, MASSES[1] / mass))
     changed = rng.uniform(0.4, most) if rng.random() < 0.5 else 1.0
-    when = rng.uniform(0.5, _DURATION - 0.5)
+    when = rng.uniform(0.5, scenes.DURATION - 0.5)
     factor = Levels(np.array([when, when + 0.2]), np.array([1.0, changed]))
     is_free = [False, True, False]
     stiffness, damping = np.zeros(3), np.zeros(3)

@@ -39,7 +39,7 @@ MAX_TURN = 60.0  # deg/s
 LEANS, STEEP_LEANS = (0.0, 45.0), (25.0, bodies.MAX_LEAN_DEG)  # deg, of a blade
 BUCKET_LEANS = (-35.0, 5.0)  # deg, of a tool with an outline: its edge goes in first
 NARROW_WIDTH = 0.30  # m; the other width is that of the published blade
-# Soil that is squeezed against a wall answers with ten times the force of the open field. So much
+# Soil that is squeezed against a wall answers with ten times the force of the open field. This room
 # stays free in front of the blade, for its heap, and behind it wherever its back pushes soil (as it
 # also does when a leaning blade sinks faster than it travels), the depth of the edge added.
 FRONT_ROOM, BACK_ROOM = 0.20, 0.12  # m
@@ -52,8 +52,6 @@ FRICTION_DEG, DENSITY = (28.0, 43.0), (1300.0, 1900.0)  # deg, kg/m3
 GRAVITIES = (1.62, 3.72)  # m/s2, Moon and Mars
 TRENCH = (1.2, 1.5)  # m
 
-_FRAMES = scenes.FRAMES
-_DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
 _STEEP_SHARE, _NARROW_SHARE, _ELSEWHERE_SHARE = 0.25, 0.3, 0.5
 
 
@@ -95,13 +93,7 @@ class _Story(Track):
 def operator_drive(
     scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
 ) -> tuple[Drive, dict]:
-    """Draws a path.
-
-    Args:
-        scene: an excavation; its bin limits where the blade may go.
-        kind: one of `KINDS`.
-        seed: not negative.
-        tool: `bodies.check_tool`; None: the blade, 0.457 or 0.30 m wide, or what the kind draws.
+    """Draws a path of one of `KINDS`; without a tool the blade is 0.457 or 0.30 m wide, or drawn.
 
     Returns:
         The drive and its parameters, JSON-compatible; among them the `ground` where it is not the
@@ -170,13 +162,13 @@ def _draw(rng, scene, kind, tool) -> tuple[Drive, dict]:
     for _ in offsets[1:]:
         lead_in, move = _earlier_pass(rng, story)
         moves.append(move)
-    begin, seconds = story.time, _DURATION
+    begin, seconds = story.time, scenes.DURATION
     if kind == 'trench':
         seconds = _trench(rng, story)
     else:
         {
             'smooth': _smooth, 'halts': _smooth, 'stops': _stops, 'reverse': _reverse, 'lift': _lift
-        }[plot](rng, story, begin + _DURATION)  # fmt: skip
+        }[plot](rng, story, begin + scenes.DURATION)  # fmt: skip
     speed, depth, lean = (story.levels(name) for name in ('speed', 'depth', 'lean'))
     clock = _halting_clock(rng) if kind == 'halts' else np.asarray
     middle = box.z_middle - 0.5 * (min(offsets) + max(offsets))

@@ -35,7 +35,7 @@ from mpm.motions.grid import REST_FRAMES, under_load
 COLUMNS = ('time_s', 'x_m', 'y_m', 'angle_deg')
 LOAD, ACROSS = 'load_N', 'z_m'
 MAX_ROWS = 1_000_000
-# A row that comes so many usual intervals after the one before it: some are missing.
+# Usual intervals between two rows, from which on rows are taken to be missing.
 GAP = 10.0
 # Values beyond these are taken for other units.
 MAX_PLACE = 2.0  # m

@@ -36,9 +36,6 @@ DEEPEST = 0.012  # m
 _SMALL = 0.1  # m, diameter
 _MOON = 2.0  # m/s2
 
-_FRAMES = scenes.FRAMES
-_DURATION = (_FRAMES - 1) / scenes.FRAME_RATE
-
 
 class _Story(Track):
     """A drive while it is drawn: its rim speed and travel, m/s."""
@@ -60,13 +57,7 @@ class _Story(Track):
 def free_drive(
     scene: scenes.Scene, kind: str, seed: int, tool: dict | None = None
 ) -> tuple[Drive, dict]:
-    """Draws a drive.
-
-    Args:
-        scene: of the wheel; its grid gives the contexts, its bin limits the travel.
-        kind: one of `KINDS`.
-        seed: not negative.
-        tool: a wheel, `bodies.check_tool`; None: one of the grid, or what the kind draws.
+    """Draws a drive of one of `KINDS`; without a tool the wheel is one of the grid, or drawn.
 
     Returns:
         The drive and its parameters, JSON-compatible, those of a case of the grid among them.
@@ -132,7 +123,7 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
         plot = 'reverse' if rng.random() < 0.4 else 'slip'
     {'stops': _stops, 'reverse': _reverse}.get(plot, _slip)(rng, story)
     rim, travel = story.levels('rim'), story.levels('travel')
-    shown = np.linspace(0.0, _DURATION, _FRAMES)
+    shown = np.linspace(0.0, scenes.DURATION, round(scenes.DURATION * scenes.FRAME_RATE) + 1)
     parameters = {
         'plot': plot,
         'rim_speed_max_m_s': round(float(np.abs(rim(shown)).max()), 6),
@@ -141,10 +132,10 @@ def _draw(rng, scene, kind, wheel, mean_load, context) -> tuple[Drive, dict]:
     if kind == 'height':
         height = _bobbing(rng, box, wheel)
     else:
-        factors, times = np.ones(2), np.array([0.0, _DURATION])
+        factors, times = np.ones(2), np.array([0.0, scenes.DURATION])
         if plot == 'load':
             inner = np.sort(rng.uniform(0.15, 0.9, rng.integers(2, 5)))
-            times = _DURATION * np.concatenate([[0.0], inner, [1.0]])
+            times = scenes.DURATION * np.concatenate([[0.0], inner, [1.0]])
             times += np.arange(len(times)) * 0.2  # at least 0.2 s for a change
             low, high = LOAD_FACTORS
             if context['diameter_m'] < _SMALL and context['gravity_m_s2'] < scenes.EARTH_GRAVITY:
@@ -175,7 +166,7 @@ def _bobbing(rng, box, wheel) -> Levels:
     times, heights = [0.0, 0.1], [base + 0.004] * 2
     times.append(rng.uniform(0.5, 1.2))
     heights.append(base - min(abs(sinkage()), DEEPEST))
-    while times[-1] < _DURATION:
+    while times[-1] < scenes.DURATION:
         times.append(times[-1] + rng.uniform(0.15, 1.2))
         step = rng.uniform(-0.004, 0.004) if rng.random() < 0.6 else None
         height = heights[-1] + step if step is not None else base - sinkage()
@@ -184,7 +175,7 @@ def _bobbing(rng, box, wheel) -> Levels:
 
 
 def _slip(rng, story) -> None:
-    while story.time < _DURATION:
+    while story.time < scenes.DURATION:
         story.roll(rng.uniform(0.5, 1.5))
 
 

@@ -38,6 +38,9 @@ HALVED_FRAMES, PAIR_FRAMES = 80, 160
 PRESS_SPEEDS = (0.01, 0.04, 0.16)  # m/s
 PRESS_FROM, PRESS_BAND = 0.004, (0.012, 0.016)  # m: above the bed, and depths whose force counts
 FREE_MASS = 20.0  # kg
+# A run whose particles begin 1e-9 m elsewhere has another mean force over 80 frames, by 0.2 to
+# 0.9 % (cases 146 and 188, three runs each): no pair can be asked for less.
+HALVED_LIMIT = 0.012
 
 
 def rows_of(raw_path: str) -> dict:
@@ -105,7 +108,7 @@ def halved_step(scene: scenes.Scene, case: int, frames: int) -> list[Check]:
     mean, change = force[:, 0].mean(), finer[:, 0].mean() / force[:, 0].mean() - 1.0
     note = f'{frames} frames, {mean:.1f} N; soil {_rms_mm(simulation, other):.2f} mm'
     name = f'{scene.name} {case}: halved step, change of the mean force'
-    return [Check(name, change, 0.0, 0.005, note)]
+    return [Check(name, change, 0.0, HALVED_LIMIT, note)]
 
 
 def short_cut(option: str, scene: scenes.Scene, case: int, frames: int) -> list[Check]:

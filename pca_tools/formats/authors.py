@@ -47,15 +47,15 @@ def import_dataset(
     if not runs:
         raise ValueError(f'{folder}: holds no records')
     prescribed = runs[0].particle_type[0] == dataset.KINEMATIC_PARTICLE_ID
+    rigid_motion = rigid_motion or ('prescribed' if prescribed else 'predicted')
     scene = {
         'name': name,
-        'rigid_motion': rigid_motion or ('prescribed' if prescribed else 'predicted'),
+        'rigid_motion': rigid_motion,
         'rigid_edges': [],
         'context_names': [f'context_{i}' for i in range(len(metadata.get('context_mean', [])))],
         'force': 'rigid_body_force_mean' in metadata,
         'up_axis': up_axis,
     }
-    body = 3 if scene['rigid_motion'] == 'prescribed' else 0
     metadata = {
         **metadata,
         'schema_version': SCHEMA_VERSION,
@@ -68,24 +68,25 @@ def import_dataset(
     metadata['dataset_split'] = {
         split: [f'{split}_{index}' for index in range(len(part))] for split, part in splits.items()
     }
-    eigenvectors, notes = _eigenvectors(folder)
-    if eigenvectors is not None:
-        metadata['n_soil'] = len(eigenvectors[0])
+    published, notes = {}, []
+    try:
+        path = os.path.join(folder, legacy_pickles.EIGENVECTORS_NAME)
+        vectors = legacy_pickles.read_array(path)
+        mean = legacy_pickles.read_array(os.path.join(folder, legacy_pickles.MEAN_NAME))
+        published = {'components': vectors[:, : metadata['mode_number']].real, 'mean': mean}
+        metadata['n_soil'] = len(vectors)
+    except (ValueError, OSError) as error:
+        notes.append(f'without eigenvectors scores cannot be decoded to particles ({error})')
 
     def fill(temporary: str) -> None:
         listed: dict[str, dict[str, Any]] = {METADATA_NAME: {}}
         files.write_json(os.path.join(temporary, METADATA_NAME), metadata)
         for split, part in splits.items():
             path = dataset.split_path(temporary, split)
-            kept = [_renumbered(run, index, body) for index, run in enumerate(part)]
+            kept = [_renumbered(run, key, rigid_motion) for key, run in enumerate(part)]
             listed[os.path.basename(path)] = {'records': dataset.write_split(path, kept)}
-        if eigenvectors is not None:
-            modes = metadata['mode_number']
-            files.write_npz(
-                os.path.join(temporary, 'published_subspace.npz'),
-                components=eigenvectors[0][:, :modes].real,
-                mean=eigenvectors[1],
-            )
+        if published:
+            files.write_npz(os.path.join(temporary, 'published_subspace.npz'), **published)
             listed['published_subspace.npz'] = {}
         files.write_manifest(temporary, listed)
 
@@ -93,17 +94,12 @@ def import_dataset(
     return metadata, notes
 
 
-def _renumbered(run: dataset.Trajectory, key: int, body: int) -> dataset.Trajectory:
-    types = np.where(run.particle_type == dataset.MODE_PARTICLE_ID, dataset.MODE_PARTICLE_ID, body)
-    return dataclasses.replace(run, key=key, particle_type=types.astype(np.int64))
-
-
-def _eigenvectors(folder: str) -> tuple[tuple[np.ndarray, np.ndarray] | None, list[str]]:
-    """Returns (eigenvectors [N, N], mean []) where they are there, and what to say if not."""
-    path = os.path.join(folder, legacy_pickles.EIGENVECTORS_NAME)
-    try:
-        vectors = legacy_pickles.read_array(path)
-        mean = legacy_pickles.read_array(os.path.join(folder, legacy_pickles.MEAN_NAME))
-    except (ValueError, OSError) as error:
-        return None, [f'without eigenvectors scores cannot be decoded to particles ({error})']
-    return (vectors, mean), []
+def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:
+    is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
+    body = (
+        dataset.KINEMATIC_PARTICLE_ID
+        if rigid_motion == 'prescribed'
+        else dataset.RIGID_PARTICLE_ID
+    )
+    types = np.where(is_mode, dataset.MODE_PARTICLE_ID, body).astype(np.int64)
+    return dataclasses.replace(run, key=key, particle_type=types)

@@ -6,22 +6,23 @@ import os
 from types import ModuleType
 
 from pca_tools import files
-from pca_tools.formats import (
-    deepmind,
-    geoelements,
-    lagrangebench,
-    mpm_ngf,
-    plain_npz,
-    vtp_series,
-)
+from pca_tools.formats import deepmind, geoelements, lagrangebench, mpm_ngf, plain_npz, vtp_files
 from pca_tools.metadata import METADATA_NAME, SPLITS
 
+# Every module has a TITLE, `read(folder, dt)` and `write(folder, data)`.
 FORMATS: dict[str, ModuleType] = {
-    module.NAME: module
-    for module in (deepmind, geoelements, lagrangebench, mpm_ngf, vtp_series, plain_npz)
-}
+    'deepmind': deepmind, 'geoelements': geoelements, 'lagrangebench': lagrangebench,
+    'mpm_ngf': mpm_ngf, 'vtp': vtp_files, 'npz': plain_npz,
+}  # fmt: skip
 # Folders that need no import: what they are and what to do with them.
 RAW, DATASET, AUTHORS = 'raw', 'dataset', 'authors'
+_NO_IMPORT = {
+    RAW: 'these are raw runs already: python -m pca_tools.convert --raw_path={} '
+    '--output_path=DATASET',
+    DATASET: 'this is a dataset of this project already: python -m pca_tools.inspect {}',
+    AUTHORS: 'this is a dataset of Subspace-Graph-Physics: it is read as it is '
+    '(learning_to_simulate.train --data_path={}); importing it adds scene, keys and manifest',
+}
 
 
 def detect(folder: str) -> str:
@@ -35,42 +36,35 @@ def detect(folder: str) -> str:
         raise FileNotFoundError(f'{folder}: no such folder')
     names = sorted(os.listdir(folder))
     metadata = _json(folder, METADATA_NAME)
-    endings = {
+    endings = [
         ending
-        for ending in ('tfrecord', 'npz', 'h5')
+        for ending in ('tfrecord', 'h5', 'npz')
         if any(f'{split}.{ending}' in names for split in SPLITS)
-    }
-    if 'tfrecord' in endings and metadata is not None:
+    ]
+    if endings and metadata is not None:
+        if endings[0] != 'tfrecord':
+            return 'lagrangebench' if endings[0] == 'h5' else 'geoelements'
         if 'mode_number' not in metadata:
-            return deepmind.NAME
+            return 'deepmind'
         return DATASET if 'scene' in metadata else AUTHORS
-    if 'h5' in endings and metadata is not None:
-        return lagrangebench.NAME
-    if 'npz' in endings and metadata is not None:
-        return geoelements.NAME
-    manifest = _json(folder, files.MANIFEST_NAME)
-    if manifest is not None and 'runs' in manifest:
+    if 'runs' in (_json(folder, files.MANIFEST_NAME) or {}):
         return RAW
-    if mpm_ngf.cases(folder):
-        return mpm_ngf.NAME
-    if vtp_series.series_of(folder):
-        return vtp_series.NAME
-    if plain_npz.run_files(folder):
-        return plain_npz.NAME
+    for name, is_one in (
+        ('mpm_ngf', mpm_ngf.cases), ('vtp', vtp_files.series_of), ('npz', plain_npz.run_files),
+    ):  # fmt: skip
+        if is_one(folder):
+            return name
     raise ValueError(f'{folder}: {_unknown(names, endings)}')
 
 
 def _json(folder: str, name: str) -> dict | None:
     path = os.path.join(folder, name)
-    if not os.path.exists(path):
-        return None
-    held = files.read_json(path)
+    held = files.read_json(path) if os.path.exists(path) else None
     return held if isinstance(held, dict) else None
 
 
-def _unknown(names: list[str], endings: set[str]) -> str:
+def _unknown(names: list[str], endings: list[str]) -> str:
     """Says what was found, with advice where it is known what it is."""
-    known = ', '.join(sorted(FORMATS))
     if 'meta.json' in names:
         return (
             'this looks like a MeshGraphNets dataset (meta.json): meshes, not particles; it cannot '
@@ -83,33 +77,19 @@ def _unknown(names: list[str], endings: set[str]) -> str:
         )
     if endings:
         return f'holds {names[:5]} but no {METADATA_NAME}, which these formats need'
-    inside = [name for name in names if name in ('train', 'valid', 'test')]
-    if inside:
+    if inside := [name for name in names if name in SPLITS]:
         return (
             f'holds the folders {inside}, as NeuralMPM does; it is not known here: write its '
             'particles as one npz per run with `positions` [T, N, D]'
         )
+    known = ', '.join(sorted(FORMATS))
     return f'holds {names[:8] or "nothing"}, which is none of the known formats ({known})'
 
 
 def explain(kind: str, folder: str) -> str:
     """Returns what a folder of a kind is and what to do with it, in one sentence."""
-    if kind == RAW:
-        return (
-            f'{folder}: these are raw runs already: python -m pca_tools.convert '
-            f'--raw_path={folder} --output_path=DATASET'
-        )
-    if kind == DATASET:
-        return (
-            f'{folder}: this is a dataset of this project already: python -m pca_tools.inspect '
-            f'{folder}'
-        )
-    if kind == AUTHORS:
-        return (
-            f'{folder}: this is a dataset of Subspace-Graph-Physics: it is read as it is '
-            f'(learning_to_simulate.train --data_path={folder}); importing it adds scene, keys and '
-            'manifest'
-        )
+    if kind in _NO_IMPORT:
+        return f'{folder}: ' + _NO_IMPORT[kind].format(folder)
     return (
         f'{folder}: this is {FORMATS[kind].TITLE}; to use it: python -m pca_tools.import_data '
         f'{folder} --output_path=RAW'

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from pca_tools import files, raw_checks
+from pca_tools import files, raw_runs
 from pca_tools.dataset import KINEMATIC_PARTICLE_ID, RIGID_PARTICLE_ID
-from pca_tools.metadata import METADATA_NAME, SPLITS, bounds_problems, is_number
+from pca_tools.metadata import METADATA_NAME, SPLITS, WORLD_CHECKS, is_number, problems_of
 
 SOIL_TYPE = 6
 BODY_TYPES = (RIGID_PARTICLE_ID, KINEMATIC_PARTICLE_ID)
@@ -57,6 +57,7 @@ class FullSpaceData:
         context_names: names of the context values, if any.
         rigid_motion: of the body, where the data say more than its type does, else None.
         radius: connectivity radius of the metadata, or None.
+        name: of the scene.
         notes: sentences for the person who imports.
     """
 
@@ -68,11 +69,12 @@ class FullSpaceData:
     context_names: list[str] = dataclasses.field(default_factory=list)
     rigid_motion: str | None = None
     radius: float | None = None
+    name: str = 'soil'
     notes: list[str] = dataclasses.field(default_factory=list)
 
 
 class Foreign:
-    """`metadata.json` of another project."""
+    """`metadata.json` of another project: its path, and its values."""
 
     def __init__(self, folder: str):
         """Reads it.
@@ -93,20 +95,32 @@ class Foreign:
             raise ValueError(f'{self.path}: {key} is {value!r}, a number was expected')
         return None if value is None else float(value)
 
-    def described(self, source: str, runs: Callable, dt: float | None, **others) -> FullSpaceData:
-        """Returns data with bounds, time step (unless a person gives it) and radius of the file."""
+    def data(
+        self, title: str, ending: str, read: Callable, dt: float | None, **others
+    ) -> FullSpaceData:
+        """Returns the data of a folder of `{train,valid,test}.<ending>` beside these metadata.
+
+        Args:
+            title: of the format.
+            ending: of the files.
+            read: path -> iterator over (name, arrays of a `FullSpaceRun`) of its runs.
+            dt: given by a person, else that of the metadata.
+            **others: attributes of `FullSpaceData`.
+        """
+        folder = os.path.dirname(self.path)
+
+        def runs() -> Iterator[FullSpaceRun]:
+            for split in SPLITS:
+                path = os.path.join(folder, f'{split}.{ending}')
+                if os.path.exists(path):
+                    for name, arrays in read(path):
+                        run = FullSpaceRun(f'{split}_{name}', split, **arrays)
+                        yield check_run(run, f'{path}: run {name}')
+
         return FullSpaceData(
-            source, runs, dt or self.number('dt'), bounds_of(self.values, self.path),
+            f'{folder} ({title})', runs, dt or self.number('dt'), bounds_of(self.values, self.path),
             radius=self.number('default_connectivity_radius'), **others,
         )  # fmt: skip
-
-
-def split_files(folder: str, ending: str) -> Iterator[tuple[str, str]]:
-    """Yields (split, path) of the files `<split>.<ending>` that a folder has."""
-    for split in SPLITS:
-        path = os.path.join(folder, f'{split}.{ending}')
-        if os.path.exists(path):
-            yield split, path
 
 
 def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | None:
@@ -115,7 +129,7 @@ def bounds_of(metadata: Mapping[str, Any], where: str) -> list[list[float]] | No
     if bounds is None:
         return None
     third = [[0.0, 1.0]] * (isinstance(bounds, list) and len(bounds) == 2)
-    if problems := bounds_problems(bounds + third if third else bounds):
+    if problems := problems_of({'bounds': bounds + third if third else bounds}, WORLD_CHECKS):
         raise ValueError(f'{where}: {problems[0]}')
     return [[float(low), float(high)] for low, high in bounds]
 
@@ -160,12 +174,12 @@ def type_column(values: Any, count: int, where: str) -> np.ndarray:
 
 def find_up_axis(data: FullSpaceData, bounds: list[list[float]]) -> tuple[int | None, str]:
     """Infers the axis against gravity from where the soil lies in the bounds."""
-    extent = raw_checks.Extent()
+    extent = raw_runs.Extent()
     for run in data.runs():
         soil = in_space(run.positions[:1, ~np.isin(run.particle_type, BODY_TYPES)])
         if soil.size:
-            extent.add(soil, np.empty((1, 0, 3)), 1.0, None)
-    return raw_checks.infer_up_axis(extent, bounds)
+            extent.add(soil, np.empty((1, 0, 3)), 1.0)
+    return raw_runs.infer_up_axis(extent, bounds)
 
 
 def raw_mappings(data: FullSpaceData, body: str | None) -> Iterator[dict[str, Any]]:
@@ -258,24 +272,35 @@ def length_of(lengths: Iterable[int]) -> int:
     return found[0]
 
 
-def common_metadata(data: FullSpaceData, train: Iterable[FullSpaceRun]) -> dict[str, Any]:
-    """Returns what the metadata of all formats hold, with DeepMind's `vel_mean, vel_std, acc_mean,
-    acc_std` of training runs: per frame, not divided by dt, over all particles that are not
-    kinematic; float64 sums, one run in memory at a time."""
-    sums: dict[str, list[Any]] = {'vel': [0, 0.0, 0.0], 'acc': [0, 0.0, 0.0]}
+def common_metadata(
+    data: FullSpaceData, train: Iterable[FullSpaceRun], more: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Returns what the metadata of all formats hold, with means and deviations of training runs.
+
+    `vel_mean, vel_std, acc_mean, acc_std` are DeepMind's: per frame, not divided by dt, over all
+    particles that are not kinematic. Float64 sums, one run in memory at a time.
+
+    Args:
+        data: all runs.
+        train: those of the statistics.
+        more: also of these: `rigid_body_force`, `context`, where runs have them.
+    """
+    sums: dict[str, np.ndarray] = {}  # name -> rows of count, sum, sum of squares
     for run in train:
-        positions = run.positions[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
-        for order, held in enumerate(sums.values(), start=1):
-            change = np.diff(positions, n=order, axis=0).reshape(-1, positions.shape[-1])
-            held[0] += len(change)
-            held[1] = held[1] + change.sum(axis=0)
-            held[2] = held[2] + np.sum(change**2, axis=0)
+        moving = run.positions[:, run.particle_type != KINEMATIC_PARTICLE_ID].astype(np.float64)
+        for name, values in (
+            ('vel', np.diff(moving, axis=0)), ('acc', np.diff(moving, n=2, axis=0)),
+            ('rigid_body_force', run.force), ('context', run.context),
+        ):  # fmt: skip
+            if values is not None and values.size and name in ('vel', 'acc', *more):
+                flat = values.reshape(-1, values.shape[-1]).astype(np.float64)
+                held = sums.setdefault(name, np.zeros((3, flat.shape[1])))
+                held += [np.full(flat.shape[1], len(flat)), flat.sum(axis=0), (flat**2).sum(axis=0)]
     moments = {}
     for name, (count, total, squares) in sums.items():
-        if count:
-            variance = np.maximum(squares / count - (total / count) ** 2, 0.0)
-            moments[f'{name}_mean'] = (total / count).tolist()
-            moments[f'{name}_std'] = np.sqrt(variance).tolist()
+        mean = total / count
+        moments[f'{name}_mean'] = mean.tolist()
+        moments[f'{name}_std'] = np.sqrt(np.maximum(squares / count - mean**2, 0.0)).tolist()
     return {
         'bounds': data.bounds,
         'default_connectivity_radius': data.radius or 0.025,

@@ -8,48 +8,34 @@ arrays are pickles: they are read by `pca_tools.legacy_pickles`, which runs noth
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from pca_tools import files, legacy_pickles
-from pca_tools.formats.full_space import (
-    Foreign,
-    FullSpaceData,
-    FullSpaceRun,
-    by_split,
-    check_run,
-    common_metadata,
-    split_files,
-    type_column,
-)
+from pca_tools.formats import full_space
+from pca_tools.formats.full_space import FullSpaceData
 from pca_tools.metadata import METADATA_NAME
 
-NAME = 'geoelements'
 TITLE = 'geoelements/gns (npz)'
 KEY = 'gns_data'
-# Their newer metadata nest everything under the use it is for.
-_SECTIONS = ('train', 'rollout')
 
 
 def read(folder: str, dt: float | None = None) -> FullSpaceData:
     """Opens a folder; arguments as of all formats."""
-    metadata = Foreign(folder)
-    for section in _SECTIONS:
-        held = metadata.values.get(section)
-        if isinstance(held, dict) and 'bounds' in held:
-            metadata.values = held
-            break
+    metadata = full_space.Foreign(folder)
+    # Newer metadata nest everything under the use it is for.
+    nested = [metadata.values.get(section) for section in ('train', 'rollout')]
+    nested = [held for held in nested if isinstance(held, dict) and 'bounds' in held]
+    metadata.values = [*nested, metadata.values][0]
+    up_axis = 1 if metadata.values.get('dim') == 2 else None
+    return metadata.data(TITLE, 'npz', _read_file, dt, up_axis=up_axis)
 
-    def runs() -> Iterator[FullSpaceRun]:
-        for split, path in split_files(folder, 'npz'):
-            for index, item in enumerate(read_trajectories(path)):
-                yield _run_of(item, f'{split}_{index}', split, f'{path}: trajectory {index}')
 
-    up = 1 if metadata.values.get('dim') == 2 else None
-    return metadata.described(f'{folder} ({TITLE})', runs, dt, up_axis=up)
+def _read_file(path: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    for index, item in enumerate(read_trajectories(path)):
+        yield index, _arrays(item, f'{path}: trajectory {index}')
 
 
 def read_trajectories(path: str) -> list[Any]:
@@ -59,43 +45,31 @@ def read_trajectories(path: str) -> list[Any]:
         FileNotFoundError: there is no such file.
         ValueError: it is damaged, too large, or holds anything but numpy arrays.
     """
-    files.refuse_git_lfs_pointer(path)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            total = sum(member.file_size for member in members)
-            if total > files.MAX_BYTES:
-                raise ValueError(f'unpacks to {total} bytes, the limit is {files.MAX_BYTES}')
-            held = {}
-            for member in members:
-                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise ValueError(f'{member.filename} is packed in an unknown way')
-                held[member.filename.removesuffix('.npy')] = _objects(
-                    archive.open(member), f'{member.filename}'
+    held = {}
+    with files.opened_npz(path, files.MAX_BYTES) as members:
+        for name, file, _ in members:
+            shape, _, dtype = files.read_npy_header(file)
+            if not dtype.hasobject:
+                raise ValueError(
+                    f'{name} is an array of {dtype}, {shape}; a trajectory is an object array '
+                    '(positions, types), or all of them lie in gns_data'
                 )
-    except Exception as error:  # a damaged archive fails in many ways, none of which is ours
-        raise ValueError(f'{path}: is not an npz of trajectories: {error}') from error
+            held[name] = legacy_pickles.parse_objects(file.read(files.MAX_BYTES), name)
     return held[KEY] if KEY in held else list(held.values())
 
 
-def _objects(file, where: str) -> Any:
-    shape, _, dtype = files.read_npy_header(file)
-    if not dtype.hasobject:
-        raise ValueError(
-            f'{where}: is an array of {dtype}, {shape}; a trajectory is an object array '
-            '(positions, types), or all of them lie in gns_data'
-        )
-    return legacy_pickles.parse_objects(file.read(files.MAX_BYTES), where)
-
-
-def _run_of(item: Any, name: str, split: str, where: str) -> FullSpaceRun:
+def _arrays(item: Any, where: str) -> dict[str, Any]:
+    """Returns a trajectory as arguments of a `FullSpaceRun`."""
     if not isinstance(item, (list, tuple)) or len(item) not in (2, 3):
         raise ValueError(f'{where}: is no (positions, types[, material property])')
-    positions = np.asarray(item[0])
+    positions, types = np.asarray(item[0]), np.asarray(item[1])
     if positions.ndim != 3:
         raise ValueError(f'{where}: positions have shape {positions.shape}, [T, N, D] was expected')
     count = positions.shape[1]
-    material = None
+    if types.dtype.kind not in 'iuf' or types.size not in (1, count):
+        raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
+    types = full_space.type_column(types.reshape(()) if types.size == 1 else types, count, where)
+    arrays = {'positions': positions, 'particle_type': types}
     if len(item) == 3:
         material = np.asarray(item[2], np.float64)
         if material.size not in (1, count):
@@ -103,12 +77,8 @@ def _run_of(item: Any, name: str, split: str, where: str) -> FullSpaceRun:
                 f'{where}: material property has shape {material.shape}; one number a particle is '
                 'read (their own loader fails on more)'
             )
-        material = np.broadcast_to(material.ravel(), (count,))
-    types = np.asarray(item[1])
-    if types.dtype.kind not in 'iuf' or types.size not in (1, count):
-        raise ValueError(f'{where}: {count} particles have types of shape {types.shape}')
-    types = type_column(types.reshape(()) if types.size == 1 else types, count, where)
-    return check_run(FullSpaceRun(name, split, positions, types, material=material), where)
+        arrays['material'] = np.broadcast_to(material.ravel(), (count,))
+    return arrays
 
 
 def write(folder: str, data: FullSpaceData) -> None:
@@ -117,7 +87,7 @@ def write(folder: str, data: FullSpaceData) -> None:
     Raises:
         ValueError: a material property in some trajectories and not in others.
     """
-    lengths, with_material, splits = set(), set(), by_split(data)
+    lengths, with_material, splits = set(), set(), full_space.by_split(data)
     for split, runs in splits.items():
         trajectories = []
         for run in runs():
@@ -133,7 +103,7 @@ def write(folder: str, data: FullSpaceData) -> None:
             np.savez_compressed(file, **{KEY: held})
     if len(with_material) != 1:
         raise ValueError('a material property must be there in all trajectories or in none')
-    metadata = common_metadata(data, splits['train']() if 'train' in splits else ())
+    metadata = full_space.common_metadata(data, splits['train']() if 'train' in splits else ())
     metadata |= {'boundary_augment': 1.0, 'material_feature_len': int(with_material.pop())}
     metadata = {key: value for key, value in metadata.items() if value is not None}
     # All frames, unlike DeepMind's; null: as long as each trajectory is.

@@ -8,25 +8,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from pca_tools import files
-from pca_tools.formats.full_space import (
-    SOIL_TYPE,
-    Foreign,
-    FullSpaceData,
-    FullSpaceRun,
-    by_split,
-    check_run,
-    common_metadata,
-    length_of,
-    split_files,
-    type_column,
-)
+from pca_tools.formats import full_space
+from pca_tools.formats.full_space import SOIL_TYPE, FullSpaceData, FullSpaceRun
 from pca_tools.metadata import METADATA_NAME
 
-NAME = 'lagrangebench'
 TITLE = 'LagrangeBench (HDF5)'
 # Theirs -> DeepMind's: fluid, solid wall, moving wall, rigid body; -1 is padding.
 _TYPES = {0: SOIL_TYPE, 1: 3, 2: 3, 3: 0}
@@ -35,7 +25,7 @@ _PADDING = -1
 
 def read(folder: str, dt: float | None = None) -> FullSpaceData:
     """Opens a folder; arguments as of all formats."""
-    metadata, notes = Foreign(folder), []
+    metadata, notes = full_space.Foreign(folder), []
     periodic = metadata.values.get('periodic_boundary_conditions') or []
     if not isinstance(periodic, list):
         raise ValueError(
@@ -48,54 +38,49 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
         )
     if os.path.exists(os.path.join(folder, 'force.py')):
         notes.append('its force.py (an external force) was not run and is left out')
-
-    def runs() -> Iterator[FullSpaceRun]:
-        for split, path in split_files(folder, 'h5'):
-            yield from _runs_of(path, split)
-
-    # dt is the solver's; a frame is stored every so many of its steps.
+    # dt is the solver's; a frame is stored every `write_every` of its steps.
     of_frame = (metadata.number('dt') or 0.0) * (metadata.number('write_every') or 1.0)
-    return metadata.described(f'{folder} ({TITLE})', runs, dt or of_frame or None, notes=notes)
+    return metadata.data(TITLE, 'h5', _read_file, dt or of_frame or None, notes=notes)
 
 
-def _runs_of(path: str, split: str) -> Iterator[FullSpaceRun]:
+def _read_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
     import h5py
 
     files.refuse_git_lfs_pointer(path)
     try:
         with h5py.File(path, 'r') as file:
             for name in sorted(file):
-                yield _run_of(file[name], f'{split}_{name}', split, f'{path}: {name}')
+                yield name, _arrays(file[name], f'{path}: {name}')
     except (OSError, RuntimeError, KeyError, TypeError) as error:  # h5py, of damaged files
         raise ValueError(f'{path}: is not a readable HDF5 file ({error})') from error
 
 
-def _run_of(group, name: str, split: str, where: str) -> FullSpaceRun:
+def _arrays(group, where: str) -> dict[str, Any]:
+    """Returns a group as arguments of a `FullSpaceRun`."""
     import h5py
 
     key = next((k for k in ('position', 'positions') if _is_dataset(group, k, where)), None)
     if key is None or not _is_dataset(group, 'particle_type', where):
         held = sorted(group) if isinstance(group, h5py.Group) else type(group).__name__
         raise ValueError(f'{where}: holds {held}; position and particle_type were expected')
-    stored = group[key]
+    stored, types = group[key], group['particle_type']
     if stored.dtype.kind not in 'fiu' or stored.size * stored.dtype.itemsize > files.MAX_BYTES:
         raise ValueError(f'{where}: position has {stored.shape}, {stored.dtype}')
     positions = stored[()]
-    types = group['particle_type']
     if types.size not in (1, positions.shape[1] if positions.ndim > 1 else 0):
         raise ValueError(f'{where}: {types.shape} types for positions of {positions.shape}')
-    theirs = type_column(types[()], positions.shape[1], where)
+    theirs = full_space.type_column(types[()], positions.shape[1], where)
     kept = theirs != _PADDING
     # Their converter from DeepMind's records does not map types: 5 and above are already ours.
-    unknown = sorted(set(theirs[kept].tolist()) - _TYPES.keys() - {5, 6, 7})
-    if unknown:
+    known = _TYPES | {kind: kind for kind in (5, 6, 7)}
+    if unknown := sorted(set(theirs[kept].tolist()) - known.keys()):
         raise ValueError(f'{where}: has the unknown particle types {unknown}')
-    mapped = np.array([_TYPES.get(kind, kind) for kind in theirs[kept].tolist()], np.int64)
-    material = None
+    mapped = np.array([known[kind] for kind in theirs[kept].tolist()], np.int64)
+    arrays = {'positions': positions[:, kept], 'particle_type': mapped}
     if _is_dataset(group, 'material_property', where):
-        material = np.broadcast_to(group['material_property'][()], (len(mapped),))
-    run = FullSpaceRun(name, split, positions[:, kept], mapped, material=material)
-    return check_run(run, where)
+        material = group['material_property'][()]
+        arrays['material'] = np.broadcast_to(material, (len(mapped),))
+    return arrays
 
 
 def _is_dataset(group, key: str, where: str) -> bool:
@@ -123,7 +108,7 @@ def write(folder: str, data: FullSpaceData) -> None:
     """
     import h5py
 
-    lengths, largest, splits = {}, 0, by_split(data)
+    lengths, largest, splits = {}, 0, full_space.by_split(data)
     for split, runs in splits.items():
         counts = []
         with h5py.File(os.path.join(folder, f'{split}.h5'), 'w') as file:
@@ -134,13 +119,13 @@ def write(folder: str, data: FullSpaceData) -> None:
                 positions = np.asarray(run.positions, np.float32)
                 group.create_dataset('position', data=positions, compression='gzip')
                 group.create_dataset('particle_type', data=_theirs(run))
-        lengths[split] = length_of(counts), len(counts)
+        lengths[split] = full_space.length_of(counts), len(counts)
     train = next(iter(splits))
     held_out = next((split for split in ('test', 'valid') if split in splits), train)
     metadata = {
-        'case': os.path.basename(folder),
+        'case': data.name,
         'solver': 'material point method',
-        **common_metadata(data, splits[train]()),
+        **full_space.common_metadata(data, splits[train]()),
         't_end': None if data.dt is None else data.dt * (lengths[train][0] - 1),
         'sequence_length_train': lengths[train][0],
         'num_trajs_train': lengths[train][1],

@@ -9,23 +9,15 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from pca_tools import files
-from pca_tools.formats.full_space import (
-    SOIL_TYPE,
-    FullSpaceData,
-    FullSpaceRun,
-    bounds_of,
-    check_run,
-    type_column,
-)
+from pca_tools.formats import full_space
+from pca_tools.formats.full_space import SOIL_TYPE, FullSpaceData, FullSpaceRun
 from pca_tools.metadata import SPLITS, union_of_bounds
 
-NAME = 'npz'
 TITLE = 'plain npz, one file per run'
 # What all files share, as far as they state it.
 _SHARED = ('dt', 'bounds', 'up_axis', 'rigid_motion')
@@ -43,57 +35,50 @@ def read(folder: str, dt: float | None = None) -> FullSpaceData:
         ValueError: the files state different dt (and none is given), upward axes or motions of the
             body, or bounds that are none.
     """
-    names = run_files(folder)
-    stated: dict[str, dict[str, Any]] = {key: {} for key in _SHARED}  # key -> file -> value
-    for name in names:
-        path = os.path.join(folder, name)
+    paths = [os.path.join(folder, name) for name in run_files(folder)]
+    stated: dict[str, dict[str, Any]] = {key: {} for key in _SHARED}  # key -> path -> value
+    for path in paths:
         arrays = files.read_npz(path, only=_SHARED)
         found = {
             'dt': _dt_of(arrays),
-            'bounds': bounds_of({k: v.tolist() for k, v in arrays.items() if k == 'bounds'}, path),
+            'bounds': full_space.bounds_of(
+                {key: arrays[key].tolist() for key in arrays if key == 'bounds'}, path
+            ),
             'up_axis': int(arrays['up_axis']) if 'up_axis' in arrays else None,
             'rigid_motion': str(arrays['rigid_motion']) if 'rigid_motion' in arrays else None,
         }
         for key, value in found.items():
             if value is not None:
-                stated[key][name] = value
+                stated[key][path] = value
     bounds = list(stated['bounds'].values())
     if len({len(one) for one in bounds}) > 1:
         raise ValueError(f'{folder}: its files have bounds of two and of three axes')
-    context = files.read_npz(os.path.join(folder, names[0]), only=['context']).get('context')
-
-    def runs() -> Iterator[FullSpaceRun]:
-        for name in names:
-            yield _run_of(os.path.join(folder, name), name.removesuffix('.npz'))
-
+    context = files.read_npz(paths[0], only=['context']).get('context', np.empty(0))
     return FullSpaceData(
         source=f'{folder} ({TITLE})',
-        runs=runs,
-        dt=dt or _only(folder, 'dt', stated['dt']),
+        runs=lambda: map(_run_of, paths),
+        dt=dt or _only('dt', stated),
         bounds=union_of_bounds(bounds) if bounds else None,
-        context_names=[f'context_{i}' for i in range(0 if context is None else context.shape[-1])],
-        rigid_motion=_only(folder, 'rigid_motion', stated['rigid_motion']),
-        up_axis=_only(folder, 'up_axis', stated['up_axis']),
+        context_names=[f'context_{index}' for index in range(context.shape[-1])],
+        rigid_motion=_only('rigid_motion', stated),
+        up_axis=_only('up_axis', stated),
     )
 
 
-def _only(folder: str, key: str, stated: dict[str, Any]) -> Any:
-    """Returns what the files that state it agree on, None where none does.
-
-    Raises:
-        ValueError: they do not agree.
-    """
-    first, *others = stated or [None]
-    for name in others:
-        same = stated[name] == stated[first]
+def _only(key: str, stated: dict[str, dict[str, Any]]) -> Any:
+    """Returns what the files that state it agree on, None where none does."""
+    held = stated[key]
+    first = next(iter(held), None)
+    for path, value in held.items():
+        same = value == held[first]
         if key == 'dt':  # of time stamps, or of another kind of number
-            same = math.isclose(stated[name], stated[first], rel_tol=1e-6)
+            same = math.isclose(value, held[first], rel_tol=1e-6)
         if not same:
             raise ValueError(
-                f'{folder}: {first} has {key} {stated[first]}, {name} {stated[name]}: runs of one '
+                f'{first} has {key} {held[first]}, {os.path.basename(path)} {value}: runs of one '
                 'folder share it' + ('; give --dt if only the files say it wrong' * (key == 'dt'))
             )
-    return stated.get(first)
+    return held.get(first)
 
 
 def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:
@@ -102,26 +87,25 @@ def _dt_of(arrays: dict[str, np.ndarray]) -> float | None:
     return float(held.reshape(())) if usable else None
 
 
-def _run_of(path: str, name: str) -> FullSpaceRun:
+def _run_of(path: str) -> FullSpaceRun:
     arrays = files.read_npz(path)
     if 'positions' not in arrays or arrays['positions'].ndim != 3:
         held = {key: value.shape for key, value in arrays.items()}
         raise ValueError(f'{path}: holds {held}; positions [T, N, D] was expected')
-    soil, body = arrays['positions'], arrays.get('rigid_positions')
-    types = type_column(arrays.get('particle_type', np.int64(SOIL_TYPE)), soil.shape[1], path)
-    if body is not None and body.size:
+    soil, body = arrays['positions'], arrays.get('rigid_positions', np.empty(0))
+    types = arrays.get('particle_type', np.int64(SOIL_TYPE))
+    types = full_space.type_column(types, soil.shape[1], path)
+    if body.size:
         if body.ndim != 3 or len(body) != len(soil) or body.shape[2] != soil.shape[2]:
             raise ValueError(f'{path}: rigid_positions have shape {body.shape} beside {soil.shape}')
         soil = np.concatenate([body, soil], axis=1)
         types = np.concatenate([np.full(body.shape[1], 3), types])
-    split = str(arrays.get('split', ''))
-    context = arrays.get('context')
+    context, split = arrays.get('context'), str(arrays.get('split', ''))
     if context is not None and context.ndim == 1:
         context = np.tile(context, (len(soil), 1))
-    run = FullSpaceRun(
-        name, split if split in SPLITS else '', soil, types, arrays.get('force'), context
-    )
-    return check_run(run, path)
+    name, split = os.path.basename(path).removesuffix('.npz'), split if split in SPLITS else ''
+    run = FullSpaceRun(name, split, soil, types, arrays.get('force'), context)
+    return full_space.check_run(run, path)
 
 
 def write(folder: str, data: FullSpaceData) -> None:
@@ -130,17 +114,15 @@ def write(folder: str, data: FullSpaceData) -> None:
         arrays = {
             'positions': np.asarray(run.positions, np.float32),
             'particle_type': run.particle_type,
-            'split': np.array(run.split),
+            'split': run.split,
             'dt': np.float64(np.nan if data.dt is None else data.dt),
-        }
-        optional = {
             'force': run.force,
             'context': run.context,
             'material': run.material,
             'bounds': data.bounds,
             'up_axis': data.up_axis,
             'rigid_motion': data.rigid_motion,
+            'parameters': json.dumps({'source': data.source}),
         }
-        arrays |= {key: np.asarray(v) for key, v in optional.items() if v is not None}
-        arrays['parameters'] = np.array(json.dumps({'source': data.source}))
-        files.write_npz(os.path.join(folder, f'{run.name}.npz'), **arrays)
+        held = {key: value for key, value in arrays.items() if value is not None}
+        files.write_npz(os.path.join(folder, f'{run.name}.npz'), **held)

@@ -122,12 +122,12 @@ def _open_locked(path: str) -> tuple[int, bool]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            owner = _owner_text(path, handle)
+            try:
+                owner = _read(path, handle)
+            except ValueError:
+                owner = None
             os.close(handle)
-            raise ValueError(
-                f'{os.path.dirname(path)}: {owner} writes into this folder; wait for it or name '
-                'another folder'
-            ) from None
+            raise _refusal(path, owner) from None
         except OSError as error:
             if error.errno not in _UNSUPPORTED:
                 os.close(handle)
@@ -146,10 +146,7 @@ def _refuse_other_owner(path: str, handle: int, is_locked: bool, take_over: bool
     # On this machine a lock that could be had has no living owner.
     alive = False if is_locked and owner.boot and owner.is_of_this_machine else owner.is_alive
     if alive:
-        raise ValueError(
-            f'{os.path.dirname(path)}: {owner} writes into this folder; wait for it or name '
-            'another folder'
-        )
+        raise _refusal(path, owner)
     if alive is None and not take_over:
         raise ValueError(
             f'{os.path.dirname(path)}: {owner} wrote into this folder and has not released it; if '
@@ -158,11 +155,11 @@ def _refuse_other_owner(path: str, handle: int, is_locked: bool, take_over: bool
     print(f'{path}: took over the lock of {owner}')
 
 
-def _owner_text(path: str, handle: int) -> str:
-    try:
-        return str(_read(path, handle) or 'another process')
-    except ValueError:
-        return 'another process'
+def _refusal(path: str, owner: Owner | None) -> ValueError:
+    return ValueError(
+        f'{os.path.dirname(path)}: {owner or "another process"} writes into this folder; wait for '
+        'it or name another folder'
+    )
 
 
 def _write(handle: int, owner: Owner) -> None:

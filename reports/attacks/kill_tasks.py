@@ -81,10 +81,10 @@ def _train(folder):
 def _export(folder):
     if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
         flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
-        quick = functools.partial(library.compile_flat, flags=flags)
+        quick = functools.partial(library.compile_sources, flags=flags)
         with (
             mock.patch.object(agreement, 'of_project', return_value={'skipped': 'here'}),
-            mock.patch.object(library, 'compile_flat', quick),
+            mock.patch.object(library, 'compile_sources', quick),
         ):
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
 

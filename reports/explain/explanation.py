@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from learning_to_simulate import connectivity_utils, reading_utils, registry
-from learning_to_simulate.native import network_data
+from learning_to_simulate.native import model_data
 from learning_to_simulate.rollout import RolloutFunction, rollout_inputs
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import method
@@ -141,7 +141,7 @@ class Explanation:
         senders, receivers = len(set(layout.senders)), len(set(layout.receivers))
         per_node = 2 * width**2 * (2 * n_edge - senders - receivers) * steps
         yield Item('. ends of an edge per edge, not per node', 0, per_node / 1e6, 0)
-        steps_of_c = network_data.values(s, layout)['steps']
+        steps_of_c = model_data.network(s, layout)['steps']
         unused = sum(n_edge - step['n_edge'] for step in steps_of_c)
         if unused:
             yield Item('. edges that reach no output, of all steps', unused)

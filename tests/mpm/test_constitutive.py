@@ -49,10 +49,6 @@ def test_relaxed_stress_solves_the_implicit_equation(p, excess, dt):
     assert relaxed(trial, p, dt) == pytest.approx(expected, rel=1e-11)
 
 
-def test_stress_below_the_static_limit_stays_elastic():
-    assert relaxed(0.5 * SOIL.mu_s, 1.0, 1e-4) == 0.5 * SOIL.mu_s
-
-
 def test_no_tension():
     assert constitutive.pressure_of(0.0, SOIL.bulk_modulus) == 0.0
     assert constitutive.pressure_of(0.5, SOIL.bulk_modulus) == 0.0
@@ -136,19 +132,6 @@ def test_stress_that_acts_leads_by_the_damping_time():
     acting = update(damped, rate, 1e-4, damping=3e-4)
     np.testing.assert_array_equal(plain, damped)
     np.testing.assert_allclose(acting, after + 3.0 * (after - before), rtol=1e-9)
-
-
-def test_steady_flow_feels_no_damping():
-    """Shear at constant volume: the stress no longer changes, so it does not lead."""
-    row = np.zeros(columns.COLUMNS)
-    row[columns.VOLUME_RATIO] = 0.999
-    gradient = np.zeros(9)
-    gradient[1] = 10.0
-    for _ in range(2000):
-        acting = update(row, gradient, 1e-4, damping=3e-4)
-    assert acting[3] == pytest.approx(row[columns.S + 3], rel=1e-5)
-    p = constitutive.pressure_of(row[columns.VOLUME_RATIO] - 1.0, SOIL.bulk_modulus)
-    assert acting[:3].sum() / 3 == pytest.approx(-p, rel=1e-6)
 
 
 def test_soil_that_comes_apart_carries_nothing():

@@ -52,11 +52,3 @@ def test_mini_cases_are_spread(scene):
         counts = [used.count(value) for value in values]
         # The published ones are uneven; the rest evens it out.
         assert min(counts) >= 0.7 * 40 / len(values), (name, counts)
-
-
-@pytest.mark.parametrize('scene', scenes.SCENES.values(), ids=str)
-def test_demo_case_is_no_corner_of_the_grid(scene):
-    parameters = scene.parameters(scene.demo_case)
-    for name, values in scene.levels.items():
-        if len(values) > 2:
-            assert parameters[name] not in (values[0], values[-1])

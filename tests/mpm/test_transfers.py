@@ -29,13 +29,13 @@ def particles():
     return rows
 
 
-def scatter(particles, half_step=DT, dtype=np.float64):
+def scatter(particles, dtype=np.float64):
     """Returns the block, its nodes and the box; nodes carry momentum and mass."""
     block, nodes = make_block(particles, dtype), make_nodes(GRID, dtype)
     status = np.zeros(2, dtype=np.int64)
     mass = VOLUME * SOIL.bulk_density
     box = particles_to_grid(
-        block, nodes.velocity, GRID, half_step, mass, VOLUME, SOIL.bulk_modulus, status
+        block, nodes.velocity, GRID, DT, mass, VOLUME, SOIL.bulk_modulus, status
     )
     assert status[0] == columns.OK
     return block, nodes, box
@@ -91,9 +91,12 @@ def force_of(rows, stresses):
     return total
 
 
+@pytest.mark.parametrize('in_one_place', [False, True])
 @pytest.mark.parametrize('dtype', TYPES)
-def test_scatter_equals_its_definition(particles, dtype):
+def test_scatter_equals_its_definition(particles, dtype, in_one_place):
     """Eq. (1), and the half kick of eq. (3)."""
+    if in_one_place:
+        particles[:, :3] = BOX.surface - 0.05
     _, nodes, box = scatter(particles, dtype=dtype)
     mass = VOLUME * SOIL.bulk_density
     expected = np.zeros(field(nodes.velocity).shape)

@@ -75,26 +75,39 @@ def make_run(name, case, frames=24):
     }
 
 
-def write_raw_folder(folder, name, cases, frames=24, change=None):
-    """Writes a raw folder; `change(case, arrays)` may alter arrays before they are written."""
+def write_raw_folder(folder, name, cases, frames=24, change=None, **parameters):
+    """Writes a raw folder; returns its path.
+
+    Args:
+        folder: made if absent.
+        name: of the scene.
+        cases: case ids.
+        frames: of each run.
+        change: called with (case, arrays), may alter the arrays before they are written.
+        **parameters: further parameters of the runs, each a value or a function of the case; None
+            is left out.
+    """
+    folder = str(folder)
     os.makedirs(folder, exist_ok=True)
     entries = []
     for case in cases:
         arrays = make_run(name, case, frames)
+        held = json.loads(str(arrays['parameters']))
+        more = {key: v(case) if callable(v) else v for key, v in parameters.items()}
+        held |= {key: value for key, value in more.items() if value is not None}
+        arrays['parameters'] = np.array(json.dumps(held))
         if change:
             change(case, arrays)
         path = os.path.join(folder, f'run_{case:03d}.npz')
         np.savez(path, **arrays)
-        entries.append(
-            {
-                'file': os.path.basename(path),
-                'case': case,
-                'bytes': os.path.getsize(path),
-                'sha256': files.sha256_of_file(path),
-                'parameters': json.loads(str(arrays['parameters'])),
-            }
-        )
+        entry = {'file': os.path.basename(path), 'case': case, **files.fingerprint(path)}
+        entries.append(entry | {'parameters': json.loads(str(arrays['parameters']))})
     manifest = {'scene': scene(name), 'dt': 1 / 60, 'bounds': BOUNDS, 'runs': entries}
     with open(os.path.join(folder, 'manifest.json'), 'w', encoding='utf-8') as file:
         json.dump(manifest, file)
     return folder
+
+
+def raw_of(folder, case):
+    """The arrays of a run in a raw folder."""
+    return np.load(f'{folder}/run_{case:03d}.npz')

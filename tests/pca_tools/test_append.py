@@ -1,47 +1,40 @@
 """A dataset that grows part by part, against one conversion of all runs."""
 
-import json
 import os
+import shutil
 
 import numpy as np
 import pytest
 
-from pca_tools import append, convert, dataset, files, particles, write_raw
+from pca_tools import append, convert, dataset, encode, files, particles, write_raw
 from pca_tools.subspace import Subspace
 from tests.pca_tools import synthetic
+from tests.pca_tools.synthetic import raw_of, write_raw_folder
 
-SPLITS = {
-    1: 'train',
-    2: 'train',
-    3: 'valid',
-    4: 'train',
-    5: 'test',
-    6: 'train',
-    7: 'valid',
-    8: 'test',
-}
+SPLITS = {3: 'valid', 5: 'test', 7: 'valid', 8: 'test'}
 
 
-def with_split(case, arrays, **more):
-    parameters = json.loads(str(arrays['parameters']))
-    arrays['parameters'] = np.array(json.dumps({**parameters, 'split': SPLITS[case], **more}))
+def split_of(case):
+    return SPLITS.get(case, 'train')
+
+
+@pytest.fixture(scope='module')
+def first(tmp_path_factory):
+    """Dataset of cases 1 to 5; not to be changed."""
+    folder = tmp_path_factory.mktemp('first')
+    raw = write_raw_folder(folder / 'raw', 'excavation', range(1, 6), split=split_of)
+    convert.convert(raw, str(folder / 'data'), modes=5)
+    return str(folder / 'data')
 
 
 @pytest.fixture
-def grown(tmp_path):
-    """A dataset of cases 1 to 5, and raw runs 4 to 7 beside it."""
-    first = synthetic.write_raw_folder(
-        str(tmp_path / 'first'), 'excavation', range(1, 6), change=with_split
-    )
-    second = synthetic.write_raw_folder(
-        str(tmp_path / 'second'), 'excavation', range(4, 8), change=with_split
-    )
-    data = str(tmp_path / 'data')
-    convert.convert(first, data, modes=5)
-    return data, second
+def grown(first, tmp_path):
+    """A copy of `first`, and raw runs 4 to 7 beside it."""
+    second = write_raw_folder(tmp_path / 'second', 'excavation', range(4, 8), split=split_of)
+    return str(shutil.copytree(first, tmp_path / 'data')), second
 
 
-def test_new_runs_go_where_they_say_and_old_ones_stay(grown, tmp_path):
+def test_new_runs_go_where_they_say_and_old_ones_stay(grown):
     data, second = grown
     before = files.read_json(f'{data}/metadata.json')
     records = {split: dataset.read_split(data, split) for split in before['cases']}
@@ -59,23 +52,16 @@ def test_new_runs_go_where_they_say_and_old_ones_stay(grown, tmp_path):
             np.testing.assert_array_equal(one.position, other.position)
             np.testing.assert_array_equal(one.force, other.force)
     # The run that came is the raw one, in the subspace that was there.
-    raw = np.load(f'{second}/run_006.npz')
-    run = dataset.read_split(data, 'train')[3]
+    raw, run = raw_of(second, 6), dataset.read_split(data, 'train')[3]
     np.testing.assert_array_equal(run.force, raw['force'])
-    np.testing.assert_allclose(
-        run.position[:, run.n_rigid :], space.encode(raw['positions']), atol=1e-6
-    )
+    expected = space.encode(raw['positions'])
+    np.testing.assert_allclose(run.position[:, run.n_rigid :], expected, atol=1e-6)
     sample = particles.read_sample(data, 'train')
     kept = raw['positions'][:: sample.frame_stride, sample.indices]
     np.testing.assert_allclose(sample[3], kept, atol=sample.resolution / 2 + 1e-7)
     assert files.check_manifest(data)
-
-
-def test_truncation_errors_are_those_of_all_runs(grown):
-    data, second = grown
-    after = append.append(second, data)
-    modes = after['projection_floors']['modes']
-    assert modes == [5]
+    # Truncation errors are those of all runs.
+    assert after['projection_floors']['modes'] == [5]
     for split, values in after['projection_mse'].items():
         assert after['projection_floors'][split][0] == pytest.approx(np.mean(values), rel=1e-6)
 
@@ -84,33 +70,30 @@ def test_what_it_refuses_changes_nothing(grown, tmp_path):
     data, second = grown
     manifest = files.read_json(f'{data}/manifest.json')
 
-    def refused(name, cases, text, change=with_split, scene='excavation'):
-        raw = synthetic.write_raw_folder(str(tmp_path / name), scene, cases, change=change)
+    def more(name):
+        return lambda case, arrays: arrays.update({name: arrays[name] + np.float32(1e-3)})
+
+    def refused(name, cases, text, scene='excavation', change=None, split=split_of):
+        raw = write_raw_folder(tmp_path / name, scene, cases, change=change, split=split)
         with pytest.raises(ValueError, match=text):
             append.append(raw, data)
         assert files.read_json(f'{data}/manifest.json') == manifest
 
     refused('same', (4, 5), 'holds all 2 runs already')
-    refused('unnamed', (6, 7), 'name no split', change=None)
+    refused('unnamed', (6, 7), 'name no split', split=None)
     refused('other scene', (6,), 'of another scene', scene='wheel')
-
-    def other_force(case, arrays):
-        with_split(case, arrays)
-        arrays['force'] = arrays['force'] + np.float32(1.0)
-
-    refused('other content', (5, 6), 'case 5 with other content', change=other_force)
+    for name in ('force', 'positions', 'rigid_positions'):
+        refused(name, (5, 6), 'case 5 with other content .*case id of its own', change=more(name))
     (tmp_path / 'data' / 'edges.json').write_text('{}')
     refused('beside', (6,), r"not of the dataset \(\['edges.json'\]\)")
 
 
 def test_runs_of_another_solver_version_do_not_replace_records(grown, tmp_path):
     data, _ = grown
-
-    def newer(case, arrays):
-        with_split(case, arrays, solver_version='next')
-        arrays['force'] = arrays['force'] + np.float32(1.0)
-
-    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', (5, 6), change=newer)
+    raw = write_raw_folder(
+        tmp_path / 'raw', 'excavation', (5, 6), split=split_of, solver_version='next',
+        change=lambda case, arrays: arrays.update(force=arrays['force'] + np.float32(1.0)),
+    )  # fmt: skip
     force = dataset.read_split(data, 'test')[0].force
     with pytest.warns(UserWarning, match='solver version'):
         after = append.append(raw, data)
@@ -121,19 +104,17 @@ def test_runs_of_another_solver_version_do_not_replace_records(grown, tmp_path):
 
 def test_second_command_is_refused_while_the_first_one_works(grown, tmp_path, monkeypatch):
     data, second = grown
-    third = synthetic.write_raw_folder(
-        str(tmp_path / 'third'), 'excavation', (8,), change=with_split
-    )
-    encode, refusals = append.encode_runs, []
+    third = write_raw_folder(tmp_path / 'third', 'excavation', (8,), split=split_of)
+    encode_runs, refusals = encode.encode_runs, []
 
     def encode_meanwhile(*arguments):
         monkeypatch.undo()
         with pytest.raises(ValueError, match='process .* writes into this folder') as refusal:
             append.append(third, data)
         refusals.append(refusal)
-        return encode(*arguments)
+        return encode_runs(*arguments)
 
-    monkeypatch.setattr(append, 'encode_runs', encode_meanwhile)
+    monkeypatch.setattr(encode, 'encode_runs', encode_meanwhile)
     append.append(second, data)
     after = append.append(third, data)
     assert len(refusals) == 1
@@ -143,95 +124,70 @@ def test_second_command_is_refused_while_the_first_one_works(grown, tmp_path, mo
 
 def test_dataset_that_is_replaced_meanwhile_is_kept(grown, tmp_path, monkeypatch):
     data, second = grown
-    third = synthetic.write_raw_folder(str(tmp_path / 'third'), 'excavation', (8, 9))
-    encode = append.encode_runs
+    third = write_raw_folder(tmp_path / 'third', 'excavation', (8, 9))
+    encode_runs = encode.encode_runs
 
     def replace_meanwhile(*arguments):
+        monkeypatch.undo()
         convert.convert(third, data, like=data, overwrite=True)
-        return encode(*arguments)
+        return encode_runs(*arguments)
 
-    monkeypatch.setattr(append, 'encode_runs', replace_meanwhile)
+    monkeypatch.setattr(encode, 'encode_runs', replace_meanwhile)
     with pytest.raises(ValueError, match='was replaced while runs were added'):
         append.append(second, data)
     assert dataset.read_metadata(data)['dataset_split'] == {'test': [8, 9]}
     assert files.check_manifest(data) and '.lock.json' not in os.listdir(data)
 
 
-def plain_runs(seed, count=4, bodies=None, lift=0.0, frames=24):
-    """Runs of particles that go their own ways, all written as the cases 0, 1, ..."""
-    rng = np.random.default_rng(seed)
-    drift = 0.01 * np.sin(np.linspace(0, 2, frames))[:, None, None]
-    for case in range(count):
-        way = rng.normal(size=(1, 140, 3)) * [1, 0, 1]
-        run = {'positions': synthetic.initial_soil() + drift * way, 'split': 'train'}
-        if bodies is not None:
-            points = np.random.default_rng(0).uniform(0.3, 0.6, (sum(bodies), 3)) + [0, lift, 0]
-            run['rigid_positions'] = np.tile(points, (frames, 1, 1))
-        yield run | {'case': case + 100 * seed}
-
-
-def written(folder, runs, **settings):
-    write_raw(str(folder), runs, dt=1 / 60, up_axis=1, **settings)
+def own_runs(folder, first_case, points=(9, 9), lift=0.0, load=None, **settings):
+    """Four runs of particles that go their own ways, with two bodies that stand; the folder."""
+    rng, soil = np.random.default_rng(first_case), synthetic.initial_soil()
+    drift = 0.01 * np.sin(np.linspace(0, 2, 24))[:, None, None]
+    body = np.random.default_rng(0).uniform(0.3, 0.6, (sum(points), 3)) + [0, lift, 0]
+    runs = [
+        {
+            'positions': soil + drift * rng.normal(size=(1, 140, 3)) * [1, 0, 1],
+            'rigid_positions': np.tile(body, (24, 1, 1)), 'split': 'train',
+            'case': first_case + index, 'context': {} if load is None else {'load': load},
+        }
+        for index in range(4)
+    ]  # fmt: skip
+    names = zip(('blade', 'wheel'), points)
+    bodies = [{'name': name, 'points': n, 'rigid_motion': 'prescribed'} for name, n in names]
+    write_raw(str(folder), runs, dt=1 / 60, up_axis=1, bodies=bodies, **settings)
     return str(folder)
 
 
-def test_run_of_a_held_case_with_other_soil_or_context_is_no_held_run(tmp_path):
-    def changed(**arrays):
-        return ({**run, **arrays} for run in plain_runs(0))
-
-    for name, first, other in (
-        ('soil', {}, {'positions': next(plain_runs(1))['positions']}),
-        ('context', {'context': {'load': 1.0}}, {'context': {'load': 2.0}}),
-    ):
-        data = str(tmp_path / f'{name} data')
-        raw = written(tmp_path / f'{name} first', changed(**first))
-        convert.convert(raw, data, modes=3)
-        with pytest.raises(ValueError, match='holds all 4 runs already'):
-            append.append(raw, data)
-        with pytest.raises(
-            ValueError, match='holds case 0 with other content .*case id of its own'
-        ):
-            append.append(written(tmp_path / f'{name} other', changed(**first | other)), data)
-
-
 def test_scene_stays_and_bounds_hold_both(tmp_path):
-    def pair(*points):
-        names = zip(('blade', 'wheel'), points)
-        motion = {'rigid_motion': 'prescribed'}
-        return {'bodies': [{'name': name, 'points': count, **motion} for name, count in names]}
-
-    low, high = [[0.1, 0.9]] * 3, [[0.0, 0.88], [0.15, 1.3], [0.1, 0.9]]
-    first = written(tmp_path / 'first', plain_runs(0, bodies=(9, 9)), bounds=low, **pair(9, 9))
-    data = str(tmp_path / 'data')
-    before = convert.convert(first, data, modes=3)
-    other = written(tmp_path / 'other', plain_runs(1, bodies=(12, 6)), **pair(12, 6))
+    data, low = str(tmp_path / 'data'), [[0.1, 0.9]] * 3
+    raw = own_runs(tmp_path / 'first', 0, bounds=low, load=1.0)
+    before = convert.convert(raw, data, modes=3)
+    with pytest.raises(ValueError, match='case 0 with other content'):
+        append.append(own_runs(tmp_path / 'load', 0, bounds=low, load=2.0), data)
+    other = own_runs(tmp_path / 'other', 100, points=(12, 6), load=1.0)
     with pytest.raises(ValueError, match='of another scene: its bodies'):
         append.append(other, data)
-    with pytest.raises(ValueError, match='of another scene: its bodies'):
-        convert.convert(other, str(tmp_path / 'new'), like=data)
-    lifted = plain_runs(1, bodies=(9, 9), lift=0.5)
-    higher = written(tmp_path / 'higher', lifted, bounds=high, **pair(9, 9))
+    high = [[0.0, 0.88], [0.15, 1.3], [0.1, 0.9]]
+    higher = own_runs(tmp_path / 'higher', 100, lift=0.5, bounds=high, load=1.0)
     manifest = files.read_json(f'{higher}/manifest.json')
     manifest['scene']['gravity'] = [0.0, -9.81, 0.0]
     del manifest['scene']['up_axis']  # follows from gravity
     files.write_json(f'{higher}/manifest.json', manifest)
-    expected = [[0.0, 0.9], [0.1, 1.3], [0.1, 0.9]]
-    like = convert.convert(higher, str(tmp_path / 'new'), like=data)
-    assert like['bounds'] == expected and like['scene'] == before['scene']
     with pytest.warns(UserWarning, match='up_axis is missing; 1'):
+        like = convert.convert(higher, str(tmp_path / 'new'), like=data)
         after = append.append(higher, data)
-    assert after['bounds'] == expected and after['scene'] == before['scene']
+    for metadata in (like, after):
+        assert metadata['bounds'] == [[0.0, 0.9], [0.1, 1.3], [0.1, 0.9]]
+        assert metadata['scene'] == before['scene']
 
 
 def test_particles_in_another_order_are_matched_on_demand(grown, tmp_path):
     data, _ = grown
     order = np.random.default_rng(3).permutation(140)
-
-    def shuffled(case, arrays):
-        with_split(case, arrays)
-        arrays['positions'] = arrays['positions'][:, order]
-
-    raw = synthetic.write_raw_folder(str(tmp_path / 'raw'), 'excavation', (6,), change=shuffled)
+    raw = write_raw_folder(
+        tmp_path / 'raw', 'excavation', (6,), split=split_of,
+        change=lambda case, arrays: arrays.update(positions=arrays['positions'][:, order]),
+    )  # fmt: skip
     held = Subspace.load(f'{data}/subspace.npz')
     with pytest.raises(ValueError, match='case 6: .*give --match_particles'):
         append.append(raw, data)

@@ -27,42 +27,25 @@ def test_npz_round_trip_and_equal_bytes(tmp_path):
     assert (tmp_path / 'x.npz').read_bytes() == (tmp_path / 'y.npz').read_bytes()
 
 
-def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = tmp_path / 'x.json'
+def test_what_fails_leaves_the_old_file_or_folder_and_nothing_else(tmp_path):
+    path, folder = tmp_path / 'x.json', tmp_path / 'set'
     files.write_json(str(path), [1])
+    files.write_folder_atomically(str(folder), lambda new: files.write_json(f'{new}/a', 1))
 
     def fail(temporary):
+        if os.path.isdir(temporary):
+            temporary = f'{temporary}/b'
         with open(temporary, 'w', encoding='utf-8') as file:
             file.write('half')
         raise OSError('disk full')
 
-    with pytest.raises(OSError, match='disk full'):
-        files.write_atomically(str(path), fail)
-    assert os.listdir(tmp_path) == ['x.json']
+    for write, target in ((files.write_atomically, path), (files.write_folder_atomically, folder)):
+        with pytest.raises(OSError, match='disk full'):
+            write(str(target), fail)
+    assert sorted(os.listdir(tmp_path)) == ['set', 'x.json'] and os.listdir(folder) == ['a']
     assert json.loads(path.read_text()) == [1]
-
-
-def test_failed_folder_leaves_the_old_folder_and_nothing_else(tmp_path):
-    path = tmp_path / 'set'
-    files.write_folder_atomically(str(path), lambda folder: files.write_json(f'{folder}/a', 1))
-
-    def fail(folder):
-        files.write_json(f'{folder}/b', 2)
-        raise OSError('disk full')
-
-    with pytest.raises(OSError, match='disk full'):
-        files.write_folder_atomically(str(path), fail)
-    assert os.listdir(tmp_path) == ['set']
-    assert os.listdir(path) == ['a']
-    files.write_folder_atomically(str(path), lambda folder: files.write_json(f'{folder}/c', 3))
-    assert os.listdir(tmp_path) == ['set']
-    assert os.listdir(path) == ['c']
-
-
-def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match='x.json.*JSON'):
-        files.write_json(str(tmp_path / 'x.json'), {'a': float('nan')})
-    assert not os.listdir(tmp_path)
+    files.write_folder_atomically(str(folder), lambda new: files.write_json(f'{new}/c', 3))
+    assert sorted(os.listdir(tmp_path)) == ['set', 'x.json'] and os.listdir(folder) == ['c']
 
 
 @pytest.mark.parametrize('read', [files.read_npz, files.read_json])
@@ -84,37 +67,31 @@ def test_damaged_and_foreign_npz(tmp_path):
     path = tmp_path / 'x.npz'
     files.write_npz(str(path), a=np.random.default_rng(0).random(4000))
     whole = path.read_bytes()
-    for data in (b'hello world', whole[: len(whole) // 2]):
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    for data in (b'hello world', whole[: len(whole) // 2], bytes(flipped)):
         path.write_bytes(data)
         with pytest.raises(ValueError, match='x.npz'):
             files.read_npz(str(path))
-    flipped = bytearray(whole)
-    flipped[len(whole) // 2] ^= 1
-    path.write_bytes(bytes(flipped))
-    with pytest.raises(ValueError, match='x.npz'):
-        files.read_npz(str(path))
 
 
-def test_npz_bomb_objects_and_lying_headers_are_refused(tmp_path):
+def test_npz_objects_and_lying_headers_are_refused(tmp_path):
     path = str(tmp_path / 'x.npz')
     np.savez_compressed(path, zeros=np.zeros(10**6))
     with pytest.raises(ValueError, match='8000128 bytes, more than the limit of 1000'):
         files.read_npz(path, max_bytes=1000)
-    np.savez(path, evil=np.array([object()], dtype=object))
-    with pytest.raises(ValueError, match='Python objects'):
-        files.read_npz(path)
     with pytest.raises(ValueError, match='Python objects'):
         files.write_npz(path, evil=[object()])
     np.save(str(tmp_path / 'a.npy'), np.zeros(8))
-    data = (tmp_path / 'a.npy').read_bytes().replace(b'(8,)', b'(9,)')
-    with zipfile.ZipFile(path, 'w') as archive:
-        archive.writestr('a.npy', data)
-    with pytest.raises(ValueError, match=r'says \(9,\) x float64 = 72 bytes but it holds 64'):
-        files.read_npz(path)
-    with zipfile.ZipFile(path, 'w') as archive:
-        archive.writestr('../evil.sh', b'echo')
-    with pytest.raises(ValueError, match='not a numpy array'):
-        files.read_npz(path)
+    lying = (tmp_path / 'a.npy').read_bytes().replace(b'(8,)', b'(9,)')
+    for member, data, text in (
+        ('a.npy', lying, r'says \(9,\) x float64 = 72 bytes but it holds 64'),
+        ('../evil.sh', b'echo', 'not a numpy array'),
+    ):
+        with zipfile.ZipFile(path, 'w') as archive:
+            archive.writestr(member, data)
+        with pytest.raises(ValueError, match=text):
+            files.read_npz(path)
 
 
 def test_manifest_notices_every_change(tmp_path):

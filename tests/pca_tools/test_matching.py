@@ -49,9 +49,8 @@ def test_beds_that_sank_or_were_cut_are_the_same(name, bed, share):
 def test_runs_of_another_order_are_refused_wherever_they_come_in(tmp_path):
     bed = lattice((20, 3, 3))
     moved = bed + 0.02 * np.linspace(0, 1, 12)[:, None, None] * bed[:, [0]]
-    whole = [{'positions': moved}] * 4
     shuffled = np.concatenate([moved[:, :99], np.roll(moved[:, 99:], -1, axis=1)], axis=1)
-    rolled = [{'positions': shuffled, 'kind': 'rolled'}] * 4
+    whole, rolled = [{'positions': moved}] * 4, [{'positions': shuffled, 'kind': 'rolled'}] * 4
     folders = {}
     for name, runs in (('whole', whole), ('rolled', rolled), ('mixed', whole[:3] + rolled[:1])):
         folders[name] = str(tmp_path / name)
@@ -63,3 +62,18 @@ def test_runs_of_another_order_are_refused_wherever_they_come_in(tmp_path):
     RawRuns(folders['rolled']).check()  # alone they are of one order
     with pytest.raises(ValueError, match=f'case 0: 45{text}'):
         convert.convert(folders['rolled'], str(tmp_path / 'new'), like=data)
+
+
+def test_matching_is_one_to_one_and_refuses_other_packings():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 1, (800, 3))
+    order = rng.permutation(800)
+    moved = points + rng.normal(0, 0.01, points.shape)
+    np.testing.assert_array_equal(matching.match_particles(moved[order], moved), np.argsort(order))
+    near = matching.match_particles(moved[order], points)
+    assert sorted(near.tolist()) == list(range(800))
+    assert np.mean(order[near] == np.arange(800)) > 0.95
+    with pytest.raises(ValueError, match='no one-to-one matching'):
+        matching.match_particles([[0, 0, 1e-9]] * np.arange(800)[:, None], points)
+    with pytest.raises(ValueError, match='7 particles cannot be matched with 800'):
+        matching.match_particles(points[:7], points)

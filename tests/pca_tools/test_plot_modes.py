@@ -1,6 +1,7 @@
 """Pictures and the measured rows of the reductions."""
 
 import json
+import types
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ pytest.importorskip('matplotlib')
 from pca_tools import plot_modes
 from pca_tools.raw_runs import RawRuns
 from pca_tools.subspace import Subspace
-from tests.pca_tools.commands import run_command
 
 
 @pytest.fixture(scope='module')
@@ -35,7 +35,7 @@ def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     assert kernel['test_mse'] > 10 * stored['test_mse']
 
 
-def test_both_kinds_of_runs_are_needed(space, raw_excavation, tmp_path):
+def test_both_kinds_of_runs_are_needed(space, raw_excavation):
     runs = RawRuns(raw_excavation)
     runs.cases = [int(case) for case in space.runs]
     runs._entries = runs._entries[: len(runs.cases)]
@@ -43,15 +43,13 @@ def test_both_kinds_of_runs_are_needed(space, raw_excavation, tmp_path):
         plot_modes.compare_reductions(space, runs, 0.04, [1.0], 100)
 
 
-def test_command_line(excavation, raw_excavation, tmp_path):
-    output = tmp_path / 'plots'
-    arguments = ['pca_tools.plot_modes', excavation, f'--output_path={output}']
-    done = run_command(*arguments, f'--raw_path={raw_excavation}', '--kernel_rows=200')
-    assert done.returncode == 0, done.stderr
-    assert 'kernel PCA of the same (RBF 0.04, ridge 1)' in done.stdout
+def test_pictures_and_numbers(excavation, raw_excavation, tmp_path, capsys):
+    values = types.SimpleNamespace(
+        output_path=str(tmp_path), raw_path=raw_excavation, kernel_gamma=0.04,
+        kernel_alpha=['1', '1e-3'], kernel_rows=200,
+    )  # fmt: skip
+    plot_modes.main(values, [excavation])
+    assert 'kernel PCA of the same (RBF 0.04, ridge 1)' in capsys.readouterr().out
     for name in ('energy_and_error.png', 'modes.png'):
-        assert (output / name).read_bytes().startswith(b'\x89PNG')
-    numbers = json.loads((output / 'modes.json').read_text())
-    assert len(numbers['reductions']) == 4
-    missing = run_command('pca_tools.plot_modes', str(tmp_path), f'--output_path={output}')
-    assert missing.returncode == 1 and 'error: ' in missing.stderr
+        assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')
+    assert len(json.loads((tmp_path / 'modes.json').read_text())['reductions']) == 4

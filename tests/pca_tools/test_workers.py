@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,16 +15,27 @@ from pca_tools import decompose, subspace, workers
 from tests.pca_tools import jobs
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-KINDS = ['', 'local:2']
 
 
-@pytest.fixture(params=KINDS, ids=['pool', 'dask'], scope='module')
-def crew(request):
-    """Two workers of each kind, shared by the tests that leave them whole."""
-    if request.param:
-        pytest.importorskip('distributed')
-    with workers.start(request.param, 2) as started:
+@pytest.fixture(scope='module')
+def dask():
+    """Two workers of Dask, which starts a killed one anew."""
+    pytest.importorskip('distributed')
+    with workers.start('local:2') as started:
         yield started
+
+
+@pytest.fixture(scope='module')
+def pool():
+    """Two workers of a pool; not to be killed."""
+    with workers.start('', 2) as started:
+        yield started
+
+
+@pytest.fixture(params=['pool', 'dask'])
+def crew(request):
+    """Two workers of each kind."""
+    return request.getfixturevalue(request.param)
 
 
 def values(crew, function, inputs):
@@ -48,63 +60,25 @@ def test_what_fails_is_tried_again_and_does_not_stop_the_rest(crew, tmp_path):
     assert sorted(os.listdir(tmp_path)) == ['try0', 'try1', 'try2']
 
 
-def test_covariance_on_workers_gives_the_same_subspace(crew, monkeypatch):
+def runs_of_six_modes(count):
+    """Motions with few modes, [20, 60, 3] each, and the memory that the covariance takes, but not
+    the matrix."""
     rng = np.random.default_rng(0)
     shapes = rng.normal(size=(6, 60)) * 0.5 ** np.arange(6)[:, None]
-    runs = jobs.Runs(
-        np.einsum('tmk,mn->tnk', rng.normal(size=(20, 6, 3)), shapes) + 1.0 for _ in range(7)
-    )
+    motions = (rng.normal(size=(20, 6, 3)) for _ in range(count))
+    runs = [np.einsum('tmk,mn->tnk', motion, shapes) + 1.0 for motion in motions]
+    return runs, 2.5 * 8 * 60**2 / 2**20
+
+
+def test_covariance_on_workers_gives_the_same_subspace(crew, monkeypatch):
+    runs, memory = runs_of_six_modes(7)
     monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
-    memory = 2.5 * 8 * 60**2 / 2**20  # room for the covariance, not for the matrix
-    plain = subspace.fit(runs, 4, max_memory_mb=memory)
-    found = subspace.fit(runs, 4, max_memory_mb=memory, crew=crew)
+    plain = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory)
+    found = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory, crew=crew)
     direct = subspace.fit(runs, 4)
     np.testing.assert_allclose(found.singular_values[:6], plain.singular_values[:6], rtol=1e-12)
     np.testing.assert_allclose(found.components, plain.components, atol=1e-12)
     np.testing.assert_allclose(found.singular_values[:4], direct.singular_values[:4], rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_killed_worker_costs_its_task_only(tmp_path):
-    pytest.importorskip('distributed')
-    with workers.start('local:2') as crew:
-        outcomes = values(crew, jobs.dies_once, [(n, str(tmp_path)) for n in range(8)])
-    assert [o.value for o in outcomes] == [n**2 for n in range(8)]
-    assert (tmp_path / 'died').exists()
-
-
-@pytest.mark.slow
-def test_a_worker_killed_in_the_middle_of_the_svd(monkeypatch, tmp_path):
-    pytest.importorskip('distributed')
-    rng = np.random.default_rng(0)
-    runs = [rng.normal(size=(20, 60, 3)) + 1.0 for _ in range(9)]
-    monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
-    memory = 2.5 * 8 * 60**2 / 2**20
-    plain = subspace.fit(jobs.Runs(runs), 6, max_memory_mb=memory)
-    with workers.start('local:2') as crew:
-        fatal = jobs.FatalRuns(runs, str(tmp_path))
-        found = subspace.fit(fatal, 6, max_memory_mb=memory, crew=crew)
-    assert (tmp_path / 'died').exists()
-    np.testing.assert_allclose(found.singular_values, plain.singular_values, rtol=1e-12)
-    np.testing.assert_allclose(found.components, plain.components, atol=1e-12)
-    np.testing.assert_allclose(found.mean, plain.mean, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_forty_solver_runs_with_a_killed_worker_are_those_of_one_process(tmp_path):
-    pytest.importorskip('distributed')
-    folders = [tmp_path / 'pool', tmp_path / 'dask']
-    found = []
-    for folder, where, fatal in zip(folders, ('', 'local:2'), (None, 7)):
-        folder.mkdir()
-        jobs.short_run((1, str(folder), 3, None))  # the packing, and the first run
-        with workers.start(where, 1) as crew:
-            inputs = [(case, str(folder), 3, fatal) for case in range(1, 41)]
-            found.append([o.value[0] for o in values(crew, jobs.short_run, inputs)])
-    assert (folders[1] / 'died').exists() and not (folders[0] / 'died').exists()
-    assert found[0] == found[1] and len(set(found[0])) == 40
-    names = [sorted(p.name for p in folder.glob('run_*.npz')) for folder in folders]
-    assert names[0] == names[1] and len(names[0]) == 40
 
 
 def test_a_pool_that_loses_a_process_says_so(tmp_path):
@@ -113,41 +87,6 @@ def test_a_pool_that_loses_a_process_says_so(tmp_path):
         workers.start('', 2) as crew,
     ):
         list(crew.run(jobs.dies_once, [(n, str(tmp_path)) for n in range(8)]))
-
-
-@pytest.mark.slow
-def test_a_killed_scheduler_and_the_command_given_again(tmp_path):
-    """The command, its scheduler and workers go with SIGKILL; the second one makes the rest."""
-    pytest.importorskip('distributed')
-    code = """
-import sys
-from pca_tools import workers
-from tests.pca_tools import jobs
-if __name__ == '__main__':
-    with workers.start('local:2') as crew:
-        done = list(crew.run(jobs.write_file, [(n, sys.argv[1]) for n in range(8)]))
-    print(sorted(outcome.value for outcome in done))
-"""
-    script = tmp_path / 'command.py'
-    script.write_text(code)
-    (tmp_path / 'out').mkdir()
-    (tmp_path / 'out' / 'wait').touch()
-    environment = os.environ | {'PYTHONPATH': str(ROOT)}
-    command = [sys.executable, str(script), str(tmp_path / 'out')]
-    first = subprocess.Popen(command, env=environment, cwd=ROOT, start_new_session=True)
-    while len(list((tmp_path / 'out').glob('[0-9].npy'))) < 4:
-        assert first.poll() is None
-        time.sleep(0.1)
-    os.killpg(first.pid, signal.SIGKILL)
-    first.wait()
-    (tmp_path / 'out' / 'wait').unlink()
-    again = subprocess.run(
-        command, env=environment, cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert again.stdout.strip() == str(sorted(['there'] * 4 + ['made'] * 4))
-    for number in range(8):
-        expected = np.random.default_rng(number).normal(size=100)
-        np.testing.assert_array_equal(np.load(tmp_path / 'out' / f'{number}.npy'), expected)
 
 
 def test_the_slurm_script_asks_for_one_thread_and_a_lifetime():
@@ -164,3 +103,59 @@ def test_the_slurm_script_asks_for_one_thread_and_a_lifetime():
 def test_unknown_words_are_refused(where):
     with pytest.raises(ValueError, match='cluster is'), workers.start(where):
         pass
+
+
+@pytest.mark.slow
+def test_killed_workers_cost_their_tasks_only(dask, tmp_path, monkeypatch):
+    """A worker dies in a small task, in the sum of a covariance, and in a run of the solver."""
+    for name in ('task', 'sum', 'solver', 'here'):
+        (tmp_path / name).mkdir()
+    outcomes = values(dask, jobs.dies_once, [(n, str(tmp_path / 'task')) for n in range(8)])
+    assert [o.value for o in outcomes] == [n**2 for n in range(8)]
+
+    runs, memory = runs_of_six_modes(9)
+    monkeypatch.setattr(decompose, 'RUNS_PER_TASK', 2)
+    plain = subspace.fit(jobs.Runs(runs), 4, max_memory_mb=memory)
+    fatal = jobs.FatalRuns(runs, str(tmp_path / 'sum'))
+    found = subspace.fit(fatal, 4, max_memory_mb=memory, crew=dask)
+    np.testing.assert_allclose(found.singular_values[:6], plain.singular_values[:6], rtol=1e-12)
+    np.testing.assert_allclose(found.components, plain.components, atol=1e-12)
+
+    here = [jobs.short_run((case, str(tmp_path / 'here'), 2, None)) for case in range(1, 9)]
+    shutil.copy(tmp_path / 'here' / 'packing.npz', tmp_path / 'solver')
+    inputs = [(case, str(tmp_path / 'solver'), 2, 5) for case in range(1, 9)]
+    there = [outcome.value[0] for outcome in values(dask, jobs.short_run, inputs)]
+    assert there == [content for content, _ in here] and len(set(there)) == 8
+    for name in ('task', 'sum', 'solver'):
+        assert (tmp_path / name / 'died').exists()
+
+
+@pytest.mark.slow
+def test_a_killed_scheduler_and_the_command_given_again(dask, tmp_path):
+    """The command, its scheduler and workers go with SIGKILL; the second one makes the rest."""
+    code = """
+import sys
+from pca_tools import workers
+from tests.pca_tools import jobs
+if __name__ == '__main__':
+    with workers.start('local:2') as crew:
+        list(crew.run(jobs.write_file, [(n, sys.argv[1]) for n in range(8)]))
+"""
+    script, out = tmp_path / 'command.py', tmp_path / 'out'
+    script.write_text(code)
+    out.mkdir()
+    (out / 'wait').touch()
+    environment = os.environ | {'PYTHONPATH': str(ROOT)}
+    command = [sys.executable, str(script), str(out)]
+    first = subprocess.Popen(command, env=environment, cwd=ROOT, start_new_session=True)
+    while len(list(out.glob('[0-9].npy'))) < 4:
+        assert first.poll() is None
+        time.sleep(0.1)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    (out / 'wait').unlink()
+    again = values(dask, jobs.write_file, [(n, str(out)) for n in range(8)])
+    assert sorted(outcome.value for outcome in again) == ['made'] * 4 + ['there'] * 4
+    for number in range(8):
+        expected = np.random.default_rng(number).normal(size=100)
+        np.testing.assert_array_equal(np.load(out / f'{number}.npy'), expected)

@@ -32,6 +32,7 @@ int main(int argc, char **argv) {
     lts_twist twist;
     lts_result result;
     lts_judgement worst;
+    char text[100];
     lts_grid grid = {{hostile(0.0), hostile(0.0)}, hostile(0.1), {5, 7}};
     int code = 0;
     for (int i = 0; i < 3; ++i) {
@@ -73,7 +74,10 @@ int main(int argc, char **argv) {
         if (pick(10) == 0) grid.n[0] = (int)pick(5) - 3;
         if (grid.n[0] <= 5) code = lts_height_map(s, (lts_grid *)maybe(&grid), heights);
         break;
-      case 12: code = lts_judge(s, (lts_judgement *)maybe(&worst)); break;
+      case 12:
+        code = pick(2) ? lts_judge(s, (lts_judgement *)maybe(&worst))
+                       : lts_reason(s, (char *)maybe(text), pick(sizeof text + 1));
+        break;
       case 13: code = lts_save(s, maybe(state + 1), state_size - (pick(10) == 0)); break;
       case 14: /* from an odd address, sometimes damaged */
         if (pick(4) == 0) state[1 + pick((unsigned)state_size)] ^= (unsigned char)(1u << pick(8));

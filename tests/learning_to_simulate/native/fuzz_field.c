@@ -29,6 +29,7 @@ int main(int argc, char **argv) {
     lts_twist t = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
     lts_field_result result;
     lts_judgement judged;
+    char text[100];
     lts_grid grid = {{hostile(0.0), hostile(0.0)}, hostile(0.02), {0, 0}};
     double places[8], heights_of[8], context[8];
     int code = 0;
@@ -68,7 +69,10 @@ int main(int argc, char **argv) {
         code = fits ? lts_field_height_map(one, maybe(&grid), maybe(heights)) : 0;
         break;
       }
-      case 5: code = lts_field_judge(one, maybe(&judged)); break;
+      case 5:
+        code = pick(2) ? lts_field_judge(one, maybe(&judged))
+                       : lts_field_reason(one, maybe(text), pick(sizeof text + 1));
+        break;
       case 6: code = lts_field_moving(maybe(one)); break;
       case 7:
         kept = lts_field_state_size(one);

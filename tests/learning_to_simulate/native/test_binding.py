@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from learning_to_simulate import rollout_status
-from learning_to_simulate.native import library, starts
+from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import KERNELS, CSubspace, KernelLacks
-from learning_to_simulate.rollout_status import Ranges, RolloutStatus
+from learning_to_simulate.rollout_status import Ranges
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
 
@@ -43,29 +44,18 @@ CASES = {
     },
 }
 
-pytestmark = pytest.mark.skipif(
-    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
-)
-
-
-def _space():
-    runs = [np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))]
-    return subspace.fit(runs, synthetic.N_MODES)
+pytestmark = worlds.needs_c
 
 
 def _context(group, run=0):
     return None if group.context is None else group.context[run]
 
 
-def _twin_of(model, n):
-    return (Twin if model.simulator.config.model == 'gns' else WholeStateTwin)(model, n)
-
-
 @pytest.fixture(scope='module')
 def shared(tmp_path_factory):
-    """A C stepper of a prescribed body, its model, and runs."""
-    model, (group, *_), _ = models.make(tmp_path_factory.mktemp('model'))
-    return CSubspace.of(model, group.n_rigid, _space()), model, group
+    """A prescribed body in C, its model, and runs."""
+    model, group, *_ = worlds.graph(tmp_path_factory.mktemp('model'))
+    return CSubspace.of(model, group.n_rigid, subspace=worlds.space()), model, group
 
 
 @pytest.mark.parametrize('case', CASES.values(), ids=CASES)
@@ -74,10 +64,11 @@ def test_every_kernel_equals_the_numpy_twin(case, tmp_path):
     correction, are compared in `live/test_stepper.py`."""
     model, (group,), _ = models.make(tmp_path, **case)
     n, known = group.n_rigid, model.simulator.scene.rigid_motion.is_known
-    twin = _twin_of(model, n)
+    space, kind = worlds.space(), model.simulator.config.model
+    twin = (Twin if kind == 'gns' else WholeStateTwin)(model, n)
     for kernel in KERNELS:
         try:
-            stepper = CSubspace.of(model, n, _space(), rigid_correction=False, kernel=kernel)
+            stepper = CSubspace.of(model, n, kernel, subspace=space, rigid_correction=False)
         except KernelLacks:
             continue
         assert stepper.kernel == kernel
@@ -92,30 +83,31 @@ def test_every_kernel_equals_the_numpy_twin(case, tmp_path):
             np.testing.assert_allclose(got, expected, atol=2e-5 * moved + 1e-7)
             np.testing.assert_allclose(frame.force, force, atol=1e-5 * np.abs(force).max())
             # Of every column: the last panel of a kernel is not full.
-            decoded = _space().decode(frame.modes)
+            decoded = space.decode(frame.modes)
             np.testing.assert_allclose(
                 stepper.particles(), decoded, atol=2e-6 * np.abs(decoded).max()
             )
 
 
-def _judged(group, position, force, model):
-    s = model.simulator
-    return rollout_status.judge(group, position[None], force[None], s.statistics, s.scene)[0]
-
-
 @pytest.mark.parametrize('motion', ['prescribed', 'driven'])
 def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
-    """Starts, bodies and contexts inside and outside the training range, in kind, frame, node."""
+    """Starts, bodies and contexts inside and outside of training, of runs and of each frame alone:
+    kind, frame, node, and the reason in words."""
     model, (group,), _ = models.make(tmp_path, motion=motion, context=True)
-    n = group.n_rigid
-    stepper = CSubspace.of(model, n)
-    seen = set()
+    n, s, c = group.n_rigid, model.simulator, library.constants()
+    stepper, seen, alone = CSubspace.of(model, n), set(), set()
+    ranges = Ranges(n, s.statistics, s.scene)
+    bits = [
+        ('non_finite', c['LTS_NON_FINITE']),
+        ('left_bounds', c['LTS_LEFT_BOUNDS']),
+        ('extrapolating', c['LTS_EXTRAPOLATING']),
+    ]
     for seed in range(24):
         rng = np.random.default_rng(seed)
         truth, context = group.position[seed % 4].copy(), group.context[seed % 4].copy()
-        if seed % 3 == 1:
-            frame = rng.integers(0, len(truth))
-            truth[frame:, rng.integers(n), rng.integers(3)] += rng.choice([-1, 1]) * 0.3
+        if seed % 3:  # far enough for the soil to leave its bounds, or too fast for a frame
+            frame, size = rng.integers(0, len(truth)), 0.3 if seed % 3 == 1 else 0.01
+            truth[frame:, rng.integers(n), rng.integers(3)] += rng.choice([-1, 1]) * size
         if seed % 4 == 1:
             context[rng.integers(2)] *= 1.5
         if seed % 5 == 1:
@@ -125,36 +117,19 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
         run = dataclasses.replace(group.select(0), position=truth[None], context=context[None])
         stepper.reset(truth[:H], context)
         frames = [stepper.step(pose) for pose in truth[H:, :n]]
-        alone = [_kind(frame.status) for frame in frames]
         position = np.array([np.concatenate([f.rigid_pose, f.modes]) for f in frames])
-        expected = _judged(run, position, np.array([f.force for f in frames]), model)
-        assert stepper.judgement[:3] == expected[:3]
-        if expected.status != RolloutStatus.NON_FINITE:  # the same measure and value, in words
-            mine, theirs = (j.reason.split(' is outside') for j in (stepper.judgement, expected))
-            assert mine[0] == theirs[0].removesuffix(' m')
+        force = np.array([f.force for f in frames])
+        (expected,) = rollout_status.judge(run, position[None], force[None], s.statistics, s.scene)
+        assert stepper.judgement == expected
         seen.add(expected.status)
-        # Of each frame alone, too.
-        ranges = Ranges(n, model.simulator.statistics, model.simulator.scene)
-        of_context = ranges.start(truth[H - 1], context, None).reason
-        for k, (frame, of_c) in enumerate(zip(frames, alone)):
-            now = ranges.judge(
-                H + k, position[k], frame.force, None, truth[H + k, :n], truth[H + k - 1, :n]
-            )
-            assert of_c == now.status or 'is outside' in of_context
-    assert len(seen) == 4
-
-
-def _kind(bits):
-    """The worst status of bits of lts.h."""
-    c = library.constants()
-    for name, status in (
-        ('LTS_NON_FINITE', RolloutStatus.NON_FINITE),
-        ('LTS_LEFT_BOUNDS', RolloutStatus.LEFT_BOUNDS),
-        ('LTS_EXTRAPOLATING', RolloutStatus.EXTRAPOLATING),
-    ):
-        if bits & c[name]:
-            return status
-    return RolloutStatus.OK
+        if ranges.start(truth[H - 1], context, None).reason.startswith(s.scene.context_names):
+            continue  # a context is judged with the start, and not in each frame
+        for k, frame in enumerate(frames, H):
+            body = truth[k, :n], truth[k - 1, :n]
+            now = ranges.judge(k, position[k - H], frame.force, None, *body)
+            assert next((kind for kind, bit in bits if frame.status & bit), 'ok') == now.status
+            alone.add(now.status)
+    assert len(seen) == len(alone) == 4
 
 
 def test_prepare_save_and_clone_change_nothing(shared):
@@ -166,7 +141,7 @@ def test_prepare_save_and_clone_change_nothing(shared):
     other = [stepper.save()]
     for k, pose in enumerate(group.position[0, H:, :n]):
         if rng.integers(2):
-            stepper.prepare()
+            stepper.call('prepare')
         if rng.integers(2):  # a detour, and back
             state = stepper.save()
             stepper.step(pose + 0.01)
@@ -203,7 +178,7 @@ def test_bad_input_is_refused_and_changes_nothing(shared):
         (lambda: stepper.reset(position[: H - 1]), r'history has shape \(5, 7, 3\)'),
         (lambda: stepper.reset(np.full_like(position[:H], np.inf)), 'history holds inf'),
         (lambda: stepper.reset(position[:H], [1.0]), 'context'),
-        (lambda: stepper.step(None), 'takes a pose'),
+        (lambda: stepper.step(None), 'null'),
         (lambda: stepper.step(position[H, : n - 1]), r'must be \(4, 3\)'),
         (lambda: stepper.step(not_finite), r'nan at \(2, 1\)'),
         (lambda: stepper.step('here'), 'not an array'),
@@ -211,14 +186,17 @@ def test_bad_input_is_refused_and_changes_nothing(shared):
         with pytest.raises(ValueError, match=message):
             act()
     assert stepper.save() == before
-    for call in (lambda: fresh.step(position[H, :n]), fresh.prepare, fresh.particles):
+    fresh_calls = (
+        lambda: fresh.step(position[H, :n]), lambda: fresh.call('prepare'), fresh.particles
+    )  # fmt: skip
+    for call in fresh_calls:
         with pytest.raises(ValueError, match='not started|subspace'):
             call()
     with pytest.raises(ValueError, match="kernel is 'gpu'"):
         CSubspace.of(model, n, kernel='gpu')
     with pytest.raises(ValueError, match='subspace has'):
-        CSubspace.of(model, n, subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES))
-    with pytest.raises(ValueError, match='0 starts'):
+        CSubspace.of(model, n, subspace=subspace.fit([np.random.rand(9, 20, 3)], synthetic.N_MODES))
+    with pytest.raises(ValueError, match='outside its range'):
         stepper.start()
 
 
@@ -232,7 +210,7 @@ def test_particles_and_heights(shared):
     stepper, _, group = shared
     stepper.reset(group.position[0, :H])
     frame = stepper.step(group.position[0, H, : group.n_rigid])
-    particles = _space().decode(frame.modes)
+    particles = worlds.space().decode(frame.modes)
     np.testing.assert_allclose(stepper.particles(), particles, atol=1e-5)
     low, cell, shape = particles.min(axis=0)[[0, 2]] + 0.3, 0.7, (5, 4)
     expected = np.full(shape, np.nan)
@@ -240,22 +218,20 @@ def test_particles_and_heights(shared):
         i, j = np.floor((np.array([x, z]) - low) / cell).astype(int)
         if 0 <= i < shape[0] and 0 <= j < shape[1]:
             expected[i, j] = np.nanmax([expected[i, j], y])
-    got = stepper.height_map(low, cell, shape)
+    got = worlds.height_map(stepper, low, cell, shape)
     np.testing.assert_array_equal(got, expected.astype(np.float32))
     assert np.isnan(got).any() and np.isfinite(got).any()
     for bad in ({'cell': 0.0}, {'shape': (0, 3)}, {'origin': [np.nan, 0]}, {'shape': (10**9, 3)}):
         with pytest.raises(ValueError):
-            stepper.height_map(**{'origin': low, 'cell': cell, 'shape': shape} | bad)
+            worlds.height_map(stepper, **{'origin': low, 'cell': cell, 'shape': shape} | bad)
 
 
 @pytest.mark.parametrize('motion', ['prescribed', 'driven', 'predicted'])
 def test_a_start_by_pose_is_a_reset_from_rest(tmp_path, motion):
     """Poses stand for the points of the start's body, turned and moved."""
-    model, (group,), metadata = models.make(tmp_path, motion=motion, context=True)
-    n, dt = group.n_rigid, model.simulator.scene.dt
-    found = starts.read(str(tmp_path), model.simulator.config, n)
+    model, group, found, values = worlds.graph(tmp_path, motion=motion, context=True)
+    n, dt, start = group.n_rigid, model.simulator.scene.dt, values['starts'][2]
     stepper, other = (CSubspace.of(model, n, starts=found) for _ in range(2))
-    start = found[2]
     centre, arms = start['points'].mean(axis=0), start['points'] - start['points'].mean(axis=0)
 
     def points(angle, shift):  # about z

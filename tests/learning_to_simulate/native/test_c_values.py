@@ -7,12 +7,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.native import c_values, fold, library
+from learning_to_simulate.native import c_values, library
+from tests.learning_to_simulate.native import worlds
 
 
+@worlds.needs_c
 def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path):
-    if not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))):
-        pytest.skip('no C compiler')
     lines = [
         '#include <stdio.h>',
         '#include <stddef.h>',
@@ -42,12 +42,12 @@ def test_numbers_come_back_bit_by_bit():
     rng = np.random.default_rng(0)
     bits = rng.integers(0, 2**32, 4000, dtype=np.uint32).view(np.float32)
     for value in bits[np.isfinite(bits)]:
-        text = c_values._number(value, ctypes.c_float)
+        text = c_values.number(value, ctypes.c_float)
         assert text.endswith('f') and np.float32(text[:-1]) == value
     for value in (0.1, 1e-300, -3.0, 1 / 3):
-        assert float(c_values._number(value, ctypes.c_double)) == value
+        assert float(c_values.number(value, ctypes.c_double)) == value
     with pytest.raises(ValueError, match='nan'):
-        c_values._number(np.nan, ctypes.c_float)
+        c_values.number(np.nan, ctypes.c_float)
 
 
 def test_unknown_fields_are_refused_and_digests_follow_the_numbers():
@@ -57,42 +57,3 @@ def test_unknown_fields_are_refused_and_digests_follow_the_numbers():
     other = values | {'w': np.array([0.0, 1.0, np.nextafter(2.0, 3.0)])}
     assert c_values.digest(values) == c_values.digest(dict(reversed(values.items())))
     assert c_values.digest(values) != c_values.digest(other)
-
-
-@pytest.mark.parametrize('width', [16, 20, 64])
-def test_folded_layer_norm_is_layer_norm(width):
-    rng = np.random.default_rng(width)
-
-    class Weights:
-        layers = [(rng.normal(size=(width, width)), rng.normal(size=width)) for _ in range(3)]
-        scale, offset = rng.normal(size=width), rng.normal(size=width)
-
-    mlp, h = fold.Mlp(Weights), rng.normal(size=(7, width))
-    w, b = Weights.layers[-1]
-    y = h @ w + b
-    y = (y - y.mean(1, keepdims=True)) / np.sqrt(y.var(1, keepdims=True) + 1e-5)
-    expected = y * Weights.scale + Weights.offset
-    t, norm = _unpacked(mlp.tail()['norm'])
-    f = 1 / np.sqrt(((h @ t + norm) ** 2).sum(1) / width + 1e-5)
-    normed = mlp.before(*mlp.identity())
-    a, bias = _unpacked(normed['a'])
-    got = (f[:, None] * (h @ a + bias) + normed['o'])[:, :width]
-    np.testing.assert_allclose(got, expected, atol=1e-5)
-    behind, s = rng.normal(size=(width, 5)), rng.uniform(size=7)
-    row = np.r_[(s * f) @ h, (s * f).sum(), s.sum()]
-    total, none = _unpacked(mlp.before_sum(behind))
-    np.testing.assert_allclose((row @ total)[:5], s @ expected @ behind, rtol=1e-4, atol=1e-4)
-    assert not none.any()
-
-
-def _unpacked(dense):
-    """Weights [rows, columns] and bias of an `lts_dense`."""
-    rows, columns, at = dense['rows'], dense['columns'], 0
-    w = np.zeros((rows, columns))
-    for first in range(0, columns, 16):
-        skipped = first if dense['triangular'] else 0
-        size = (rows - skipped) * 16
-        w[skipped:, first : first + 16] = dense['w'][at : at + size].reshape(-1, 16)
-        at += size
-    assert at == dense['w'].size
-    return w, dense['b']

@@ -14,43 +14,20 @@ import pytest
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
-from learning_to_simulate.native import (
-    agreement,
-    exporting,
-    fmu,
-    library,
-    model_data,
-    project,
-    starts,
-)
-from learning_to_simulate.native.binding import CSubspace
+from learning_to_simulate.live import starts as live_starts
+from learning_to_simulate.native import agreement, exporting, field_data, fmu, library, project
+from learning_to_simulate.native.binding import CField, CSubspace
 from tests.learning_to_simulate import models
+from tests.learning_to_simulate.native import worlds
+from tests.learning_to_simulate.swept_field import small_world
 
-pytestmark = pytest.mark.skipif(
-    not any(map(library.shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
-)
-
-
-def _small(folder, **case):
-    model, (group, *_), metadata = models.make(folder, **case)
-    found = starts.read(str(folder), model.simulator.config, group.n_rigid)
-    return model, group, model_data.values(model, group.n_rigid, starts=found)
+pytestmark = worlds.needs_c
 
 
-def _saved(folder):
-    """Folders of a dataset, of a model of it, and one that is not there."""
-    data, path, out = (str(folder / name) for name in ('data', 'model', 'out'))
-    model, (group,), _ = models.make(data)
-    os.makedirs(path)
-    checkpoints.save_config(path, model, group.n_rigid, {})
-    checkpoints.save_weights(path, model.simulator)
-    return data, path, out
-
-
-def _written(folder, name, values):
-    os.makedirs(folder)
-    project.write(str(folder), name, values)
-    return str(folder)
+def _compiled(folder, flags=library.FLAGS):
+    built = os.path.join(folder, 'small.so')
+    library.compile_sources(built, *library.parts_of(folder), flags=flags)
+    return built
 
 
 def _run(command, **options):
@@ -59,11 +36,28 @@ def _run(command, **options):
     return done.stdout
 
 
+@pytest.fixture(scope='module')
+def small(tmp_path_factory):
+    """C values of a small model."""
+    return worlds.graph(tmp_path_factory.mktemp('small')).values
+
+
+@pytest.fixture(scope='module')
+def saved(tmp_path_factory):
+    """Folders of a model and of its dataset."""
+    folder = tmp_path_factory.mktemp('saved')
+    data, path = (str(folder / name) for name in ('data', 'model'))
+    model, (group,), _ = models.make(folder / 'data')
+    os.makedirs(path)
+    beside = live_starts.write(path, data, model.simulator.config.nodes)
+    checkpoints.save_config(path, model, group.n_rigid, {}, beside)
+    checkpoints.save_weights(path, model.simulator)
+    return path, data
+
+
 def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
-    model, group, values = _small(tmp_path / 'data', motion='driven', context=True)
-    folder = _written(tmp_path / 'project', 'lts_small', values)
-    built = os.path.join(folder, 'small.so')
-    library.compile_sources(built, folder)
+    model, group, _, values = worlds.graph(tmp_path / 'data', motion='driven', context=True)
+    built = _compiled(worlds.written(tmp_path / 'project', 'lts_small', values))
     soils = CSubspace.open(built, 'lts_small'), CSubspace.of(model, group.n_rigid)
     for soil in soils:
         soil.reset(group.position[0, :6], group.context[0])
@@ -77,20 +71,32 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
             CSubspace.open(path, symbol)
 
 
+def test_a_written_field_gives_the_same_bits_as_python(tmp_path):
+    field, parts = worlds.field('blade')
+    folder = worlds.written(tmp_path / 'f', 'lts_small', field_data.values(field, **parts))
+    soils = CField.open(_compiled(folder), 'lts_small'), CField.of(field, **parts)
+    poses = small_world.world_pose(small_world.path(20)[:, 0])
+    for soil in soils:
+        soil.start(poses[0])
+    for pose in poses[1:]:
+        a, b = (soil.step(pose) for soil in soils)
+        for one, two in zip(a, b):
+            np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(*(soil.particles() for soil in soils))
+    assert not any('lts_step' in name for name in os.listdir(os.path.join(folder, 'src')))
+
+
 @pytest.mark.skipif(not shutil.which('cmake'), reason='no CMake')
-def test_cmake_builds_installs_and_is_found(tmp_path):
-    _, _, values = _small(tmp_path / 'data')
-    folder, build = _written(tmp_path / 'project', 'lts_small', values), str(tmp_path / 'build')
+def test_cmake_builds_installs_and_is_found(small, tmp_path):
+    folder = worlds.written(tmp_path / 'project', 'lts_small', small)
+    build, prefix, user = (tmp_path / name for name in ('build', 'installed', 'user'))
     strict = '-Wall -Wextra -Wconversion -Wno-sign-conversion -pedantic -Werror'
     flags = [f'-DCMAKE_C_FLAGS={strict}', f'-DCMAKE_CXX_FLAGS={strict}']
     _run(['cmake', '-S', folder, '-B', build, *flags])
     _run(['cmake', '--build', build])
-    printed = _run([os.path.join(build, 'example'), '30'])
-    assert printed.count('force') == 3
-    assert '60 forces' in _run([os.path.join(build, 'loop_1khz')])
-    prefix = str(tmp_path / 'installed')
+    assert _run([build / 'example', '30']).count('force') == 3
+    assert '60 forces' in _run([build / 'loop_1khz'])
     _run(['cmake', '--install', build, '--prefix', prefix])
-    user = tmp_path / 'user'
     user.mkdir()
     (user / 'main.c').write_text(
         '#include "lts_small.h"\nint main(void) { return lts_size(&lts_small) == 0; }\n'
@@ -100,65 +106,66 @@ def test_cmake_builds_installs_and_is_found(tmp_path):
         'find_package(lts_small 1.0 REQUIRED)\nadd_executable(main main.c)\n'
         'target_link_libraries(main lts_small::shared)\n'
     )
-    _run(['cmake', '-S', str(user), '-B', str(user / 'b'), f'-DCMAKE_PREFIX_PATH={prefix}'])
-    _run(['cmake', '--build', str(user / 'b')])
-    _run([str(user / 'b' / 'main')])
-    with open(os.path.join(build, 'lts_small.pc'), encoding='utf-8') as file:
-        assert '-llts_small' in file.read()
+    _run(['cmake', '-S', user, '-B', user / 'b', f'-DCMAKE_PREFIX_PATH={prefix}'])
+    _run(['cmake', '--build', user / 'b'])
+    _run([user / 'b' / 'main'])
+    assert '-llts_small' in (build / 'lts_small.pc').read_text(encoding='utf-8')
 
 
-def test_two_models_live_in_one_program(tmp_path):
-    parts = [
-        _written(tmp_path / name, name, _small(tmp_path / f'data_{name}', motion=motion)[2])
-        for name, motion in (('lts_one', 'prescribed'), ('lts_two', 'driven'))
-    ]
-    shutil.copy(os.path.join(parts[1], 'src', 'lts_two.c'), os.path.join(parts[0], 'src'))
-    shutil.copy(os.path.join(parts[1], 'include', 'lts_two.h'), os.path.join(parts[0], 'include'))
-    library.compile_sources(os.path.join(parts[0], 'both.so'), parts[0])
-    soils = [CSubspace.open(os.path.join(parts[0], 'both.so'), n) for n in ('lts_one', 'lts_two')]
+def test_two_models_live_in_one_program(small, tmp_path):
+    other = worlds.graph(tmp_path / 'data', motion='driven').values
+    one, two = (
+        worlds.written(tmp_path / name, name, values)
+        for name, values in (('lts_one', small), ('lts_two', other))
+    )
+    shutil.copy(f'{two}/src/lts_two.c', f'{one}/src')
+    shutil.copy(f'{two}/include/lts_two.h', f'{one}/include')
+    built = _compiled(one)
+    soils = [CSubspace.open(built, name) for name in ('lts_one', 'lts_two')]
     for soil in soils:
         soil.start()
     with pytest.raises(ValueError, match='saved state'):
         soils[0].load_state(soils[1].save() + bytes(10_000))
 
 
-def test_export_command_compares_and_refuses(tmp_path, monkeypatch):
-    data, path, out = _saved(tmp_path)
-    description = exporting.export(path, data, out, 'c')
+def test_export_compares_and_refuses(saved, tmp_path, monkeypatch):
+    out = str(tmp_path / 'out')
+    description = exporting.export(*saved, out, 'c')
     assert description['compared']['relative_difference']['force'] < 1e-5
     assert 'wrote' in exporting.summary(description, out)
     assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
     with pytest.raises(ValueError, match='not empty'):
-        exporting.export(path, data, out, 'c')
+        exporting.export(*saved, out, 'c')
     with pytest.raises(FileNotFoundError, match='holds no model'):
-        exporting.export(str(tmp_path / 'none'), data, out + '2', 'c')
+        exporting.export(str(tmp_path / 'none'), saved[1], out + '2', 'c')
     monkeypatch.setattr(agreement, 'TOLERANCE', 0.0)
-    with pytest.raises(ValueError, match='nothing was written'):
-        exporting.export(path, data, out + '2', 'c')
+    with pytest.raises(ValueError, match='differs from the model.*nothing was written'):
+        exporting.export(*saved, out + '2', 'c')
     assert not os.path.exists(out + '2')
-    monkeypatch.setenv('CC', 'no-such-compiler')
-    description = exporting.export(path, data, out + '3', 'c')
-    assert 'no C compiler' in exporting.summary(description, out)
 
 
 @pytest.mark.parametrize('kind', ['c', 'fmu'])
-def test_what_does_not_compile_is_not_kept(kind, tmp_path, monkeypatch):
-    data, path, out = _saved(tmp_path)
-    monkeypatch.setenv('CC', 'false')  # it is there, and it fails
+def test_without_a_compiler_nothing_is_compared_and_with_a_bad_one_nothing_is_written(
+    saved, tmp_path, monkeypatch, kind
+):
+    out = str(tmp_path / 'out')
+    monkeypatch.setenv('CC', 'none')
+    description = exporting.export(*saved, out, kind)
+    assert 'no C compiler' in exporting.summary(description, out)
+    monkeypatch.setenv('CC', 'false')
     with pytest.raises(ValueError, match='false .* failed'):
-        exporting.export(path, data, out, kind)
-    assert not os.path.exists(out)
+        exporting.export(*saved, out + '2', kind)
+    assert not os.path.exists(out + '2')
 
 
-def test_an_fmu_whose_own_sources_do_not_compile_is_not_kept(tmp_path, monkeypatch):
-    _, _, values = _small(tmp_path / 'data')
+def test_an_fmu_whose_own_sources_do_not_compile_is_not_kept(small, tmp_path, monkeypatch):
     monkeypatch.setenv('CC', 'false')
     with pytest.raises(library.CompileFailed):
-        fmu.write(str(tmp_path / 'small.fmu'), 'lts_small', values)
+        fmu.write(str(tmp_path / 'small.fmu'), 'lts_small', small)
     assert not os.path.exists(tmp_path / 'small.fmu')
 
 
-def test_names_of_models_are_not_those_of_the_library():
+def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
     assert project.symbol('models/excavation/pcg') == 'lts_excavation_pcg'
     assert project.symbol('/a/Wheel 2/best-one') == 'lts_wheel_2_best_one'
     # Types, a function, and files; then names that leave no letter.
@@ -169,30 +176,23 @@ def test_names_of_models_are_not_those_of_the_library():
     for path, name in zip(taken, names):
         assert re.fullmatch(path.replace('/', '_').join(['lts', '_[0-9a-f]{8}']), name)
     assert all(re.fullmatch('lts_[0-9a-f]{8}', name) for name in names[len(taken) :])
+    folder = worlds.written(tmp_path / 'project', names[0], small)
+    built = _compiled(folder, ('-std=c99', '-O1', '-fPIC', '-shared'))
+    assert CSubspace.open(built, names[0]).description.digest.decode() == small['digest']
 
 
-def test_a_model_in_a_folder_called_model_compiles(tmp_path):
-    _, _, values = _small(tmp_path / 'data')
-    name = project.symbol('/model')
-    folder = _written(tmp_path / 'project', name, values)
-    built = os.path.join(folder, 'model.so')
-    library.compile_sources(built, folder, ('-std=c99', '-O1', '-fPIC', '-shared'))
-    assert CSubspace.open(built, name).description.digest.decode() == values['digest']
-
-
-def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(tmp_path, capsys):
-    data, path, out = _saved(tmp_path)
+def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(saved, tmp_path, capsys):
     values = types.SimpleNamespace(
-        model_path=path, data_path=data, output_path=out, format='c', n_rigid=None,
-        n_particles=None,
+        model_path=saved[0], data_path=saved[1], output_path=str(tmp_path / 'out'), format='c',
+        n_rigid=None, n_particles=None,
     )  # fmt: skip
     export_command.run(values)
     assert 'largest difference to TensorFlow' in capsys.readouterr().out
-    assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
-    values.n_particles, values.output_path = 2, out + '2'
+    assert os.path.exists(tmp_path / 'out' / 'CMakeLists.txt')
+    values.n_particles, values.output_path = 2, str(tmp_path / 'out2')
     with pytest.raises(ValueError, match='--n_particles is not for --format=c'):
         export_command.run(values)
-    assert not os.path.exists(out + '2')
+    assert not os.path.exists(tmp_path / 'out2')
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):
@@ -213,8 +213,9 @@ def test_a_compiler_may_have_arguments(tmp_path, monkeypatch):
     (tmp_path / 'one.c').write_text('int lts_one(void) { return VALUE; }\n')
     monkeypatch.setenv('CC', f'env {plain} -DVALUE=7')
     assert library.compiler() == [shutil.which('env'), plain, '-DVALUE=7']
-    library.compile_flat(str(tmp_path / 'one.so'), str(tmp_path), ['-shared', '-fPIC'])
-    assert ctypes.CDLL(str(tmp_path / 'one.so')).lts_one() == 7
+    built = str(tmp_path / 'one.so')
+    library.compile_sources(built, str(tmp_path), flags=['-shared', '-fPIC'])
+    assert ctypes.CDLL(built).lts_one() == 7
     monkeypatch.setenv('CC', ' ')
     assert library.compiler() == [shutil.which(plain)]
 
@@ -249,13 +250,9 @@ def test_a_library_that_cannot_be_loaded_leaves_the_steps_to_tensorflow(
     assert len(os.listdir(own_cache)) == 2
 
 
-def test_libraries_of_one_process_leave_no_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
-    assert library.load_once().lts_error_text(-3)
-    assert not os.listdir(tmp_path)
-
-
-def test_a_home_that_cannot_be_written_is_no_obstacle(own_cache, tmp_path, monkeypatch):
+def test_a_home_that_cannot_be_written_is_no_obstacle_and_no_file_is_left(
+    own_cache, tmp_path, monkeypatch
+):
     own_cache.parent.write_text('')
     (tmp_path / 'other').mkdir()
     monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'other'))

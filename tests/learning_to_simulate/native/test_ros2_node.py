@@ -28,7 +28,7 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
     exporting.export('models/excavation/pcg', 'datasets/excavation', folder, 'c')
     name = project.symbol('models/excavation/pcg')
     built = str(tmp_path / 'lib.so')
-    library.compile_sources(built, folder)
+    library.compile_sources(built, *library.parts_of(folder))
     program = str(tmp_path / 'node')
     strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
     subprocess.run(

@@ -11,7 +11,7 @@ import pytest
 
 import learning_to_simulate as lts
 from learning_to_simulate.live_page.session import Session
-from learning_to_simulate.native import model_data, project, starts, web_page
+from learning_to_simulate.native import agreement, project, web_page
 from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
@@ -38,15 +38,10 @@ WebAssembly.instantiate(fs.readFileSync(process.argv[1]), {}).then(({ instance }
 """
 
 
-def values_of(name):
-    model, n, subspace, found = starts.read_model(f'models/{name}/pcg', f'datasets/{name}')
-    return model_data.values(model, n, subspace, starts=found)
-
-
 @needs_clang
 @pytest.mark.skipif(not shutil.which('node'), reason='no node')
 def test_webassembly_gives_the_frames_of_the_stepper(tmp_path):
-    values = values_of('excavation')
+    values = agreement.Opened.of('models/excavation/pcg').values()
     (tmp_path / 'soil.wasm').write_bytes(
         web_page.compile_model(project.symbol('models/excavation/pcg'), values)
     )

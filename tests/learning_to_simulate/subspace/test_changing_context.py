@@ -106,17 +106,17 @@ def test_live_steps_in_c_are_those_of_tensorflow(made):
     model, group = made
     soil = CSubspace.of(model, group.n_rigid)
     with pytest.raises(ValueError, match='not started'):
-        soil.set_context(group.context[0, 0])
+        soil.call('set_context', group.context[0, 0])
     modes = [frame.modes for frame in _step_through(soil, group, 11)]
     expected, _ = models.steps(model, group, 1, 11)
     np.testing.assert_allclose(modes, expected[:, group.n_rigid :], atol=TOLERANCE)
-    soil.prepare()  # what was computed ahead with the old context is computed again
+    soil.call('prepare')  # what was computed ahead with the old context is computed again
     pose, context = group.position[1, H + 11, : group.n_rigid], 1.3 * group.context[1, H]
     other = CSubspace.of(model, group.n_rigid)
     _step_through(other, group, 11)
     np.testing.assert_array_equal(soil.step(pose, context).modes, other.step(pose, context).modes)
     with pytest.raises(ValueError, match='shape'):
-        soil.set_context([1.0])
+        soil.step(pose, [1.0])
 
 
 def test_live_steps_keep_the_last_one_and_flag_one_outside(made, stepper):

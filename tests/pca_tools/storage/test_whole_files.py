@@ -5,15 +5,11 @@ import os
 import pathlib
 import signal
 import stat
-import subprocess
-import sys
 import threading
 
 import pytest
 
 from pca_tools.storage import whole_files
-
-ROOT = pathlib.Path(__file__).resolve().parents[3]
 
 
 def put(text):
@@ -132,48 +128,51 @@ def test_mount_points_are_filled_in_place(tmp_path, monkeypatch):
         whole_files.write_folder(str(path), fill)
 
 
+def killed_before(point, names, work):
+    """Runs work in a process that gets SIGKILL right before its call number `point` of one of the
+    named functions of `whole_files`; returns whether it was killed."""
+    pid = os.fork()
+    if pid:
+        return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+    try:
+        calls = []
+
+        def counted(real):
+            def call(*arguments, **options):
+                calls.append(real)
+                if len(calls) == point:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return real(*arguments, **options)
+
+            return call
+
+        for name in names:
+            *module, function = name.split('.')
+            owner = getattr(whole_files, module[0]) if module else whole_files
+            setattr(owner, function, counted(getattr(owner, function)))
+        work()
+    finally:
+        os._exit(0)
+
+
 @pytest.mark.parametrize('swaps', [True, False], ids=['exchange', 'two_renames'])
-def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, swaps):
+def test_kill_while_a_folder_is_replaced_leaves_a_whole_one(tmp_path, monkeypatch, swaps):
     """SIGKILL right before each system call that changes a name, one after the other."""
-    code = """
-import os, signal, sys
-from pca_tools.storage import whole_files
-path, point, swaps = sys.argv[1], int(sys.argv[2]), sys.argv[3] == 'True'
-count = 0
-def counted(real):
-    def call(*arguments, **options):
-        global count
-        count += 1
-        if count == point:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return real(*arguments, **options)
-    return call
-for name in ('rename', 'mkdir'):
-    setattr(whole_files.os, name, counted(getattr(os, name)))
-whole_files.shutil.rmtree = counted(whole_files.shutil.rmtree)
-whole_files._swap = counted(whole_files._swap if swaps else lambda *names: False)
-def fill(folder):
-    open(f'{folder}/a', 'w').write('new')
-whole_files.write_folder(path, fill)
-"""
-    path = tmp_path / 'set'
-    killed = 0
+    if not swaps:
+        monkeypatch.setattr(whole_files, '_swap', lambda *names: False)
     for point in range(1, 12):
-        for entry in tmp_path.iterdir():
-            subprocess.run(['rm', '-r', str(entry)], check=True)
+        path = tmp_path / str(point) / 'set'
         whole_files.write_folder(str(path), fill_with('old'))
-        done = subprocess.run(
-            [sys.executable, '-c', code, str(path), str(point), str(swaps)], cwd=ROOT, check=False
+        names = ('os.rename', 'os.mkdir', 'shutil.rmtree', '_swap')
+        was_killed = killed_before(
+            point, names, lambda path=path: whole_files.write_folder(str(path), fill_with('new'))
         )
-        killed += done.returncode == -signal.SIGKILL
-        if swaps:  # there is never a moment without a whole folder under the name
-            assert (path / 'a').read_text() in ('old', 'new')
-        else:
+        if not swaps:  # else there is never a moment without a whole folder under the name
             whole_files.recover_folder(str(path))
-            assert (path / 'a').read_text() in ('old', 'new')
-        if done.returncode == 0:
+        assert (path / 'a').read_text() in ('old', 'new')
+        if not was_killed:
             break
-    assert killed >= 3 and done.returncode == 0
+    assert 3 < point < 11
     assert (path / 'a').read_text() == 'new'
 
 
@@ -190,39 +189,31 @@ def test_recovery_takes_only_what_a_writer_put_aside(tmp_path):
     assert (tmp_path / '.set.mine.old').is_dir()
 
 
-@pytest.mark.parametrize('point', range(1, 9))
-def test_kill_while_results_are_replaced_never_mixes_them(tmp_path, point):
+def test_kill_while_results_are_replaced_never_mixes_them(tmp_path):
     """SIGKILL before each change of a name: `last` lies beside one whole set, or is absent."""
-    code = """
-import os, signal, sys
-from pca_tools.storage import whole_files
-folder, point = sys.argv[1], int(sys.argv[2])
-count = 0
-def counted(real):
-    def call(*arguments, **options):
-        global count
-        count += 1
-        if count == point:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return real(*arguments, **options)
-    return call
-for name in ('mkdir', 'remove', 'replace'):
-    setattr(whole_files.os, name, counted(getattr(os, name)))
-def fill(fresh):
-    for name in ('run_0', 'run_1', 'metrics'):
-        open(f'{fresh}/{name}', 'w').write('new')
-whole_files.replace_files(folder, fill, lambda name: name.startswith('run_'), 'metrics')
-"""
-    command = [sys.executable, '-c', code, str(tmp_path)]
-    for name in ('run_0', 'run_1', 'run_2', 'metrics'):
-        (tmp_path / name).write_text('old')
-    (tmp_path / 'picture').write_text('mine')
-    done = subprocess.run([*command, str(point)], cwd=ROOT, check=False)
-    assert done.returncode == (-signal.SIGKILL if point <= 6 else 0)
-    if (tmp_path / 'metrics').exists():
-        kept = {p.name: p.read_text() for p in tmp_path.glob('[rm]*')}
-        assert set(kept.values()) == {kept['metrics']}
-        assert len(kept) == (4 if kept['metrics'] == 'old' else 3)
-    subprocess.run([*command, '0'], cwd=ROOT, check=True)
-    assert sorted(os.listdir(tmp_path)) == ['metrics', 'picture', 'run_0', 'run_1']
-    assert (tmp_path / 'run_1').read_text() == 'new'
+
+    def fill(fresh):
+        for name in ('run_0', 'run_1', 'metrics'):
+            put('new')(os.path.join(fresh, name))
+
+    def is_old(name):
+        return name.startswith('run_')
+
+    for point in range(1, 9):
+        folder = tmp_path / str(point)
+        folder.mkdir()
+        for name in ('run_0', 'run_1', 'run_2', 'metrics', 'picture'):
+            (folder / name).write_text('old')
+
+        def replace(folder=folder):
+            whole_files.replace_files(str(folder), fill, is_old, 'metrics')
+
+        was_killed = killed_before(point, ('os.mkdir', 'os.remove', 'os.replace'), replace)
+        assert was_killed == (point <= 6)
+        if (folder / 'metrics').exists():
+            kept = {p.name: p.read_text() for p in folder.glob('[rm]*')}
+            assert set(kept.values()) == {kept['metrics']}
+            assert len(kept) == (4 if kept['metrics'] == 'old' else 3)
+        replace()
+        assert sorted(os.listdir(folder)) == ['metrics', 'picture', 'run_0', 'run_1']
+        assert (folder / 'run_1').read_text() == 'new'

@@ -93,7 +93,7 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
     return NULL;
   }
   /* One block: the component, its name, the model. */
-  const size_t length = strlen(name) + 1, size = fmu_soil_size();
+  const size_t length = strlen(name) + 1, size = SOIL(size)(&FMU_MODEL);
   char *block = (char *)call->allocateMemory(1, sizeof(component) + length + size);
   if (!block) {
     refuse(&probe, "out of memory");
@@ -104,7 +104,7 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
   c->name = (fmi2String)memcpy(block + sizeof *c, name, length);
   c->logs = logs;
   c->core.warn = warn;
-  const char *wrong = fmu_soil_make(block + sizeof *c + length, size, &c->core.soil);
+  const char *wrong = fmu_make(&c->core, block + sizeof *c + length, size);
   if (wrong) {
     refuse(c, wrong);
     call->freeMemory(block);
@@ -114,6 +114,15 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
   return c;
 }
 
+/* The component of a call; without one nothing can even be logged. */
+#define OPEN(c)                                 \
+  component *c = (component *)instance;         \
+  if (!c) return fmi2Error
+/* Likewise, of a call with n variables. */
+#define OPEN_VALUES(c)                                           \
+  component *c = (component *)instance;                          \
+  if (!c || (n && (!vr || !value))) return fmi2Error
+
 FMI2_EXPORT void FMI2(fmi2FreeInstance)(fmi2Component instance) {
   component *c = (component *)instance;
   if (c) c->call.freeMemory(c);
@@ -121,16 +130,15 @@ FMI2_EXPORT void FMI2(fmi2FreeInstance)(fmi2Component instance) {
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetDebugLogging)(fmi2Component instance, fmi2Boolean on, size_t n,
                                                  const fmi2String categories[]) {
-  if (!instance) return fmi2Error;
-  ((component *)instance)->logs = on;
+  OPEN(c);
+  c->logs = on;
   return fmi2OK;
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boolean has_tolerance,
                                                  fmi2Real tolerance, fmi2Real start,
                                                  fmi2Boolean has_stop, fmi2Real stop) {
-  component *c = (component *)instance;
-  if (!c) return fmi2Error;
+  OPEN(c);
   if (c->core.v.now != FMU_CREATED) {
     return refuse(c, "fmi2SetupExperiment after the initialisation");
   }
@@ -139,25 +147,23 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boo
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2EnterInitializationMode)(fmi2Component instance) {
-  component *c = (component *)instance;
-  return c ? done(c, fmu_initialise(&c->core, c->core.v.time)) : fmi2Error;
+  OPEN(c);
+  return done(c, fmu_initialise(&c->core, c->core.v.time));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2ExitInitializationMode)(fmi2Component instance) {
-  component *c = (component *)instance;
-  return c ? done(c, fmu_start_stepping(&c->core)) : fmi2Error;
+  OPEN(c);
+  return done(c, fmu_start_stepping(&c->core));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2Terminate)(fmi2Component instance) {
-  component *c = (component *)instance;
-  if (!c) return fmi2Error;
+  OPEN(c);
   c->core.v.now = FMU_TERMINATED;
   return fmi2OK;
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2Reset)(fmi2Component instance) {
-  component *c = (component *)instance;
-  if (!c) return fmi2Error;
+  OPEN(c);
   fmu_defaults(&c->core);
   return fmi2OK;
 }
@@ -166,22 +172,19 @@ FMI2_EXPORT fmi2Status FMI2(fmi2Reset)(fmi2Component instance) {
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetReal)(fmi2Component instance, const fmi2ValueReference vr[],
                                          size_t n, fmi2Real value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
+  OPEN_VALUES(c);
   return done(c, fmu_get_reals(&c->core, vr, n, value));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2ValueReference vr[],
                                          size_t n, const fmi2Real value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
+  OPEN_VALUES(c);
   return done(c, fmu_set_reals(&c->core, vr, n, value));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, fmi2Integer value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
+  OPEN_VALUES(c);
   for (size_t i = 0; i < n; ++i) {
     if (vr[i]) return refuse(c, "no integer variable of this value reference");
     value[i] = c->core.v.start;
@@ -191,118 +194,97 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetInteger)(fmi2Component instance, const fmi2Va
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, const fmi2Integer value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
-  for (size_t i = 0; i < n; ++i) {
-    const char *wrong = vr[i] ? "no integer variable of this value reference"
-                              : fmu_set_start(&c->core, value[i]);
-    if (wrong) return refuse(c, wrong);
+  OPEN_VALUES(c);
+  const char *wrong = NULL;
+  for (size_t i = 0; i < n && !wrong; ++i) {
+    wrong = vr[i] ? "no integer variable of this value reference"
+                  : fmu_set_start(&c->core, value[i]);
   }
-  return fmi2OK;
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, fmi2Boolean value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
-  for (size_t i = 0; i < n; ++i) {
-    const char *wrong = fmu_status(&c->core, vr[i], &value[i]);
-    if (wrong) return refuse(c, wrong);
-  }
-  return fmi2OK;
+  OPEN_VALUES(c);
+  const char *wrong = NULL;
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_status(&c->core, vr[i], &value[i]);
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetBoolean)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, const fmi2Boolean value[]) {
-  if (!instance) return fmi2Error;
-  return n ? refuse((component *)instance, "no boolean variable can be set") : fmi2OK;
+  OPEN(c);
+  return done(c, n ? "no boolean variable can be set" : NULL);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetString)(fmi2Component instance, const fmi2ValueReference vr[],
                                            size_t n, fmi2String value[]) {
-  component *c = (component *)instance;
-  if (!c || (n && (!vr || !value))) return fmi2Error;
+  OPEN_VALUES(c);
   for (size_t i = 0; i < n; ++i) {
     if (vr[i]) return refuse(c, "no string variable of this value reference");
-    value[i] = fmu_soil_digest();
+    value[i] = fmu_described().digest;
   }
   return fmi2OK;
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2ValueReference vr[],
                                            size_t n, const fmi2String value[]) {
-  if (!instance) return fmi2Error;
-  return n ? refuse((component *)instance, "no string variable can be set") : fmi2OK;
+  OPEN(c);
+  return done(c, n ? "no string variable can be set" : NULL);
 }
 
 /* ---- steps ---- */
 
 FMI2_EXPORT fmi2Status FMI2(fmi2DoStep)(fmi2Component instance, fmi2Real time, fmi2Real h,
                                         fmi2Boolean no_set_state) {
-  component *c = (component *)instance;
-  return c ? done(c, fmu_step(&c->core, time, h)) : fmi2Error;
+  OPEN(c);
+  return done(c, fmu_step(&c->core, time, h));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2CancelStep)(fmi2Component instance) {
-  return instance ? refuse((component *)instance, "steps are never pending") : fmi2Error;
+  OPEN(c);
+  return refuse(c, "steps are never pending");
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetRealInputDerivatives)(fmi2Component instance,
                                                          const fmi2ValueReference vr[], size_t n,
                                                          const fmi2Integer order[],
                                                          const fmi2Real value[]) {
-  if (!instance) return fmi2Error;
-  return n ? refuse((component *)instance, "the velocities are inputs; derivatives are not taken")
-           : fmi2OK;
+  OPEN(c);
+  return done(c, n ? "the velocities are inputs; derivatives are not taken" : NULL);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetRealOutputDerivatives)(fmi2Component instance,
                                                           const fmi2ValueReference vr[], size_t n,
                                                           const fmi2Integer order[],
                                                           fmi2Real value[]) {
-  if (!instance) return fmi2Error;
-  return n ? refuse((component *)instance, "outputs have no derivatives") : fmi2OK;
+  OPEN(c);
+  return done(c, n ? "outputs have no derivatives" : NULL);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetDirectionalDerivative)(
     fmi2Component instance, const fmi2ValueReference unknown[], size_t n_unknown,
     const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],
     fmi2Real d_unknown[]) {
-  return instance ? refuse((component *)instance, "no directional derivatives") : fmi2Error;
+  OPEN(c);
+  return refuse(c, "no directional derivatives");
 }
 
-FMI2_EXPORT fmi2Status FMI2(fmi2GetStatus)(fmi2Component instance, const fmi2StatusKind kind,
-                                           fmi2Status *value) {
-  if (!instance || !value) return fmi2Error;
-  *value = fmi2OK;
-  return fmi2OK;
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetRealStatus)(fmi2Component instance, const fmi2StatusKind kind,
-                                               fmi2Real *value) {
-  if (!instance || !value) return fmi2Error;
-  if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
-  *value = ((component *)instance)->core.v.time;
-  return fmi2OK;
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetIntegerStatus)(fmi2Component instance, const fmi2StatusKind kind,
-                                                  fmi2Integer *value) {
-  return instance ? fmi2Discard : fmi2Error;
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetBooleanStatus)(fmi2Component instance, const fmi2StatusKind kind,
-                                                  fmi2Boolean *value) {
-  if (!instance || !value) return fmi2Error;
-  if (kind != fmi2Terminated) return fmi2Discard;
-  *value = 0;
-  return fmi2OK;
-}
-
-FMI2_EXPORT fmi2Status FMI2(fmi2GetStringStatus)(fmi2Component instance, const fmi2StatusKind kind,
-                                                 fmi2String *value) {
-  return instance ? fmi2Discard : fmi2Error;
-}
+/* Steps are never pending: a status is asked for in vain, but for the time and the end. */
+#define GET_STATUS(name, type, known, found)                                               \
+  FMI2_EXPORT fmi2Status FMI2(name)(fmi2Component instance, const fmi2StatusKind kind,     \
+                                    type * value) {                                        \
+    OPEN(c);                                                                               \
+    if (!value) return fmi2Error;                                                          \
+    if (!(known)) return fmi2Discard;                                                      \
+    *value = found;                                                                        \
+    return fmi2OK;                                                                         \
+  }
+GET_STATUS(fmi2GetStatus, fmi2Status, 1, fmi2OK)
+GET_STATUS(fmi2GetRealStatus, fmi2Real, kind == fmi2LastSuccessfulTime, c->core.v.time)
+GET_STATUS(fmi2GetIntegerStatus, fmi2Integer, 0, 0)
+GET_STATUS(fmi2GetBooleanStatus, fmi2Boolean, kind == fmi2Terminated, 0)
+GET_STATUS(fmi2GetStringStatus, fmi2String, 0, "")
 
 /* ---- state: its size, then the bytes of the core ---- */
 
@@ -320,24 +302,24 @@ static fmi2Status room_for(component *c, size_t size, fmi2FMUstate *state) {
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2GetFMUstate)(fmi2Component instance, fmi2FMUstate *state) {
-  component *c = (component *)instance;
-  if (!c || !state) return fmi2Error;
+  OPEN(c);
+  if (!state) return fmi2Error;
   const fmi2Status status = room_for(c, fmu_state_size(&c->core), state);
   if (status != fmi2OK) return status;
   return done(c, fmu_write_state(&c->core, (char *)*state + sizeof(size_t)));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetFMUstate)(fmi2Component instance, fmi2FMUstate state) {
-  component *c = (component *)instance;
+  OPEN(c);
   size_t size;
-  if (!c || !state) return fmi2Error;
+  if (!state) return fmi2Error;
   memcpy(&size, state, sizeof size);
   return done(c, fmu_read_state(&c->core, (const char *)state + sizeof size, size));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2FreeFMUstate)(fmi2Component instance, fmi2FMUstate *state) {
-  component *c = (component *)instance;
-  if (!c || !state) return fmi2Error;
+  OPEN(c);
+  if (!state) return fmi2Error;
   if (*state) c->call.freeMemory(*state);
   *state = NULL;
   return fmi2OK;
@@ -362,8 +344,8 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SerializeFMUstate)(fmi2Component instance, fmi2F
 
 FMI2_EXPORT fmi2Status FMI2(fmi2DeSerializeFMUstate)(fmi2Component instance, const fmi2Byte bytes[],
                                                      size_t size, fmi2FMUstate *state) {
-  component *c = (component *)instance;
-  if (!c || !bytes || !state) return fmi2Error;
+  OPEN(c);
+  if (!bytes || !state) return fmi2Error;
   const fmi2Status status = room_for(c, size, state);
   if (status == fmi2OK) memcpy((char *)*state + sizeof size, bytes, size);
   return status;

@@ -6,6 +6,17 @@
 #include <stdio.h>
 #include <string.h>
 
+const char *fmu_make(fmu_core *c, void *memory, size_t size) {
+  const int code = SOIL(init)(&FMU_MODEL, memory, size, LTS_BEST, &c->soil);
+  return code < 0 ? lts_error_text(code) : NULL;
+}
+
+SOIL(description) fmu_described(void) {
+  SOIL(description) model;
+  SOIL(describe)(&FMU_MODEL, &model);
+  return model;
+}
+
 lts_pose fmu_pose(const fmu_core *c) {
   lts_pose pose;
   memcpy(pose.position, c->v.real + VR_POSITION, sizeof pose.position);
@@ -33,7 +44,7 @@ static double drawbar_of(const double *linear, const double *force, int up) {
 
 static void take(fmu_core *c, const fmu_answer *answer) {
   double *real = c->v.real;
-  const int up = fmu_soil_up();
+  const int up = fmu_described().up_axis;
   memcpy(real + VR_POINT, answer->point, sizeof answer->point);
   memcpy(real + VR_FORCE, answer->force, sizeof answer->force);
   memcpy(real + VR_MOMENT, answer->torque, sizeof answer->torque);
@@ -42,7 +53,7 @@ static void take(fmu_core *c, const fmu_answer *answer) {
   real[VR_DRAWBAR] = drawbar_of(real + VR_LINEAR, answer->force, up);
 }
 
-/* Says once when a kind of status begins. */
+/* Says once when a kind of status begins, and why where it is what the frame is judged by. */
 static void tell(fmu_core *c, int status, int frame) {
   static const char *const texts[FMU_STATUS_BITS] = {
       "the context lies outside the training runs",
@@ -51,10 +62,15 @@ static void tell(fmu_core *c, int status, int frame) {
       "the speed lies outside the training runs",
       "the soil left the bounds of the training runs",
       "a position or force is not finite"};
-  char text[96];
+  char text[320], why[200] = "";
+  lts_judgement judged = {0};
+  if (status) SOIL(judge)(c->soil, &judged);
+  if (status) SOIL(reason)(c->soil, why, sizeof why);
   for (int i = 0; i < FMU_STATUS_BITS; ++i) {
     if (!((status & ~c->v.told) >> i & 1)) continue;
     snprintf(text, sizeof text, "frame %d: %s", frame, texts[i]);
+    const size_t n = strlen(text);
+    if (judged.status >> i & 1) snprintf(text + n, sizeof text - n, ": %s", why);
     c->warn(c, text);
   }
   c->v.told |= status;
@@ -67,7 +83,7 @@ static const char *begin(fmu_core *c) {
   memset(&answer, 0, sizeof answer);
   const int status = fmu_soil_start(c, &answer);
   if (status < 0) return lts_error_text(status);
-  c->v.first_height = answer.point[fmu_soil_up()];
+  c->v.first_height = answer.point[fmu_described().up_axis];
   c->v.told = 0;
   take(c, &answer);
   tell(c, status, 0);
@@ -139,7 +155,8 @@ const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const doubl
 
 const char *fmu_set_start(fmu_core *c, int start) {
   if (c->v.now >= FMU_STEPPING) return "a fixed parameter is set after the initialisation";
-  if (start < -1 || start >= fmu_soil_starts()) return "the model has no such start";
+  const int n = fmu_described().n_start; /* a blade has none, and begins anywhere */
+  if (start < -1 || start >= (n ? n : 1)) return "the model has no such start";
   c->v.start = start;
   c->v.begun = 0;
   return NULL;
@@ -153,18 +170,20 @@ const char *fmu_status(fmu_core *c, unsigned which, int *value) {
   return wrong;
 }
 
-size_t fmu_state_size(const fmu_core *c) { return sizeof c->v + fmu_soil_state_size(c->soil); }
+size_t fmu_state_size(const fmu_core *c) {
+  return sizeof c->v + SOIL(state_size)(FMU_STATE_OF(c->soil));
+}
 
 const char *fmu_write_state(fmu_core *c, void *bytes) {
   memcpy(bytes, &c->v, sizeof c->v);
-  const size_t size = fmu_soil_state_size(c->soil);
-  const int code = fmu_soil_save(c->soil, (char *)bytes + sizeof c->v, size);
+  const size_t size = fmu_state_size(c) - sizeof c->v;
+  const int code = SOIL(save)(c->soil, (char *)bytes + sizeof c->v, size);
   return code < 0 ? lts_error_text(code) : NULL;
 }
 
 const char *fmu_read_state(fmu_core *c, const void *bytes, size_t size) {
   if (size <= sizeof c->v) return "the bytes are no state of this FMU";
-  const int code = fmu_soil_load(c->soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
+  const int code = SOIL(load)(c->soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
   if (code < 0) return lts_error_text(code);
   memcpy(&c->v, bytes, sizeof c->v);
   if (c->v.start < -1) c->v.start = -1; /* of forged bytes; the model refuses what is too large */

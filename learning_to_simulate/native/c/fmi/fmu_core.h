@@ -1,10 +1,21 @@
 /* What an FMU is apart from the standard: variables, life, steps and states around the C interface of a
- * model. fmi2.c puts the functions of the standard around it; fmu_graph.c or fmu_field.c is the model. Functions return null, or what is wrong. */
+ * model. fmi2.c puts the functions of the standard around it; fmu_graph.c or fmu_field.c begins and steps
+ * the model. Functions return null, or what is wrong. */
 #ifndef FMU_CORE_H
 #define FMU_CORE_H
 
-#include "fmu_model.h" /* generated: the model, its GUID and sizes */
-#include "lts.h"
+#include "fmu_model.h" /* generated: the model, its kind, its GUID and sizes */
+
+/* The two kinds of models have calls of the same names. */
+#if FMU_FIELD
+#define SOIL(name) lts_field_##name
+#define FMU_STATE_OF(soil) (soil)
+typedef lts_field fmu_soil;
+#else
+#define SOIL(name) lts_##name
+#define FMU_STATE_OF(soil) (&FMU_MODEL)
+typedef lts_instance fmu_soil;
+#endif
 
 #define FMU_STATUS_BITS 6
 
@@ -39,32 +50,26 @@ typedef struct {
 
 typedef struct {
   double force[3], torque[3], point[3], bound;
-  int frame, status;
+  int frame;
 } fmu_answer;
 
 typedef struct fmu_core fmu_core;
 struct fmu_core {
   void (*warn)(fmu_core *core, const char *text); /* of the standard's layer */
   fmu_values v;
-  void *soil; /* the model's instance */
+  fmu_soil *soil;
 };
 
 /* ---- the model ---- */
-size_t fmu_soil_size(void);
-const char *fmu_soil_make(void *memory, size_t size, void **soil);
 /* Position, rotation, frame time and context of start 0, into `real`. */
 void fmu_soil_defaults(double *real);
-int fmu_soil_starts(void); /* how many there are */
-int fmu_soil_up(void);
-const char *fmu_soil_digest(void);
 /* Starts from the values of `core`, or goes on from them by h s; a negative error of lts.h or status. */
 int fmu_soil_start(fmu_core *core, fmu_answer *answer);
 int fmu_soil_step(fmu_core *core, double h, fmu_answer *answer);
-size_t fmu_soil_state_size(const void *soil);
-int fmu_soil_save(const void *soil, void *bytes, size_t size);
-int fmu_soil_load(void *soil, const void *bytes, size_t size);
 
 /* ---- the FMU ---- */
+const char *fmu_make(fmu_core *core, void *memory, size_t size); /* in memory for the model */
+SOIL(description) fmu_described(void);
 void fmu_defaults(fmu_core *core);
 const char *fmu_initialise(fmu_core *core, double time);
 const char *fmu_start_stepping(fmu_core *core);

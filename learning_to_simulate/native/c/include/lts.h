@@ -111,7 +111,7 @@ typedef struct {
   int32_t frame;
   int32_t node;   /* points of the body, then modes; -1: body, force or context as a whole */
   int32_t axis;   /* or index of the context; -1 */
-  double value, low, high;
+  double value, low, high; /* low, high: the range of training */
 } lts_judgement;
 
 LTS_API int lts_describe(const lts_model *model, lts_description *out);
@@ -178,6 +178,8 @@ typedef struct {
 LTS_API int lts_height_map(const lts_instance *soil, const lts_grid *grid, float *out);
 
 LTS_API int lts_judge(const lts_instance *soil, lts_judgement *out);
+/* The same in words, "" while all is well; `size` bytes of text, of which 200 are enough. */
+LTS_API int lts_reason(const lts_instance *soil, char *text, size_t size);
 
 /* State of an instance as bytes (any address), for rollback, copies and files. Bytes of another
  * model, ABI or byte order are refused. */

@@ -123,8 +123,10 @@ LTS_API int lts_field_moving(lts_field *soil);
 LTS_API int lts_field_height_map(lts_field *soil, const lts_grid *grid, float *out);
 
 /* The first measure that leaves its training range in the newest frame: `axis` is its number, `node`
- * -1, `value`, `low` and `high` say by how much. */
+ * is -1. */
 LTS_API int lts_field_judge(const lts_field *soil, lts_judgement *out);
+/* The same in words, as lts_reason. */
+LTS_API int lts_field_reason(const lts_field *soil, char *text, size_t size);
 
 /* State as bytes. It is larger by the particles (12 N) where a bed was given, and for every wheel. */
 LTS_API size_t lts_field_state_size(const lts_field *soil);

@@ -2,6 +2,7 @@
 #include "lts_common.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #define LARGEST_GRID 65536
@@ -13,6 +14,20 @@ int lts_all_finite(const double *values, size_t n) {
     if (!isfinite(values[i])) return 0;
   }
   return 1;
+}
+
+void lts_centroid(const double *points, int n, double out[3]) {
+  out[0] = out[1] = out[2] = 0.0;
+  for (int i = 0; i < 3 * n; ++i) out[i % 3] += points[i] / n;
+}
+
+double lts_far(const double *one, const double *other, const double *scale, int n) {
+  double far = 0.0;
+  for (int i = 0; i < n; ++i) {
+    const double d = (one[i] - other[i]) / scale[i];
+    far += d * d;
+  }
+  return far;
 }
 
 const char *lts_error_text(int error) {
@@ -104,6 +119,25 @@ void lts_raise_heights(const lts_grid *grid, int up, const float *points, int n,
   }
 }
 
+/* ---- reasons ---- */
+
+void lts_say(const lts_judgement *found, const char *measure, char *text, size_t size) {
+  const char *twice = found->status & LTS_LEFT_BOUNDS ? "twice " : "";
+  if (!found->status) {
+    snprintf(text, size, "%s", "");
+  } else if (found->status & LTS_NON_FINITE) {
+    snprintf(text, size, "%s is not finite", measure);
+  } else {
+    snprintf(text, size, "%s %.4g is outside %s[%.4g, %.4g] of training", measure,
+             found->value + 0.0 /* a 0 without sign */, twice, found->low, found->high);
+  }
+}
+
+void lts_name_of(const char *names, int index, char *name, size_t size) {
+  for (; index > 0 && *names; ++names) index -= *names == ',';
+  snprintf(name, size, "%.*s", (int)strcspn(names, ","), names);
+}
+
 /* ---- saved bytes ---- */
 
 typedef struct {
@@ -126,34 +160,30 @@ static uint64_t checksum_of(const void *bytes, size_t size) {
   return sum;
 }
 
-static saved header_of(uint32_t magic, const char *digest, size_t size) {
+static saved header_of(uint32_t magic, const char *digest, const void *state, size_t n) {
   saved header;
   memset(&header, 0, sizeof header);
   header.magic = magic;
   header.abi = LTS_ABI;
-  header.size = size;
+  header.size = n;
+  header.checksum = checksum_of(state, n);
   for (size_t i = 0; i < sizeof header.digest && digest[i]; ++i) header.digest[i] = digest[i];
   return header;
 }
 
-void lts_write_header(uint32_t magic, const char *digest, const void *state, size_t size,
-                      void *out) {
-  saved header = header_of(magic, digest, size);
-  header.checksum = checksum_of(state, size);
-  memcpy(out, &header, sizeof header);
+int lts_write_state(uint32_t magic, const char *digest, const void *state, size_t n, void *bytes,
+                    size_t size) {
+  if (!bytes) return LTS_ERROR_NULL;
+  if (size < LTS_HEADER_SIZE + n) return LTS_ERROR_MEMORY;
+  const saved header = header_of(magic, digest, state, n);
+  memcpy(bytes, &header, sizeof header);
+  memcpy((char *)bytes + LTS_HEADER_SIZE, state, n);
+  return LTS_OK;
 }
 
-int lts_read_header(uint32_t magic, const char *digest, const void *header, size_t *size) {
-  saved found;
-  memcpy(&found, header, sizeof found);
-  saved wanted = header_of(magic, digest, (size_t)found.size);
-  wanted.checksum = found.checksum;
-  *size = (size_t)found.size;
-  return !memcmp(&found, &wanted, sizeof found);
-}
-
-int lts_is_whole(const void *header, const void *state, size_t size) {
-  saved found;
-  memcpy(&found, header, sizeof found);
-  return found.size == size && found.checksum == checksum_of(state, size);
+int lts_check_state(uint32_t magic, const char *digest, const void *bytes, size_t size, size_t n) {
+  if (!bytes) return LTS_ERROR_NULL;
+  if (size < LTS_HEADER_SIZE + n) return LTS_ERROR_STATE;
+  const saved wanted = header_of(magic, digest, (const char *)bytes + LTS_HEADER_SIZE, n);
+  return memcmp(bytes, &wanted, sizeof wanted) ? LTS_ERROR_STATE : LTS_OK;
 }

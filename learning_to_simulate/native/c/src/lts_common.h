@@ -6,10 +6,22 @@
 
 #define LTS_ALIGNMENT 64
 #define LTS_HEADER_SIZE 96 /* bytes before a saved state */
+#define LTS_LONGEST_NAME 64
+
+/* Returns the error of a call, where there is one. */
+#define LTS_TRY(call)             \
+  do {                            \
+    const int lts_code = (call);  \
+    if (lts_code < 0) return lts_code; \
+  } while (0)
 
 size_t lts_aligned(size_t n, size_t to);
 int lts_all_finite(const double *values, size_t n);
 
+/* Mean of n points [n][3]. */
+void lts_centroid(const double *points, int n, double out[3]);
+/* How far two contexts are apart, each value counted by its scale, squared. */
+double lts_far(const double *one, const double *other, const double *scale, int n);
 void lts_rotate(const double q[4], const double v[3], double out[3]);
 /* 0 where `q` stands for no rotation: not finite, or hardly longer than zero. */
 int lts_unit_quaternion(const double q[4], double out[4]);
@@ -24,10 +36,15 @@ int lts_check_grid(const lts_grid *grid);
 void lts_clear_heights(const lts_grid *grid, float *out);
 void lts_raise_heights(const lts_grid *grid, int up, const float *points, int n, float *out);
 
-/* Header of saved bytes: magic, ABI, digest, size and checksum. */
-void lts_write_header(uint32_t magic, const char *digest, const void *state, size_t size, void *out);
-/* Whether `header` is that of such a state; `size` gets its size without a look at the state. */
-int lts_read_header(uint32_t magic, const char *digest, const void *header, size_t *size);
-int lts_is_whole(const void *header, const void *state, size_t size);
+/* Writes why a frame is judged as it is; `measure` is what left its range. */
+void lts_say(const lts_judgement *found, const char *measure, char *text, size_t size);
+/* Copies name `index` of names that are separated by commas. */
+void lts_name_of(const char *names, int index, char *name, size_t size);
+
+/* Saved bytes: a header with magic, ABI, digest, size and checksum, and behind it the state of n bytes,
+ * of which `size` bytes of room are given. Reading says whether all of it is as it was written. */
+int lts_write_state(uint32_t magic, const char *digest, const void *state, size_t n, void *bytes,
+                    size_t size);
+int lts_check_state(uint32_t magic, const char *digest, const void *bytes, size_t size, size_t n);
 
 #endif

@@ -4,8 +4,7 @@
 #define CHUNK 64 /* particles at once; a multiple of every vector */
 
 int lts_modes(const lts_instance *soil, double *out) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
   const int first = 3 * soil->model->n_rigid;
   for (int i = 0; i < 3 * soil->model->n_modes; ++i) {
@@ -15,8 +14,7 @@ int lts_modes(const lts_instance *soil, double *out) {
 }
 
 int lts_points(const lts_instance *soil, double *out) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!out && soil->model->n_rigid) return LTS_ERROR_NULL;
   for (int node = 0; node < soil->model->n_rigid; ++node) {
     float offset[3];
@@ -33,8 +31,7 @@ static const float *mode_offsets(const lts_instance *soil) {
 }
 
 int lts_particles(const lts_instance *soil, float *out, size_t count) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
   const int n = soil->model->n_soil;
   if (!n) return LTS_ERROR_CALL;
@@ -44,13 +41,11 @@ int lts_particles(const lts_instance *soil, float *out, size_t count) {
 }
 
 int lts_height_map(const lts_instance *soil, const lts_grid *grid, float *out) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!grid || !out) return LTS_ERROR_NULL;
   const int n = soil->model->n_soil, up = soil->model->up_axis;
   if (!n) return LTS_ERROR_CALL;
-  const int bad = lts_check_grid(grid);
-  if (bad) return bad;
+  LTS_TRY(lts_check_grid(grid));
   lts_clear_heights(grid, out);
   for (int done = 0; done < n; done += CHUNK) {
     float points[3 * CHUNK];

@@ -66,16 +66,9 @@ static float *acceleration_features(const lts_instance *soil, int node, float *o
   return out;
 }
 
-static float *rate_features(const lts_instance *soil, float *out) {
-  *out++ = logf(soil->rate);
-  *out++ = soil->rate;
-  return out;
-}
-
 static float *coming_features(const lts_instance *soil, int node, float *out) {
   const lts_model *m = soil->model;
-  for (int axis = 0; axis < 3; ++axis) {
-    const int i = 3 * node + axis;
+  for (int i = 3 * node; i < 3 * node + 3; ++i) {
     *out++ = (float)((soil->coming[i] / soil->rate - m->velocity_mean[i]) / m->velocity_std[i]);
   }
   return out;
@@ -91,50 +84,33 @@ static float *height_features(const lts_instance *soil, float *out) {
   return out;
 }
 
-static float *context_features(const lts_instance *soil, float *out) {
-  const lts_model *m = soil->model;
-  const int n = m->n_context * (m->has_log_context ? 2 : 1);
-  for (int i = 0; i < n; ++i) *out++ = soil->context_feature[i];
-  return out;
-}
-
 static float *zeros(int n, float *out) {
   while (n-- > 0) *out++ = 0.0f;
   return out;
 }
 
-void lts_node_features(const lts_instance *soil, int node, float *out) {
+void lts_features(const lts_instance *soil, int first, int last, float *out) {
   const lts_model *m = soil->model;
-  const int is_rigid = node < m->n_rigid;
+  const int is_rigid = first < m->n_rigid, last_rigid = last < m->n_rigid ? last : m->n_rigid;
   for (int k = 0; k < m->velocity_inputs; ++k) {
-    for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
-  }
-  if (m->position_inputs) {
-    out = offset_features(soil, node, out);
-    out = acceleration_features(soil, node, out);
-  }
-  if (m->rate_scaled) out = rate_features(soil, out);
-  if (m->knows_next) out = is_rigid ? coming_features(soil, node, out) : zeros(3, out);
-  if (m->has_height) out = is_rigid ? height_features(soil, out) : zeros(LTS_HISTORY, out);
-  context_features(soil, out);
-}
-
-void lts_whole_features(const lts_instance *soil, float *out) {
-  const lts_model *m = soil->model;
-  const int n_node = lts_n_node(m);
-  for (int k = 0; k < m->velocity_inputs; ++k) {
-    for (int node = 0; node < n_node; ++node) {
+    for (int node = first; node < last; ++node) {
       for (int axis = 0; axis < 3; ++axis) *out++ = (float)velocity_feature(soil, node, k, axis);
     }
   }
   if (m->position_inputs) {
-    for (int node = 0; node < n_node; ++node) out = offset_features(soil, node, out);
-    for (int node = 0; node < n_node; ++node) out = acceleration_features(soil, node, out);
+    for (int node = first; node < last; ++node) out = offset_features(soil, node, out);
+    for (int node = first; node < last; ++node) out = acceleration_features(soil, node, out);
   }
-  if (m->rate_scaled) out = rate_features(soil, out);
-  for (int node = 0; m->knows_next && node < m->n_rigid; ++node) {
-    out = coming_features(soil, node, out);
+  if (m->rate_scaled) {
+    *out++ = logf(soil->rate);
+    *out++ = soil->rate;
   }
-  if (m->has_height) out = height_features(soil, out);
-  context_features(soil, out);
+  /* A mode has 0 where the body has its own. */
+  if (m->knows_next) {
+    if (!is_rigid) out = zeros(3, out);
+    for (int node = first; node < last_rigid; ++node) out = coming_features(soil, node, out);
+  }
+  if (m->has_height) out = is_rigid ? height_features(soil, out) : zeros(LTS_HISTORY, out);
+  const int n = m->n_context * (m->has_log_context ? 2 : 1);
+  for (int i = 0; i < n; ++i) *out++ = soil->context_feature[i];
 }

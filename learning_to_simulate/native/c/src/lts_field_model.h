@@ -58,7 +58,8 @@ struct lts_field_model {
   int32_t axis, sign, up, turn; /* turn: sign of a torque across the way */
   const char *name, *digest, *scalar_names;
   double middle, dt;
-  double start_u, start_height; /* see lts_field_description.start */
+  double level;        /* of the flat bed, m */
+  const double *start; /* [3] see lts_field_description */
   /* Bins, and the circle that sweeps them. */
   int32_t n_bin, n_scale, n_pad, n_behind; /* n_pad: bins that a place around a particle is away;
                                             * n_behind: bins behind the tool's first place */
@@ -96,8 +97,9 @@ struct lts_field_model {
   const lts_dense *load_last;   /* [M] -> 3, and the logarithm of their gain; of a wheel the height */
   float displacement, force, torque, full_width; /* units of what they say; of the width */
   float gain_limit, unused_limit;
-  /* Status: limits [2][n_scalar + LTS_FIELD_CONDITIONS] and the bit of each; weights of the bound: constant, of the spread over
-   * members and of the size of the force, or null. */
+  /* Status: limits [4][n_scalar + LTS_FIELD_CONDITIONS], the least and the most that is well, then the
+   * range of training, and the bit of each; weights of the bound: constant, of the spread over members
+   * and of the size of the force, or null. */
   double least_speed; /* m/s, below which a drift is a share of it */
   const double *limits;
   const int32_t *bits;

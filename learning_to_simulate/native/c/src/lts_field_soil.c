@@ -121,8 +121,7 @@ void lts_field_place_particles(lts_field *soil) {
 }
 
 int lts_field_particles(lts_field *soil, float *out, size_t count) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
   if (count != (size_t)soil->model->n_soil) return LTS_ERROR_VALUE;
   lts_field_place_particles(soil);
@@ -136,11 +135,9 @@ int lts_field_moving(lts_field *soil) {
 }
 
 int lts_field_height_map(lts_field *soil, const lts_grid *grid, float *out) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!grid || !out) return LTS_ERROR_NULL;
-  const int bad = lts_check_grid(grid);
-  if (bad) return bad;
+  LTS_TRY(lts_check_grid(grid));
   lts_field_place_particles(soil);
   lts_clear_heights(grid, out);
   lts_raise_heights(grid, soil->model->up, soil->points, soil->model->n_soil, out);

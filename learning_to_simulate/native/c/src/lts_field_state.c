@@ -35,11 +35,8 @@ int lts_field_describe(const lts_field_model *m, lts_field_description *out) {
   d.floor = HUGE_VAL;
   for (int i = 0; i < m->n_soil; ++i) d.floor = fmin(d.floor, m->rest[3 * i + m->up]);
   d.floor -= 0.5 * m->spacing;
-  d.level = m->start_height;
-  d.start[m->axis] = m->sign * m->start_u;
-  d.start[m->up] = m->start_height + m->blade_radius + 0.01;
-  d.start[3 - m->axis - m->up] = m->middle;
-  if (m->n_start) memcpy(d.start, m->starts[0].pose, sizeof d.start);
+  d.level = m->level;
+  memcpy(d.start, m->start, sizeof d.start);
   d.name = m->name;
   d.digest = m->digest;
   d.scalar_names = m->scalar_names;
@@ -139,8 +136,7 @@ int lts_field_check(const lts_field *soil) {
 }
 
 int lts_field_check_started(const lts_field *soil) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check(soil));
   return soil->head->started ? LTS_OK : LTS_ERROR_CALL;
 }
 
@@ -150,8 +146,7 @@ int lts_field_kernel(const lts_field *soil) {
 }
 
 int lts_field_members(lts_field *soil, int of_force, int of_particles) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check(soil));
   const int most = soil->model->n_member;
   if (of_force < 1 || of_force > most || of_particles < 1 || of_particles > most) {
     return LTS_ERROR_VALUE;
@@ -168,30 +163,23 @@ size_t lts_field_state_size(const lts_field *soil) {
 }
 
 int lts_field_save(const lts_field *soil, void *bytes, size_t size) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
-  if (!bytes) return LTS_ERROR_NULL;
-  if (size < lts_field_state_size(soil)) return LTS_ERROR_MEMORY;
-  const size_t n = lts_field_bytes(soil->model, soil->head->has_bed);
-  lts_write_header(LTS_FIELD_MAGIC, soil->model->digest, soil->head, n, bytes);
-  memcpy((char *)bytes + LTS_HEADER_SIZE, soil->head, n);
-  return LTS_OK;
+  LTS_TRY(lts_field_check(soil));
+  const lts_field_model *m = soil->model;
+  const size_t n = lts_field_bytes(m, soil->head->has_bed);
+  return lts_write_state(LTS_FIELD_MAGIC, m->digest, soil->head, n, bytes, size);
 }
 
 int lts_field_load(lts_field *soil, const void *bytes, size_t size) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check(soil));
   if (!bytes) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
   const char *state = (const char *)bytes + LTS_HEADER_SIZE;
   lts_field_head head;
-  size_t n;
   if (size < LTS_HEADER_SIZE + sizeof head) return LTS_ERROR_STATE;
-  if (!lts_read_header(LTS_FIELD_MAGIC, m->digest, bytes, &n)) return LTS_ERROR_STATE;
   memcpy(&head, state, sizeof head);
+  const size_t n = lts_field_bytes(m, head.has_bed);
+  LTS_TRY(lts_check_state(LTS_FIELD_MAGIC, m->digest, bytes, size, n));
   /* A checksum can be forged: only what could lead a read or write astray matters. */
-  if (n != lts_field_bytes(m, head.has_bed) || size < LTS_HEADER_SIZE + n) return LTS_ERROR_STATE;
-  if (!lts_is_whole(bytes, state, n)) return LTS_ERROR_STATE;
   const double offset = head.position[0] - head.ground.origin - m->first;
   if (!(offset >= 0.0 && offset <= (m->n_bin - 1) * m->bin) && head.started) return LTS_ERROR_STATE;
   memcpy(soil->head, state, n);
@@ -201,8 +189,7 @@ int lts_field_load(lts_field *soil, const void *bytes, size_t size) {
 }
 
 int lts_field_clone(lts_field *to, const lts_field *from) {
-  const int error = lts_field_check(to) ? lts_field_check(to) : lts_field_check(from);
-  if (error) return error;
+  LTS_TRY(lts_field_check(to) ? lts_field_check(to) : lts_field_check(from));
   if (strcmp(to->model->digest, from->model->digest)) return LTS_ERROR_STATE;
   if (to == from) return LTS_OK;
   memcpy(to->head, from->head, lts_field_bytes(to->model, from->head->has_bed));

@@ -64,9 +64,10 @@ static int judge(lts_field *soil, const lts_field_result *result, const lts_pose
   find_conditions(soil, before, dt, conditions);
   for (int i = 0; i < n_all; ++i) {
     const double value = i < n ? soil->scalars[i] : conditions[i - n];
-    const double low = m->limits[i], high = m->limits[n_all + i];
-    if (value >= low && value <= high) continue;
-    const lts_judgement found = {m->bits[i], soil->head->frame, -1, i, value, low, high};
+    const double *limits = m->limits + i;
+    if (value >= limits[0] && value <= limits[n_all]) continue;
+    const lts_judgement found = {m->bits[i],         soil->head->frame, -1, i, value,
+                                 limits[2 * n_all], limits[3 * n_all]};
     if (!status) *judged = found;
     status |= m->bits[i];
   }
@@ -101,8 +102,7 @@ int lts_field_begin_on(lts_field *soil, const lts_pose *pose, const double plane
   const lts_field_model *m = soil->model;
   const size_t n = 3 * (size_t)m->n_soil;
   lts_field_ground ground;
-  const int bad = lts_field_read_bed(soil, points, plane[0], width, soil->heights, &ground);
-  if (bad) return bad;
+  LTS_TRY(lts_field_read_bed(soil, points, plane[0], width, soil->heights, &ground));
   lts_field_head *head = soil->head;
   double values[LTS_FIELD_CONTEXT] = {0.0}; /* `context` may be that of the head */
   for (int i = 0; i < m->n_context; ++i) values[i] = context[i];
@@ -130,8 +130,7 @@ int lts_field_begin_on(lts_field *soil, const lts_pose *pose, const double plane
 
 int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twist,
                     const lts_field_bed *bed, double blade_width) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check(soil));
   if (!pose) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
   double plane[4], velocity[3];
@@ -141,16 +140,14 @@ int lts_field_start(lts_field *soil, const lts_pose *pose, const lts_twist *twis
   }
   if (!(blade_width >= 0.0 && isfinite(blade_width))) return LTS_ERROR_VALUE;
   const float *points = m->rest;
-  const int bad = bed ? lts_field_take_bed(soil, bed, &points) : LTS_OK;
-  if (bad) return bad;
+  LTS_TRY(bed ? lts_field_take_bed(soil, bed, &points) : LTS_OK);
   lts_field_rates(m, twist, velocity);
   return lts_field_begin_on(soil, pose, plane, velocity, points, bed != NULL,
                             blade_width > 0.0 ? blade_width : m->width, NULL, NULL);
 }
 
 int lts_field_renew(lts_field *soil) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   const lts_field_head *h = soil->head;
   const lts_pose pose = h->pose;
   const double plane[4] = {h->position[0], h->position[1],
@@ -187,8 +184,7 @@ static int go_wheel(lts_field *soil, const double plane[4], double dt) {
 }
 
 int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_result *result) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!pose) return LTS_ERROR_NULL;
   const lts_field_model *m = soil->model;
   const int is_wheel = m->tool == LTS_FIELD_WHEEL;
@@ -205,8 +201,7 @@ int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_
   if (!is_wheel && plane[1] - m->blade_radius < head->ground.floor) return LTS_ERROR_PLACE;
   if (!(offset - radius >= m->first && offset + radius <= last)) return LTS_ERROR_PLACE;
   if (is_wheel) {
-    const int bad = go_wheel(soil, plane, dt);
-    if (bad) return bad;
+    LTS_TRY(go_wheel(soil, plane, dt));
   } else {
     lts_field_go(soil, plane, dt);
     soil->tool->see(soil);
@@ -222,8 +217,7 @@ int lts_field_frame(lts_field *soil, const lts_pose *pose, double dt, lts_field_
 
 int lts_field_advance(lts_field *soil, double h, const lts_pose *pose, const lts_twist *twist,
                       lts_field_result *result) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!pose || !twist) return LTS_ERROR_NULL;
   lts_pose coming;
   if (!lts_usable_pose(pose, &coming) || !lts_usable_twist(twist)) return LTS_ERROR_VALUE;
@@ -233,17 +227,26 @@ int lts_field_advance(lts_field *soil, double h, const lts_pose *pose, const lts
 }
 
 int lts_field_newest(const lts_field *soil, lts_field_result *result) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!result) return LTS_ERROR_NULL;
   *result = soil->head->result;
   return result->status;
 }
 
 int lts_field_judge(const lts_field *soil, lts_judgement *out) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
   *out = soil->head->judged;
   return soil->head->result.status;
+}
+
+int lts_field_reason(const lts_field *soil, char *text, size_t size) {
+  lts_judgement found;
+  const int status = lts_field_judge(soil, &found);
+  if (status < 0) return status;
+  if (!text) return LTS_ERROR_NULL;
+  char name[LTS_LONGEST_NAME] = "a prediction";
+  if (found.axis >= 0) lts_name_of(soil->model->scalar_names, found.axis, name, sizeof name);
+  lts_say(&found, name, text, size);
+  return status;
 }

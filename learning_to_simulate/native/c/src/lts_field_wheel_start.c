@@ -24,11 +24,7 @@ static int nearest(const lts_field_model *m, const double *context) {
   double least = HUGE_VAL;
   int best = 0;
   for (int i = 0; context && i < m->n_start; ++i) {
-    double far = 0.0;
-    for (int k = 0; k < m->n_context; ++k) {
-      const double away = (m->starts[i].context[k] - context[k]) / m->context_scale[k];
-      far += away * away;
-    }
+    const double far = lts_far(context, m->starts[i].context, m->context_scale, m->n_context);
     if (far < least) best = i;
     if (far < least) least = far;
   }
@@ -63,11 +59,9 @@ static int usable_context(const lts_field_model *m, const double *context) {
 
 int lts_field_start_wheel(lts_field *soil, int start, const lts_pose *pose, const lts_twist *twist,
                           const lts_field_bed *bed, const double *context) {
-  const int error = lts_field_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check(soil));
   const lts_field_model *m = soil->model;
-  const int wrong = usable_start(m, start);
-  if (wrong) return wrong;
+  LTS_TRY(usable_start(m, start));
   if ((context && !usable_context(m, context)) || (twist && !lts_usable_twist(twist))) {
     return LTS_ERROR_VALUE;
   }
@@ -79,8 +73,7 @@ int lts_field_start_wheel(lts_field *soil, int start, const lts_pose *pose, cons
   plane[2] = -plane[2];
   plane[3] = context[m->load];
   const float *points = soil->points;
-  const int bad = bed ? lts_field_take_bed(soil, bed, &points) : LTS_OK;
-  if (bad) return bad;
+  LTS_TRY(bed ? lts_field_take_bed(soil, bed, &points) : LTS_OK);
   if (!bed) {
     soil->placed = 0;
     recorded_bed(m, from, soil->points);
@@ -112,8 +105,7 @@ int lts_field_start_context(const lts_field_model *m, int start, double *context
 }
 
 int lts_field_set_context(lts_field *soil, const double *context) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   const lts_field_model *m = soil->model;
   if (m->tool != LTS_FIELD_WHEEL) return LTS_ERROR_CALL;
   if (!context) return LTS_ERROR_NULL;
@@ -128,8 +120,7 @@ int lts_field_set_context(lts_field *soil, const double *context) {
 }
 
 int lts_field_context(const lts_field *soil, double *context) {
-  const int error = lts_field_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_field_check_started(soil));
   if (!context) return LTS_ERROR_NULL;
   memcpy(context, soil->head->context, (size_t)soil->model->n_context * sizeof *context);
   return LTS_OK;

@@ -72,12 +72,13 @@ static inline int lts_is_given(const lts_model *m) {
  * on the whole state the rows of its output. */
 void lts_network_ahead(lts_instance *soil);
 void lts_network_now(lts_instance *soil);
+int lts_column_stride(const lts_model *model); /* of `columns` */
 
 /* lts_features.c */
 int lts_needs_pose(const lts_model *model, int kind);
 void lts_context_features(lts_instance *soil);
-void lts_node_features(const lts_instance *soil, int node, float *out);
-void lts_whole_features(const lts_instance *soil, float *out);
+/* Of nodes [first, last) side by side, kind by kind: of one node, or of all. */
+void lts_features(const lts_instance *soil, int first, int last, float *out);
 void lts_node_offset(const lts_instance *soil, int node, float out[3]);
 
 /* lts_status.c: checks of one frame of the start or of the rollout; return bits, and keep the first
@@ -86,6 +87,10 @@ int lts_check_context(lts_instance *soil, int frame);
 int lts_check_start(lts_instance *soil, int frame, const double *nodes);
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points);
 int lts_check_predicted(lts_instance *soil, int frame);
+
+/* lts_step.c: mean height of the points of a driven body, which is not given, over those of `from` or
+ * over 0; 0 of other bodies. */
+double lts_ungiven_height(const lts_model *model, const double *points, const double *from);
 
 /* lts_rigid.c */
 void lts_place_rigid(int n, const double *shape, const double *predicted, double *placed);

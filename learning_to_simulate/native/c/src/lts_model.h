@@ -78,8 +78,8 @@ struct lts_model {
   const double *places;                   /* [P] m */
   const double *place_heights;            /* [P] m, at the modes' origin */
   const double *place_weights;            /* [P][r][3] */
-  /* Ranges, low then high: of nodes [2][V][3], of the given motion [2][3] or [2][1], context [2][C].
-   */
+  /* Least and most that is well, then the range of training: of nodes [4][V][3], of the given motion
+   * [4][3] or [4][1], context [4][C]. */
   const double *bounds, *start_range;
   const double *given_range, *given_velocity_range, *extent_range, *speed_range, *context_range;
   /* Graph: edges sorted by how long they are needed. */

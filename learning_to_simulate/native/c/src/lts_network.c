@@ -40,6 +40,15 @@ static int edge_stride(const lts_model *m) {
   return LTS_PADDED(m->latent) * (m->n_step > 1 ? 2 : 1);
 }
 
+int lts_column_stride(const lts_model *m) {
+  int stride = 0;
+  for (int i = 0; i < 2 * m->n_step; ++i) {
+    const int total = m->steps[i / 2].columns[i % 2].total;
+    stride = total > stride ? total : stride;
+  }
+  return stride;
+}
+
 /* Share of each message: a mean over the edges that are there, or their sum. */
 static void weigh_edges(lts_instance *soil) {
   const lts_model *m = soil->model;
@@ -88,26 +97,17 @@ static void encode_edges(lts_instance *soil) {
   }
 }
 
-static int column_stride(const lts_model *m) {
-  int stride = 0;
-  for (int i = 0; i < m->n_step; ++i) {
-    for (int kind = 0; kind < 2; ++kind) {
-      const int total = m->steps[i].columns[kind].total;
-      stride = total > stride ? total : stride;
-    }
-  }
-  return stride;
-}
-
 static void encode_nodes(lts_instance *soil, int kind) {
   const lts_model *m = soil->model;
-  const int stride = LTS_PADDED(m->latent), ldc = column_stride(m), n = n_node_of(m, kind);
+  const int stride = LTS_PADDED(m->latent), ldc = lts_column_stride(m), n = n_node_of(m, kind);
   const lts_columns *columns = &m->steps[0].columns[kind];
   if (!columns->total) return;
   for (int done = 0; done < n; done += LTS_TILE_ROWS) {
     const int rows = smaller(LTS_TILE_ROWS, n - done), first = first_node(m, kind) + done;
     float *feature = soil->feature + (size_t)first * m->n_feature;
-    for (int i = 0; i < rows; ++i) lts_node_features(soil, first + i, feature + i * m->n_feature);
+    for (int i = 0; i < rows; ++i) {
+      lts_features(soil, first + i, first + i + 1, feature + i * m->n_feature);
+    }
     soil->run->dense(&m->node_first, feature, m->n_feature, rows, soil->b, stride, LTS_NORMED, NULL,
                      NULL);
     soil->run->sum_relu(soil->b, m->node_bias + (size_t)first * stride, NULL, rows * stride, soil->a);
@@ -119,7 +119,7 @@ static void encode_nodes(lts_instance *soil, int kind) {
 static void pass_messages(lts_instance *soil, int index) {
   const lts_model *m = soil->model;
   const lts_step *step = &m->steps[index];
-  const int stride = LTS_PADDED(m->latent), ldc = column_stride(m), lde = edge_stride(m);
+  const int stride = LTS_PADDED(m->latent), ldc = lts_column_stride(m), lde = edge_stride(m);
   const int ldr = stride + LTS_PANEL, n_kept = index + 1 < m->n_step ? m->steps[index + 1].n_edge : 0;
   memset(soil->received, 0, (size_t)lts_n_node(m) * ldr * sizeof *soil->received);
   for (int first = 0; first < step->n_edge; first += LTS_TILE_ROWS) {
@@ -172,7 +172,7 @@ static void update_nodes(lts_instance *soil, int index, int kind) {
   const lts_model *m = soil->model;
   const lts_step *step = &m->steps[index];
   const lts_columns *columns = &step->columns[kind];
-  const int stride = LTS_PADDED(m->latent), ldc = column_stride(m), ldr = stride + LTS_PANEL;
+  const int stride = LTS_PADDED(m->latent), ldc = lts_column_stride(m), ldr = stride + LTS_PANEL;
   const int n = n_node_of(m, kind), is_last = index + 1 == m->n_step;
   for (int done = 0; done < n; done += LTS_TILE_ROWS) {
     const int rows = smaller(LTS_TILE_ROWS, n - done), first = first_node(m, kind) + done;
@@ -225,7 +225,7 @@ static void process(lts_instance *soil) {
 
 static void run_whole(lts_instance *soil) {
   const lts_model *m = soil->model;
-  lts_whole_features(soil, soil->feature);
+  lts_features(soil, 0, lts_n_node(m), soil->feature);
   const float *x = soil->feature;
   for (int i = 0; i < m->n_whole_hidden; ++i) {
     soil->run->dense(&m->whole_hidden[i], x, 0, 1, soil->b, 0, LTS_RELU, NULL, NULL);

@@ -8,16 +8,11 @@
 
 static int is_start(const lts_model *m, int start) { return start >= 0 && start < m->n_start; }
 
-static void centroid_of(const lts_model *m, const double *points, double out[3]) {
-  out[0] = out[1] = out[2] = 0.0;
-  for (int i = 0; i < 3 * m->n_rigid; ++i) out[i % 3] += points[i] / m->n_rigid;
-}
-
 /* Points of the body of a start at a pose whose rotation is a unit quaternion. */
 static void place(const lts_model *m, int start, const lts_pose *pose, double *points) {
   const double *shape = m->starts[start].points;
   double centroid[3];
-  centroid_of(m, shape, centroid);
+  lts_centroid(shape, m->n_rigid, centroid);
   for (int i = 0; i < m->n_rigid; ++i) {
     double arm[3];
     for (int axis = 0; axis < 3; ++axis) arm[axis] = shape[3 * i + axis] - centroid[axis];
@@ -32,7 +27,7 @@ int lts_start_pose(const lts_model *model, int start, lts_pose *out) {
   if (!is_start(model, start)) return LTS_ERROR_VALUE;
   const lts_pose pose = {{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0, 0.0}};
   *out = pose;
-  if (model->n_rigid) centroid_of(model, model->starts[start].points, out->position);
+  lts_centroid(model->starts[start].points, model->n_rigid, out->position);
   return LTS_OK;
 }
 
@@ -49,23 +44,16 @@ static int nearest_start(const lts_model *m, const double *context) {
   int best = 0;
   double least = HUGE_VAL;
   for (int start = 0; context && start < m->n_start; ++start) {
-    double distance = 0.0;
-    for (int i = 0; i < m->n_context; ++i) {
-      const double d = (context[i] - m->starts[start].context[i]) / m->context_std[i];
-      distance += d * d;
-    }
-    if (distance < least) {
-      least = distance;
-      best = start;
-    }
+    const double far = lts_far(context, m->starts[start].context, m->context_std, m->n_context);
+    if (far < least) best = start;
+    if (far < least) least = far;
   }
   return best;
 }
 
 int lts_start(lts_instance *soil, int start, const lts_pose *pose, const lts_twist *twist,
               const double *context) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
   const int n_node = lts_n_node(m);
   for (int i = 0; context && i < m->n_context; ++i) {
@@ -93,8 +81,7 @@ int lts_start(lts_instance *soil, int start, const lts_pose *pose, const lts_twi
 }
 
 int lts_frame_at(lts_instance *soil, const lts_pose *pose, lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   if (!lts_is_given(m)) return pose ? LTS_ERROR_CALL : lts_frame(soil, NULL, result);
   if (!pose) return LTS_ERROR_NULL;
@@ -107,8 +94,7 @@ int lts_frame_at(lts_instance *soil, const lts_pose *pose, lts_result *result) {
 
 int lts_advance(lts_instance *soil, double h, const lts_pose *pose, const lts_twist *twist,
                 lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   const int given = lts_is_given(m);
   lts_head *head = soil->state.head;

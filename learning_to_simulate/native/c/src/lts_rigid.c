@@ -45,8 +45,8 @@ static void largest_eigenvector(double a[4][4], double out[4]) {
 /* Nearest rigid placement of a body to predicted points (Usmani & Skonieczny 2023, Algorithm 3), in
  * Horn's quaternion form (J. Opt. Soc. Am. A 4, 1987). `shape` has its centroid at zero. */
 void lts_place_rigid(int n, const double *shape, const double *predicted, double *placed) {
-  double centroid[3] = {0.0, 0.0, 0.0}, s[3][3] = {{0.0}}, q[4];
-  for (int i = 0; i < 3 * n; ++i) centroid[i % 3] += predicted[i] / n;
+  double centroid[3], s[3][3] = {{0.0}}, q[4];
+  lts_centroid(predicted, n, centroid);
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < 3; ++j) {
       for (int k = 0; k < 3; ++k) {

@@ -39,13 +39,7 @@ size_t lts_state_bytes(const lts_model *model) { return lay_out_state(model, NUL
 size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   const size_t n_node = (size_t)lts_n_node(m), tile = LTS_TILE_ROWS;
   const size_t latent = (size_t)LTS_PADDED(m->latent);
-  size_t columns = 0, width = latent, out = LTS_PANEL * n_node;
-  for (int i = 0; i < m->n_step; ++i) {
-    for (int kind = 0; kind < 2; ++kind) {
-      const size_t total = (size_t)m->steps[i].columns[kind].total;
-      columns = total > columns ? total : columns;
-    }
-  }
+  size_t width = latent, out = LTS_PANEL * n_node;
   for (int i = 0; i < m->n_whole_hidden; ++i) {
     const size_t n = (size_t)m->whole_hidden[i].columns;
     width = n > width ? n : width;
@@ -63,7 +57,7 @@ size_t lts_lay_out(const lts_model *m, char *base, lts_instance *soil) {
   TAKE(edges, (size_t)m->n_edge * (m->n_step > 1 ? 2 : 1) * latent)
   TAKE(weight, (size_t)m->n_edge)
   TAKE(gate, n_node)
-  TAKE(columns, n_node * columns)
+  TAKE(columns, n_node * (size_t)lts_column_stride(m))
   TAKE(received, m->is_graph ? n_node * (latent + LTS_PANEL) : 0)
   TAKE(feature, n_feature)
   TAKE(a, m->is_graph ? tile * width : width)
@@ -107,8 +101,7 @@ int lts_check(const lts_instance *soil) {
 }
 
 int lts_check_started(const lts_instance *soil) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   return soil->state.head->started ? LTS_OK : LTS_ERROR_CALL;
 }
 
@@ -118,8 +111,7 @@ int lts_kernel(const lts_instance *soil) {
 }
 
 int lts_reset(lts_instance *soil, const double *history, const double *context) {
-  const int error = lts_check(soil);
-  if (error) return error;
+  LTS_TRY(lts_check(soil));
   const lts_model *m = soil->model;
   const size_t n_node = (size_t)lts_n_node(m), n_rigid = (size_t)m->n_rigid;
   if (!history || (m->n_context && !context)) return LTS_ERROR_NULL;
@@ -167,11 +159,9 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   }
   if (n_rigid) memcpy(s->given, newest, 3 * n_rigid * sizeof *newest);
   if (m->correction) {
-    double centroid[3] = {0.0, 0.0, 0.0};
-    for (size_t i = 0; i < 3 * n_rigid; ++i) {
-      s->shape[i] = (double)s->offset[i] + m->origin[i];
-      centroid[i % 3] += s->shape[i] / (double)n_rigid;
-    }
+    double centroid[3];
+    for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] = (double)s->offset[i] + m->origin[i];
+    lts_centroid(s->shape, m->n_rigid, centroid);
     for (size_t i = 0; i < 3 * n_rigid; ++i) s->shape[i] -= centroid[i % 3];
   }
   lts_context_features(soil);
@@ -183,13 +173,12 @@ int lts_reset(lts_instance *soil, const double *history, const double *context) 
   }
   head->result.frame = head->frame;
   head->result.status = status;
-  for (size_t i = 0; i < 3 * n_rigid; ++i) head->result.point[i % 3] += newest[i] / (double)n_rigid;
+  lts_centroid(newest, m->n_rigid, head->result.point);
   return status;
 }
 
 int lts_set_context(lts_instance *soil, const double *context) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   if (!m->n_context) return LTS_ERROR_CALL;
   if (!context) return LTS_ERROR_NULL;
@@ -206,39 +195,30 @@ size_t lts_state_size(const lts_model *model) {
 }
 
 int lts_save(const lts_instance *soil, void *bytes, size_t size) {
-  const int error = lts_check(soil);
-  if (error) return error;
-  if (!bytes) return LTS_ERROR_NULL;
-  if (size < lts_state_size(soil->model)) return LTS_ERROR_MEMORY;
-  const size_t n = lts_state_bytes(soil->model);
-  lts_write_header(LTS_MAGIC, soil->model->digest, soil->state.head, n, bytes);
-  memcpy((char *)bytes + LTS_HEADER_SIZE, soil->state.head, n);
-  return LTS_OK;
+  LTS_TRY(lts_check(soil));
+  const lts_model *m = soil->model;
+  return lts_write_state(LTS_MAGIC, m->digest, soil->state.head, lts_state_bytes(m), bytes, size);
 }
 
 int lts_load(lts_instance *soil, const void *bytes, size_t size) {
-  const int error = lts_check(soil);
-  if (error) return error;
-  if (!bytes) return LTS_ERROR_NULL;
-  if (size < lts_state_size(soil->model)) return LTS_ERROR_STATE;
-  const char *state = (const char *)bytes + LTS_HEADER_SIZE;
-  size_t n;
-  if (!lts_read_header(LTS_MAGIC, soil->model->digest, bytes, &n)) return LTS_ERROR_STATE;
-  if (n != lts_state_bytes(soil->model) || !lts_is_whole(bytes, state, n)) return LTS_ERROR_STATE;
+  LTS_TRY(lts_check(soil));
+  const lts_model *m = soil->model;
+  const size_t n = lts_state_bytes(m);
   lts_head head;
+  LTS_TRY(lts_check_state(LTS_MAGIC, m->digest, bytes, size, n));
+  const char *state = (const char *)bytes + LTS_HEADER_SIZE;
   memcpy(&head, state, sizeof head);
   /* A checksum can be forged: the index and the clock are what could lead astray. */
-  if (head.start < -1 || head.start >= soil->model->n_start) return LTS_ERROR_STATE;
-  if (!(fabs(head.elapsed) <= 2.0 * soil->model->dt)) return LTS_ERROR_STATE;
+  if (head.start < -1 || head.start >= m->n_start) return LTS_ERROR_STATE;
+  if (!(fabs(head.elapsed) <= 2.0 * m->dt)) return LTS_ERROR_STATE;
   memcpy(soil->state.head, state, n);
   soil->prepared = 0;
-  if (soil->state.head->started) lts_context_features(soil);
+  if (head.started) lts_context_features(soil);
   return LTS_OK;
 }
 
 int lts_clone(lts_instance *to, const lts_instance *from) {
-  const int error = lts_check(to) ? lts_check(to) : lts_check(from);
-  if (error) return error;
+  LTS_TRY(lts_check(to) ? lts_check(to) : lts_check(from));
   if (to->model != from->model) return LTS_ERROR_STATE;
   if (to == from) return LTS_OK;
   memcpy(to->state.head, from->state.head, lts_state_bytes(to->model));

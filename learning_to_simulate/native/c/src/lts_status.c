@@ -1,5 +1,6 @@
 /* How far a frame can be trusted: the same limits as a rollout of the project is judged by. */
 #include <math.h>
+#include <stdio.h>
 
 #include "lts_internal.h"
 
@@ -10,11 +11,12 @@ static int note(lts_instance *soil, int kind, lts_judgement found) {
   return found.status;
 }
 
-/* The bit if a value is outside its limits. */
-static int outside(lts_instance *soil, int kind, int bit, int frame, int node, int axis, double value,
-                   double low, double high) {
-  const lts_judgement found = {bit, frame, node, axis, value, low, high};
-  return value >= low && value <= high ? 0 : note(soil, kind, found);
+/* The bit if a value is outside the limits i of [4][n]: see lts_model.h. */
+static int outside(lts_instance *soil, int bit, int frame, int node, int axis, double value,
+                   const double *limits, int i, int n) {
+  const lts_judgement found = {bit, frame, node, axis, value, limits[2 * n + i], limits[3 * n + i]};
+  if (value >= limits[i] && value <= limits[n + i]) return 0;
+  return note(soil, bit == LTS_LEFT_BOUNDS ? LTS_WORSE_BOUNDS : LTS_WORSE_EXTRAPOLATING, found);
 }
 
 static int not_finite(lts_instance *soil, int frame, int node, int axis, double value) {
@@ -26,9 +28,8 @@ int lts_check_context(lts_instance *soil, int frame) {
   const lts_model *m = soil->model;
   int bits = 0;
   for (int i = 0; i < m->n_context; ++i) {
-    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_CONTEXT, frame, -1, i,
-                    soil->state.context[i], m->context_range[i],
-                    m->context_range[m->n_context + i]);
+    bits |= outside(soil, LTS_OUTSIDE_CONTEXT, frame, -1, i, soil->state.context[i],
+                    m->context_range, i, m->n_context);
   }
   return bits;
 }
@@ -38,24 +39,16 @@ int lts_check_start(lts_instance *soil, int frame, const double *nodes) {
   const int n = 3 * lts_n_node(m);
   int bits = 0;
   for (int i = 0; i < n; ++i) {
-    bits |= outside(soil, LTS_WORSE_EXTRAPOLATING, LTS_OUTSIDE_START, frame, i / 3, i % 3, nodes[i],
-                    m->start_range[i], m->start_range[n + i]);
+    bits |= outside(soil, LTS_OUTSIDE_START, frame, i / 3, i % 3, nodes[i], m->start_range, i, n);
   }
   return bits;
 }
 
-/* Mean height of the points of a driven body, which is not given; else 0. */
-static double height_of(const lts_model *m, const double *points) {
-  double height = 0.0;
-  if (m->motion != LTS_DRIVEN) return 0.0;
-  for (int i = 0; i < m->n_rigid; ++i) height += points[3 * i + m->up_axis] / m->n_rigid;
-  return height;
-}
-
 int lts_check_given(lts_instance *soil, int frame, const double *before, const double *points) {
   const lts_model *m = soil->model;
-  const int n = m->n_rigid, kind = LTS_WORSE_EXTRAPOLATING;
-  const double height = height_of(m, points), rise = before ? height - height_of(m, before) : 0.0;
+  const int n = m->n_rigid;
+  const double height = lts_ungiven_height(m, points, NULL);
+  const double rise = before ? lts_ungiven_height(m, points, before) : 0.0;
   double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
   double square = 0.0;
   int bits = 0;
@@ -65,23 +58,20 @@ int lts_check_given(lts_instance *soil, int frame, const double *before, const d
     const double value = points[i] - (axis == m->up_axis ? height : 0.0);
     low[axis] = value < low[axis] ? value : low[axis];
     high[axis] = value > high[axis] ? value : high[axis];
-    bits |= outside(soil, kind, LTS_OUTSIDE_POSE, frame, i / 3, axis, value, m->given_range[axis],
-                    m->given_range[3 + axis]);
+    bits |= outside(soil, LTS_OUTSIDE_POSE, frame, i / 3, axis, value, m->given_range, axis, 3);
   }
   for (int i = 0; before && i < 3 * n; ++i) {
     const int axis = i % 3;
     const double v = points[i] - before[i] - (axis == m->up_axis ? rise : 0.0);
     square += v * v / n;
-    bits |= outside(soil, kind, LTS_OUTSIDE_SPEED, frame, i / 3, axis, v,
-                    m->given_velocity_range[axis], m->given_velocity_range[3 + axis]);
+    bits |= outside(soil, LTS_OUTSIDE_SPEED, frame, i / 3, axis, v, m->given_velocity_range, axis, 3);
   }
   for (int axis = 0; axis < 3; ++axis) {
-    bits |= outside(soil, kind, LTS_OUTSIDE_POSE, frame, -1, axis, high[axis] - low[axis],
-                    m->extent_range[axis], m->extent_range[3 + axis]);
+    bits |= outside(soil, LTS_OUTSIDE_POSE, frame, -1, axis, high[axis] - low[axis],
+                    m->extent_range, axis, 3);
   }
   if (before) {
-    bits |= outside(soil, kind, LTS_OUTSIDE_SPEED, frame, -1, -1, sqrt(square), m->speed_range[0],
-                    m->speed_range[1]);
+    bits |= outside(soil, LTS_OUTSIDE_SPEED, frame, -1, -1, sqrt(square), m->speed_range, 0, 1);
   }
   return bits;
 }
@@ -99,8 +89,7 @@ int lts_check_predicted(lts_instance *soil, int frame) {
       const double value = (double)offset[axis] + m->origin[i];
       if (!isfinite(value)) bits |= not_finite(soil, frame, node, axis, value);
       if (m->motion == LTS_PRESCRIBED && node < m->n_rigid) continue;
-      bits |= outside(soil, LTS_WORSE_BOUNDS, LTS_LEFT_BOUNDS, frame, node, axis, value,
-                      m->bounds[i], m->bounds[3 * n_node + i]);
+      bits |= outside(soil, LTS_LEFT_BOUNDS, frame, node, axis, value, m->bounds, i, 3 * n_node);
     }
   }
   for (int axis = 0; axis < 3; ++axis) {
@@ -110,8 +99,7 @@ int lts_check_predicted(lts_instance *soil, int frame) {
 }
 
 int lts_judge(const lts_instance *soil, lts_judgement *out) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!out) return LTS_ERROR_NULL;
   const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
   *out = well;
@@ -120,4 +108,25 @@ int lts_judge(const lts_instance *soil, lts_judgement *out) {
     if (worst->frame >= 0) *out = *worst;
   }
   return out->status;
+}
+
+int lts_reason(const lts_instance *soil, char *text, size_t size) {
+  lts_judgement found;
+  const int status = lts_judge(soil, &found);
+  if (status < 0) return status;
+  if (!text) return LTS_ERROR_NULL;
+  char measure[LTS_LONGEST_NAME], name[LTS_LONGEST_NAME];
+  const char *axis = found.axis == 0 ? " x" : found.axis == 1 ? " y" : found.axis == 2 ? " z" : "";
+  const char *what = found.node >= 0 ? "displacement" : "displacement of the body";
+  if (found.status != LTS_OUTSIDE_SPEED) what = found.node >= 0 ? "coordinate" : "extent of the body";
+  snprintf(measure, sizeof measure, "%s%s (m)", what, axis);
+  if (found.status == LTS_OUTSIDE_CONTEXT) {
+    lts_name_of(soil->model->context_names, found.axis, name, sizeof name);
+    lts_say(&found, name, text, size);
+  } else if (found.status == LTS_NON_FINITE) {
+    lts_say(&found, found.node >= 0 ? "position" : "force", text, size);
+  } else {
+    lts_say(&found, measure, text, size);
+  }
+  return status;
 }

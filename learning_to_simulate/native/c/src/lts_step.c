@@ -5,19 +5,18 @@
 #include "lts_internal.h"
 
 int lts_prepare(lts_instance *soil) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   if (!soil->prepared) lts_network_ahead(soil);
   soil->prepared = 1;
   return LTS_OK;
 }
 
-/* Mean height over the points of a driven body, which the model predicts; else 0. */
-static double ungiven_height(const lts_model *m, const double *points, const double *from) {
+double lts_ungiven_height(const lts_model *m, const double *points, const double *from) {
   double height = 0.0;
   if (m->motion != LTS_DRIVEN) return 0.0;
   for (int i = 0; i < m->n_rigid; ++i) {
-    height += (points[3 * i + m->up_axis] - from[3 * i + m->up_axis]) / m->n_rigid;
+    const int k = 3 * i + m->up_axis;
+    height += (points[k] - (from ? from[k] : 0.0)) / m->n_rigid;
   }
   return height;
 }
@@ -25,7 +24,7 @@ static double ungiven_height(const lts_model *m, const double *points, const dou
 /* Displacement of the given points in the coming frame, and its RMS over the training mean. */
 static void take_motion(lts_instance *soil, const double *points) {
   const lts_model *m = soil->model;
-  const double *before = soil->state.given, rise = ungiven_height(m, points, before);
+  const double *before = soil->state.given, rise = lts_ungiven_height(m, points, before);
   double square = 0.0;
   for (int i = 0; i < 3 * m->n_rigid; ++i) {
     const double v = points[i] - before[i] - (i % 3 == m->up_axis ? rise : 0.0);
@@ -62,11 +61,16 @@ static void push_velocity(lts_instance *soil, int node, const float newest[3]) {
   memcpy(history + kept, newest, 3 * sizeof *history);
 }
 
+/* Rows of a network's output on the whole state that are the body's. */
+static int body_rows(const lts_model *m) {
+  return m->motion == LTS_PREDICTED ? m->n_rigid : m->motion == LTS_DRIVEN;
+}
+
 /* Target of a node, or of the body as a whole (LTS_RIGID of a driven body), in the network's output. */
 static double target_of(const lts_instance *soil, int node, int axis) {
   const lts_model *m = soil->model;
   if (!m->is_graph) {
-    const int body = m->motion == LTS_PREDICTED ? m->n_rigid : m->motion == LTS_DRIVEN ? 1 : 0;
+    const int body = body_rows(m);
     const int row = node >= m->n_rigid ? body + node - m->n_rigid : body == 1 ? 0 : node;
     return soil->out[3 * row + axis];
   }
@@ -103,8 +107,7 @@ static void read_force(lts_instance *soil, const double *points) {
   for (int axis = 0; m->has_force && axis < 3; ++axis) {
     force[axis] = 0.0;
     if (!m->is_graph) {
-      const int body = m->motion == LTS_PREDICTED ? m->n_rigid : m->motion == LTS_DRIVEN ? 1 : 0;
-      force[axis] = soil->out[3 * (body + m->n_modes) + axis];
+      force[axis] = soil->out[3 * (body_rows(m) + m->n_modes) + axis];
       continue;
     }
     for (int i = 0; i < n_node; ++i) {
@@ -141,7 +144,7 @@ static void move_given_body(lts_instance *soil, const double *points) {
     memmove(head->height_change, head->height_change + 1, (LTS_CHANGES - 1) * sizeof change);
     head->height_change[LTS_CHANGES - 1] = change;
   }
-  const double height = ungiven_height(m, points, m->origin);
+  const double height = lts_ungiven_height(m, points, m->origin);
   for (int i = 0; i < m->n_rigid; ++i) {
     for (int axis = 0; axis < 3; ++axis) {
       const double offset = points[3 * i + axis] - m->origin[3 * i + axis];
@@ -177,8 +180,7 @@ static void move_predicted_body(lts_instance *soil) {
 }
 
 int lts_frame(lts_instance *soil, const double *points, lts_result *result) {
-  const int error = lts_check_started(soil);
-  if (error) return error;
+  LTS_TRY(lts_check_started(soil));
   const lts_model *m = soil->model;
   lts_head *head = soil->state.head;
   if (lts_is_given(m) != (points != NULL)) return points ? LTS_ERROR_CALL : LTS_ERROR_NULL;
@@ -199,14 +201,8 @@ int lts_frame(lts_instance *soil, const double *points, lts_result *result) {
   if (points) move_given_body(soil, points);
   if (m->motion == LTS_PREDICTED) move_predicted_body(soil);
   status |= lts_check_predicted(soil, frame);
-  for (int axis = 0; axis < 3; ++axis) head->result.point[axis] = 0.0;
-  for (int i = 0; i < m->n_rigid; ++i) {
-    float offset[3];
-    lts_node_offset(soil, i, offset);
-    for (int axis = 0; axis < 3; ++axis) {
-      head->result.point[axis] += (offset[axis] + m->origin[3 * i + axis]) / m->n_rigid;
-    }
-  }
+  lts_points(soil, soil->history);
+  lts_centroid(soil->history, m->n_rigid, head->result.point);
   head->result.frame = frame;
   head->result.status = status;
   if (result) *result = head->result;

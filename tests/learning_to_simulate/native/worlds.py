@@ -1,0 +1,70 @@
+"""Small worlds of the tests of C, and what they all need."""
+
+import ctypes
+import os
+import shutil
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.live import starts as live_starts
+from learning_to_simulate.native import library, model_data, project
+from pca_tools import subspace
+from tests.learning_to_simulate import models, synthetic
+from tests.learning_to_simulate.swept_field import small_wheel, small_world
+
+needs_c = pytest.mark.skipif(
+    not any(map(shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
+)
+FIELDS = {'blade': small_world, 'wheel': small_wheel}
+BOUND = [1.5, 2.0, 0.1]
+
+
+class Graph(NamedTuple):
+    """An untrained model in a subspace, runs of its data, its starts and its C values."""
+
+    model: object
+    group: object
+    starts: live_starts.Starts
+    values: dict
+
+
+def space() -> subspace.Subspace:
+    """The subspace of all graphs here."""
+    runs = [np.random.default_rng(0).normal(size=(9, synthetic.N_SOIL, 3))]
+    return subspace.fit(runs, synthetic.N_MODES)
+
+
+def graph(folder, **case) -> Graph:
+    """Of the options of `models.make`, with particles."""
+    model, (group, *_), _ = models.make(folder, **case)
+    starts = live_starts.collect(str(folder), model.simulator.config.nodes)
+    values = model_data.values(model, group.n_rigid, space(), starts)
+    return Graph(model, group, starts, values)
+
+
+def field(tool: str):
+    """A field, and its starts and subspace by name: of a wheel two sizes on two beds."""
+    found = FIELDS[tool].make_field()
+    found.calibration = {'force': BOUND}
+    # As of a model folder; places on the edge of two slabs fall to the same side then.
+    found.rest = found.rest.astype(np.float32).astype(np.float64)
+    if tool == 'wheel':
+        return found, small_wheel.two_starts(found)
+    return found, {'starts': small_world.make_starts(found), 'subspace': None}
+
+
+def written(folder, name: str, values: dict) -> str:
+    """A project in a new folder."""
+    os.makedirs(folder)
+    project.write(str(folder), name, values)
+    return str(folder)
+
+
+def height_map(soil, origin, cell: float, shape) -> np.ndarray:
+    """float32 `shape`, m, of a run in C; ValueError for a grid that it refuses."""
+    grid = library.structures()['lts_grid'](tuple(origin), cell, tuple(shape))
+    heights = np.empty(min(int(np.prod(shape, dtype=float)), 1000), np.float32)
+    soil.call('height_map', ctypes.byref(grid), heights)
+    return heights.reshape(shape)
