@@ -235,7 +235,7 @@ class TrainedModel:
         )  # fmt: skip
         rollout = opened.evaluator.roll_out(group)
         if self._method.live:
-            soils = opened.evaluator.soils(rollout)
+            soils = rollout.soils
         else:
             decoder = self._decoder(run.split)
             soils = [ModesSoil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]
@@ -280,7 +280,7 @@ class TrainedModel:
         Args:
           path: folder to write; absent or empty.
           data: gives runs to compare on.
-          kind: savedmodel, tflite or onnx.
+          kind: one of `exporting.FORMATS`: savedmodel, tflite (LiteRT), onnx, c, fmu.
 
         Returns:
           the description that is also in `export.json`.

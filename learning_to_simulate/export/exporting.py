@@ -1,10 +1,11 @@
-"""Exports a trained model so that it runs without this project: SavedModel, LiteRT or ONNX.
+"""Exports a trained model so that it runs without this project: SavedModel, LiteRT, ONNX, C, FMU.
 
-Exported are functions of arrays without memory: of a model in a subspace `step` and `reconstruct`
-(`step_functions`), of a swept field its two networks (`field_networks`). `export.json` beside the
-model says what every input and output is, and `sample.npz` holds calls to check another program
-with. What was written is loaded again and compared with the source model on a recorded run; beyond
-round-off the export is refused.
+To TensorFlow's relatives go functions of arrays without memory: of a model in a subspace `step` and
+`reconstruct` (`step_functions`), of a swept field its two networks (`field_networks`). In C and as
+an FMU a model keeps its state (`native.exporting`). `export.json` beside the model says what every
+input and output is, and `sample.npz` holds calls of functions to check another program with. What
+was written is loaded again and compared with the source model on a recorded run; beyond round-off
+the export is refused.
 """
 
 import os
@@ -12,10 +13,11 @@ import time
 
 import numpy as np
 
+from learning_to_simulate import native
 from pca_tools import files
 
 DESCRIPTION_FILE, SAMPLE_FILE = 'export.json', 'sample.npz'
-FORMATS = ('savedmodel', 'tflite', 'onnx')
+FORMATS = ('savedmodel', 'tflite', 'onnx', *native.FORMATS)
 # Largest difference to the source as a share of the largest motion or load of the compared calls.
 # Measured 4e-7 (excavation) to 2e-6 (wheel, fields): float32 sums in another order.
 TOLERANCE = 1e-4
@@ -38,64 +40,89 @@ def export(
       data_path: its dataset; gives a run to compare on.
       output_path: folder to write; must be absent or empty.
       kind: one of `FORMATS`.
-      n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest.
-      n_particles: of a swept field, P of its `soil`; None for those of its bed at rest.
+      n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest,
+        in C for that of the first start.
+      n_particles: of a swept field's functions, P of `soil`; None for those of its bed at rest.
 
     Returns:
       the description that is also in `export.json`.
 
     Raises:
-      ValueError: a scene that the format cannot hold, a model that does not fit the data, an
-        absent converter, or outputs beyond the tolerance; nothing is left in `output_path`.
+      ValueError: a model or a scene that the format cannot hold, a model that does not fit the
+        data, an absent converter, C that does not compile, or outputs beyond the tolerance;
+        nothing is left in `output_path`.
+      FileNotFoundError: no model or dataset there.
     """
-    from learning_to_simulate import checkpoints, registry
-    from learning_to_simulate.export import export_formats
-    from learning_to_simulate.export.field_networks import FieldNetworks
-    from learning_to_simulate.export.step_functions import StepFunctions
-
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    if registry.of_folder(model_path).live:
-        if n_rigid is not None:
-            raise ValueError(f'n_rigid is {n_rigid}: a swept field has no rigid nodes')
-        exported = FieldNetworks(model_path, data_path, n_particles)
-    else:
-        if n_particles is not None:
-            raise ValueError('n_particles is for a swept field')
-        exported = StepFunctions.of_dataset(model_path, data_path, n_rigid)
-    functions = exported.functions(kind)
-    concrete = export_formats.concrete(functions, kind)
+    exported = _exported(model_path, data_path, kind, n_rigid, n_particles)
+
+    from learning_to_simulate import checkpoints
+
     weights = os.path.join(model_path, checkpoints.WEIGHTS_FILE)
-
-    def rows(tensors):
-        return {k: [list(t.shape), t.dtype.name, exported.meaning[k]] for k, t in tensors.items()}
-
     description = {
         'format': kind,
-        'signatures': {
-            name: {'inputs': rows(functions[name][1]), 'outputs': rows(found.structured_outputs)}
-            for name, found in concrete.items()
-        },
         'weights_sha256': files.sha256_of_file(weights),
         **exported.describe(),
     }
 
     def fill(folder):
-        load = export_formats.WRITERS[kind](concrete, exported.variables, folder)
-        start = time.perf_counter()
-        loaded = load()
-        description['load_s'] = time.perf_counter() - start
-        samples = exported.samples()
-        description['compared'] = compare(exported, loaded, samples)
-        arrays: dict[str, np.ndarray] = {}
-        for calls in samples.values():
-            rows = [inputs | outputs for inputs, outputs in calls]
-            arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]} | arrays
-        files.write_npz(os.path.join(folder, SAMPLE_FILE), **arrays)
+        if kind in native.FORMATS:
+            description.update(exported.write(kind, folder))
+        else:
+            description.update(_write_functions(exported, kind, folder))
         files.write_json(os.path.join(folder, DESCRIPTION_FILE), description)
 
     files.write_folder_atomically(output_path, fill)
     return description
+
+
+def _exported(model_path, data_path, kind, n_rigid, n_particles):
+    """What is exported, for a format."""
+    from learning_to_simulate import registry
+
+    is_field = registry.of_folder(model_path).live
+    if n_particles is not None and (not is_field or kind in native.FORMATS):
+        raise ValueError('n_particles is for the functions of a swept field')
+    if n_rigid is not None and is_field:
+        raise ValueError(f'n_rigid is {n_rigid}: a swept field has no rigid nodes')
+    if kind in native.FORMATS:
+        from learning_to_simulate.native.exporting import CModel
+
+        return CModel(model_path, data_path, n_rigid)
+    if is_field:
+        from learning_to_simulate.export.field_networks import FieldNetworks
+
+        return FieldNetworks(model_path, data_path, n_particles)
+    from learning_to_simulate.export.step_functions import StepFunctions
+
+    return StepFunctions.of_dataset(model_path, data_path, n_rigid)
+
+
+def _write_functions(exported, kind, folder):
+    """Writes functions of arrays; returns what they are and how they compare."""
+    from learning_to_simulate.export import export_formats
+
+    def rows(tensors):
+        return {k: [list(t.shape), t.dtype.name, exported.meaning[k]] for k, t in tensors.items()}
+
+    functions, samples = exported.functions(kind), exported.samples()
+    concrete = export_formats.concrete(functions, kind)
+    load = export_formats.WRITERS[kind](concrete, exported.variables, folder)
+    start = time.perf_counter()
+    loaded = load()
+    seconds = time.perf_counter() - start
+    compared = compare(exported, loaded, samples)
+    arrays: dict[str, np.ndarray] = {}
+    for calls in samples.values():
+        named = [inputs | outputs for inputs, outputs in calls]
+        arrays = {name: np.stack([row[name] for row in named]) for name in named[0]} | arrays
+    files.write_npz(os.path.join(folder, SAMPLE_FILE), **arrays)
+    signatures = {
+        name: {'inputs': rows(functions[name][1]), 'outputs': rows(found.structured_outputs)}
+        for name, found in concrete.items()
+    }
+    return {'signatures': signatures, 'load_s': seconds, 'compared': compared}
 
 
 def compare(exported, loaded, samples) -> dict:
@@ -143,3 +170,21 @@ def compare(exported, loaded, samples) -> dict:
         'particles_tolerance_m': PARTICLES_TOLERANCE,
         'ms_per_call': milliseconds,
     }
+
+
+def summary(description: dict, output_path: str) -> str:
+    """What was written and how it compares, for the terminal."""
+    compared = description['compared']
+    what = f'signatures {", ".join(description.get("signatures", ()))}'
+    if 'symbol' in description:
+        what = f'model {description["symbol"]}, digest {description["digest"][:12]}'
+    wrote = f'wrote {output_path} ({description["format"]}, {what})\n'
+    if 'skipped' in compared:
+        return f'{wrote}not compared with TensorFlow: {compared["skipped"]}'
+    apart = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
+    times = [f'{name} {ms:.3g} ms' for name, ms in compared.get('ms_per_call', {}).items()]
+    return (
+        f'{wrote}largest difference to the source over {compared["calls"]} calls: {apart} (allowed '
+        f'{compared["tolerance"]:g}), particles {compared["particles_difference_m"]:.2g} m\n'
+        f'{", ".join(times) or compared["engine"]}'
+    )

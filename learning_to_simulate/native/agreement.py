@@ -92,7 +92,7 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
       opened: the model.
 
     Returns:
-      `steps`, `engine`, `relative_difference` by kind, `tolerance` and `particles_difference_m`; or
+      `calls`, `engine`, `relative_difference` by kind, `tolerance` and `particles_difference_m`; or
       `skipped`: why nothing was compared.
 
     Raises:
@@ -130,7 +130,7 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
             f'force; nothing was written'
         )
     return {
-        'steps': row['frames'],
+        'calls': row['frames'],
         'engine': pair[0].engine,
         'relative_difference': difference,
         'tolerance': tolerance,

@@ -19,7 +19,8 @@ from unittest import mock
 import numpy as np
 
 from learning_to_simulate import evaluation, registry
-from learning_to_simulate.native import agreement, exporting, library
+from learning_to_simulate.export import exporting
+from learning_to_simulate.native import agreement, library
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
 from pca_tools import convert, files

@@ -19,9 +19,8 @@ from learning_to_simulate import (
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
 from learning_to_simulate.live import paths
-from learning_to_simulate.native import exporting as c_exporting
 from learning_to_simulate.rollout import RolloutFunction, roll_out
-from learning_to_simulate.rollout_status import Ranges, RolloutStatus, judge
+from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
 from pca_tools import files
 from reports.protocol import rollouts
@@ -160,7 +159,7 @@ def test_a_torque_that_is_not_finite_is_found(rolled):
     load[0, 4, 5] = np.nan
     (found,) = judge(group, rollout.position, load, s, scene)
     assert found[:3] == (RolloutStatus.NON_FINITE, H + 4, -1)
-    live = Ranges(group.n_rigid, s, scene)
+    live = NodeRanges(group.n_rigid, s, scene)
     now = live.judge(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
     assert found.reason == now.reason == 'torque is not finite'
     load[0, 4, 1] = np.inf
@@ -176,7 +175,7 @@ def test_a_saved_model_and_litert_carry_it_and_c_refuses_it(trained, tmp_path):
         assert 'N m' in description['signatures']['step']['outputs']['torque'][2]
     for kind in ('c', 'fmu'):
         with pytest.raises(ValueError, match='predict_torque: the C form has no torque'):
-            c_exporting.export(path, data, str(tmp_path / kind), kind)
+            exporting.export(path, data, str(tmp_path / kind), kind)
         assert not (tmp_path / kind).exists()
 
 

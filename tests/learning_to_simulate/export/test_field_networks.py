@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate.export import __main__ as command
 from learning_to_simulate.export import export_formats, exporting
 from learning_to_simulate.live import starts
 from learning_to_simulate.swept_field import field as field_lib
@@ -40,7 +39,7 @@ def models(tmp_path_factory):
 
 
 @pytest.mark.parametrize('tool', WORLDS)
-@pytest.mark.parametrize('kind', exporting.FORMATS)
+@pytest.mark.parametrize('kind', ['savedmodel', 'tflite', 'onnx'])
 def test_each_format_says_what_the_field_says(models, kind, tool, tmp_path, monkeypatch):
     if kind == 'onnx':
         pytest.importorskip('tf2onnx', reason='extra deploy')
@@ -62,7 +61,7 @@ def test_each_format_says_what_the_field_says(models, kind, tool, tmp_path, monk
     assert sample['rest'].shape == (8, 300, 3)
     assert sample['loads'].shape == (8, 2, len(written['load_columns']))
     assert np.abs(sample['displacement']).max() > 1e-3
-    assert 'signatures load, soil' in command.summary(description, str(out))
+    assert 'signatures load, soil' in exporting.summary(description, str(out))
     if kind != 'savedmodel':
         expected = {'export.json', 'sample.npz', f'load.{kind}', f'soil.{kind}'}
         assert set(os.listdir(out)) == expected

@@ -14,8 +14,9 @@ import pytest
 
 from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.native import agreement, exporting, field_data, fmu, library, project
+from learning_to_simulate.native import agreement, field_data, fmu, library, project
 from learning_to_simulate.native.binding import CField, CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -79,9 +80,8 @@ def test_a_written_field_gives_the_same_bits_as_python(tmp_path):
     for soil in soils:
         soil.start(poses[0])
     for pose in poses[1:]:
-        a, b = (soil.step(pose) for soil in soils)
-        for one, two in zip(a, b):
-            np.testing.assert_array_equal(one, two)
+        for one, other in zip(*(soil.step(pose) for soil in soils)):
+            np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(*(soil.particles() for soil in soils))
     assert not any('lts_step' in name for name in os.listdir(os.path.join(folder, 'src')))
 
@@ -128,16 +128,24 @@ def test_two_models_live_in_one_program(small, tmp_path):
         soils[0].load_state(soils[1].save() + bytes(10_000))
 
 
-def test_export_compares_and_refuses(saved, tmp_path, monkeypatch):
+def test_the_export_command_compares_and_refuses(saved, tmp_path, monkeypatch, capsys):
     out = str(tmp_path / 'out')
-    description = exporting.export(*saved, out, 'c')
-    assert description['compared']['relative_difference']['force'] < 1e-5
-    assert 'wrote' in exporting.summary(description, out)
+    values = types.SimpleNamespace(
+        model_path=saved[0], data_path=saved[1], output_path=out, format='c', n_rigid=None,
+        n_particles=None,
+    )  # fmt: skip
+    export_command.run(values)
+    assert 'largest difference to the source' in capsys.readouterr().out
     assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
-    with pytest.raises(ValueError, match='not empty'):
-        exporting.export(*saved, out, 'c')
-    with pytest.raises(FileNotFoundError, match='holds no model'):
-        exporting.export(str(tmp_path / 'none'), saved[1], out + '2', 'c')
+    for change, error, message in (
+        ({}, ValueError, 'not empty'),
+        ({'model_path': str(tmp_path / 'none')}, FileNotFoundError, 'holds no model'),
+        ({'n_particles': 2}, ValueError, 'n_particles is for the functions'),
+    ):
+        if change:
+            values.output_path = out + '2'
+        with pytest.raises(error, match=message):
+            export_command.run(types.SimpleNamespace(**vars(values) | change))
     monkeypatch.setattr(agreement, 'TOLERANCE', 0.0)
     with pytest.raises(ValueError, match='differs from the model.*nothing was written'):
         exporting.export(*saved, out + '2', 'c')
@@ -179,20 +187,6 @@ def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
     folder = worlds.written(tmp_path / 'project', names[0], small)
     built = _compiled(folder, ('-std=c99', '-O1', '-fPIC', '-shared'))
     assert CSubspace.open(built, names[0]).description.digest.decode() == small['digest']
-
-
-def test_the_export_command_writes_c_and_refuses_what_is_not_for_it(saved, tmp_path, capsys):
-    values = types.SimpleNamespace(
-        model_path=saved[0], data_path=saved[1], output_path=str(tmp_path / 'out'), format='c',
-        n_rigid=None, n_particles=None,
-    )  # fmt: skip
-    export_command.run(values)
-    assert 'largest difference to TensorFlow' in capsys.readouterr().out
-    assert os.path.exists(tmp_path / 'out' / 'CMakeLists.txt')
-    values.n_particles, values.output_path = 2, str(tmp_path / 'out2')
-    with pytest.raises(ValueError, match='--n_particles is not for --format=c'):
-        export_command.run(values)
-    assert not os.path.exists(tmp_path / 'out2')
 
 
 def test_without_a_compiler_the_library_says_what_is_missing(tmp_path, monkeypatch):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
+from learning_to_simulate.export import exporting
 from learning_to_simulate.live.soil import surface
-from learning_to_simulate.native import exporting, library, project
+from learning_to_simulate.native import library, project
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]

@@ -7,8 +7,7 @@ from tests.nri import small
 def test_proof_simulates_trains_measures_and_draws(tmp_path):
     config = nri_proof.NriConfig(**small.TINY, epochs=2)
     counts = {'train': 32, 'valid': 16, 'test': 16}
-    with small.eagerly():
-        result = nri_proof.run('springs', 3, str(tmp_path), counts, config)
+    result = nri_proof.run('springs', 3, str(tmp_path), counts, config)
     assert [row['epoch'] for row in result['curve']] == [1, 2]
     assert 0.5 <= result['test_accuracy'] <= 1 and result['runs'] == counts
     nri_proof.draw(result, str(tmp_path / 'curve.png'))
