@@ -8,7 +8,7 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[2]
 
 
-def tests_of(path):
+def named_in(path):
     return set(re.findall(r'^def (test_\w+)\(', path.read_text(), re.M))
 
 
@@ -20,8 +20,8 @@ def test_the_table_names_every_test_of_its_folder_and_no_other(folder):
             if path:
                 file = ROOT / path if '/' in path else here / path
             names = named.setdefault(file, set())
-            names |= {name} if name else tests_of(file)
+            names |= {name} if name else named_in(file)
     for path, names in named.items():
-        assert names <= tests_of(path), f'{path} has no {sorted(names - tests_of(path))}'
+        assert names <= named_in(path), f'{path} has no {sorted(names - named_in(path))}'
     for path in set(here.glob('test_*.py')) - {pathlib.Path(__file__)}:
-        assert named.get(path) == tests_of(path), f'{path} has tests that no row names'
+        assert named.get(path) == named_in(path), f'{path} has tests that no row names'
