@@ -46,38 +46,3 @@ def held_position(group, scene, height=None) -> np.ndarray:
     if scene.rigid_motion.is_known:
         position[:, :, : group.n_rigid] = body
     return position
-
-
-def persistence(group, scene) -> Prediction:
-    """Soil, and the height of a driven body, stay as they are in the last given frame; so do force
-    and torque."""
-    n_frame = group.position.shape[1] - H
-    held = {
-        name: None if load is None else np.repeat(load[:, H - 1 : H], n_frame, axis=1)
-        for name, load in ((FORCE, group.force), (TORQUE, group.torque))
-    }
-    predicts = frozenset({SOIL, HEIGHT} | {name for name in held if held[name] is not None})
-    return Prediction(held_position(group, scene), held[FORCE], predicts, held[TORQUE])
-
-
-def constant_velocity(group, scene) -> Prediction:
-    """Soil, and the height of a driven body, go on as in the last given frame."""
-    n_frame = group.position.shape[1] - H
-    position = metrics.constant_velocity(group.position[:, :H], n_frame)
-    height = position[:, :, : group.n_rigid, scene.up_axis].mean(axis=2) if group.n_rigid else None
-    body = held_position(group, scene, height)
-    if scene.rigid_motion.is_known:
-        position[:, :, : group.n_rigid] = body[:, :, : group.n_rigid]
-    return Prediction(position, None, frozenset({SOIL, HEIGHT}))
-
-
-def mean_force(group, scene, mean, torque=None) -> Prediction:
-    """The mean force [D] (N; of several bodies one behind the other) of the training runs in every
-    frame, and their mean torque [D] (N m) where there is one; nothing else."""
-    shape = (len(group.position), group.position.shape[1] - H, 1)
-    force, turn = (
-        None if value is None else np.tile(np.asarray(value, np.float64), shape)
-        for value in (mean, torque)
-    )
-    predicts = frozenset({FORCE} if turn is None else {FORCE, TORQUE})
-    return Prediction(held_position(group, scene), force, predicts, turn)
