@@ -265,4 +265,4 @@ class EarthmovingForce:
         force[..., self.axes.axis] = -self.axes.sign * plane[..., 0]
         force[..., self.axes.up] = plane[..., 1]
         position = open_loop.held_position(group, self.scene)
-        return open_loop.Prediction(position, force, frozenset({open_loop.FORCE}))
+        return open_loop.Prediction(position, force)

@@ -12,7 +12,7 @@ from learning_to_simulate import metrics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
 
-SOIL, FORCE, HEIGHT, TORQUE = 'soil', 'force', 'height', 'torque'
+SOIL, FORCE, HEIGHT = 'soil', 'force', 'height'  # outputs; the height is that of a driven body
 
 
 class Prediction(NamedTuple):
@@ -20,9 +20,6 @@ class Prediction(NamedTuple):
 
     position: np.ndarray  # float64 [S, T - H, V, D], m; what is not predicted stays still
     force: np.ndarray | None  # float64 [S, T - H, D], N
-    # Which of SOIL, FORCE, HEIGHT (of a driven body), TORQUE the method says anything of; an error
-    # of the others would be that of persistence.
-    predicts: frozenset
     torque: np.ndarray | None = None  # float64 [S, T - H, D], N m about the body's reference point
 
 

@@ -369,7 +369,7 @@ class PathRidge:
         position = open_loop.held_position(group, self.scene, height)
         soil = position[:, :, n_rigid:]
         soil += predicted[open_loop.SOIL].reshape(soil.shape)
-        return open_loop.Prediction(position, predicted.get(open_loop.FORCE), frozenset(predicted))
+        return open_loop.Prediction(position, predicted.get(open_loop.FORCE))
 
     def least_errors(self) -> dict[str, float]:
         """Output -> error of its best choice: mean over the judging runs of the RMS, m or N."""

@@ -131,7 +131,6 @@ def test_force_along_a_path_opposes_the_motion_and_is_absent_in_the_air_and_back
     assert (force[41 - 6 :] == 0).all()
     air = blade_group(forward_path(depth=-0.01))
     assert (method(air).predict(air, [CASE]).force == 0).all()
-    assert prediction.predicts == {'force'}
     still = group.position[:, 5:6, 20:]
     assert (prediction.position[:, :, 20:] == still).all()
 
