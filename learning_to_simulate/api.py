@@ -235,7 +235,7 @@ class TrainedModel:
         )  # fmt: skip
         rollout = opened.evaluator.roll_out(group)
         if self._method.live:
-            soils = opened.evaluator.soils(rollout)
+            soils = rollout.soils
         else:
             decoder = self._decoder(run.split)
             soils = [ModesSoil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]

@@ -1,8 +1,8 @@
-"""How far a frame and a rollout can be trusted: `RolloutStatus`, `Judgement`, and `Ranges`, which
-judges a frame of a model in a subspace.
+"""How far a frame and a rollout can be trusted: `RolloutStatus`, `Judgement`; `Ranges` of named
+numbers, and `NodeRanges`, which judges a frame of a model in a subspace.
 
-`Ranges.judge` is the one place where a frame is held against the training runs; whole rollouts are
-a loop over it. `lts_status.c` is its twin.
+`judge` of these is the one place where a frame is held against the training runs; whole rollouts
+are a loop over it. `lts_status.c` and `lts_field_step.c` are their twins.
 """
 
 import enum
@@ -89,12 +89,44 @@ def outside(status: RolloutStatus, measure: str, value: float, low: float, high:
     return f'{measure} {value:.4g} is outside {twice}[{low:.4g}, {high:.4g}] of training'
 
 
+class Ranges(NamedTuple):
+    """Ranges of J named numbers over the training runs.
+
+    Attributes:
+      names: of the numbers.
+      low, high: float64 [J] ranges.
+      limits: float64 [2, J] least and most that is not outside: somewhat wider.
+    """
+
+    names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    limits: np.ndarray
+
+    def outside(self, values) -> np.ndarray:
+        """bool [T, J] of values [T, J]; of fewer columns, of the first numbers."""
+        least, most = self.limits[:, : values.shape[1]]
+        return ~((values >= least) & (values <= most))
+
+    def judge(self, values, first: int = 0, finite: bool = True) -> Judgement:
+        """The first of frames from number `first` on, with values [T, J], that is outside, and why;
+        NON_FINITE where not all that was predicted is finite."""
+        if not finite:
+            return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
+        bad = self.outside(values)
+        if not bad.any():
+            return OK
+        (frame, i), status = np.argwhere(bad)[0], RolloutStatus.EXTRAPOLATING
+        reason = outside(status, self.names[i], values[frame, i], self.low[i], self.high[i])
+        return Judgement(status, first + int(frame), -1, reason)
+
+
 def _limits(low, high, factor):
     """[4, ...]: least and most that is not outside, and the range of training."""
     return np.stack([*widened(low, high, factor), low, high])
 
 
-class Ranges:
+class NodeRanges:
     """The ranges of a model's training runs, for bodies of one size.
 
     Args:
@@ -199,13 +231,9 @@ class Ranges:
     def _unlike_context(self, frame, context):
         if self.context is None or context is None:
             return None
-        least, most, low, high = self.context
-        inside = (context >= least) & (context <= most)
-        if inside.all():
-            return None
-        i = int((~inside).argmax())
-        status, name = RolloutStatus.EXTRAPOLATING, self._scene.context_names[i]
-        return Judgement(status, frame, -1, outside(status, name, context[i], low[i], high[i]))
+        ranges = Ranges(self._scene.context_names, *self.context[2:], self.context[:2])
+        found = ranges.judge(context[None], frame)
+        return None if found is OK else found
 
     def _unlike_motion(self, frame, body, before):
         if self.motion is None:
@@ -264,7 +292,7 @@ def judge(group, position, load, statistics, scene) -> list[Judgement]:
     Returns:
       S judgements.
     """
-    ranges = Ranges(group.n_rigid, statistics, scene)
+    ranges = NodeRanges(group.n_rigid, statistics, scene)
     return [
         _of_run(ranges, group, run, position[run], None if load is None else load[run], statistics)
         for run in range(len(position))

@@ -23,19 +23,20 @@ from mpm.motions import catalogue
 from pca_tools import command
 
 OUTLINE_EVERY = 0.5  # s
+POINTS = 40  # of half a circle
 
 
-def outline(body, pose, count: int = 40) -> np.ndarray:
+def outline(body, pose) -> np.ndarray:
     """Returns the outline of a body seen from the side, closed, float64 [K, 2], m.
 
     A polygon is drawn without the radius of its edges.
     """
     if body.is_wheel:
-        ring = _rim(body, count)
+        ring = _rim(body)
     elif len(body.outline) == 2:
         low, high = body.outline
         along = np.arctan2(*(high - low)[::-1])
-        turn = along + np.linspace(np.pi / 2, 3 * np.pi / 2, count)
+        turn = along + np.linspace(np.pi / 2, 3 * np.pi / 2, POINTS)
         arc = body.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         ring = np.concatenate([low + arc, high - arc, low + arc[:1]])
     else:
@@ -45,9 +46,9 @@ def outline(body, pose, count: int = 40) -> np.ndarray:
     return ring @ np.array(turned) + [x, y]
 
 
-def _rim(body, count):
+def _rim(body):
     """The rim of a wheel with its grousers, from below on."""
-    turn = np.linspace(-np.pi / 2, 3 * np.pi / 2, max(2 * count, 8 * body.grousers + 1))
+    turn = np.linspace(-np.pi / 2, 3 * np.pi / 2, max(2 * POINTS, 8 * body.grousers + 1))
     reach = np.full(len(turn), body.radius)
     if body.grousers:
         pitch = 2 * np.pi / body.grousers
@@ -88,7 +89,7 @@ def draw_motion(axes, scene: scenes.Scene, motion: catalogue.Motion) -> None:
     axes.tick_params(labelsize=6)
 
 
-def _panels(rows: int, columns: int, size: tuple[float, float]):
+def panels(rows: int, columns: int, size: tuple[float, float]):
     """Returns a figure of panels (each of a size in inches) and the array of their axes."""
     import matplotlib
 
@@ -110,7 +111,7 @@ def draw(scene: scenes.Scene, cases, output_path: str, tool: dict | None = None)
     drawn = [catalogue.in_bin(scene, catalogue.bin_name(scene, case)) for case in cases]
     motions = [catalogue.motion_of(within, case, tool) for within, case in zip(drawn, cases)]
     columns = min(3, len(motions))
-    figure, grid = _panels(-(-len(motions) // columns), columns, (4.6, 2.6))
+    figure, grid = panels(-(-len(motions) // columns), columns, (4.6, 2.6))
     for axes in grid.flat[len(motions) :]:
         axes.set_axis_off()
     for axes, within, motion in zip(grid.flat, drawn, motions):
@@ -152,7 +153,7 @@ def draw_runs(folder: str, cases, output_path: str) -> None:
     Raises:
         ValueError: the folder lacks one.
     """
-    figure, grid = _panels(len(cases), MOMENTS, (2.8, 1.9))
+    figure, grid = panels(len(cases), MOMENTS, (2.8, 1.9))
     for row, case in zip(grid, cases):
         run = raw_run.read_run(os.path.join(folder, raw_run.file_name(case)))
         body, (length, depth, _) = body_of(run.parameters), run.parameters['bin_m']

@@ -62,12 +62,13 @@ class OpenLoopModel:
         return SimpleNamespace(n_node=n_node, n_edge=0, senders=(), receivers=())
 
 
-class OpenLoopEvaluator:
-    """Rollouts of an `OpenLoopModel` on a split of a dataset, as `evaluation.Evaluator`; the
-    `cases` of the metadata hold the soil's parameters."""
+class OpenLoopEvaluator(evaluation.Evaluator):
+    """Rollouts of an `OpenLoopModel` on a split of a dataset, whose metadata's `cases` hold the
+    soil's parameters."""
 
     def __init__(self, model: OpenLoopModel, metadata: dict, split: str):
-        self._model, self._metadata, self._split = model, metadata, split
+        super().__init__(model, metadata)
+        self._split = split
 
     def roll_out(self, group) -> Rollout:
         """`Rollout` of one `RunGroup` of the split."""
@@ -75,15 +76,11 @@ class OpenLoopEvaluator:
         start = time.perf_counter()
         predicted = self._model.method.predict(group, cases)
         seconds = time.perf_counter() - start
+        position, force = predicted.position, predicted.force
         judgements = rollout_status.judge(
-            group, predicted.position, predicted.force, simulator.statistics, simulator.scene
+            group, position, force, simulator.statistics, simulator.scene
         )
-        return Rollout(predicted.position, predicted.force, judgements, seconds)
-
-    def run(self, groups, split: str, progress=iter):
-        """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`."""
-        results = evaluation.roll_out_all(self.roll_out, groups, progress)
-        return results, evaluation.summarise(results, self._model, self._metadata, split)
+        return Rollout(position, force, judgements, seconds, predicted.torque)
 
     def one_step_errors(self, groups) -> dict[str, float]:
         """Mean squared errors of the first predicted frame: each frame is a prediction of its

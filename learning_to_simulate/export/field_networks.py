@@ -51,7 +51,7 @@ class FieldNetworks:
             raise ValueError(f'n_particles is {n_particles}, must lie in [1, {n_rest}]')
         self.variables = field.network.trainable_variables
         metadata = dataset.read_metadata(data_path)
-        reader = EpisodeReader(data_path, metadata, field.beds, field.tool)
+        reader = EpisodeReader(data_path, metadata, field)
         (episode,) = reader.read('test', limit=1)
         _, frames = field.frames(episode.ground, episode.pose, field.scene.dt)
         self._frames = frames.at(splits.spread_over(len(frames.scalars), COMPARED_FRAMES))

@@ -10,6 +10,5 @@ rigid particles, its neighbour list made anew by scipy's KD-tree on the host in 
 
 The dataset folder says which case is in which split; particles come from the raw runs, or, without
 `--raw_path`, are decoded from the records (then truth and errors lie within the subspace). Errors
-in metrics.json are those of the thinned particles, m² per particle and axis as for all models;
-edges are the mean of all steps, and `peak_memory_mb` is that of the process.
+in metrics.json are those of the thinned particles; edges are the mean of all steps.
 """

@@ -162,17 +162,14 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     )
 
 
-class ParticleEvaluator:
-    """As `evaluation.Evaluator`; the rows of the model also hold the mean number of edges, and the
-    peak memory of the process so far (`peak_memory_mb`).
+class ParticleEvaluator(evaluation.Evaluator):
+    """As its base; the rows of the model also hold the mean number of edges, and the peak memory of
+    the process so far (`peak_memory_mb`). The metadata are {} for particles of raw runs, of which
+    nothing is cut off."""
 
-    Args:
-      model: `method.ParticleModel`.
-      metadata: of the dataset where particles are decoded from it, else {}: nothing is cut off.
-    """
-
-    def __init__(self, model, metadata):
-        self._model, self._metadata, self._edges = model, metadata, {}
+    def __init__(self, model: ParticleModel, metadata: dict):
+        super().__init__(model, metadata)
+        self._edges: dict[int, float] = {}
 
     def roll_out(self, group) -> Rollout:
         """Rolls out the one run of a group from its first H frames; stops where it blows up."""
@@ -204,8 +201,7 @@ class ParticleEvaluator:
 
     def run(self, groups, split: str, progress=iter):
         """As `Evaluator.run`, with edges and memory in the metrics."""
-        results = evaluation.roll_out_all(self.roll_out, groups, progress)
-        summary = evaluation.summarise(results, self._model, self._metadata, split)
+        results, summary = super().run(groups, split, progress)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         for row in summary['runs']['model']:
             row |= {'edges': round(self._edges[row['record']]), 'peak_memory_mb': peak}

@@ -1,11 +1,10 @@
 """Engines of a `Stepper`: what computes the frames of a method, one by one.
 
-An engine has `begin`, `propose` and `accept`: it says what the coming frame would be and stays
-where it is until that frame is accepted. `SubspaceEngine` is that of all models in a subspace, with
-a step by TensorFlow (`TfStep`) or by C; a swept field has its own, and its own in C. See
-`native.engines` for who gets which.
+`SubspaceEngine` is that of all models in a subspace, with a step by TensorFlow (`TfStep`) or by C;
+a swept field has its own, and its own in C. See `native.engines` for who gets which.
 """
 
+import abc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
 from learning_to_simulate.live.soil import Decoder, ModesSoil
 from learning_to_simulate.rollout import corrected_step
-from learning_to_simulate.rollout_status import OK, Judgement, Ranges, worse
+from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
@@ -26,30 +25,122 @@ from learning_to_simulate.tool import path_memory
 from pca_tools import rigid_fit
 
 
-class Proposal(NamedTuple):
-    """What an engine says of a frame; arrays are the caller's to keep.
+class Frame(NamedTuple):
+    """One frame; its arrays cannot be written to.
 
     Attributes:
-      judgement: of this frame alone.
-      soil: `soil.ModesSoil`, or what a method has in its place.
-      nodes: float64 [R, D], m, particles of the body that are nodes.
-      pose: float64 [7] of the body; None where particles do not fix one.
-      force: [D] on the body, N, or [B, D] on several; None where the scene has none.
-      torque: [D] about the reference point, N m, where the model predicts one.
+      judgement: how far it can be trusted. An engine judges this frame alone; in the frames of a
+        stepper it is the worst since the start, with the frame in which that began and the reason.
+      soil: `soil.Soil`.
+      rigid_pose: float64 [R, D] particles of the body that are nodes, m.
+      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
+        is given by its particles, or they do not fix one.
+      force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
+      torque: [D] about the body's reference point, N m, where the model predicts one.
       bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
         None where the model was not calibrated.
+      now: the status of this frame alone.
     """
 
     judgement: Judgement
     soil: Any
-    nodes: np.ndarray
+    rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
     torque: np.ndarray | None = None
     bound: float | None = None
+    now: RolloutStatus = RolloutStatus.OK
+
+    def __repr__(self) -> str:
+        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
+        force = f'force {", ".join(values)} N, ' if values else ''
+        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start, as a rollout file would have it."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, D] scores, m; of a method without modes those of its particles, which needs a
+        subspace (ValueError)."""
+        return self.soil.modes
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, D] positions of the soil, m; ValueError without a subspace."""
+        return self.soil.particles()
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface, m; see `soil.surface`."""
+        return self.soil.height_map(nx, nz)
 
 
-class SubspaceEngine:
+class Engine(abc.ABC):
+    """Computes the frames of a run: says what the coming frame would be, and stays where it is
+    until that frame is accepted.
+
+    Attributes:
+      scene: `Scene`.
+      starts: `starts.Starts`, or None where only recorded frames are begun from.
+      name: what computes, for people.
+    """
+
+    scene: Any
+    starts: Any
+    name: str
+
+    @abc.abstractmethod
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
+        """The first frame.
+
+        Args:
+          start: `starts.Start`, or a `starts.RecordedStart` where recorded frames are taken.
+          bed, blade_width: of `Stepper.start`, where a method takes them.
+
+        Raises:
+          ValueError: what cannot be taken; the run before goes on.
+        """
+
+    @abc.abstractmethod
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
+        """The frame in which the body reaches a pose.
+
+        Args:
+          number: of the frame, for its judgement.
+          coming: what the start reads of the body: a pose [7] or particles; None where the body is
+            predicted. Of a driven body the height is ignored.
+          context: float64 [C] from that frame on; None leaves it as it was.
+          dt: s; None for the frame time of the training data.
+
+        Raises:
+          ValueError: see `Stepper.step`.
+        """
+
+    @abc.abstractmethod
+    def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
+
+    @property
+    @abc.abstractmethod
+    def state(self) -> tuple:
+        """All that the coming frames follow from; what is put back goes on to the same bits."""
+
+    @state.setter
+    @abc.abstractmethod
+    def state(self, state: tuple) -> None: ...
+
+    @abc.abstractmethod
+    def explain(self) -> str:
+        """What the newest frame leaves out."""
+
+
+class SubspaceEngine(Engine):
     """Frames of a model in a subspace.
 
     Args:
@@ -63,9 +154,6 @@ class SubspaceEngine:
     Raises:
       ValueError: a subspace of another number of modes or particles than the model's, or a body
         that the model cannot take.
-
-    Attributes:
-      scene, starts, name: as given.
     """
 
     def __init__(
@@ -102,16 +190,11 @@ class SubspaceEngine:
             known = origin[:n_rigid], np.zeros((n_rigid, origin.shape[1]))
             step.propose(*known if scene.rigid_motion.is_known else (None, None))
             limit = None if self.starts is None else self.starts.force_limit
-            ranges = Ranges(n_rigid, model.simulator.statistics, scene, limit)
+            ranges = NodeRanges(n_rigid, model.simulator.statistics, scene, limit)
             self._sizes[n_rigid] = step, ranges
         return self._sizes[n_rigid]
 
-    def begin(self, start, bed=None, blade_width=None) -> Proposal:
-        """Begins from a `starts.Start` or a `starts.RecordedStart`.
-
-        Raises:
-          ValueError: a bed or a width, which a model in a subspace does not take.
-        """
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
         for name, value in (('bed', bed), ('blade_width', blade_width)):
             if value is not None:
                 raise ValueError(f'{name}: a model in a subspace begins on the beds of its starts')
@@ -135,7 +218,7 @@ class SubspaceEngine:
         self._body = history[-1, :n]
         force, torque = self._split(np.zeros(self._model.simulator.load_size, np.float32))
         soil = ModesSoil(history[-1, n:], self._decoder)
-        return Proposal(judgement, soil, self._body, start.pose, force, torque)
+        return Frame(judgement, soil, self._body, start.pose, force, torque)
 
     def _split(self, load):
         """Force, on several bodies one each, and torque of loads [F]."""
@@ -145,19 +228,7 @@ class SubspaceEngine:
             force = force.reshape(len(bodies), simulator.dim)
         return force, torque
 
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
-        """The coming frame.
-
-        Args:
-          number: of the frame, for its judgement.
-          coming: what the start reads of the body: a pose [7] or particles; None where the body is
-            predicted.
-          context: float64 [C] from that frame on; None leaves it as it was.
-          dt: s, which must be that of the model.
-
-        Raises:
-          ValueError: a body where none is taken, or none where one is; another dt; as the step.
-        """
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
         scene, start, n = self.scene, self._start, len(self._start.kept)
         if scene.rigid_motion.is_known != (coming is not None):
             takes = 'takes' if coming is None else 'does not take'
@@ -181,16 +252,14 @@ class SubspaceEngine:
         self._coming = body
         pose = self._pose(coming, position[:n])
         soil = ModesSoil(position[n:], self._decoder)
-        return Proposal(judgement, soil, position[:n], pose, force, torque)
+        return Frame(judgement, soil, position[:n], pose, force, torque)
 
     def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
         self._now.accept()
         self._body = self._coming
 
     @property
     def state(self) -> tuple:
-        """All that the coming frames follow from; what is put back goes on to the same bits."""
         return self._start, self._body, self._now.state
 
     @state.setter
@@ -216,7 +285,6 @@ class SubspaceEngine:
         return coming
 
     def explain(self) -> str:
-        """What the newest frame leaves out."""
         return 'a model in a subspace leaves nothing out of a frame; see `reports explain`'
 
 

@@ -111,7 +111,7 @@ class SoilRollout:
         return self.soils[frame].particles()
 
     def height_map(self, nx: int, nz: int, frame: int = -1) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.ModesSoil.height_map`.
+        """float32 [nx, nz] heights of the surface in a frame, m; see `soil.surface`.
 
         Raises:
           ValueError: without a subspace.
@@ -124,41 +124,37 @@ class SoilRollout:
         Raises:
           OSError: it cannot be written.
         """
-        n_rigid = self.body.shape[1]
-        kind = (
-            dataset.KINEMATIC_PARTICLE_ID
-            if self.scene.rigid_motion == RigidMotion.PRESCRIBED
-            else dataset.RIGID_PARTICLE_ID
-        )
-        modes = np.concatenate([self.history[:, self.history.shape[1] - self.scene.n_modes :],
-                                self.modes])  # fmt: skip
-        nodes = np.concatenate([self.body, modes], axis=1).astype(np.float32)
-        types = [kind] * n_rigid + [dataset.MODE_PARTICLE_ID] * self.scene.n_modes
+        scene, n_rigid = self.scene, self.body.shape[1]
+        given = scene.rigid_motion == RigidMotion.PRESCRIBED
+        kind = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
+        modes = [self.history[:, self.history.shape[1] - scene.n_modes :], self.modes]
+        nodes = np.concatenate([self.body, np.concatenate(modes)], axis=1).astype(np.float32)
         arrays = {
             'initial_positions': nodes[:H],
             'predicted_rollout': nodes[H:],
-            'particle_types': np.array(types),
-            'scene': np.array(json.dumps(self.scene.to_json())),
+            'particle_types': np.repeat(
+                [kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]
+            ),
+            'scene': np.array(json.dumps(scene.to_json())),
             'status': np.array(str(self.status)),
             'first_bad_frame': np.array(self.judgement.frame),
             'first_bad_node': np.array(self.judgement.node),
             'status_reason': np.array(self.reason),
         }
-        if self.force is not None:
-            arrays['predicted_forces'] = self.force
-        if self.torque is not None:
-            arrays['predicted_torques'] = self.torque
-        if self.true_torque is not None:
-            arrays['initial_torques'] = self.true_torque[:H].astype(np.float32)
-            arrays['ground_truth_torques'] = self.true_torque[H:].astype(np.float32)
+        true_force = None
         if self.truth is not None:
             true_modes, true_body, true_force = self.truth
-            arrays['ground_truth_rollout'] = np.concatenate(
-                [true_body, true_modes], axis=1, dtype=np.float32, casting='same_kind'
-            )[H:]
-            if true_force is not None:
-                arrays['initial_forces'] = true_force[:H].astype(np.float32)
-                arrays['ground_truth_forces'] = true_force[H:].astype(np.float32)
+            truth = np.concatenate([true_body, true_modes], axis=1)[H:]
+            arrays['ground_truth_rollout'] = truth.astype(np.float32)
+        for name, predicted, true in (
+            ('forces', self.force, true_force),
+            ('torques', self.torque, self.true_torque),
+        ):
+            if predicted is not None:
+                arrays[f'predicted_{name}'] = predicted
+            if true is not None:
+                arrays[f'initial_{name}'] = true[:H].astype(np.float32)
+                arrays[f'ground_truth_{name}'] = true[H:].astype(np.float32)
         if self.soil_truth is not None and self.soil_truth.space == PARTICLES:
             arrays['predicted_particles'] = self.sampled.astype(np.float32)
             arrays['particle_frames'] = self.soil_truth.frames
@@ -202,8 +198,7 @@ def roll_out(stepper, path, velocity=None, case=None, context=None) -> SoilRollo
     if np.ndim(context) == 2 and names:
         contexts = poses.numbers('context', context, (len(values), len(names)))
         context = contexts[0]
-    start = Start(scene, engine.starts, scene.n_modes)
-    start.choose(case=case, context=context)
+    start = Start(scene, engine.starts, case=case, context=context)
     values = np.stack([start.read(pose) for pose in values])
     if velocity is None:
         velocity = velocity_between(values[0], values[1], scene.dt)

@@ -1,8 +1,10 @@
-"""The soil of one frame: from the scores of modes to particles and to the height of the surface.
+"""The soil of a frame: its particles, the height of its surface, its modes.
 
-What a `Frame` holds as its `soil` has `particles()`, `height_map(nx, nz)` and `modes`: `ModesSoil`
-here, and the soil of a swept field, which computes nothing before it is asked.
+A method says how its particles are made, when they are asked for (`ModesSoil` here, `SweptSoil` of
+a swept field); the rest is shared.
 """
+
+import abc
 
 import numpy as np
 
@@ -42,16 +44,35 @@ def plan_extent(points, up: int) -> np.ndarray:
     return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
 
 
+class Soil(abc.ABC):
+    """The soil of one frame. It also has `modes`, float64 [r, D] scores, m; of a method without
+    modes those of its particles.
+
+    Attributes:
+      subspace: of its modes, or None.
+      up_axis: axis against gravity.
+      extent: float64 [2, 2], m: what a height map spans, the bed at rest; see `plan_extent`.
+    """
+
+    subspace: Subspace | None
+    up_axis: int
+    extent: np.ndarray
+
+    @abc.abstractmethod
+    def particles(self) -> np.ndarray:
+        """float32 [N, D], m; ValueError of a model in a subspace that has none."""
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
+        it, m: see `surface`."""
+        return surface(self.particles(), self.extent, self.up_axis, nx, nz)
+
+
 class Decoder:
     """Decodes the scores of one subspace, in float32.
 
-    Args:
-      subspace: of the model.
-      up_axis: axis against gravity.
-
     Attributes:
-      subspace, up_axis: as given.
-      extent: float64 [2, 2], m: of the bed at rest, see `plan_extent`; what a height map spans.
+      subspace, up_axis, extent: as of `Soil`.
     """
 
     def __init__(self, subspace: Subspace, up_axis: int):
@@ -65,44 +86,19 @@ class Decoder:
         return self._components @ np.asarray(modes, np.float32) + self._mean
 
 
-class ModesSoil:
-    """The soil of a frame of a model in a subspace.
-
-    Args:
-      modes: float64 [r, D] scores, m.
-      decoder: `Decoder`; None without a subspace.
-
-    Attributes:
-      modes: as given.
-      subspace: of the decoder, or None.
-    """
+class ModesSoil(Soil):
+    """The soil of a frame of a model in a subspace: scores float64 [r, D], m, and the `Decoder`
+    that turns them into particles; None without a subspace."""
 
     def __init__(self, modes, decoder: Decoder | None):
         self.modes, self._decoder = modes, decoder
-        self.subspace = None if decoder is None else decoder.subspace
+        self.subspace = None
+        if decoder is not None:
+            self.subspace, self.up_axis = decoder.subspace, decoder.up_axis
+            self.extent = decoder.extent
 
     def particles(self) -> np.ndarray:
-        """float32 [N, D], m.
-
-        Raises:
-          ValueError: without a subspace.
-        """
+        """See `Soil`."""
         if self._decoder is None:
             raise ValueError('particles need a subspace: the model has none')
         return self._decoder.particles(self.modes)
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """Heights of the surface on a grid over the bed at rest.
-
-        Args:
-          nx, nz: cells along the drive and across it; particles beyond the bed count in the cells
-            of the rim.
-
-        Returns:
-          float32 [nx, nz], m, of the highest particle of each cell; NaN where a cell has none.
-
-        Raises:
-          ValueError: no cells; without a subspace.
-        """
-        points = self.particles()
-        return surface(points, self._decoder.extent, self._decoder.up_axis, nx, nz)

@@ -239,12 +239,12 @@ def _parse(path):
 
 
 class Start:
-    """Checked input of a start: a bed, a body, its first pose and velocity, the context.
+    """Checked input of a start: what a user gives, and the rest from the start of a case.
 
     Args:
       scene: of the model.
       starts: of the model folder.
-      n_modes: r.
+      pose, velocity, case, context: of `Stepper.start`.
 
     Attributes:
       index: which of the starts was chosen.
@@ -253,46 +253,36 @@ class Start:
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
       context: float64 [C] or None.
+
+    Raises:
+      ValueError: no such case, not a pose, a velocity or a context.
     """
 
-    def __init__(self, scene, starts: Starts, n_modes: int):
-        self._scene, self._starts, self._n_modes = scene, starts, n_modes
-        self.index: int | None = None
-        self.is_case = False
+    index: int | None
 
-    def choose(self, pose=None, velocity=None, case=None, context=None) -> 'Start':
-        """Takes what a user gives, and the rest from the start of a case; returns itself.
-
-        Raises:
-          ValueError: no such case, not a pose, a velocity or a context.
-        """
-        starts, names = self._starts, self._scene.context_names
+    def __init__(self, scene, starts: Starts, pose=None, velocity=None, case=None, context=None):
+        self._scene, self._starts = scene, starts
         contexts: Any = starts.context  # there is one for every start, or the scene names none
-        index = starts.index(case)
+        self.index = starts.index(case)
+        self.is_case = case is not None
         if context is not None:
             context = self.read_context(context)
-            if case is None:  # the bed of the most similar case
+            if not self.is_case:  # the bed of the most similar case
                 spread = contexts.std(axis=0)
                 far = (contexts - context) / np.where(spread > 0, spread, 1.0)
-                index = int((far**2).sum(axis=1).argmin())
-        elif names:
-            context = contexts[index]
-        reader = self._reader(index)
-        pose = starts.pose[index] if pose is None else reader.read(pose)
-        velocity = reader.read_velocity(velocity)
-        self.is_case = case is not None
-        self.index, self.pose, self.velocity, self.context = index, pose, velocity, context
-        self.body, self.kept = starts.body[index], starts.kept[index]
-        return self
-
-    def _reader(self, index):
-        up = self._scene.up_axis
-        across = 2 if up != 2 else 1
-        return poses.PoseReader(up, self._starts.pose[index, across])
+                self.index = int((far**2).sum(axis=1).argmin())
+        elif scene.context_names:
+            context = contexts[self.index]
+        self.context = context
+        self.body, self.kept = starts.body[self.index], starts.kept[self.index]
+        up = scene.up_axis
+        self._reader = poses.PoseReader(up, starts.pose[self.index, 2 if up != 2 else 1])
+        self.pose = starts.pose[self.index] if pose is None else self._reader.read(pose)
+        self.velocity = self._reader.read_velocity(velocity)
 
     def read(self, pose) -> np.ndarray:
         """float64 [7] of a pose of the path; raises as `poses.PoseReader.read`."""
-        return self._reader(self.index or 0).read(pose)
+        return self._reader.read(pose)
 
     def read_context(self, context) -> np.ndarray:
         """float64 [C] of a context [C] or {name: value}.
@@ -320,7 +310,7 @@ class Start:
 
     def history(self) -> np.ndarray:
         """float64 [H, V, 3], m: the bed at rest, the body on its way."""
-        modes = self._starts.modes[self.index][: self._n_modes]
+        modes = self._starts.modes[self.index][: self._scene.n_modes]
         return np.stack([np.concatenate([self.nodes(pose), modes]) for pose in self.past()])
 
 

@@ -17,73 +17,11 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
+from learning_to_simulate.live.engine import Frame
 from learning_to_simulate.live.starts import RecordedStart, Start
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus, worse
 
 FLAG, HOLD, RAISE = 'flag', 'hold', 'raise'
-
-
-class Frame(NamedTuple):
-    """One predicted frame; its arrays cannot be written to.
-
-    Attributes:
-      force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
-      torque: [D] on the body about its reference point, N m, where the model predicts one.
-      bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
-        None where the model was not calibrated.
-      pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the
-        body is given by its particles.
-      rigid_pose: float64 [R, D] particles of the body that are nodes, m.
-      judgement: how far the rollout can be trusted up to this frame: the worst since the start,
-        with the frame in which it began and the reason.
-      now: the status of this frame alone.
-      soil: has `particles()`, `height_map(nx, nz)` and `modes`.
-    """
-
-    force: np.ndarray | None
-    torque: np.ndarray | None
-    bound: float | None
-    pose: np.ndarray | None
-    rigid_pose: np.ndarray
-    judgement: Judgement
-    now: RolloutStatus
-    soil: Any
-
-    def __repr__(self) -> str:
-        values = [] if self.force is None else [f'{value:.4g}' for value in np.ravel(self.force)]
-        force = f'force {", ".join(values)} N, ' if values else ''
-        return f'<frame: {force}{self.status}{f" ({self.reason})" if self.reason else ""}>'
-
-    @property
-    def status(self) -> RolloutStatus:
-        """The worst status since the start, as a rollout file would have it."""
-        return self.judgement.status
-
-    @property
-    def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
-        return self.judgement.reason
-
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, D] scores, m; of a method without modes those of its particles.
-
-        Raises:
-          ValueError: of such a method, without a subspace.
-        """
-        return self.soil.modes
-
-    def particles(self) -> np.ndarray:
-        """float32 [N, D] positions of the soil, m.
-
-        Raises:
-          ValueError: without a subspace.
-        """
-        return self.soil.particles()
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; see `soil.ModesSoil.height_map`."""
-        return self.soil.height_map(nx, nz)
 
 
 class StepperState(NamedTuple):
@@ -93,14 +31,12 @@ class StepperState(NamedTuple):
       start: what the run began from.
       frame: the newest.
       count: frames since the start.
-      context: float64 [C] in that frame, or None.
       of_engine: what its engine knows.
     """
 
     start: Any
     frame: Frame
     count: int
-    context: np.ndarray | None
     of_engine: Any
 
 
@@ -123,7 +59,7 @@ class Stepper:
         self._lock = threading.Lock()
         self._start: Any = None
         self._last: Any = None
-        self._count, self._context = 0, None
+        self._count = 0
 
     @property
     def engine(self) -> str:
@@ -169,8 +105,7 @@ class Stepper:
         """
         with _Held(self._lock):
             engine = self._engine
-            start = Start(engine.scene, engine.starts, engine.scene.n_modes)
-            start.choose(pose, velocity, case, context)
+            start = Start(engine.scene, engine.starts, pose, velocity, case, context)
             start.pose.setflags(write=False)
             return self._begin(start, **bed)
 
@@ -194,8 +129,8 @@ class Stepper:
 
     def _begin(self, start, **bed):
         first = self._engine.begin(start, **bed)
-        self._start, self._context, self._count = start, start.context, 0
-        self._last = _frame(first, first.judgement)
+        self._start, self._count = start, 0
+        self._last = first._replace(now=first.status)
         return first.judgement
 
     def step(self, pose=None, context=None, dt: float | None = None) -> Frame:
@@ -218,33 +153,28 @@ class Stepper:
           RuntimeError: another thread is at work here.
         """
         with _Held(self._lock):
-            return self._step(pose, context, dt)
-
-    def _step(self, pose, context, dt):
-        last = self._last
-        if last is None:
-            raise ValueError('call start() before step()')
-        if context is not None:
-            context = self._start.read_context(context)
-        if pose is not None:
-            pose = self._start.read(pose)
-        proposed = self._engine.propose(H + self._count, pose, context, dt)
-        now = proposed.judgement
-        so_far = worse(last.judgement, now)
-        if now.status != RolloutStatus.OK and self._outside != FLAG:
-            if self._outside == RAISE:
-                raise ValueError(f'{now.status}: {now.reason}; the state stays as it was')
-            self._last = last._replace(judgement=so_far)
-            return self._last._replace(now=now.status)
-        frame = _frame(proposed, so_far)
-        if now.status == RolloutStatus.NON_FINITE:
-            self._last = last._replace(judgement=so_far)
+            last = self._last
+            if last is None:
+                raise ValueError('call start() before step()')
+            if context is not None:
+                context = self._start.read_context(context)
+            if pose is not None:
+                pose = self._start.read(pose)
+            frame = self._engine.propose(H + self._count, pose, context, dt)
+            alone = frame.judgement
+            so_far = worse(last.judgement, alone)
+            if alone.status != RolloutStatus.OK and self._outside != FLAG:
+                if self._outside == RAISE:
+                    raise ValueError(f'{alone.status}: {alone.reason}; the state stays as it was')
+                self._last = last._replace(judgement=so_far)
+                return self._last._replace(now=alone.status)
+            frame = frame._replace(judgement=so_far, now=alone.status)
+            if alone.status == RolloutStatus.NON_FINITE:
+                self._last = last._replace(judgement=so_far)
+                return frame
+            self._engine.accept()
+            self._count, self._last = self._count + 1, frame
             return frame
-        self._engine.accept()
-        if context is not None:
-            self._context = context
-        self._count, self._last = self._count + 1, frame
-        return frame
 
     @property
     def state(self) -> StepperState:
@@ -255,12 +185,12 @@ class Stepper:
           RuntimeError: put back while another thread is at work here.
         """
         frame = self._newest()
-        return StepperState(self._start, frame, self._count, self._context, self._engine.state)
+        return StepperState(self._start, frame, self._count, self._engine.state)
 
     @state.setter
     def state(self, state: StepperState) -> None:
         with _Held(self._lock):
-            self._start, self._last, self._count, self._context, of_engine = state
+            self._start, self._last, self._count, of_engine = state
             self._engine.state = of_engine
 
     def particles(self) -> np.ndarray:
@@ -283,13 +213,6 @@ class Stepper:
         """What the newest frame leaves out."""
         self._newest()
         return self._engine.explain()
-
-
-def _frame(proposed, so_far):
-    return Frame(
-        proposed.force, proposed.torque, proposed.bound, proposed.pose, proposed.nodes, so_far,
-        proposed.judgement.status, proposed.soil,
-    )  # fmt: skip
 
 
 class _Held:

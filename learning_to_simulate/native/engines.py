@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live.engine import Proposal, SubspaceEngine
+from learning_to_simulate.live.engine import Frame, SubspaceEngine
 from learning_to_simulate.live.soil import plan_extent, surface
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CField, CSubspace
@@ -179,7 +179,7 @@ class CFieldEngine:
         """What computes the frames."""
         return self._other.name if self._uses_other else f'C ({self._c.kernel})'
 
-    def begin(self, start, bed=None, blade_width=None) -> Proposal:
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
         """Begins from a `live.starts.Start`; as `FieldEngine.begin`."""
         if start.velocity is None:
             raise ValueError('a swept field begins from a pose: call start()')
@@ -213,9 +213,9 @@ class CFieldEngine:
         for values in (force, torque, pose):
             values.setflags(write=False)
         soil, nodes = CFieldSoil(self, state), self._start.nodes(pose)
-        return Proposal(judgement, soil, nodes, pose, force, torque, bound)
+        return Frame(judgement, soil, nodes, pose, force, torque, bound)
 
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
         """The frame in which the tool reaches a pose; as `FieldEngine.propose`."""
         if self._uses_other:
             return self._other.propose(number, coming, context, dt)

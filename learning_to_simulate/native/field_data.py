@@ -119,6 +119,7 @@ def _of_blade(field):
         'time_scales': np.array(blade.TIME_SCALES),
         'reach': blade.REACH,
         'rise': blade.RISE,
+        'steep': blade.STEEP,
         'width': tool.width,
         'blade_radius': tool.radius,
         'length': tool.length,

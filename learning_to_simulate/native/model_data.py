@@ -10,7 +10,7 @@ import tensorflow as tf
 
 from learning_to_simulate.live import poses
 from learning_to_simulate.native import c_values, fold, library
-from learning_to_simulate.rollout_status import Ranges
+from learning_to_simulate.rollout_status import NodeRanges
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, features
 from learning_to_simulate.subspace.learned_simulator import RATE_FLOOR
@@ -104,7 +104,7 @@ def values(model, n_rigid: int, subspace=None, starts=None, rigid_correction: bo
         result[name] = getattr(s, name)
     if layout.contact is not None:
         result |= _contact(layout.contact)
-    ranges = Ranges(n_rigid, s, scene)
+    ranges = NodeRanges(n_rigid, s, scene)
     result |= {
         'bounds': ranges.bounds,
         'start_range': ranges.start_limits,

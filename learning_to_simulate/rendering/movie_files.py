@@ -26,7 +26,7 @@ _OPTIONS = {
 
 
 def write(path: str, kind: str, frames: Iterable[np.ndarray], frame_seconds: float) -> None:
-    """Writes a movie.
+    """Writes a movie. Until a GIF has its palette ffmpeg holds all frames, 2 MB each.
 
     Args:
         path: the file.

@@ -18,7 +18,7 @@ it has driven; what differs between the two is in `learning_to_simulate.tool`.
 network: both networks, their inputs from the tool's tables, all seeds at once.
 episodes, training: from a dataset to weights.
 field: the trained model, its soil and its folder.
-live: one frame a call, and whole paths.
+engine: one frame a call, for a `live.stepper.Stepper`.
 calibration: limits of training and bounds of the error.
 evaluation, method, settings: rollouts and model folders, as the registry wants them.
 """

@@ -14,11 +14,9 @@ constant, the spread sigma over members and the size mu of what is predicted (do
 which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 """
 
-import dataclasses
-
 import numpy as np
 
-from learning_to_simulate.rollout_status import Judgement, RolloutStatus, outside
+from learning_to_simulate.rollout_status import Ranges
 
 FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
 # Share of its training range by which a scalar may leave it.
@@ -38,70 +36,27 @@ CONDITIONS = {
     'bed_high': (-0.15, 0.15),
     'frame_time': (0.0, 0.1),
 }
+# What ranges hold at least, and models may leave out; `pressed` is (20) of `tool.blade`, m.
+USUAL = CONDITIONS | {'pressed': (0.0, 0.02)}
 # Below this speed (m/s) a drift is a share of it: a tool that stands may tremble.
 LEAST_SPEED = 0.04
 
 
-@dataclasses.dataclass(frozen=True)
-class Ranges:
-    """Limits of a field.
+def limits_of(ranges: dict, scalars) -> Ranges:
+    """What frames of a field are judged by: scalars, then `CONDITIONS`.
 
-    Attributes:
-      names: of the numbers: scalars of a frame, then `CONDITIONS`.
-      low, high: float64 [J] ranges of training.
-      limits: float64 [2, J] least and most that is not outside: ranges widened by `MARGIN` of
-        themselves and by rounding.
+    Args:
+      ranges: name -> (low, high) of a model; those of `USUAL` it may leave out.
+      scalars: names. Their ranges are widened by `MARGIN` of themselves, all by rounding.
+
+    Raises:
+      KeyError: a scalar has no range.
     """
-
-    names: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
-    limits: np.ndarray
-
-    @classmethod
-    def of(cls, ranges: dict, scalars) -> 'Ranges':
-        """Of the ranges {name: (low, high)} of a model; those of `CONDITIONS` it may leave out.
-
-        Raises:
-          KeyError: a scalar has no range.
-        """
-        names = (*scalars, *CONDITIONS)
-        low, high = np.array([(CONDITIONS | ranges)[name] for name in names], float).T
-        is_scalar = np.arange(len(names)) < len(scalars)
-        extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
-        return cls(names, low, high, np.stack([low - extra, high + extra]))
-
-    def outside(self, values) -> np.ndarray:
-        """bool [T, J] of values [T, J]; of [T, S] scalars alone, [T, S]."""
-        least, most = self.limits[:, : values.shape[1]]
-        return ~((values >= least) & (values <= most))
-
-    def judge(self, values, first: int = 0, finite: bool = True) -> Judgement:
-        """The status of a path.
-
-        Args:
-          values: [T, J] of its frames, see `conditions`; or [T, S], scalars alone.
-          first: number of its first frame.
-          finite: whether all that was predicted is.
-
-        Returns:
-          OK: finite, and nothing outside its limits; the error is then what the bound says.
-          EXTRAPOLATING: the first frame that is not, and why.
-        """
-        if not finite:
-            return Judgement(RolloutStatus.NON_FINITE, first, -1, 'a prediction is not finite')
-        bad = self.outside(values)
-        if not bad.any():
-            return Judgement(RolloutStatus.OK)
-        (frame, i), status = np.argwhere(bad)[0], RolloutStatus.EXTRAPOLATING
-        reason = outside(status, self.names[i], values[frame, i], self.low[i], self.high[i])
-        return Judgement(status, first + int(frame), -1, reason)
-
-    def statuses(self, values, finite) -> list[RolloutStatus]:
-        """The status of each frame alone; values as of `judge`, `finite` bool [T]."""
-        found = np.where(self.outside(values).any(axis=1), 1, 0)
-        kinds = (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE)
-        return [kinds[i] for i in np.where(finite, found, 2)]
+    names = (*scalars, *CONDITIONS)
+    low, high = np.array([(USUAL | ranges)[name] for name in names], float).T
+    is_scalar = np.arange(len(names)) < len(scalars)
+    extra = np.where(is_scalar, MARGIN * (high - low), 0.0) + 1e-6
+    return Ranges(names, low, high, np.stack([low - extra, high + extra]))
 
 
 def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:
@@ -136,14 +91,16 @@ def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:
 
 def spread(values) -> np.ndarray:
     """Root mean square [T] of the standard deviation over members of values [M, T, ...]."""
-    std = np.std(np.asarray(values, np.float64), axis=0)
-    return np.sqrt(np.mean(std**2, axis=tuple(range(1, std.ndim))))
+    return _rms(np.std(np.asarray(values, np.float64), axis=0))
 
 
 def size(values) -> np.ndarray:
     """Root mean square [T] of the mean over members of values [M, T, ...]."""
-    mean = np.mean(np.asarray(values, np.float64), axis=0)
-    return np.sqrt(np.mean(mean**2, axis=tuple(range(1, mean.ndim))))
+    return _rms(np.mean(np.asarray(values, np.float64), axis=0))
+
+
+def _rms(values):
+    return np.sqrt(np.mean(values**2, axis=tuple(range(1, values.ndim))))
 
 
 def bound(spreads, sizes, weights) -> np.ndarray:

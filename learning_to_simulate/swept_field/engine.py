@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.live.engine import Proposal
+from learning_to_simulate.live.engine import Engine, Frame
 from learning_to_simulate.swept_field import calibration
-from learning_to_simulate.swept_field.field import FieldSoil, Swept
+from learning_to_simulate.swept_field.field import SweptSoil
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -40,12 +40,11 @@ def begin(field, starts, subspace, start, bed=None, blade_width=None):
     if start.context is not None:
         field.check_contexts(start.context[None])
         context = field.context(start.context)
-    if blade_width is None:
-        size = tool.size(field.axes, case, start.nodes(start.pose), context)
-    elif 0 < float(blade_width) < np.inf:
-        size = field.blade.size(field.axes, {'blade_width_m': blade_width})
-    else:
-        raise ValueError(f'blade_width is {blade_width}, must be positive')
+    if blade_width is not None:
+        if tool.predicts_height or not 0 < float(blade_width) < np.inf:
+            raise ValueError(f'blade_width is {blade_width}, must be positive, and of a blade')
+        case = case | {'blade_width_m': blade_width}
+    size = tool.size(field.axes, case, start.nodes(start.pose), context)
     if bed is None:
         bed = bed_of_start(field, starts, subspace, start)
     (u,) = field.axes.plane(start.pose[None])[:, 0]
@@ -60,37 +59,7 @@ def bed_of_start(field, starts, subspace, start) -> np.ndarray | None:
     return subspace.decode(modes).astype(np.float64)
 
 
-class SweptSoil:
-    """The soil of a frame; nothing is computed before it is asked for.
-
-    Args:
-      swept: `field.Swept`.
-      of: `field.FieldSoil`.
-    """
-
-    def __init__(self, swept: Swept, of: FieldSoil):
-        self.swept, self.of = swept, of
-
-    @property
-    def subspace(self):
-        """For those who want modes, or None."""
-        return self.of.subspace
-
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
-        return self.of.modes([self.swept])[0]
-
-    def particles(self) -> np.ndarray:
-        """float32 [N, 3], world, m; none of it inside the tool."""
-        return self.of.particles(self.swept)
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
-        return self.of.height_map(self.swept, nx, nz)
-
-
-class FieldEngine:
+class FieldEngine(Engine):
     """Frames of a field by TensorFlow.
 
     Args:
@@ -102,9 +71,6 @@ class FieldEngine:
 
     Raises:
       ValueError: so many members there are not.
-
-    Attributes:
-      scene, starts, name: as given.
     """
 
     def __init__(self, field, starts, subspace=None, members=None, name: str = 'TensorFlow'):
@@ -112,20 +78,13 @@ class FieldEngine:
             raise ValueError(f'members is {members}, must lie in [1, {field.config.members}]')
         self.scene, self.starts, self.name = field.scene, starts, name
         self._field, self._members, self._space = field, members, subspace
-        self._soil = FieldSoil(field, subspace, members)
         self._start: Any = None
-        self._ground: Any = None
-        # Of the newest frame and of the proposed one: state of the tool, `Swept`, pose, context.
+        # Of the newest frame and of the proposed one: state of the tool, soil, pose, context.
         self._now: Any = None
         self._coming: Any = None
         field.warm_up(members)  # compiles now and not in the first frame
 
-    def begin(self, start, bed=None, blade_width=None) -> Proposal:
-        """Begins from a `live.starts.Start`; see `begin`.
-
-        Raises:
-          ValueError: a context, a width or a bed that cannot be; recorded frames.
-        """
+    def begin(self, start, bed=None, blade_width=None) -> Frame:
         if start.velocity is None:
             raise ValueError('a swept field begins from a pose: call start()')
         field = self._field
@@ -136,28 +95,18 @@ class FieldEngine:
             field.grid, ground.bed, ground.size[None], plane, speed[None]
         )
         judgement = field.limits.judge(field.judged(start.pose[None], frame, self.scene.dt), H - 1)
-        swept = Swept(frame, plane[0], ground)
-        self._start, self._ground = start, ground
-        self._now = _frozen((tool, swept, start.pose, start.context))
-        return self._proposal(judgement, swept, start.pose, np.zeros(3))
+        self._start = start
+        soil = self._soil(frame, plane[0], ground)
+        self._now = _frozen((tool, soil, start.pose, start.context))
+        return self._frame(judgement, soil, start.pose, np.zeros(3))
 
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Proposal:
-        """The frame in which the tool reaches a pose in a straight line.
-
-        Args:
-          number: of the frame, for its judgement.
-          coming: float64 [7]; of a driven wheel the height is ignored.
-          context: float64 [C] from that frame on; None leaves it as it was.
-          dt: s; None for the frame time of the training data.
-
-        Raises:
-          ValueError: no pose, a jump, a time that does not pass, a place beyond the bins or under
-            the floor; another soil or planet, or a load that is not positive.
-        """
+    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
+        """See `Engine`: the tool goes in a straight line, within any time."""
         if coming is None:
             raise ValueError(f'the body is {self.scene.rigid_motion}: step() takes a pose')
-        field, ground = self._field, self._ground
+        field = self._field
         before, was, last, had = self._now
+        ground = was.ground
         dt = self.scene.dt if dt is None else float(dt)
         context = had if context is None else context
         if context is not None:
@@ -181,34 +130,34 @@ class FieldEngine:
         if (weights := field.calibration.get('force')) is not None:
             spread, size = (f(loads[..., :2])[0] for f in (calibration.spread, calibration.size))
             bound = float(calibration.bound(spread, size, weights))
-        swept = Swept(frame, plane, ground)
-        self._coming = _frozen((tool, swept, coming, context))
+        soil = self._soil(frame, plane, ground)
+        self._coming = _frozen((tool, soil, coming, context))
         mean = loads.mean(axis=0)[0, :3].astype(np.float64)
-        return self._proposal(judgement, swept, coming, mean, bound)
+        return self._frame(judgement, soil, coming, mean, bound)
 
-    def _proposal(self, judgement, swept, pose, loads, bound=None):
+    def _soil(self, frame, plane, ground):
+        _frozen((frame, plane, ground))
+        return SweptSoil(self._field, frame, plane, ground, self._space, self._members)
+
+    def _frame(self, judgement, soil, pose, loads, bound=None):
         force, torque = _frozen(self._field.axes.world_loads(loads))
-        nodes = self._start.nodes(pose)
-        return Proposal(judgement, SweptSoil(swept, self._soil), nodes, pose, force, torque, bound)
+        return Frame(judgement, soil, self._start.nodes(pose), pose, force, torque, bound)
 
     def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
         self._now = self._coming
 
     @property
     def state(self) -> tuple:
-        """All that the coming frames follow from; what is put back goes on to the same bits."""
-        return self._start, self._ground, self._now
+        return self._start, self._now
 
     @state.setter
     def state(self, state: tuple) -> None:
-        self._start, self._ground, self._now = state
+        self._start, self._now = state
 
     def explain(self) -> str:
-        """What the newest frame leaves out."""
-        swept = self._now[1]
-        moving = int(self._field.may_move(swept.frame, swept.ground.local).sum())
-        return left_out(moving, len(swept.ground.points))
+        soil = self._now[1]
+        moving = int(self._field.may_move(soil.frame, soil.ground.local).sum())
+        return left_out(moving, len(soil.ground.points))
 
 
 def left_out(moving: int, n: int) -> str:

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from learning_to_simulate.tool.bed import BedReader, Ground
+from learning_to_simulate.tool.bed import Ground
 from learning_to_simulate.tool.swept import Bed, Frame
 from learning_to_simulate.tool.tool import Tool
 from pca_tools import dataset, particles
@@ -52,16 +52,14 @@ class EpisodeReader:
     Args:
       folder: of the dataset.
       metadata: of it.
-      beds: reads the beds.
-      tool: of the field.
+      field: `field.SweptField`, whose tool goes and which reads the beds.
 
     Raises:
       FileNotFoundError: no subspace.
     """
 
-    def __init__(self, folder: str, metadata: dict, beds: BedReader, tool: Tool):
-        self._folder, self._metadata, self._beds = folder, metadata, beds
-        self._tool = tool
+    def __init__(self, folder: str, metadata: dict, field):
+        self._folder, self._metadata, self._field = folder, metadata, field
         self._names = metadata.get('scene', {}).get('context_names', ())
         self.subspace = Subspace.load(f'{folder}/subspace.npz')
 
@@ -102,16 +100,14 @@ class EpisodeReader:
         return found
 
     def _episode(self, record, run, case, stride, positions, begin):
-        axes, tool = self._beds.axes, self._tool
+        axes, tool = self._field.axes, self._field.tool
         context = None
         if run.step_context is not None:
             context = dict(zip(self._names, run.step_context[begin:].astype(np.float64).T))
         pose = tool.poses(axes, run.rigid_pose[begin:], context)
         first = None if context is None else {k: v[0] for k, v in context.items()}
         size = tool.size(axes, case, run.position[0, : run.n_rigid], first)
-        ground = self._beds.ground(
-            self.points(run, begin), pose[0, 0], size, tool.width_of(size)
-        )
+        ground = self._field.ground(pose[0, 0], size, self.points(run, begin))
         sampled = positions[begin // stride :]
         places = axes.points(sampled)
         return Episode(

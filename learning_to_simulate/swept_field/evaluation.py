@@ -1,5 +1,6 @@
 """Rollouts of a swept field over the runs of a dataset, judged as those of all methods."""
 
+import functools
 import time
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -9,8 +10,7 @@ import numpy as np
 from learning_to_simulate import evaluation
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.swept_field import calibration
-from learning_to_simulate.swept_field.engine import SweptSoil
-from learning_to_simulate.swept_field.field import FieldSoil, Swept
+from learning_to_simulate.swept_field.field import SweptSoil
 
 
 class FieldRollout(NamedTuple):
@@ -22,7 +22,7 @@ class FieldRollout(NamedTuple):
       arrays: name -> what else its file holds: predicted_particles [F, P, 3], particle_frames [F],
         particle_indices [P], predicted_torques [T - H, 3].
       facts: physics and quality of the run, see `FieldEvaluator.facts`.
-      swept: `Swept` of each of the T frames.
+      soils: T - H `SweptSoil`s.
     """
 
     position: np.ndarray
@@ -31,7 +31,7 @@ class FieldRollout(NamedTuple):
     seconds: float
     arrays: dict[str, Any]
     facts: dict[str, Any]
-    swept: list
+    soils: list
 
 
 class FieldEvaluator:
@@ -50,31 +50,27 @@ class FieldEvaluator:
 
     def __init__(self, field, reader, metadata: dict, split: str, force_mean):
         self._field, self.reader, self._metadata = field, reader, metadata
-        self._split = split
-        self._mean = force_mean
-        self._episodes = None
+        self._split, self._mean = split, force_mean
 
     def episode(self, record: int):
         """`Episode` of a run from its start."""
-        if self._episodes is None:
-            self._episodes = {e.record: e for e in self.reader.read(self._split)}
         return self._episodes[record]
 
-    def soils(self, rollout: FieldRollout) -> list[SweptSoil]:
-        """The soil of each predicted frame."""
-        of = FieldSoil(self._field, self.reader.subspace)
-        return [SweptSoil(swept, of) for swept in rollout.swept[H:]]
+    @functools.cached_property
+    def _episodes(self):
+        return {e.record: e for e in self.reader.read(self._split)}
 
     def roll_out(self, group) -> FieldRollout:
         """The rollout of a one-run `RunGroup` of the split."""
         field, axes, tool = self._field, self._field.axes, self._field.tool
+        subspace, sample = self.reader.subspace, self.reader.sample(self._split)
         record = int(group.record[0])
         episode = self.episode(record)
-        modes = group.position[0, :1, group.n_rigid :]
-        bed = self.reader.subspace.decode(modes)[0].astype(float)
+        bed = subspace.decode(group.position[0, :1, group.n_rigid :])[0].astype(float)
         ground = episode.ground._replace(points=bed, places=axes.points(bed))
         pose, frames = field.frames(ground, episode.pose, field.scene.dt)
-        sampled, n_rigid = episode.frames, group.n_rigid
+        sampled, n_rigid, n_bed = episode.frames, group.n_rigid, len(bed)
+        # Particles of the modes, for those who want modes, and those that the truth has.
         rest = np.concatenate([ground.places, episode.ground.places]) - ground.origin
         clock = time.perf_counter()
         members = field.displacement(frames.at(sampled), rest)
@@ -88,41 +84,38 @@ class FieldEvaluator:
         for i, frame in enumerate(sampled):
             depth, way = tool.inside(points[i], pose[frame], ground.size)
             deepest, points[i] = max(deepest, float(depth.max())), points[i] + way
-        n_bed = len(bed)
-        world = axes.world(points[:, n_bed:] - episode.ground.places)
-        sample = self.reader.sample(self._split)
         position = group.position[:, H:].copy()
         if tool.predicts_height:
             change = (pose - episode.pose)[H:, 1]
             position[0, :, :n_rigid, axes.up] += change[:, None]
-        soil = self.reader.subspace.encode(bed + axes.world(points[:, :n_bed] - ground.places))
+        modes = subspace.encode(bed + axes.world(points[:, :n_bed] - ground.places))
         at = np.arange(len(pose))
         # Modes of the frames between: on the straight line.
-        flat = soil.reshape(len(sampled), -1)
-        modes = np.stack([np.interp(at, sampled, column) for column in flat.T], axis=-1)
-        position[0, :, n_rigid:] = modes.reshape(len(at), *soil.shape[1:])[H:]
+        between = [np.interp(at, sampled, column) for column in modes.reshape(len(sampled), -1).T]
+        modes = np.stack(between, axis=-1).reshape(len(at), *modes.shape[1:])
+        position[0, :, n_rigid:] = modes[H:]
         force, torque = axes.world_loads(loads.mean(axis=0)[H:, :3])
-        late = sampled >= H
+        values = field.judged(episode.path, frames, field.scene.dt)
         finite = bool(np.isfinite(points).all() and np.isfinite(loads).all())
-        judgement = field.limits.judge(
-            field.judged(episode.path, frames, field.scene.dt), 0, finite
-        )
-        particles = sample[record][:1] + world
+        moved, late = axes.world(points[:, n_bed:] - episode.ground.places), sampled >= H
         return FieldRollout(
-            position,
-            force[None].astype(np.float32),
-            [judgement],
-            seconds,
-            {
-                'predicted_particles': particles[late].astype(np.float32),
+            position=position,
+            force=force[None].astype(np.float32),
+            judgements=[field.limits.judge(values, 0, finite)],
+            seconds=seconds,
+            arrays={
+                'predicted_particles': (sample[record][:1] + moved)[late].astype(np.float32),
                 'particle_frames': sampled[late],
                 'particle_indices': np.asarray(sample.indices),
                 'predicted_torques': torque.astype(np.float32),
             },
-            self.facts(
+            facts=self.facts(
                 episode, pose, frames, members[:, :, n_bed:], points[:, n_bed:], loads, deepest
             ),
-            [Swept(frames.at(slice(t, t + 1)), pose[t], ground) for t in range(len(pose))],
+            soils=[
+                SweptSoil(field, frames.at(slice(t, t + 1)), pose[t], ground, subspace)
+                for t in range(H, len(pose))
+            ],
         )
 
     def facts(self, episode, pose, frames, members, points, loads, deepest) -> dict:
@@ -144,9 +137,16 @@ class FieldEvaluator:
         """
         field, late, ground = self._field, episode.frames >= H, episode.ground
         truth = ground.places + episode.moved
-        error = points - truth
+
+        def rms_mm(difference):
+            return float(1e3 * np.sqrt((difference[late] ** 2).mean()))
+
+        def relative(force):
+            size = np.linalg.norm(episode.load[H:, :2])
+            return float(np.linalg.norm(force[H:, :2] - episode.load[H:, :2]) / size)
+
+        frame_mm = 1e3 * np.sqrt(((points - truth) ** 2).mean(axis=(1, 2)))
         load_error = loads.mean(axis=0)[:, :2] - episode.load[:, :2]
-        frame_mm = 1e3 * np.sqrt((error**2).mean(axis=(1, 2)))
         true_depth = max(
             float(field.tool.inside(p, episode.pose[f], ground.size)[0].max())
             for p, f in zip(truth, episode.frames, strict=True)
@@ -157,35 +157,28 @@ class FieldEvaluator:
             1e3 * float(volume * np.count_nonzero(p[:, 1] > np.interp(p[:, 0], places, surface)))
             for p in (points[-1], truth[-1])
         ]
+        frames_of = {
+            'soil_error': frame_mm[late],
+            'soil_spread': (1e3 * calibration.spread(members))[late],
+            'soil_size': (1e3 * calibration.size(members))[late],
+            'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).astype(float),
+            'force_spread': calibration.spread(loads[..., :2])[H:],
+            'force_size': calibration.size(loads[..., :2])[H:],
+        }
         return {
             'record': episode.record,
             'soil_mm': float(np.sqrt((frame_mm[late] ** 2).mean())),
-            'still_mm': float(1e3 * np.sqrt((episode.moved[late] ** 2).mean())),
-            'force_l2': float(
-                np.linalg.norm(load_error[H:]) / np.linalg.norm(episode.load[H:, :2])
-            ),
-            'soil_mm_of_members': [
-                float(1e3 * np.sqrt(((m - episode.moved)[late] ** 2).mean())) for m in members
-            ],
-            'force_l2_of_members': [
-                float(np.linalg.norm(m[H:, :2] - episode.load[H:, :2]))
-                / float(np.linalg.norm(episode.load[H:, :2]))
-                for m in loads
-            ],
+            'still_mm': rms_mm(episode.moved),
+            'force_l2': relative(loads.mean(axis=0)),
+            'soil_mm_of_members': [rms_mm(m - episode.moved) for m in members],
+            'force_l2_of_members': [relative(m) for m in loads],
             'penetration_mm': 1e3 * deepest,
             'true_penetration_mm': 1e3 * true_depth,
             'heap_litre': heaps[0],
             'true_heap_litre': heaps[1],
             **field.tool.facts(episode, pose, frames, loads.mean(axis=0)),
-            'frames': {
-                'soil_error': frame_mm[late].tolist(),
-                'soil_spread': (1e3 * calibration.spread(members))[late].tolist(),
-                'soil_size': (1e3 * calibration.size(members))[late].tolist(),
-                'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).tolist(),
-                'force_spread': calibration.spread(loads[..., :2])[H:].tolist(),
-                'force_size': calibration.size(loads[..., :2])[H:].tolist(),
-            },
-        }  # fmt: skip
+            'frames': frames_of,
+        }
 
     def run(self, groups, split: str, progress=iter):
         """Rolls out every run; arguments and results as of `evaluation.Evaluator.run`, with the
@@ -196,10 +189,8 @@ class FieldEvaluator:
         )
         facts = [dict(rollout.facts) for _, _, rollout in results]
         for kind in calibration.FLOORS:
-            runs = [
-                [np.array(f['frames'][f'{kind}_{part}']) for part in ('error', 'spread', 'size')]
-                for f in facts
-            ]
+            parts = [f'{kind}_{part}' for part in ('error', 'spread', 'size')]
+            runs = [[fact['frames'][part] for part in parts] for fact in facts]
             weights = self._field.calibration.get(kind)
             summary.setdefault('reliability', {})[kind] = {
                 'weights': weights,

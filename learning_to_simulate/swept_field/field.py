@@ -6,32 +6,26 @@ A model folder holds `config.json` and `weights.npz`, all that live use needs.
 import dataclasses
 import functools
 import os
-from typing import NamedTuple
 
 import numpy as np
 import tensorflow as tf
 
 from learning_to_simulate import checkpoints, known_shapes
 from learning_to_simulate.live import poses, soil
+from learning_to_simulate.rollout_status import Ranges
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.swept_field.calibration import Ranges, conditions
+from learning_to_simulate.swept_field.calibration import conditions, limits_of
 from learning_to_simulate.swept_field.network import FieldNetwork
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import TOOLS, bed
 from learning_to_simulate.tool.axes import Axes
-from learning_to_simulate.tool.bed import BedReader, Ground
-from learning_to_simulate.tool.blade import EDGE_RADIUS, Blade
+from learning_to_simulate.tool.bed import Ground
 from learning_to_simulate.tool.swept import Frame, SweptGrid
 from learning_to_simulate.tool.tool import Tool
 from pca_tools import files
 
 # Frames times particles of one call of the network, so that its memory stays small.
 CHUNK = 120_000
-# Bins of a blade, and of a wheel, whose radius is that of the run.
-GRIDS = {
-    'blade': SweptGrid(EDGE_RADIUS, spacing=0.005, behind=0.45, ahead=0.75),
-    'wheel': SweptGrid(EDGE_RADIUS, spacing=0.004, behind=0.3, ahead=0.5),
-}
 _REST = 'bed/rest'
 
 
@@ -46,7 +40,7 @@ class SweptField:
       tool: a blade or a wheel, see `tool`.
       rest: float64 [N, 3], world, m: the bed at rest that it was trained on.
       kept_spacing, spacing: between the particles of `rest` and between those of the solver, m.
-      ranges: name of a scalar -> its range over the training paths; see `calibration.Ranges`.
+      ranges: name of a scalar -> its range over the training paths; see `calibration.limits_of`.
       calibration: 'soil' and 'force' -> weights of the bound, see `calibration`.
       network: the weights.
     """
@@ -86,25 +80,14 @@ class SweptField:
         self._functions = functions
 
     @property
-    def beds(self) -> BedReader:
-        """Reads beds of particles as many as `rest`."""
-        return BedReader(self.axes, self.grid, self.kept_spacing, self.spacing)
-
-    @property
     def limits(self) -> Ranges:
         """What frames are judged by."""
-        return Ranges.of(self.ranges, self.tool.scalars)
+        return limits_of(self.ranges, self.tool.scalars)
 
-    @property
-    def blade(self) -> Blade:
-        """The blade, for what blades alone have.
-
-        Raises:
-          ValueError: another tool.
-        """
-        if not isinstance(self.tool, Blade):
-            raise ValueError(f'a blade is asked for, the tool of this field is a {self.tool.name}')
-        return self.tool
+    @functools.cached_property
+    def extent(self) -> np.ndarray:
+        """float64 [2, 2], m: of the bed at rest seen from above, see `soil.plan_extent`."""
+        return soil.plan_extent(self.rest, self.axes.up)
 
     def ground(self, u: float, size, given=None) -> Ground:
         """The bed of a tool that begins at u (m).
@@ -118,16 +101,16 @@ class SweptField:
           ValueError: not a bed.
         """
         # A view, so that who closes it for writing does not close the field's own.
-        points, beds = self.rest.view(), self.beds
+        points, kept = self.rest.view(), self.kept_spacing
         if isinstance(given, bed.HeightMap):
             points = bed.stretched(given, self.rest, self.axes, self.spacing)
         elif given is not None:
             points = poses.numbers('bed', given, (None, 3))
             if not len(points):
                 raise ValueError('a bed of no particles')
-            kept = self.kept_spacing * (len(self.rest) / len(points)) ** (1 / 3)
-            beds = dataclasses.replace(beds, kept_spacing=kept)
-        return beds.ground(points, u, size, self.tool.width_of(size))
+            kept *= (len(self.rest) / len(points)) ** (1 / 3)
+        width = self.tool.width_of(size)
+        return bed.ground(points, u, size, width, self.axes, self.grid, kept, self.spacing)
 
     def context(self, values) -> dict | None:
         """Name -> [...] of values [..., C] of the scene's context; None for None."""
@@ -242,67 +225,46 @@ class SweptField:
         return self._functions(members)[1](*frames).numpy()
 
 
-class Swept(NamedTuple):
-    """One frame of a tool on its bed: all that the soil follows from.
+class SweptSoil(soil.Soil):
+    """The soil of one frame of a tool on its bed; nothing is computed before it is asked for.
 
     Attributes:
+      field: `SweptField`.
       frame: `Frame` of [1, ...].
       pose: float64 [K] of the tool, see `tool`.
       ground: the bed.
-    """
-
-    frame: Frame
-    pose: np.ndarray
-    ground: Ground
-
-
-class FieldSoil:
-    """From what a tool has swept to particles and to the height of the surface.
-
-    Nothing is computed before particles are asked for.
-
-    Args:
-      field: `SweptField`.
       subspace: for those who want modes, or None.
       members: networks that answer; None: all.
-
-    Attributes:
-      field, subspace, members: as given.
-      extent: float64 [2, 2], m: of the bed at rest seen from above; what a height map spans.
     """
 
-    def __init__(self, field, subspace=None, members: int | None = None):
-        self.field, self.subspace, self.members = field, subspace, members
-        self.extent = soil.plan_extent(field.rest, field.axes.up)
+    def __init__(self, field, frame: Frame, pose, ground: Ground, subspace=None, members=None):
+        self.field, self.frame, self.pose, self.ground = field, frame, pose, ground
+        self.subspace, self.members = subspace, members
+        self.up_axis = field.axes.up
 
-    def particles(self, swept) -> np.ndarray:
-        """float32 [N, 3], m, of a `Swept`, or [T, N, 3] of a sequence of them; none of it inside
-        the tool."""
-        if not isinstance(swept, Swept):
-            return np.stack([self.particles(one) for one in swept])
-        field, ground = self.field, swept.ground
-        moved = field.displacement(swept.frame, ground.local, self.members)
+    @property
+    def extent(self) -> np.ndarray:  # type: ignore[override]
+        """See `Soil`."""
+        return self.field.extent
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
+        if self.subspace is None:
+            raise ValueError('modes need a subspace: the model folder has none')
+        return self.subspace.encode(self.particles())
+
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3], world, m; none of it inside the tool."""
+        field, ground = self.field, self.ground
+        moved = field.displacement(self.frame, ground.local, self.members)
         # Those that rest are as they were given, to the last bit.
         now = np.flatnonzero(moved[:, 0].any(axis=(0, 2)))
         points = ground.points.astype(np.float32)
         there = ground.places[now] + moved[:, 0, now].mean(axis=0)
-        there = there + field.tool.inside(there, swept.pose, ground.size)[1]
+        there = there + field.tool.inside(there, self.pose, ground.size)[1]
         points[now] = ground.points[now] + field.axes.world(there - ground.places[now])
         return points
-
-    def height_map(self, swept: Swept, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
-        return soil.surface(self.particles(swept), self.extent, self.field.axes.up, nx, nz)
-
-    def modes(self, swept) -> np.ndarray:
-        """float64 [T, r, 3] scores, m, of frames.
-
-        Raises:
-          ValueError: without a subspace.
-        """
-        if self.subspace is None:
-            raise ValueError('modes need a subspace: the model folder has none')
-        return np.stack([self.subspace.encode(self.particles(one)) for one in swept])
 
 
 def _weights(field: SweptField) -> dict:
@@ -376,7 +338,7 @@ def load(path: str) -> SweptField:
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
             'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
-        Ranges.of(parts['ranges'], parts['tool'].scalars)
+        limits_of(parts['ranges'], parts['tool'].scalars)
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error
     arrays = checkpoints.stored_weights(path)

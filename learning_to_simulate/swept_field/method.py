@@ -79,7 +79,7 @@ def _bar(runs):
 
 
 def _evaluator(field, data_path, metadata, split, force_mean):
-    reader = EpisodeReader(data_path, metadata, field.beds, field.tool)
+    reader = EpisodeReader(data_path, metadata, field)
     return FieldEvaluator(field, reader, metadata, split, force_mean)
 
 

@@ -15,8 +15,8 @@ import tqdm
 
 from learning_to_simulate import reading_utils
 from learning_to_simulate.swept_field import episodes as episodes_lib
-from learning_to_simulate.swept_field.calibration import CONDITIONS
-from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.calibration import CONDITIONS, USUAL
+from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.swept_field.network import stacked
 from learning_to_simulate.tool import bed, for_scene
 from learning_to_simulate.tool.axes import Axes
@@ -87,7 +87,7 @@ def make_field(config, data_path: str, metadata: dict) -> SweptField:
     axes = Axes.of_runs(dataset.read_split(data_path, 'train'), scene.up_axis)
     rest = Subspace.load(f'{data_path}/subspace.npz').initial
     return SweptField(
-        config, scene, axes, GRIDS[tool.name], tool, rest, *bed.spacings(rest, metadata)
+        config, scene, axes, tool.grid, tool, rest, *bed.spacings(rest, metadata)
     )
 
 
@@ -103,7 +103,7 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
     """
     tf.keras.utils.set_random_seed(config.seed)
     field = make_field(config, data_path, metadata)
-    reader = episodes_lib.EpisodeReader(data_path, metadata, field.beds, field.tool)
+    reader = episodes_lib.EpisodeReader(data_path, metadata, field)
     episodes = reader.read('train', config.start_every, config.train_runs)
     frames = episodes_lib.frames_of(episodes, field.tool, field.grid, field.scene.dt)
     facts = Trainer(field.network, config, TrainingData(episodes, frames, field)).run()
@@ -123,13 +123,13 @@ def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:
 
 
 def ranges_of(field, values) -> dict[str, list[float]]:
-    """Ranges of scalars and conditions [T, J] of training; those of `CONDITIONS` are at least what
-    is usual."""
+    """Ranges of scalars and conditions [T, J] of training, at least those of `USUAL`."""
     names = (*field.tool.scalars, *CONDITIONS)
     low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
     ranges = dict(zip(names, map(list, zip(low, high)), strict=True))
-    for name, (least, most) in CONDITIONS.items():
-        ranges[name] = [min(ranges[name][0], least), max(ranges[name][1], most)]
+    for name in ranges.keys() & USUAL:
+        (low, high), (least, most) = ranges[name], USUAL[name]
+        ranges[name] = [min(low, least), max(high, most)]
     return ranges
 
 

@@ -5,7 +5,7 @@ swept: what a circle has swept, the state that both tools share.
 blade, wheel: one file a tool, with its pose, state, table of inputs and outline.
 inputs: what a table of inputs is.
 bed: heights of beds, and beds that are given.
-path_inputs: what a path is to a method without particles.
+path_memory: what a tool has done, as inputs of a network in the subspace.
 """
 
 from learning_to_simulate.scene import RigidMotion

@@ -1,13 +1,12 @@
 """Beds: the height of a bed read from its particles, and the beds that a tool may begin on."""
 
-import dataclasses
 import os
 from typing import NamedTuple
 
 import numpy as np
 
 from learning_to_simulate.tool.axes import Axes
-from learning_to_simulate.tool.swept import Bed, SweptGrid
+from learning_to_simulate.tool.swept import Bed
 from pca_tools import subspace
 
 
@@ -109,44 +108,31 @@ class Ground(NamedTuple):
         return (self.places - self.origin).astype(np.float32)
 
 
-@dataclasses.dataclass(frozen=True)
-class BedReader:
-    """Beds from particles.
+def ground(points, u, size, width: float, axes: Axes, grid, kept_spacing, spacing) -> Ground:
+    """The one place where a bed is read for a tool.
 
-    Attributes:
-      axes: of the scene.
+    Args:
+      points: [N, 3] particles of the bed, world, m.
+      u: where the tool begins along the way, m.
+      size: [S] of the tool, see `tool`.
+      width: of the strip that it passes, m.
+      axes, kept_spacing, spacing: as of `surface_profile`.
       grid: bins along the way.
-      kept_spacing: between given particles, m.
-      spacing: between those of the solver, m.
+
+    Returns:
+      `Ground`, whose level is the median surface within the bed.
+
+    Raises:
+      ValueError: no particle lies where the tool passes.
     """
-
-    axes: Axes
-    grid: SweptGrid
-    kept_spacing: float
-    spacing: float
-
-    def ground(self, points, u: float, size, width: float) -> Ground:
-        """The `Ground` of particles [N, 3] (m, world) for a tool of a size [S] and width (m) that
-        begins at u (m). The level is the median surface within the bed.
-
-        Raises:
-          ValueError: no particle lies where the tool passes.
-        """
-        places = u + self.grid.offsets
-        surface = surface_profile(
-            points, places, self.axes, self.kept_spacing, self.spacing, width / 2
-        )
-        along = self.axes.plane(points)[:, 0]
-        there = (places >= along.min()) & (places <= along.max())
-        level = float(np.median(surface[there] if there.any() else surface))
-        end = float(along.max() + self.spacing / 2)
-        return Ground(
-            points,
-            self.axes.points(points),
-            np.array([u, level, 0.0]),
-            np.asarray(size),
-            Bed(surface[None], np.array([level]), np.array([end])),
-        )
+    places = u + grid.offsets
+    surface = surface_profile(points, places, axes, kept_spacing, spacing, width / 2)
+    along = axes.plane(points)[:, 0]
+    there = (places >= along.min()) & (places <= along.max())
+    level = float(np.median(surface[there] if there.any() else surface))
+    end = float(along.max() + spacing / 2)
+    bed = Bed(surface[None], np.array([level]), np.array([end]))
+    return Ground(points, axes.points(points), np.array([u, level, 0.0]), np.asarray(size), bed)
 
 
 class HeightMap(NamedTuple):

@@ -28,13 +28,13 @@ SQUASHES = {
     'log1p': 'log(1 + t)',
 }
 FUNCTIONS = ('abs', 'relu', 'sqrt', 'log', 'log1p', 'max')
-_OPERATORS: dict[type, tuple[str, Callable]] = {
-    ast.Add: ('add', operator.add),
-    ast.Sub: ('sub', operator.sub),
-    ast.Mult: ('mul', operator.mul),
-    ast.Div: ('div', operator.truediv),
-}
-_TAKE_TWO = ('add', 'sub', 'mul', 'div', 'max')
+_OPERATORS: dict[type, str] = {
+    ast.Add: 'add', ast.Sub: 'sub', ast.Mult: 'mul', ast.Div: 'div',
+}  # fmt: skip
+_OF_TWO: dict[str, Callable] = {
+    'add': operator.add, 'sub': operator.sub, 'mul': operator.mul, 'div': operator.truediv,
+}  # fmt: skip
+_TAKE_TWO = (*_OF_TWO, 'max')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,19 +101,9 @@ class Tables:
     force: Table
 
 
-@functools.cache
-def _parsed(expression):
-    return ast.parse(expression, mode='eval').body
-
-
-def _name(node):
-    return node.id if isinstance(node, ast.Name) else f'{node.value.id}.{node.attr}'
-
-
 def names(expression: str) -> list[str]:
     """The names in an expression, in their order; each once."""
-    found = [v for kind, v in program(expression) if kind == 'name']
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(str(v) for kind, v in program(expression) if kind == 'name'))
 
 
 def evaluate(expression: str, values, functions: dict):
@@ -124,19 +114,18 @@ def evaluate(expression: str, values, functions: dict):
       values: name -> number, array or tensor.
       functions: name -> function, of `FUNCTIONS`.
     """
-
-    def value(node):
-        if isinstance(node, ast.BinOp):
-            if isinstance(node.op, ast.Pow):
-                return value(node.left) ** node.right.value
-            return _OPERATORS[type(node.op)][1](value(node.left), value(node.right))
-        if isinstance(node, ast.Call):
-            return functions[node.func.id](*map(value, node.args))
-        return node.value if isinstance(node, ast.Constant) else values[_name(node)]
-
-    return value(_parsed(expression))
+    known = _OF_TWO | {'square': lambda x: x**2} | functions
+    stack: list = []
+    for kind, value in program(expression):
+        if kind in ('name', 'number'):
+            stack.append(values[value] if kind == 'name' else value)
+        else:
+            count = 2 if kind in _TAKE_TWO else 1
+            stack[-count:] = [known[kind](*stack[-count:])]
+    return stack[0]
 
 
+@functools.cache
 def program(expression: str) -> list[tuple[str, str | float]]:
     """An expression for a machine with a stack: ('name', name), ('number', value) or (operation,
     ''), operands before their operation.
@@ -146,25 +135,27 @@ def program(expression: str) -> list[tuple[str, str | float]]:
     """
 
     def steps(node):
+        kind = None
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-            yield from steps(node.left)
-            yield from steps(node.right)
-            yield _OPERATORS[type(node.op)][0], ''
+            kind, parts = _OPERATORS[type(node.op)], [node.left, node.right]
         elif isinstance(node, ast.BinOp) and ast.unparse(node).endswith('** 2'):
-            yield from steps(node.left)
-            yield 'square', ''
+            kind, parts = 'square', [node.left]
         elif isinstance(node, ast.Call) and node.func.id in FUNCTIONS:
-            for argument in node.args:
-                yield from steps(argument)
-            yield node.func.id, ''
+            kind, parts = node.func.id, node.args
         elif isinstance(node, ast.Constant):
             yield 'number', float(node.value)
-        elif isinstance(node, (ast.Name, ast.Attribute)):
-            yield 'name', _name(node)
+        elif isinstance(node, ast.Name):
+            yield 'name', node.id
+        elif isinstance(node, ast.Attribute):
+            yield 'name', f'{node.value.id}.{node.attr}'
         else:
             raise ValueError(f'{expression!r}: {ast.unparse(node)!r} has no place in an operand')
+        if kind:
+            for part in parts:
+                yield from steps(part)
+            yield kind, ''
 
-    return list(steps(_parsed(expression)))
+    return list(steps(ast.parse(expression, mode='eval').body))
 
 
 def depth(expression: str) -> int:

@@ -23,7 +23,6 @@ PLACES, BUMPS = 20, 12
 ABOUT = np.array([-0.3, -0.2, -0.13, -0.085, -0.055, -0.03, -0.015, 0.0, 0.015, 0.03, 0.055, 0.085,
                   0.13, 0.2])  # fmt: skip
 RECENT = 0.15  # m of travel over which a passage fades
-AT_ONCE = 2**20  # bins of all runs whose frames are read together, 50 MB
 MARGIN = 0.1  # m that the places reach beyond the paths of training
 _RATES = np.tile([0.1, 0.1, 1.0], 1 + len(blade.TIME_SCALES))  # m/s, m/s, rad/s
 _SCALAR = {name: i for i, name in enumerate(blade.SCALARS)}
@@ -126,18 +125,12 @@ class PathMemory:
 
     def read(self, bodies) -> np.ndarray:
         """Values float32 [S, T, WIDTH] of whole runs [S, T, R, D]."""
-        n_run, n_frame = bodies.shape[:2]
-        found = np.empty((n_run, n_frame, WIDTH), np.float32)
-        at_once = max(1, AT_ONCE // (n_run * len(self.grid.offsets)))
-        memory, waiting = self.start(bodies[:, 0]), []
-        for t in range(n_frame):
-            memory = self.advance(memory, bodies[:, t]) if t else memory
-            waiting.append(memory)
-            if len(waiting) == at_once or t == n_frame - 1:
-                values = self.values(_joined(waiting)).reshape(len(waiting), n_run, WIDTH)
-                found[:, t + 1 - len(waiting) : t + 1] = np.moveaxis(values, 0, 1)
-                waiting = []
-        return found
+        memory = self.start(bodies[:, 0])
+        found = [self.values(memory)]
+        for t in range(1, bodies.shape[1]):
+            memory = self.advance(memory, bodies[:, t])
+            found.append(self.values(memory))
+        return np.stack(found, axis=1)
 
     def _bed(self, count):
         return swept.Bed(
@@ -149,11 +142,3 @@ class PathMemory:
     def _pose(self, body):
         tip, lean = blade_pose(np.asarray(body, np.float64)[:, None], self.axes)
         return np.concatenate([tip[:, 0], lean], axis=1)
-
-
-def _joined(memories):
-    """Memories of several frames as one of more tools."""
-    states, widths = zip(*memories)
-    beds, *others = (list(parts) for parts in zip(*states))
-    beds = swept.SweptBed(*map(np.concatenate, zip(*beds)))
-    return blade.BladeState(beds, *map(np.concatenate, others)), np.concatenate(widths)

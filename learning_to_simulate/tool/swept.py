@@ -22,9 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Less than any length, m.
-TINY = 1e-37
-_NOT_BACK = 'a frame must last longer than 0 s, got {}: time does not go back'
+TINY = 1e-37  # less than any length, m
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,14 +149,18 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
     Args:
       grid: the bins.
       position: [B, 2] first u and y of the centre, m.
-      surface: height of the bed, m: a number, [B] or, where the bed is not flat, [B, n] at
-        `position[:, :1] + grid.offsets`.
+      surface: height of the bed, m: a number, or [B, n] at `position[:, :1] + grid.offsets`.
 
     Raises:
       ValueError: shapes that do not fit, or values that are not finite.
     """
     position = checked('position', position, (None, 2))
-    surface = _checked_surface(surface, len(position), len(grid.offsets))
+    shape = len(position), len(grid.offsets)
+    if np.ndim(surface):
+        surface = checked('surface', surface, shape)
+    elif not np.isfinite(surface):
+        raise ValueError(f'surface is {surface}')
+    surface = np.broadcast_to(np.asarray(surface, np.float64), shape).copy()
     # Nothing was passed yet: all that counts as `forget` behind.
     state = SweptBed(
         origin=position[:, 0],
@@ -171,21 +173,6 @@ def start(grid: SweptGrid, position, surface) -> SweptBed:
         foremost=position[:, 0],
     )
     return _cut(grid, state, position, None)
-
-
-def _checked_surface(surface, n_tool, n_bin):
-    """float64 [B, n] of a bed in one of its forms."""
-    surface = np.asarray(surface, np.float64)
-    if surface.shape not in ((), (n_tool,), (n_tool, n_bin)):
-        raise ValueError(
-            f'surface has shape {surface.shape}, a number, [{n_tool}] or [{n_tool}, {n_bin}] was '
-            f'expected'
-        )
-    if not np.isfinite(surface).all():
-        raise ValueError('surface holds NaN or infinite heights')
-    if surface.ndim == 1:
-        surface = surface[:, None]
-    return np.broadcast_to(surface, (n_tool, n_bin)).copy()
 
 
 def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
@@ -210,7 +197,7 @@ def advance(grid: SweptGrid, state: SweptBed, position, dt) -> SweptBed:
 def check_time(dt) -> None:
     """Raises ValueError for a duration (s) that is not positive and finite."""
     if not 0 < dt < np.inf:
-        raise ValueError(_NOT_BACK.format(dt))
+        raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
 
 
 def checked(name: str, values, shape) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from learning_to_simulate.tool.inputs import Tables
-from learning_to_simulate.tool.swept import Bed, Frame
+from learning_to_simulate.tool.swept import Bed, Frame, SweptGrid
 
 
 class Tool(abc.ABC):
@@ -16,6 +16,7 @@ class Tool(abc.ABC):
       name: under which model folders keep it.
       scalars, channels: names of the scalars of a `Frame` and of the channels of its bins.
       tables: inputs of the networks.
+      grid: bins of a field that is trained anew.
       below, below_ramp: soil that lies `below` under what may have been disturbed rests; above it
         its share grows over `below_ramp`; m.
       beside, beside_ramp: the same beside the tool, m.
@@ -28,6 +29,7 @@ class Tool(abc.ABC):
     scalars: ClassVar[tuple[str, ...]]
     channels: ClassVar[tuple[str, ...]]
     tables: ClassVar[Tables]
+    grid: ClassVar[SweptGrid]
     below: ClassVar[float]
     below_ramp: ClassVar[float]
     beside: ClassVar[float]

@@ -183,17 +183,9 @@ class Rut(NamedTuple):
 
 
 def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveState, Rut]:
-    """The state before any motion.
-
-    Args:
-      grid: bins along the way.
-      bed: of the wheels.
-      size, pose: [B, 4]; the first height is known.
-      velocity: [B, 2] of travel and rim, which they have had for long, m/s; None: at rest.
-
-    Raises:
-      ValueError: shapes that do not fit, or values that are not finite.
-    """
+    """The state before any motion of wheels of a size and pose [B, 4], whose first height is known;
+    they have had a velocity [B, 2] of travel and rim (m/s) for long. ValueError: shapes that do
+    not fit, or values that are not finite."""
     size = swept.checked('size', size, (None, 4))
     pose = swept.checked('pose', pose, (len(size), 4))
     velocity = np.zeros_like(pose[:, :2]) if velocity is None else np.asarray(velocity, np.float64)
@@ -221,17 +213,9 @@ def start(grid: SweptGrid, bed: Bed, size, pose, velocity=None) -> tuple[DriveSt
 
 
 def drive_on(grid: SweptGrid, state: DriveState, pose, dt) -> DriveState:
-    """The drives one frame later: (18).
-
-    Args:
-      grid: of `start`.
-      state: before; it is not changed.
-      pose: [B, 4]; the height is ignored.
-      dt: duration, s.
-
-    Raises:
-      ValueError: a duration that is not positive; poses that are not finite or leave the bins.
-    """
+    """The drives dt s later at poses [B, 4], whose height is ignored: (18). The state before is not
+    changed. ValueError: a duration that is not positive; poses that are not finite or leave the
+    bins."""
     swept.check_time(dt)
     pose = swept.checked('pose', pose, (len(state.pose), 4))
     first, radius, contact = state.first[:, PLACE], state.size[:, RADIUS], state.contact
@@ -370,7 +354,7 @@ def _level(grid, surface, near):
 
 @dataclasses.dataclass(frozen=True)
 class Wheel(Tool):
-    """A driven wheel as `Tool`."""
+    """A driven wheel as `Tool`, where the methods are explained."""
 
     name = 'wheel'
     scalars = SCALARS
@@ -380,12 +364,13 @@ class Wheel(Tool):
         Table((*_DRIVE, Row('height - radius', 0.02))),
         Table(_FORCE, unit='contact'),
     )
+    # The radius is that of each wheel; that of the grid is not used.
+    grid = SweptGrid(blade.EDGE_RADIUS, spacing=0.004, behind=0.3, ahead=0.5)
     below, below_ramp, beside, beside_ramp = 0.05, 0.02, 0.08, 0.03
     displacement = 0.01
     predicts_height = True
 
     def size(self, axes, case, points=None, context=None):
-        """See `Tool`."""
         points = axes.points(points)
         spokes = points[:, :2] - points[:, :2].mean(axis=0)
         friction = np.tan(np.pi / 180 * context['friction_angle_deg'])
@@ -393,11 +378,9 @@ class Wheel(Tool):
         return np.array([np.hypot(*spokes.T).mean(), width, context['gravity'], friction])
 
     def width_of(self, size):
-        """See `Tool`."""
         return float(size[WIDTH])
 
     def poses(self, axes, pose, context=None, before=None):
-        """See `Tool`."""
         u, height, lean = np.moveaxis(axes.poses(pose), -1, 0)
         # Angles go on beyond a turn: from the frame before, in the nearest multiple of 2 pi.
         first = -lean[:1] if before is None else before[None, TURNED]
@@ -410,12 +393,10 @@ class Wheel(Tool):
         return np.stack([rates[0], -rates[2] * size[RADIUS]])
 
     def begin(self, grid, bed, size, pose, velocity=None):
-        """See `Tool`."""
         drive, rut = start(grid, bed, size, pose, velocity)
         return (drive, rut), frame(grid, bed, drive, rut)
 
     def step(self, grid, bed, size, state, pose, dt, heights=None):
-        """See `Tool`."""
         drive, rut = state
         drive = drive_on(grid, drive, pose, dt)
         known = frame(grid, bed, drive)
@@ -473,7 +454,6 @@ class Wheel(Tool):
         return way_out(points, size[RADIUS] - distance[:, 0], normal, size[WIDTH])
 
     def lowest(self, pose, size):
-        """See `Tool`."""
         return float(pose[HEIGHT] - size[RADIUS])
 
     def facts(self, episode, pose, frames, loads):

@@ -13,6 +13,7 @@ BUCKET_RADII = (0.08, 0.16)  # m
 SHELL = 0.024  # m, thickness of a bucket's shell: several cells, so that no soil leaks through
 SHELL_EDGE = 0.004  # m, radius of its edges
 PLATE = 0.02  # m, of its side plates: one long cell
+SEGMENTS = 7  # of its back
 
 
 def draw(rng: np.random.Generator) -> dict:
@@ -27,7 +28,7 @@ def draw(rng: np.random.Generator) -> dict:
     return bucket(rng.uniform(*BUCKET_RADII), width, rng.random() < 0.5)
 
 
-def bucket(radius: float, width: float, has_plates: bool, segments: int = 7) -> dict:
+def bucket(radius: float, width: float, has_plates: bool) -> dict:
     """Returns a bucket that opens towards -x; its edge is the reference point.
 
     A flat floor rises by 15 degrees behind the edge and goes over into half a circle.
@@ -36,14 +37,13 @@ def bucket(radius: float, width: float, has_plates: bool, segments: int = 7) -> 
         radius: of the inside of the back, m.
         width: m.
         has_plates: whether its ends are closed.
-        segments: of the back.
     """
     rise = math.radians(15.0)
     along = np.array([math.cos(rise), math.sin(rise)])
     normal = np.array([-along[1], along[0]])
     start = 1.6 * radius * along
     middle = start + radius * normal
-    turn = rise - math.pi / 2 + np.linspace(0.0, math.radians(165.0), segments + 1)
+    turn = rise - math.pi / 2 + np.linspace(0.0, math.radians(165.0), SEGMENTS + 1)
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     inner, outer = middle + radius * ring, middle + (radius + SHELL) * ring
     # The floor tapers towards the edge.

@@ -26,6 +26,7 @@ import numpy as np
 from mpm import bodies, scenes
 from mpm.motions import catalogue, grid
 from mpm.motions.drive import Drive, Machine, poses
+from mpm.picture import panels
 from mpm.simulation import Settings
 from mpm.solver import EXCHANGE
 from mpm.verification import run_rows
@@ -204,13 +205,8 @@ def other_table(path: str) -> str:
 
 def draw(path: str, output: str) -> None:
     """Draws drawbar, sinkage and torque over slip, measured and published."""
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, 3, figsize=(11, 3.8), layout='constrained')
-    for axes, (what, (key, unit)) in zip(panels, MEASURED.items()):
+    figure, (row,) = panels(1, 3, (3.7, 3.8))
+    for axes, (what, (key, unit)) in zip(row, MEASURED.items()):
         for number, (name, runs) in enumerate(read_kept(path).get('wheels', {}).items()):
             wheel, colour = WHEELS[name], f'C{number}'
             published = getattr(wheel, what)
@@ -220,7 +216,7 @@ def draw(path: str, output: str) -> None:
             axes.plot(slips, ours, 's-', color=colour, label='this solver')
         axes.set_xlabel('slip')
         axes.set_ylabel(f'{what}, {unit}')
-    panels[0].legend(fontsize=7)
+    row[0].legend(fontsize=7)
     figure.savefig(output, dpi=120)
 
 

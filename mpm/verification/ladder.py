@@ -22,6 +22,7 @@ import numpy as np
 
 from mpm import run, scenes
 from mpm.motions import catalogue
+from mpm.picture import panels
 from mpm.simulation import Settings
 from mpm.verification import bed
 from mpm.verification.rows import Jobs, read_kept, run_report
@@ -228,12 +229,7 @@ def _over_cells(name, runs):
 
 def draw(path: str, output: str) -> None:
     """Draws the draft over the size of the cells, of each case over that of the base."""
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(7, 4.5), layout='constrained')
+    figure, ((axes,),) = panels(1, 1, (7, 4.5))
     for name, runs in _read(path).items():
         cells, forces = _over_cells(name, runs)
         if len(cells) < 3:

@@ -75,15 +75,6 @@ def test_drawn_edges_are_of_their_seed_and_as_likely_as_any():
         cu.random_mode_edges(8, 65, 0)
 
 
-def test_renumbered_modes_have_renumbered_edges():
-    v = np.random.default_rng(6).normal(size=(2, 60, 5, 3))
-    order = np.random.default_rng(7).permutation(5)
-    mask = cu.rank_mode_edges(v, 12)
-    np.testing.assert_array_equal(
-        cu.rank_mode_edges(v[:, :, order], 12), mask[np.ix_(order, order)]
-    )
-
-
 def test_nearest_neighbours_on_a_ring_are_the_ring_neighbours():
     angle = np.arange(8) * np.pi / 4
     rings = [np.stack([np.cos(angle), np.sin(angle), np.full(8, z)], -1) for z in (0.0, 2.0)]

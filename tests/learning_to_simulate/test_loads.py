@@ -20,7 +20,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.export import exporting
 from learning_to_simulate.live import paths
 from learning_to_simulate.rollout import RolloutFunction, roll_out
-from learning_to_simulate.rollout_status import Ranges, RolloutStatus, judge
+from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
 from pca_tools import files
 from reports.protocol import rollouts
@@ -157,7 +157,7 @@ def test_a_torque_that_is_not_finite_is_found(rolled):
     load[0, 4, 5] = np.nan
     (found,) = judge(group, rollout.position, load, s, scene)
     assert found[:3] == (RolloutStatus.NON_FINITE, H + 4, -1)
-    live = Ranges(group.n_rigid, s, scene)
+    live = NodeRanges(group.n_rigid, s, scene)
     now = live.judge(H + 4, rollout.position[0, 4], *loads.split(load[0, 4], s))
     assert found.reason == now.reason == 'torque is not finite'
     load[0, 4, 1] = np.inf

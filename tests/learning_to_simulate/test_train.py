@@ -20,7 +20,11 @@ from pca_tools import dataset, files
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-SHORT = {'latent_size': 8, 'num_steps': 30, 'unroll_steps': 6, 'unroll_length': 2, 'mode_edges': 5}
+# Few operations, which take long to compile.
+SHORT = {
+    'latent_size': 8, 'hidden_layers': 1, 'num_steps': 30, 'unroll_steps': 6, 'unroll_length': 2,
+    'mode_edges': 5,
+}  # fmt: skip
 
 
 def command(*args):
@@ -54,7 +58,7 @@ def test_short_training_beats_the_trivial_predictors(tmp_path):
     trivial."""
     folder = synthetic.write_dataset(tmp_path / 'data', n_run=8)
     settings = {'num_steps': 600, 'unroll_steps': 0, 'latent_size': 32, 'learning_rate': 3e-3}
-    config = presets.make_config('pcg', **SHORT | settings)
+    config = presets.make_config('pcg', mode_edges=5, **settings)
     summary = registry.train(folder, str(tmp_path / 'model'), config, save_every=600)
     assert summary['soil_mse_over_best_trivial'] < 0.5
 
@@ -89,7 +93,7 @@ def test_killed_training_resumes_to_the_same_weights(tmp_path):
     times."""
     data = synthetic.write_dataset(tmp_path / 'data')
     os.remove(dataset.split_path(data, 'valid'))
-    settings = {'latent_size': 4, 'num_steps': 1000, 'unroll_steps': 0, 'mode_edges': 5}
+    settings = SHORT | {'num_steps': 1000, 'unroll_steps': 0}
     path, straight = tmp_path / 'killed', str(tmp_path / 'straight')
     flags = [f'--set={k}={v}' for k, v in settings.items()]
     args = (f'--data_path={data}', f'--model_path={path}', '--save_every=50', *flags)

@@ -44,24 +44,9 @@ def test_bad_choices_are_refused(values, words):
         chosen(**values)
 
 
-@pytest.mark.parametrize(
-    ('argument', 'words'),
-    [
-        ('--youngs_modulus=-1', 'youngs_modulus is -1.0, must lie in'),
-        ('--path=nothing.csv', "No such file or directory: 'nothing.csv'"),
-    ],
-)
-def test_command_ends_in_one_line(tmp_path, argument, words):
+def test_command_ends_in_one_line(tmp_path):
     out = f'--output_path={tmp_path / "out"}'
-    command = [
-        sys.executable,
-        '-m',
-        'mpm.generate',
-        '--scene=excavation',
-        '--cases=1',
-        out,
-        argument,
-    ]
+    command = [sys.executable, '-m', 'mpm.generate', '--scene=excavation', '--gravity=0', out]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 1 and not list(tmp_path.iterdir())
-    assert words in done.stderr and 'Traceback' not in done.stderr
+    assert done.stderr.startswith('error: gravity is 0.0, must lie in')

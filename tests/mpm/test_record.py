@@ -91,17 +91,11 @@ def test_unknown_parts_and_splits_are_refused(part, splits, words):
         record.runs_of(part, record.Selection(splits=splits))
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        ([], 'error: give --output_path, or --list'),
-        (['--expect=nothing.json', '--output_path=x'], 'nothing.json: no such file'),
-    ],
-)
-def test_command_ends_in_one_line(arguments, words):
-    command = [sys.executable, '-m', 'mpm.record', *arguments]
+def test_command_ends_in_one_line():
+    command = [sys.executable, '-m', 'mpm.record']
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 1 and words in done.stderr and 'Traceback' not in done.stderr
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr == 'error: give --output_path, or --list to see what would be made\n'
 
 
 def dataset(path, content):

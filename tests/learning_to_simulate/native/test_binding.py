@@ -8,7 +8,7 @@ import pytest
 from learning_to_simulate import rollout_status
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import KERNELS, CSubspace, KernelLacks
-from learning_to_simulate.rollout_status import Ranges
+from learning_to_simulate.rollout_status import NodeRanges
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.native import worlds
@@ -96,7 +96,7 @@ def test_status_agrees_with_the_judgement_of_rollouts(tmp_path, motion):
     model, (group,), _ = models.make(tmp_path, motion=motion, context=True)
     n, s, c = group.n_rigid, model.simulator, library.constants()
     stepper, seen, alone = CSubspace.of(model, n), set(), set()
-    ranges = Ranges(n, s.statistics, s.scene)
+    ranges = NodeRanges(n, s.statistics, s.scene)
     bits = [
         ('non_finite', c['LTS_NON_FINITE']),
         ('left_bounds', c['LTS_LEFT_BOUNDS']),

@@ -1,21 +1,21 @@
 """A small bed, a driven wheel on it and a field with random weights, without any training."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.live.starts import Starts
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.swept_field.engine import FieldEngine
-from learning_to_simulate.swept_field.field import GRIDS, SweptField
-from learning_to_simulate.swept_field.settings import SweptFieldConfig
+from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.tool import Wheel, wheel
 from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.tool.swept import Bed, Frame
-from pca_tools import convert, raw_writer
+from tests.learning_to_simulate.swept_field import small_world
+from tests.learning_to_simulate.swept_field.small_world import DT, field_of
 
-GRID = GRIDS['wheel']
 WHEEL = Wheel()
-DT = 1 / 60
+GRID = WHEEL.grid
 SURFACE, MIDDLE, SPACING = 0.16, 0.2, 0.012
 RADIUS, WIDTH = 0.075, 0.08
 AXES = Axes(axis=0, sign=-1, up=1, middle=MIDDLE)
@@ -62,12 +62,9 @@ def world_pose(plane) -> np.ndarray:
 def body() -> np.ndarray:
     """[16, 3] points of the rim about the axle, upright, m."""
     angles = 2 * np.pi * np.arange(8) / 8
+    sides = (-WIDTH / 2, WIDTH / 2)
     return np.array(
-        [
-            (RADIUS * np.cos(a), RADIUS * np.sin(a), side * WIDTH / 2)
-            for side in (-1, 1)
-            for a in angles
-        ]
+        [(RADIUS * np.cos(a), RADIUS * np.sin(a), side) for side in sides for a in angles]
     )
 
 
@@ -78,19 +75,10 @@ def contexts(plane) -> np.ndarray:
     return rows
 
 
-def make_field(members=2, seed=0, **config) -> SweptField:
-    """A field with random weights, large enough to move soil and wheel visibly."""
+def make_field(members=2, **config) -> SweptField:
+    """`small_world.field_of` a wheel."""
     scene = Scene('small', 4, RigidMotion.DRIVEN, (), True, NAMES, 10, DT)
-    settings = SweptFieldConfig(
-        'swept_field', members=members, latent_size=8, hidden_layers=2, seed=seed, **config
-    )
-    field = SweptField(settings, scene, AXES, GRID, WHEEL, bed_points(), SPACING, SPACING)
-    for part in (field.network.soil, field.network.load):
-        weight, bias = part.layers[-1]
-        weight.assign(10.0 * weight)
-        bias.assign(0.2 + bias)
-    field.ranges = {name: [-1e3, 1e3] for name in WHEEL.scalars}
-    return field
+    return field_of(scene, AXES, WHEEL, bed_points(), SPACING, members, **config)
 
 
 class FlatBed:
@@ -166,13 +154,8 @@ def made_up_drive(sunk, split) -> dict:
     force, torque = AXES.world_loads(loads)
     pose = world_pose(plane[:, 0])
     rows = contexts(plane[:, 0])
-    turn = plane[:, 0, 2]
-    rim = body()
-    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    placed = np.stack(
-        [cosine * rim[:, 0] - sine * rim[:, 1], sine * rim[:, 0] + cosine * rim[:, 1],
-         np.broadcast_to(rim[:, 2], (len(turn), 16))], axis=-1,
-    )  # fmt: skip
+    turns = Rotation.from_rotvec(plane[:, 0, 2:3] * [0.0, 0.0, 1.0])
+    placed = np.stack([turn.apply(body()) for turn in turns])
     return {
         'positions': points + AXES.world(moved),
         'rigid_positions': pose[:, None, :3] + placed,
@@ -183,7 +166,4 @@ def made_up_drive(sunk, split) -> dict:
 
 def write_dataset(folder, sinkages):
     """Writes `folder / 'data'` of made-up runs, a (sinkage, split) each."""
-    raw = str(folder / 'raw')
-    runs = [made_up_drive(*pair) for pair in sinkages]
-    raw_writer.write_raw(raw, runs, DT, up_axis=1, body='driven')
-    convert.convert(raw, str(folder / 'data'), modes=2)
+    small_world.write_dataset(folder, sinkages, made_up_drive, 'driven')

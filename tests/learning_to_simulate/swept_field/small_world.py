@@ -6,15 +6,15 @@ from learning_to_simulate.live.starts import Starts
 from learning_to_simulate.live.stepper import Stepper
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.swept_field.engine import FieldEngine
-from learning_to_simulate.swept_field.field import GRIDS, SweptField
+from learning_to_simulate.swept_field.field import SweptField
 from learning_to_simulate.swept_field.settings import SweptFieldConfig
 from learning_to_simulate.tool import Blade
 from learning_to_simulate.tool.axes import Axes
 from learning_to_simulate.tool.swept import Bed, Frame
 from pca_tools import convert, raw_writer
 
-GRID = GRIDS['blade']
 BLADE = Blade()
+GRID = BLADE.grid
 DT = 1 / 60
 SURFACE, MIDDLE = 0.25, 0.4
 AXES = Axes(axis=0, sign=-1, up=1, middle=MIDDLE)
@@ -57,21 +57,26 @@ def world_pose(plane) -> np.ndarray:
     )
 
 
-def make_field(members=3, seed=0, **config) -> SweptField:
+def field_of(scene, axes, tool, points, spacing, members, seed=0, **config) -> SweptField:
     """A field with random weights, large enough to move soil visibly."""
-    scene = Scene('small', 4, RigidMotion.PRESCRIBED, (), True, (), 10, DT)
     settings = SweptFieldConfig(
         'swept_field', members=members, latent_size=8, hidden_layers=2, seed=seed, **config
     )
-    field = SweptField(settings, scene, AXES, GRID, BLADE, bed_points(), SPACING, SPACING)
+    field = SweptField(settings, scene, axes, tool.grid, tool, points, spacing, spacing)
     for part in (field.network.soil, field.network.load):
         weight, bias = part.layers[-1]
-        # Not the gain of the load.
-        scale = np.where(np.arange(bias.shape[-1]) < 3, 10.0, 1.0)
-        weight.assign(scale * weight)
-        bias.assign(0.5 * (scale > 1) + bias)
-    field.ranges = {name: [-10.0, 10.0] for name in BLADE.scalars}
+        # Not the gain of the load of a blade.
+        is_grown = (np.arange(bias.shape[-1]) < 3) | tool.predicts_height
+        weight.assign(np.where(is_grown, 10.0, 1.0) * weight)
+        bias.assign(np.where(is_grown, 0.2 if tool.predicts_height else 0.5, 0.0) + bias)
+    field.ranges = {name: [-1e3, 1e3] for name in tool.scalars}
     return field
+
+
+def make_field(members=3, **config) -> SweptField:
+    """`field_of` a blade."""
+    scene = Scene('small', 4, RigidMotion.PRESCRIBED, (), True, (), 10, DT)
+    return field_of(scene, AXES, BLADE, bed_points(), SPACING, members, **config)
 
 
 def make_starts(field) -> Starts:
@@ -122,9 +127,8 @@ def made_up_run(depth, split) -> dict:
     }  # fmt: skip
 
 
-def write_dataset(folder, depths):
+def write_dataset(folder, depths, made_up=made_up_run, body='prescribed'):
     """Writes `folder / 'data'` of made-up runs, a (depth, split) each."""
     raw = str(folder / 'raw')
-    runs = [made_up_run(*pair) for pair in depths]
-    raw_writer.write_raw(raw, runs, DT, up_axis=1, body='prescribed')
+    raw_writer.write_raw(raw, [made_up(*pair) for pair in depths], DT, up_axis=1, body=body)
     convert.convert(raw, str(folder / 'data'), modes=2)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.swept_field import calibration
-from learning_to_simulate.swept_field.calibration import CONDITIONS, Ranges
+from learning_to_simulate.swept_field.calibration import CONDITIONS
 from tests.learning_to_simulate.swept_field import small_wheel, small_world
 
 
@@ -54,11 +55,11 @@ SCALARS = small_world.BLADE.scalars
 
 @pytest.mark.parametrize('name', SCALARS)
 def test_each_scalar_of_each_frame_is_judged(name):
-    ranges = Ranges.of({scalar: [-1.0, 1.0] for scalar in SCALARS}, SCALARS)
+    ranges = calibration.limits_of({scalar: [-1.0, 1.0] for scalar in SCALARS}, SCALARS)
     scalars = np.zeros((3, len(SCALARS)))
+    assert ranges.judge(scalars).status == RolloutStatus.OK
     scalars[1, SCALARS.index(name)] = 1.2
-    found = ranges.statuses(scalars, np.array([True, True, False]))
-    assert found == [RolloutStatus.OK, RolloutStatus.EXTRAPOLATING, RolloutStatus.NON_FINITE]
+    assert ranges.outside(scalars).any(axis=1).tolist() == [False, True, False]
     judged = ranges.judge(scalars, 5)
     assert judged.status == RolloutStatus.EXTRAPOLATING and judged.frame == 6
     assert f'{name} 1.2 is outside' in judged.reason
@@ -67,10 +68,9 @@ def test_each_scalar_of_each_frame_is_judged(name):
 
 def turned(pose, axis, degrees):
     """A pose [7] turned about an axis of the world."""
-    turn = np.zeros(4)
-    turn[0], turn[1 + axis] = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
-    (a, b), (c, d) = (turn[0], turn[1:]), (pose[3], pose[4:])
-    return np.concatenate([pose[:3], [a * c - b @ d], a * d + c * b + np.cross(b, d)])
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
+    now = Rotation.from_quat(np.roll(pose[3:], -1))
+    return np.concatenate([pose[:3], np.roll((turn * now).as_quat(), 1)])
 
 
 def moved(pose, **steps):
@@ -105,12 +105,9 @@ def test_motion_out_of_the_plane_of_travel_is_not_ok(world, name):
     assert field.limits.judge(values).status == RolloutStatus.OK
 
 
-def test_a_frame_too_long_and_a_bed_too_high_are_not_ok():
+def test_a_bed_too_high_is_not_ok():
     world = small_world
     field, path = world.make_field(), world.world_pose(world.path()[:, 0])
-    frames = world.frames(world.path()).at(slice(30, 31))
-    judged = field.limits.judge(field.judged(path[30:31], frames, 1000.0, path[29]))
-    assert judged.reason.startswith('frame_time 1000')
     surface = np.full((1, len(world.GRID.offsets)), world.SURFACE)
     surface[0, 60:80] += 0.2
     frames = world.frames(world.path(), surface).at(slice(30, 31))

@@ -117,7 +117,7 @@ def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
         (lambda: swept.start(GRID, [[0.0, np.nan]], 0.2), 'not finite'),
         (lambda: swept.start(GRID, [0.0, 0.1], 0.2), 'shape'),
         (lambda: swept.start(GRID, [[0.0, 0.1]], np.zeros((1, 3))), 'surface has shape'),
-        (lambda: swept.start(GRID, [[0.0, 0.1]], np.inf), 'surface holds'),
+        (lambda: swept.start(GRID, [[0.0, 0.1]], np.inf), 'surface is inf'),
     ],
 )
 def test_bad_input_is_refused(call, message):

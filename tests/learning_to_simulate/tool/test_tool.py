@@ -1,4 +1,4 @@
-"""What holds for the path of every tool, a blade's and a wheel's."""
+"""What holds for path and outline of every tool, a blade's and a wheel's."""
 
 import numpy as np
 import pytest
@@ -101,6 +101,41 @@ def test_bad_poses_are_refused_and_the_state_stays(world, change, dt, message):
         run(world, change(plane[10])[None], bed, dt, state)
     for one, other in zip(run(world, plane[10:20], bed, state=state)[1], run(world, plane[:20])[1]):
         np.testing.assert_array_equal(one, other)
+
+
+def outline(world, pose, n=4000):
+    """[n, 2] points of the tool's outline, drawn from its definition: a stadium or a circle."""
+    angle, share = np.linspace(0, 2 * np.pi, n), np.linspace(0, 1, n)[:, None]
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if world is small_wheel:
+        return pose[:2] + world.RADIUS * ring
+    tool = world.BLADE
+    axis = tool.length * np.array([-np.sin(pose[2]), np.cos(pose[2])])
+    side = tool.radius / tool.length * np.array([axis[1], -axis[0]])
+    ring, outward = tool.radius * ring, ring @ axis < 0
+    ends = ring[outward], axis + ring[~outward]
+    return pose[:2] + np.concatenate([share * axis + side, share * axis - side, *ends])
+
+
+def test_points_in_a_tool_leave_by_the_shortest_way(world):
+    tool, size, plane = parts(world)
+    pose, size, drawn = plane[30, 0], size[0], outline(world, plane[30, 0])
+    half = tool.width_of(size) / 2
+    box = [[*(drawn.min(axis=0) - 0.02), -1.2 * half], [*(drawn.max(axis=0) + 0.02), 1.2 * half]]
+    points = np.random.default_rng(0).uniform(*box, (3000, 3))
+    depth, way = tool.inside(points, pose, size)
+    is_in = depth > 0
+    assert 200 < is_in.sum() < 2800
+    for point, d in zip(points[is_in][:200], depth[is_in]):
+        to_outline = np.hypot(*(drawn - point[:2]).T).min()
+        assert d == pytest.approx(min(to_outline, half - abs(point[2])), abs=3e-4)
+    np.testing.assert_allclose(np.linalg.norm(way, axis=1), depth, atol=1e-12)
+    assert tool.inside(points + way, pose, size)[0].max() < 1e-12
+    # No nearest side: out to the front of a blade, down from an axle.
+    (way,) = tool.inside(np.array([[*pose[:2], 0.0]]), pose, size)[1]
+    if half > tool.inside([[*pose[:2], 0.0]], pose, size)[0][0]:
+        front = [np.cos(pose[2]), np.sin(pose[2])] if world is small_world else [0.0, -1.0]
+        np.testing.assert_allclose(way[:2] / np.hypot(*way[:2]), front, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@
 #define LTS_FIELD_MAGIC 0x4c544632u
 #define LTS_FIELD_ROWS 48 /* particles that go through a network at once: they stay in the first cache */
 
-/* The first numbers of a blade's scalars; the last five are area, foremost, half width, end and room. */
+/* The first numbers of a blade's scalars; the last six are area, foremost, half width, end, room and pressed. */
 enum { LTS_TIP, LTS_HEIGHT, LTS_LEAN, LTS_SPEED, LTS_RISE, LTS_TURN };
 #define LTS_MOST_SCALARS (23 + 3 * LTS_FIELD_SCALES)
 #define LTS_MOST_LOADS 4 /* force along and up, torque; of a wheel the change of its height */
@@ -39,7 +39,7 @@ typedef struct {
   double context[LTS_FIELD_CONTEXT];         /* of a wheel */
   lts_field_drive drive;
   double memory[LTS_FIELD_SCALES][3];
-  double travelled, foremost;
+  double travelled, foremost, pressed; /* pressed: of a blade */
   lts_field_result result;
   lts_judgement judged;
 } lts_field_head;

@@ -65,7 +65,7 @@ struct lts_field_model {
                                             * n_behind: bins behind the tool's first place */
   double first, bin, radius, forget;
   const double *time_scales; /* [n_scale] */
-  double touch, reach, rise;
+  double touch, reach, rise, steep; /* steep: of a blade */
   /* Blade, bed, limits of a pose. */
   double width, blade_radius, length; /* of a wheel 0 */
   double kept_spacing, spacing, fastest, fastest_turn;

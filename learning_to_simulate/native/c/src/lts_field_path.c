@@ -60,13 +60,28 @@ static void cut(lts_field *soil, const double position[2], double area) {
   memcpy(h->position, position, sizeof h->position);
 }
 
+/* (20) of `tool/blade.py`, of an edge that goes on to `position`. */
+static double pressed(const lts_field *soil, const double position[2]) {
+  const lts_field_model *m = soil->model;
+  const lts_field_head *h = soil->head;
+  const double at = (position[0] - h->ground.origin - m->first) / m->bin;
+  const double place = fmin(fmax(at, 0.0), m->n_bin - 1.0);
+  const int low = place < m->n_bin - 2 ? (int)place : m->n_bin - 2;
+  const double share = place - low;
+  const double uncut = (1.0 - share) * soil->profile[low] + share * soil->profile[low + 1];
+  const double bottom = position[1] - m->radius, was = h->position[1] - m->radius;
+  if (bottom > uncut + m->touch) return 0.0;
+  const double along = fabs(position[0] - h->position[0]);
+  return fmax(h->pressed + fmin(was, uncut) - bottom - m->steep * along, 0.0);
+}
+
 void lts_field_begin(lts_field *soil, const double plane[3], const double velocity[3]) {
   const lts_field_model *m = soil->model;
   lts_field_head *h = soil->head;
   memcpy(h->position, plane, sizeof h->position);
   h->lean = plane[2];
   h->foremost = plane[0];
-  h->travelled = 0.0;
+  h->travelled = h->pressed = 0.0;
   memcpy(h->velocity, velocity, sizeof h->velocity);
   for (int i = 0; i < m->n_scale; ++i) memcpy(h->memory[i], velocity, sizeof h->memory[i]);
   memcpy(soil->profile, soil->surface, (size_t)m->n_bin * sizeof *soil->profile);
@@ -93,6 +108,7 @@ void lts_field_go(lts_field *soil, const double plane[3], double dt) {
   h->velocity[1] = (plane[1] - h->position[1]) / dt;
   h->velocity[2] = (plane[2] - h->lean) / dt;
   lts_field_remember(soil, dt);
+  h->pressed = pressed(soil, plane);
   cut(soil, plane, swept_area(soil));
   h->lean = plane[2];
 }
@@ -130,6 +146,7 @@ void lts_field_see(lts_field *soil) {
   *s++ = (float)(0.5 * h->ground.width);
   *s++ = (float)(h->ground.end - h->ground.origin);
   *s++ = (float)(h->ground.end - h->foremost);
+  *s++ = (float)h->pressed;
 }
 
 /* The largest of all values, each lowered by `fall` per bin of distance; times `scale`, in [0, most]. */
