@@ -10,7 +10,7 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.engine import Frame, SubspaceEngine
-from learning_to_simulate.live.soil import plan_extent, surface
+from learning_to_simulate.live.soil import Soil, plan_extent
 from learning_to_simulate.native import library
 from learning_to_simulate.native.binding import CField, CSubspace
 from learning_to_simulate.rollout_status import OK
@@ -112,7 +112,7 @@ class CStep:
         self._is_proposed = False
 
 
-class CFieldSoil:
+class CFieldSoil(Soil):
     """The soil of a frame of a field in C; nothing is computed before it is asked for.
 
     Args:
@@ -122,7 +122,7 @@ class CFieldSoil:
 
     def __init__(self, engine: 'CFieldEngine', state: bytes):
         self._engine, self._state = engine, state
-        self.subspace = engine.subspace
+        self.subspace, self.up_axis, self.extent = engine.subspace, engine.up, engine.extent
 
     @property
     def modes(self) -> np.ndarray:
@@ -134,10 +134,6 @@ class CFieldSoil:
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
         return self._engine.particles(self._state)
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface, m; as `live.soil.ModesSoil.height_map`."""
-        return surface(self.particles(), self._engine.extent, self._engine.up, nx, nz)
 
 
 class CFieldEngine:
