@@ -79,19 +79,25 @@ def full_space_of(
     """Returns a dataset, or rollouts on it, as trajectories of particles: body first, then soil."""
     metadata = dataset.read_metadata(data_path)
     scene = metadata.get('scene', {})
-    path = os.path.join(data_path, SUBSPACE_NAME)
+    raw, space = None, None
     if raw_path is not None and rollouts is None:
-        source, soil_of = f'the raw runs {raw_path}', _soil_of_raw_runs(raw_path)
-    elif not os.path.exists(path):
-        raise FileNotFoundError(
-            f'{path}: no such file; scores cannot be decoded without it: give --raw_path'
-        )
+        raw, source = RawRuns(raw_path), f'the raw runs {raw_path}'
     else:
+        path = os.path.join(data_path, SUBSPACE_NAME)
+        if not os.path.exists(path):
+            raise FileNotFoundError(
+                f'{path}: no such file; scores cannot be decoded without it: give --raw_path'
+            )
         space = Subspace.load(path)
         source = f'{data_path}, decoded from {space.n_modes} modes'
 
-        def soil_of(case: Any, scores: np.ndarray) -> np.ndarray:
+    def soil_of(case: Any, scores: np.ndarray) -> np.ndarray:
+        if raw is None:
             return space.decode(scores)
+        known = [str(one) for one in raw.cases]
+        if str(case) not in known:
+            raise ValueError(f'{raw_path}: lacks the case {case} of the dataset')
+        return raw[known.index(str(case))].positions
 
     if rollouts is not None:
         source = f'the rollouts {rollouts}'
@@ -119,19 +125,6 @@ def full_space_of(
         radius=metadata['default_connectivity_radius'],
         name=scene.get('name', 'soil'),
     )
-
-
-def _soil_of_raw_runs(raw_path: str):
-    """Returns a function that gives the particles of a raw run, [T, N, 3]."""
-    raw = RawRuns(raw_path)
-    places = {str(case): index for index, case in enumerate(raw.cases)}
-
-    def soil_of(case: Any, scores: np.ndarray) -> np.ndarray:
-        if str(case) not in places:
-            raise ValueError(f'{raw_path}: lacks the case {case} of the dataset')
-        return raw[places[str(case)]].positions
-
-    return soil_of
 
 
 def _records(data_path: str, metadata: dict[str, Any], splits: Sequence[str]) -> Iterator[tuple]:

@@ -45,8 +45,7 @@ def plan_extent(points, up: int) -> np.ndarray:
 
 
 class Soil(abc.ABC):
-    """The soil of one frame. It also has `modes`, float64 [r, D] scores, m; of a method without
-    modes those of its particles.
+    """The soil of one frame.
 
     Attributes:
       subspace: of its modes, or None.
@@ -61,6 +60,14 @@ class Soil(abc.ABC):
     @abc.abstractmethod
     def particles(self) -> np.ndarray:
         """float32 [N, D], m; ValueError of a model in a subspace that has none."""
+
+    @property
+    def modes(self) -> np.ndarray:
+        """float64 [r, D] scores, m; of a method without modes those of its particles, which needs a
+        subspace (ValueError)."""
+        if self.subspace is None:
+            raise ValueError('modes need a subspace: the model folder has none')
+        return self.subspace.encode(self.particles())
 
     def height_map(self, nx: int, nz: int) -> np.ndarray:
         """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
@@ -91,14 +98,19 @@ class ModesSoil(Soil):
     that turns them into particles; None without a subspace."""
 
     def __init__(self, modes, decoder: Decoder | None):
-        self.modes, self._decoder = modes, decoder
+        self._modes, self._decoder = modes, decoder
         self.subspace = None
         if decoder is not None:
             self.subspace, self.up_axis = decoder.subspace, decoder.up_axis
             self.extent = decoder.extent
 
+    @property
+    def modes(self) -> np.ndarray:
+        """Its own, as given."""
+        return self._modes
+
     def particles(self) -> np.ndarray:
         """See `Soil`."""
         if self._decoder is None:
             raise ValueError('particles need a subspace: the model has none')
-        return self._decoder.particles(self.modes)
+        return self._decoder.particles(self._modes)

@@ -81,11 +81,6 @@ class Stepper:
         """Numbers or names of the recorded starts' cases."""
         return [values.get('case') for values in self._engine.starts.cases]
 
-    @property
-    def start_index(self) -> int | None:
-        """Which of the recorded starts the run began from; None before `start`."""
-        return None if self._start is None else self._start.index
-
     def start(self, pose=None, velocity=None, case=None, context=None, **bed) -> Judgement:
         """Begins where the body is; returns how the start is to be judged.
 

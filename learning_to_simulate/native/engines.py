@@ -124,13 +124,6 @@ class CFieldSoil(Soil):
         self._engine, self._state = engine, state
         self.subspace, self.up_axis, self.extent = engine.subspace, engine.up, engine.extent
 
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
-        if self.subspace is None:
-            raise ValueError('modes need a subspace: the model folder has none')
-        return self.subspace.encode(self.particles())
-
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
         return self._engine.particles(self._state)

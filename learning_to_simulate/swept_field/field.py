@@ -247,13 +247,6 @@ class SweptSoil(soil.Soil):
         """See `Soil`."""
         return self.field.extent
 
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, 3] scores of the particles, m; ValueError without a subspace."""
-        if self.subspace is None:
-            raise ValueError('modes need a subspace: the model folder has none')
-        return self.subspace.encode(self.particles())
-
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
         field, ground = self.field, self.ground

@@ -73,6 +73,12 @@ def test_what_it_refuses_changes_nothing(grown, tmp_path):
     def more(name):
         return lambda case, arrays: arrays.update({name: arrays[name] + np.float32(1e-3)})
 
+    def beside_the_modes(case, arrays):
+        """Moves particles so that their scores stay."""
+        modes = Subspace.load(f'{data}/subspace.npz').components
+        moved = np.random.default_rng(case).normal(0, 1e-3, (140, 3))
+        arrays['positions'] += (moved - modes @ (modes.T @ moved)).astype(np.float32)
+
     def refused(name, cases, text, scene='excavation', change=None, split=split_of):
         raw = write_raw_folder(tmp_path / name, scene, cases, change=change, split=split)
         with pytest.raises(ValueError, match=text):
@@ -82,8 +88,10 @@ def test_what_it_refuses_changes_nothing(grown, tmp_path):
     refused('same', (4, 5), 'holds all 2 runs already')
     refused('unnamed', (6, 7), 'name no split', split=None)
     refused('other scene', (6,), 'of another scene', scene='wheel')
-    for name in ('force', 'positions', 'rigid_positions'):
-        refused(name, (5, 6), 'case 5 with other content .*case id of its own', change=more(name))
+    for name, change in (
+        ('soil', beside_the_modes), ('force', more('force')), ('body', more('rigid_positions')),
+    ):  # fmt: skip
+        refused(name, (5, 6), 'case 5 with other content .*case id of its own', change=change)
     (tmp_path / 'data' / 'edges.json').write_text('{}')
     refused('beside', (6,), r"not of the dataset \(\['edges.json'\]\)")
 

@@ -159,12 +159,15 @@ def test_other_units_of_length_are_found(tmp_path, scale, bounds, text):
     RawRuns(raw).check(check_units=False)
 
 
-def test_a_frame_rate_as_dt_and_a_body_in_other_units_are_found(tmp_path):
+def test_a_frame_rate_as_dt_a_body_in_other_units_and_soil_elsewhere_are_found(tmp_path):
     with pytest.raises(ValueError, match='the (soil|body) moves at .* dt is wrong'):
         write_raw(str(tmp_path / 'raw'), own_runs(2), 1e-5, up_axis='y')
     runs = [run | {'rigid_positions': 1000.0 * run['rigid_positions']} for run in own_runs(2)]
     with pytest.raises(ValueError, match='the body moves at .* unit of length'):
         write_raw(str(tmp_path / 'raw'), runs, DT, up_axis='y')
+    runs = [run | {'positions': run['positions'] + np.float32(2.0)} for run in own_runs(2)]
+    with pytest.raises(ValueError, match='the soil lies outside the bounds: it spans x 2.19'):
+        write_raw(str(tmp_path / 'raw'), runs, DT, up_axis='y', bounds=synthetic.BOUNDS)
 
 
 def test_missing_up_axis_is_inferred_aloud_or_asked_for(tmp_path):
