@@ -192,7 +192,7 @@ class TrainedModel:
         from learning_to_simulate.live.stepper import Stepper
         from learning_to_simulate.native import engines
 
-        return Stepper(engines.of(self.model, *self._from_rest(), engine), outside)
+        return Stepper(engines.of(self.model, *self._from_rest(), engine), outside)  # type: ignore[call-arg]
 
     def rollout(self, path, velocity=None, case: int | None = None, context=None):
         """Rolls out a whole path, several one after the other, or a recorded run.

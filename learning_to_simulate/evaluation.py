@@ -14,6 +14,7 @@ from learning_to_simulate import metrics, soil_truth
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import RolloutStatus
+from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace.subspace_model import Model
 from pca_tools import files
 from pca_tools.storage import folder_lock
@@ -76,7 +77,8 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
 
     Returns:
       `mean` and `runs`, method -> errors: `soil_mm` (`soil_truth`), `soil_mse` within the subspace,
-      `rigid_mse`, those of `metrics.load_errors`; of the model also its status and times.
+      `rigid_mse`, `height_mm` of a driven body, those of `metrics.load_errors`; of the model also
+      its status and times.
     """
     scene, statistics = model.simulator.scene, model.simulator.statistics
     truths = _Truths(metadata, split, scene)
@@ -102,6 +104,8 @@ def summarise(results, model, metadata: dict, split: str, more=None) -> dict:
         for name, rows in methods.items():
             position, truth = positions[name], recorded[:, H:]
             errors = {'rigid_mse': metrics.rigid_mse(position, truth, n_rigid)} if n_rigid else {}
+            if scene.rigid_motion == RigidMotion.DRIVEN:
+                errors['height_mm'] = metrics.height_mm(position, truth, n_rigid, scene.up_axis)
             errors['soil_mse'] = metrics.soil_mse(position, truth, n_rigid, scene.n_soil)
             arrays = getattr(rollout, 'arrays', {}) if name == 'model' else {}
             errors['soil_mm'] = [soil.soil_mm(soil.of_rollout(position[0, :, n_rigid:], arrays))]
@@ -295,6 +299,7 @@ _ROWS = {
     'force': 'whole force, N',
     'pitch': 'torque in the plane of travel, N m',
     'torque': 'whole torque, N m',
+    'height_mm': "body's height, mm",
     'rigid_mse': 'body, mean square 1e-4 m2',
     'soil_mse': 'soil within the subspace, mean square 1e-4 m2',
     'force_abs_mpe': 'force, |MPE| %',

@@ -25,6 +25,12 @@ def rigid_mse(position, truth, n_rigid: int):
     return (error**2).mean(axis=(1, 2, 3))
 
 
+def height_mm(position, truth, n_rigid: int, up: int):
+    """Root mean square over frames of the error of the body's mean height, per run, mm, [S]."""
+    error = (position - truth)[:, :, :n_rigid, up].mean(axis=2)
+    return rms_mm((error**2).mean(axis=1))
+
+
 def force_errors(force, truth, name: str = 'force') -> dict[str, np.ndarray]:
     """Errors of a force, or of another load, or of one axis of it, per run.
 

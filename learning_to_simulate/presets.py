@@ -123,7 +123,7 @@ def preset_of_model(model: str | None) -> str:
 def setting_types() -> dict[str, type]:
     """Name of a setting -> its type, of all methods: names that are shared are of one type."""
     classes = dict.fromkeys(map(type, PRESETS.values()))
-    return {f.name: f.type for kind in classes for f in dataclasses.fields(kind)}
+    return {f.name: f.type for kind in classes for f in dataclasses.fields(kind)}  # type: ignore[misc]
 
 
 def make_config(preset: str, **overrides):

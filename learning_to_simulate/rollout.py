@@ -128,7 +128,7 @@ def rollout_inputs(group, layout: Layout, scene):
     offset, velocity = group.position - layout.origin, group.velocity
     state = initial_state(offset[:, :h], velocity[:, 1:h])
     body = (np.moveaxis(a[:, h:, : group.n_rigid], 1, 0) for a in (offset, velocity))
-    known = known_motion(*body, scene)
+    known = known_motion(*body, scene)  # type: ignore[call-arg]
     if known is not None:
         known = KnownMotion(*(tf.cast(x, tf.float32) for x in known[:2]))
     if layout.memory is not None:

@@ -149,8 +149,8 @@ class NodeRanges:
         self._first = n_rigid if scene.rigid_motion == RigidMotion.PRESCRIBED else 0
         node_class = normalization.node_classes(n_rigid, scene.n_modes)
         extra = 1 + 2 * RANGE_MARGIN
-        self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]
-        self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]
+        self.bounds = _limits(*statistics.position_range, BOUNDS_FACTOR)[:, node_class]  # type: ignore[call-arg]
+        self.start_limits = _limits(*statistics.position_range, extra)[:, node_class]  # type: ignore[call-arg]
         self._force_limit = np.inf if force_limit is None else BOUNDS_FACTOR * force_limit
         self._driven = scene.rigid_motion == RigidMotion.DRIVEN
         self.context = self.motion = None
@@ -160,7 +160,7 @@ class NodeRanges:
             self.context = np.stack([low - more[0], high + more[1], low, high])
         if scene.rigid_motion.is_known and statistics.given_range is not None:
             self.motion = [
-                _limits(*limits, extra)
+                _limits(*limits, extra)  # type: ignore[call-arg]
                 for limits in (
                     statistics.given_range, statistics.given_velocity_range,
                     statistics.body_extent_range, statistics.body_speed_range,

@@ -55,27 +55,6 @@ def make_contact(soil: Soil, particle_volume: float, spacing: float) -> ContactL
 
 
 @numba.njit(**JIT)
-def list_near(particles, body, pose, reach, near):
-    """Lists the particles within `reach` (m) of the body's surface; returns how many there are.
-
-    Args:
-        particles: float64 [n, COLUMNS].
-        body: `bodies.Body`.
-        pose: x, y (m) of its reference point, its angle (rad), z (m).
-        reach: m.
-        near: int64 [n], filled.
-    """
-    sine, cosine = math.sin(pose[2]), math.cos(pose[2])
-    count = 0
-    for n in range(len(particles)):
-        rx, ry = particles[n, 0] - pose[0], particles[n, 1] - pose[1]
-        if signed_distance(body, sine, cosine, rx, ry, particles[n, 2] - pose[3])[0] < reach:
-            near[count] = n
-            count += 1
-    return count
-
-
-@numba.njit(**JIT)
 def contact(block, nodes, grid, near, body, law, pose, rates, dt, load):
     """Eqs. (5) and (6) at the given moment: adds forces to the nodes, writes those on the body.
 

@@ -184,7 +184,7 @@ class Simulation:
         except ValueError as error:
             raise ValueError(f'{error}, {self.time:.3f} s after the start') from error
         self.loads = _means(loads, SUBFRAMES)
-        v = self._block.particles[:, columns.V : columns.V + 3]
+        v = self._block.particles[:, columns.V : columns.V + 3]  # type: ignore[attr-defined]
         cell_speed = self.grid.dx / self._solver.exchange
         cells = np.sqrt((v * v).sum(axis=1)) / cell_speed
         many = np.count_nonzero(cells > stability.VELOCITY_CFL) > SPRAY * len(cells)

@@ -31,10 +31,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from mpm.bodies import Body, make_wheel
+from mpm.bodies import Body, make_wheel, signed_distances
 from mpm.columns import CHUNK, ELASTIC, GRIP, JIT, LEFT_GRID, OK, TURNED_INSIDE_OUT, X
 from mpm.constitutive import Soil
-from mpm.contact import ContactLaw, contact, list_near, make_contact
+from mpm.contact import ContactLaw, contact, make_contact
 from mpm.grid import Grid, clear, kick, start_nodes
 from mpm.stability import damping_time, steps_in
 from mpm.transfers import WEIGHTS, grid_to_particles, particles_to_grid, strain_and_force
@@ -359,5 +359,5 @@ class Solver:
         speed = np.abs(block.particles[:, 3:6]).max(initial=0.0)
         reach = self.law.radius + way + pushed
         reach += max(NEAR * self.grid.dx, 2 * speed * seconds)
-        near = np.zeros(len(block.particles), dtype=np.int64)
-        return near[: list_near(block.particles, body, start, reach, near)], float(pushed)
+        distances = signed_distances(body, start, block.particles[:, :3])
+        return np.flatnonzero(distances < reach), float(pushed)

@@ -7,8 +7,6 @@ import numpy as np
 
 # Below it the softmax saturates in float32 and the gradient vanishes.
 MIN_TEMPERATURE = 0.05
-# Eight random streams per seed in int32.
-MAX_SEED = 2**28
 _LARGEST = 2**31 - 1
 MAX_NODES = 300
 # Field -> its least and largest value; the largest are beyond any graph of the project, so that a
@@ -16,6 +14,7 @@ MAX_NODES = 300
 _RANGES = {
     'edge_types': (2, 100), 'hidden': (1, 4096), 'window': (2, 10_000), 'stride': (1, 10_000),
     'decay_start': (0, _LARGEST), 'batch_size': (1, 100_000), 'modes': (0, MAX_NODES),
+    'seed': (0, 2**28 - 1),  # eight random streams per seed in int32
 }  # fmt: skip
 
 
@@ -96,21 +95,19 @@ class NriConfig:
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.type is int and field.name != 'seed':
-                low, high = _RANGES.get(field.name, (1, _LARGEST))
+            name, value = field.name, getattr(self, field.name)
+            if field.type is int:
+                low, high = _RANGES.get(name, (1, _LARGEST))
                 if type(value) is not int or not low <= value <= high:
                     raise ValueError(
-                        f'{field.name} is {value!r}, must be at least {low} and at most {high}'
+                        f'{name} is {value!r}, must be at least {low} and at most {high}'
                     )
             if field.type is float and not (
                 isinstance(value, (int, float)) and np.isfinite(value) and value > 0
             ):
-                raise ValueError(f'{field.name} is {value!r}, must be positive and finite')
+                raise ValueError(f'{name} is {value!r}, must be positive and finite')
             if field.type is bool and type(value) is not bool:
-                raise ValueError(f'{field.name} is {value!r}, must be true or false')
-        if not 0 <= self.seed < MAX_SEED:
-            raise ValueError(f'seed is {self.seed}, must lie in [0, {MAX_SEED})')
+                raise ValueError(f'{name} is {value!r}, must be true or false')
         check_temperature(self.temperature)
         log_prior(self.edge_types, self.no_edge_prior)
         if self.segment >= self.window:

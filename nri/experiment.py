@@ -71,17 +71,15 @@ def _run(trainer, valid, model_path, max_seconds):
         done = int(step) // trainer.steps_per_epoch
         history = files.read_json(os.path.join(model_path, HISTORY_FILE))[:done]
         print(f'resumed {model_path} after epoch {done}')
+    n_weight = sum(int(np.prod(v.shape)) for v in model.trainable_variables)
     print(
-        f'{model_path}: {trainer.n_sample} windows of {len(model.node_names)} nodes, '
-        f'{sum(int(np.prod(v.shape)) for v in model.trainable_variables)} weights, '
-        f'{config.epochs} epochs of {trainer.steps_per_epoch} steps'
+        f'{model_path}: {trainer.n_sample} windows of {len(model.node_names)} nodes, {n_weight} '
+        f'weights, {config.epochs} epochs of {trainer.steps_per_epoch} steps'
     )
-    writer = tf.summary.create_file_writer(model_path)
+    shown = {'unit': 'step', 'disable': None, 'smoothing': 0.05}
     with (
-        writer.as_default(),
-        tqdm.tqdm(
-            total=trainer.total_steps, initial=int(step), unit='step', disable=None, smoothing=0.05
-        ) as bar,
+        tf.summary.create_file_writer(model_path).as_default(),
+        tqdm.tqdm(total=trainer.total_steps, initial=int(step), **shown) as bar,
     ):
         while len(history) < config.epochs:
             if max_seconds and history and history[-1]['seconds'] >= max_seconds:
@@ -115,10 +113,11 @@ def _open_folder(path, model):
     # A setting that came later had its default before.
     defaults = dataclasses.asdict(NriConfig())
     flat = [{**defaults, **v.pop('config', {}), **v} for v in (old, new)]
-    if differing := sorted(k for k in flat[0] | flat[1] if flat[0].get(k) != flat[1].get(k)):
+    both = {k: tuple(f.get(k) for f in flat) for k in sorted(flat[0] | flat[1])}
+    if differing := {k: pair for k, pair in both.items() if pair[0] != pair[1]}:
         listed = ', '.join(
-            f'{k}: {str(flat[0].get(k))[:40]} there, {str(flat[1].get(k))[:40]} now'
-            for k in differing
+            f'{k}: {str(there)[:40]} there, {str(now)[:40]} now'
+            for k, (there, now) in differing.items()
         )
         raise ValueError(
             f'{path}: holds another model ({listed}); nothing was written, give another '

@@ -149,7 +149,9 @@ def find_edges(
         probabilities=probabilities,
         method='nri',
         threshold=wish.get('threshold'),
-        digests={'model': model.digest, 'data': trained_on} | edge_lists.data_digests(data_path),
+        digests={
+            'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)
+        },
         degenerate=found,
         report=spread(posterior, threshold) | {'split': split, 'self_edges': self_edges},
     )
@@ -207,16 +209,8 @@ def define_flags():
 def main(v):
     """Runs the command."""
     command.import_tensorflow()
-    edges = find_edges(
-        v.model_path,
-        v.data_path,
-        split=v.split,
-        threshold=v.threshold,
-        keep=v.keep,
-        self_edges=v.self_edges,
-        no_edge_type=v.no_edge_type,
-        allow_degenerate=v.allow_degenerate,
-    )
+    options = 'split', 'threshold', 'keep', 'self_edges', 'no_edge_type', 'allow_degenerate'
+    edges = find_edges(v.model_path, v.data_path, **{name: v[name].value for name in options})
     names = export(edges, v.data_path, v.output_path)
     r = edges.report
     print(

@@ -12,10 +12,9 @@ import sonnet as snt
 import tensorflow as tf
 
 from learning_to_simulate import known_shapes
-from nri import layers, losses
+from nri import losses, networks
 from nri.config import MAX_NODES, NriConfig, log_prior
-from nri.decoder import Decoder, unroll
-from nri.encoder import Encoder
+from nri.networks import Decoder, Encoder, unroll
 from pca_tools import files
 
 CONFIG_FILE, WEIGHTS_FILE = 'config.json', 'weights.npz'
@@ -44,7 +43,7 @@ class NriModel(snt.Module):
         self.config = config
         self.node_names = tuple(node_names)
         self.data_digest = data_digest
-        self.digest = None
+        self.digest: str | None = None
         self.offset = np.asarray(offset, np.float32)
         self.scale = np.asarray(scale, np.float32)
         self._check()
@@ -65,7 +64,6 @@ class NriModel(snt.Module):
         )
 
     def _check(self):
-        """Refuses nodes and a normalisation that no data have."""
         names = self.node_names
         if not 2 <= len(names) <= MAX_NODES or not all(isinstance(n, str) for n in names):
             raise ValueError(f'{len(names)} node names, 2 to {MAX_NODES} texts were expected')
@@ -88,24 +86,18 @@ class NriModel(snt.Module):
         return (features - self.offset[:, None]) / self.scale[:, None]
 
     def logits(self, frames, is_training) -> tf.Tensor:
-        """Logits of the types that are chosen independently.
-
-        Args:
-          frames: [B, V, window, F], normalised.
-          is_training: whether layers are normalised with the statistics of this batch.
-
-        Returns:
-          [B, V (V - 1), K]; with `symmetric` [B, V (V - 1) / 2, K], of the pairs i < j.
-        """
+        """Logits of types that are chosen independently, of normalised frames [B, V, window, F]:
+        [B, V (V - 1), K]; with `symmetric` [B, V (V - 1) / 2, K], of the pairs i < j. In training
+        layers are normalised with the statistics of this batch."""
         logits = self.encode(frames, is_training)
         if self.config.symmetric:
-            return layers.mean_of_both_ways(logits, frames.shape[1])
+            return networks.mean_of_both_ways(logits, frames.shape[1])
         return logits
 
     def both_ways(self, of_pair) -> tf.Tensor:
         """What `logits` is of, for each ordered pair: -> [B, V (V - 1), K]."""
         n_node = len(self.node_names)
-        return layers.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
+        return networks.both_ways(of_pair, n_node) if self.config.symmetric else of_pair
 
     def losses(self, features, seed, true_edges=None, is_training=False) -> dict[str, tf.Tensor]:
         """Negative evidence bound of a batch, the same in training and validation.
@@ -187,16 +179,12 @@ class NriModel(snt.Module):
         Raises:
           ValueError: with both shapes.
         """
-        n_features = self.offset.shape[1]
-        if features.ndim != 4 or features.shape[3] != n_features:
+        expected = len(self.node_names), self.offset.shape[1]
+        if features.ndim != 4 or (features.shape[1], features.shape[3]) != expected:
             raise ValueError(
-                f'features have shape {features.shape}, (runs, nodes, frames, {n_features}) was '
-                f'expected'
-            )
-        if features.shape[1] != len(self.node_names):
-            raise ValueError(
-                f'the data has {features.shape[1]} nodes, the model {len(self.node_names)} '
-                f'({self.node_names[0]} ... {self.node_names[-1]})'
+                f'features have shape {features.shape}, (runs, {expected[0]} nodes, frames, '
+                f'{expected[1]}) was expected; nodes are {self.node_names[0]} ... '
+                f'{self.node_names[-1]}'
             )
         if features.shape[2] < self.config.span:
             raise ValueError(
@@ -224,16 +212,11 @@ class NriModel(snt.Module):
         Raises:
           ValueError: weights of another model, or that are not finite.
         """
-        self._take(os.path.join(path, WEIGHTS_FILE), _stored_weights(path))
-
-    def _take(self, name, stored):
+        name, stored = _stored_weights(path)
         variables = self._weights()
         wanted = {n: tuple(v.shape) for n, v in variables.items()}
         found = {n: w.shape for n, w in stored.items()}
-        if wanted != found:
-            differing = sorted(
-                n for n in wanted.keys() | found.keys() if wanted.get(n) != found.get(n)
-            )
+        if differing := sorted({n for n, _ in wanted.items() ^ found.items()}):
             raise ValueError(
                 f'{name}: not the weights of {CONFIG_FILE}; differing: {differing[:4]}'
             )
@@ -243,8 +226,7 @@ class NriModel(snt.Module):
 
     def _weights(self):
         """Variables by names that do not change between processes."""
-        variables = enumerate(self.variables)
-        return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in variables}
+        return {f'{i:03d}.{v.name.split(":")[0]}': v for i, v in enumerate(self.variables)}
 
     def to_json(self) -> dict:
         """What config.json holds."""
@@ -266,39 +248,38 @@ def load_model(path: str) -> NriModel:
       FileNotFoundError: no model there.
       ValueError: a damaged or foreign config, or weights that do not belong to it.
     """
-    names = [os.path.join(path, n) for n in (CONFIG_FILE, WEIGHTS_FILE)]
-    for name in names:
-        if not os.path.isfile(name):
-            raise FileNotFoundError(f'{name}: no such file; train a model with nri.train')
-    values = files.read_json(names[0])
+    for name in (CONFIG_FILE, WEIGHTS_FILE):
+        if not os.path.isfile(os.path.join(path, name)):
+            raise FileNotFoundError(
+                f'{os.path.join(path, name)}: no such file; train a model with nri.train'
+            )
+    name = os.path.join(path, CONFIG_FILE)
+    values = files.read_json(name)
     if not isinstance(values, dict) or values.get('kind') != 'nri':
-        raise ValueError(f'{names[0]}: not the config of an NRI model')
+        raise ValueError(f'{name}: not the config of an NRI model')
     if values.get('schema_version') != SCHEMA_VERSION:
         raise ValueError(
-            f'{names[0]}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
+            f'{name}: schema version {values.get("schema_version")}, {SCHEMA_VERSION} expected'
         )
-    stored = _stored_weights(path)
+    weights, stored = _stored_weights(path)
     try:
-        with known_shapes.only((w.shape for w in stored.values()), names[1]):
-            model = NriModel(
-                NriConfig(**values['config']),
-                values['node_names'],
-                values['offset'],
-                values['scale'],
-                values['data_digest'],
-            )
+        # What a damaged config asks for is not built unless the weights have its shapes.
+        with known_shapes.only((w.shape for w in stored.values()), weights):
+            config = NriConfig(**values['config'])
+            keys = 'node_names', 'offset', 'scale', 'data_digest'
+            model = NriModel(config, *(values[key] for key in keys))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise ValueError(f'{names[0]}: a field is missing, unknown or wrong ({error})') from error
-    model._take(names[1], stored)
+        raise ValueError(f'{name}: a field is missing, unknown or wrong ({error})') from error
+    model.load_weights(path)
     return model
 
 
 def _stored_weights(path):
-    """The finite arrays of weights.npz, whatever they are of."""
+    """weights.npz, and its finite arrays, whatever they are of."""
     name = os.path.join(path, WEIGHTS_FILE)
     stored = files.read_npz(name)
     # Integers too: the batch normalisations count their steps.
     bad = [n for n, w in stored.items() if w.dtype.kind not in 'fiu' or not np.isfinite(w).all()]
     if bad:
         raise ValueError(f'{name}: weights are not finite: {bad[:3]}')
-    return stored
+    return name, stored

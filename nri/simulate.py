@@ -26,7 +26,8 @@ CHUNK = 500
 
 
 def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=None):
-    """The arrays of one split, by the prefix of their file names.
+    """The arrays of one split, by the prefix of their file names: 'loc', 'vel', 'edges', float32,
+    shapes in the module docstring.
 
     Args:
       system: one of `particle_systems.SYSTEMS`.
@@ -35,9 +36,6 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
       sample_every: steps between frames.
       seed, split: together decide every random number.
       progress: called with the number of runs done, or None.
-
-    Returns:
-      {'loc', 'vel', 'edges'}: float32 arrays, shapes in the module docstring.
     """
     parts = []
     for index, start in enumerate(range(0, n_run, CHUNK)):
@@ -47,11 +45,8 @@ def simulate_split(system, n_run, n_steps, sample_every, seed, split, progress=N
         position, velocity, relations = particle_systems.simulate_particles(
             system, count, n_steps - sample_every, sample_every, rng
         )
-        arrays = {
-            'loc': position.transpose(0, 1, 3, 2),
-            'vel': velocity.transpose(0, 1, 3, 2),
-            'edges': relations,
-        }
+        loc, vel = (x.transpose(0, 1, 3, 2) for x in (position, velocity))
+        arrays = {'loc': loc, 'vel': vel, 'edges': relations}
         parts.append({k: v.astype(np.float32) for k, v in arrays.items()})
         if progress:
             progress(count)
@@ -90,17 +85,9 @@ def write_dataset(system, name, counts, n_steps, sample_every, seed, output_path
             for prefix, array in arrays.items():
                 path = os.path.join(output_path, f'{prefix}_{split}_{suffix}.npy')
                 files.write_atomically(path, lambda temporary, a=array: _save(temporary, a))
-    files.write_json(
-        os.path.join(output_path, f'simulation_{suffix}.json'),
-        {
-            'system': name,
-            **dataclasses.asdict(system),
-            'runs': counts,
-            'length': n_steps,
-            'sample_freq': sample_every,
-            'seed': seed,
-        },
-    )
+    settings = {'runs': counts, 'length': n_steps, 'sample_freq': sample_every, 'seed': seed}
+    path = os.path.join(output_path, f'simulation_{suffix}.json')
+    files.write_json(path, {'system': name, **dataclasses.asdict(system), **settings})
 
 
 def _save(path, array):
@@ -130,15 +117,8 @@ def main(given):
         settings['interaction_strength'] = given.interaction_strength
     counts = {split: given[f'num_{split}'].value for split in SPLITS}
     system = particle_systems.SYSTEMS[given.system](**settings)
-    write_dataset(
-        system,
-        given.system,
-        counts,
-        given.length,
-        given.sample_freq,
-        given.seed,
-        given.output_path,
-    )
+    how = given.length, given.sample_freq, given.seed
+    write_dataset(system, given.system, counts, *how, given.output_path)
     print(
         f'{given.system}, {given.n_objects} objects: {sum(counts.values())} runs of '
         f'{given.length // given.sample_freq - 1} frames in {given.output_path}; '

@@ -55,21 +55,17 @@ def define_flags():
 
 def main(given):
     """Reads the flags and trains."""
-    command.import_tensorflow()  # here, so that help does not wait for it
+    fields = [field.name for field in dataclasses.fields(NriConfig)]
+    config = NriConfig(**{name: given[name].value for name in fields})
+    command.import_tensorflow()  # here, so that neither help nor a refusal waits for it
     import tensorflow as tf
 
     from nri import experiment
 
-    fields = [field.name for field in dataclasses.fields(NriConfig)]
-    minutes = given.max_minutes
-    config = NriConfig(**{name: given[name].value for name in fields})
+    seconds = None if given.max_minutes is None else 60.0 * given.max_minutes
     try:
         experiment.train(
-            given.data_path,
-            given.model_path,
-            config,
-            None if minutes is None else 60.0 * minutes,
-            given.take_over_lock,
+            given.data_path, given.model_path, config, seconds, given.take_over_lock
         )
     except tf.errors.OpError as error:
         raise ValueError(str(error)) from error

@@ -66,7 +66,7 @@ class Trainer:
         self._frames = tf.constant(by_time.reshape(n_run * n_frame, n_node, n_feature))
         self._n_frame = n_frame
         self._edges = None if train.edges is None else tf.constant(train.edges)
-        self._order = (-1, None)
+        self._order: tuple = (-1, None)
         self._step = self._compile(variables)
         self._validation_losses = tf.function(model.losses, jit_compile=True, autograph=False)
 
@@ -121,7 +121,8 @@ class Trainer:
         self.model.check_features(data.features)
         config = self.config
         windows = data.features[:, :, : config.span : config.stride]
-        totals, count = {}, 0
+        totals: dict[str, float] = {}
+        count = 0
         if not (config.supervised and data.edges is None):
             for first in range(0, len(windows), _VALID_BATCH):
                 batch = tf.constant(windows[first : first + _VALID_BATCH])
@@ -132,7 +133,7 @@ class Trainer:
                 for name, value in self._validation_losses(batch, seed, edges).items():
                     totals[name] = totals.get(name, 0.0) + float(value) * len(batch)
                 count += len(batch)
-        result = {name: total / count for name, total in totals.items()}
+        result: dict = {name: total / count for name, total in totals.items()}
         probabilities = self.model.window_probabilities(windows)
         result |= losses.edge_usage(probabilities)
         if data.edges is not None:

@@ -40,8 +40,8 @@ def mean_configuration(runs, names, centering, progress) -> tuple[np.ndarray, in
     if frames < 2:
         raise ValueError(f'{len(runs)} runs with {frames} frames in all: need at least 2 frames')
     configuration = total / frames
-    mean = configuration if centering == 'configuration' else np.asarray(configuration.mean())
-    return mean, frames * DIM, largest
+    mean = configuration if centering == 'configuration' else np.asarray(configuration.mean())  # type: ignore[attr-defined]
+    return mean, frames * DIM, largest  # type: ignore[return-value]
 
 
 def rows(run: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -150,7 +150,7 @@ class ParticleSample(Sequence):
         data = self._data[self._offsets[index] : self._offsets[index + 1]].tobytes()
         return data, int(self._frames[index])
 
-    def __getitem__(self, index: int) -> np.ndarray:
+    def __getitem__(self, index: int) -> np.ndarray:  # type: ignore[override]
         data, n_frames = self.packed(index)
         try:
             return packing.unpack_steps(data, n_frames, self.rest, self.resolution)

@@ -106,7 +106,7 @@ class RawRuns(Sequence):
     def __iter__(self) -> Iterator[RawRun]:
         return (self[index] for index in range(len(self)))
 
-    def __getitem__(self, index: int) -> RawRun:
+    def __getitem__(self, index: int) -> RawRun:  # type: ignore[override]
         """Opens run `index`.
 
         Raises:
@@ -233,7 +233,7 @@ class SoilPositions(Sequence):
     def __len__(self) -> int:
         return len(self._indices)
 
-    def __getitem__(self, index: int) -> np.ndarray:
+    def __getitem__(self, index: int) -> np.ndarray:  # type: ignore[override]
         return self._runs[self._indices[index]].positions[:: self._stride]
 
 

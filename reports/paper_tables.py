@@ -55,18 +55,21 @@ PUBLISHED_ERRORS = {
 }
 
 
+def _metrics(models_path, scene, preset):
+    """metrics.json of a shipped model, or None."""
+    path = os.path.join(models_path, scene, preset, 'metrics.json')
+    return files.read_json(path) if os.path.exists(path) else None
+
+
 def times(models_path: str) -> str:
     """Table 3.1: seconds of computing per simulated second."""
     names = ('', 'MPM', 'full space GNS', 'FCG cpu', 'FCG gpu', 'PCG cpu', 'PCG gpu', '`pcg` cpu')
     rows: list[tuple] = [(f'{case}, published', *cells) for case, cells in PUBLISHED_TIMES.items()]
     for scene in SCENES:
-        measured = {}
-        for preset in METHODS.values():
-            path = os.path.join(models_path, scene, preset, 'metrics.json')
-            if os.path.exists(path):
-                mean = files.read_json(path)['mean']['model']
-                measured[preset] = mean['seconds_per_simulated_second']
-        fcg, pcg, ours = (measured.get(preset) for preset in METHODS.values())
+        found = (_metrics(models_path, scene, preset) for preset in METHODS.values())
+        fcg, pcg, ours = (
+            m and m['mean']['model']['seconds_per_simulated_second'] for m in found
+        )  # fmt: skip
         rows.append((f'{scene}, ours', None, None, fcg, None, pcg, None, ours))
     return markdown.table(names, rows)
 
@@ -107,18 +110,43 @@ def _scaled(mse):
 
 def errors(models_path: str, longer_path: str) -> str:
     """Table 3.3: soil MSE, and the force's percentage error of every test run."""
-    names = ('', 'soil MSE 1e-4 m²', 'force MPE % of each run', 'mean of its size %')
+    longer = files.read_json(longer_path)['rows'].values()
+    methods = {preset: method for method, preset in METHODS.items()}
     rows = []
     for scene in SCENES:
         for (case, method), (mse, mpe) in PUBLISHED_ERRORS.items():
             if case == scene:
                 rows.append(_error_row(f'{scene}, {method}, published', 1e-4 * mse, mpe))
-        rows += _rows_of_models(
-            f'{scene}, {{}}, our records, test', os.path.join(models_path, scene)
-        )
+        shipped = [
+            (method, '', found['runs'])
+            for method, preset in METHODS.items()
+            if (found := _metrics(models_path, scene, preset))
+        ]
+        rows += _rows_of(shipped, f'{scene}, {{}}, our records, test')
         for data, text in DATA[scene].items():
-            rows += _rows_of_longer(f'{scene}, {{}}, {text}', longer_path, data)
+            trained = []
+            for row in (row for row in longer if row['data'] == data):
+                preset = row['method'].split(' ')[0]
+                end = f', {row["steps"]} steps' if row['steps'] else ''
+                trained.append((methods.get(preset, preset), end, row['runs']))
+            rows += _rows_of(trained, f'{scene}, {{}}, {text}')
+    names = ('', 'soil MSE 1e-4 m²', 'force MPE % of each run', 'mean of its size %')
     return markdown.table(names, rows)
+
+
+def _rows_of(found, label):
+    """Rows of methods (name, end of the label, runs), the trivial predictors first."""
+    shown = [
+        (name, '', runs[key]) for _, _, runs in found[:1] for key, name in markdown.TRIVIAL.items()
+    ]
+    shown += [(name, end, runs['model']) for name, end, runs in found]
+    rows = []
+    for name, end, runs in shown:
+        soil = [run['soil_mse'] for run in runs]
+        mse = None if None in soil else float(np.mean(soil))
+        mpe = [run.get('force_mpe') for run in runs]
+        rows.append(_error_row(label.format(name) + end, mse, mpe))
+    return rows
 
 
 def _error_row(label, mse, mpe):
@@ -128,48 +156,6 @@ def _error_row(label, mse, mpe):
         runs = f'median {np.median(given):.1f}, {min(given):.1f} to {max(given):.1f}'
     whole = bool(given) and len(given) == len(mpe)
     return label, _scaled(mse), runs, float(np.mean(np.abs(given))) if whole else None
-
-
-def _rows_of_models(label, folder):
-    """Rows of the metrics.json below a folder of models, and of their best trivial predictor."""
-    lines = []
-    for method, preset in METHODS.items():
-        path = os.path.join(folder, preset, 'metrics.json')
-        if not os.path.exists(path):
-            continue
-        summary = files.read_json(path)
-        if not lines:
-            for key, name in markdown.TRIVIAL.items():
-                lines.append(_error_row(label.format(name), *_soil_and_force(summary, key)))
-        lines.append(_error_row(label.format(method), *_soil_and_force(summary, 'model')))
-    return lines
-
-
-def _soil_and_force(summary, name):
-    return summary['mean'][name]['soil_mse'], [r.get('force_mpe') for r in summary['runs'][name]]
-
-
-def _rows_of_longer(label, path, data):
-    """Rows of longer trainings on one dataset, the trivial predictors first."""
-    rows = [row for row in files.read_json(path)['rows'].values() if row['data'] == data]
-    names = {preset: method for method, preset in METHODS.items()}
-    lines = []
-    for row in rows:
-        preset = row['method'].split(' ')[0]
-        if not lines:
-            lines = [
-                _error_row(label.format(text), *_of_runs(row['runs'][key]))
-                for key, text in markdown.TRIVIAL.items()
-            ]
-        steps = f', {row["steps"]} steps' if row['steps'] else ''
-        text = label.format(names.get(preset, preset)) + steps
-        lines.append(_error_row(text, *_of_runs(row['runs']['model'])))
-    return lines
-
-
-def _of_runs(runs):
-    soil = [run['soil_mse'] for run in runs]
-    return None if None in soil else float(np.mean(soil)), [run['force_mpe'] for run in runs]
 
 
 def document(values) -> str:

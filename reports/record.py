@@ -1,12 +1,10 @@
-"""What a number was made by and on: command, commit, machine; and JSON that a sweep resumes."""
+"""What a number was made by and on: command, commit, machine."""
 
 import importlib.metadata
 import os
 import platform
 import subprocess
 import sys
-
-from pca_tools import files
 
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
@@ -23,52 +21,16 @@ def provenance(threads: int | None = None) -> dict:
     return {'command': command, 'commit': _commit(), 'machine': facts(threads)}
 
 
-def data_version(metadata: dict) -> int:
-    """Of a dataset: that of the first case that states one; 1 of those made before it was."""
-    cases = (case for split in metadata.get('cases', {}).values() for case in split)
-    return int(next((case['data_version'] for case in cases if 'data_version' in case), 1))
-
-
-def resume(path: str, identity: dict, empty: dict) -> dict:
-    """The document of an earlier call, to go on with, or a new one.
-
-    Args:
-      path: JSON file, which need not exist.
-      identity: what must be the same for its rows to count: data, budget.
-      empty: the other keys of a new document.
-
-    Raises:
-      ValueError: the file holds rows of something else; nothing is overwritten.
-    """
-    if not os.path.exists(path):
-        return identity | empty
-    found = files.read_json(path)
-    if not isinstance(found, dict) or not found.keys() >= empty.keys():
-        raise ValueError(f'{path}: holds something else; give another output_path')
-    for key, value in identity.items():
-        if found.get(key) != value:
-            raise ValueError(
-                f'{path}: holds rows of another {key} ({found.get(key)} there, {value} now); '
-                'give another output_path'
-            )
-    return found
-
-
 def _commit():
     """The commit of the sources, with '+' where files differ from it; None outside a checkout."""
+    describe = ['describe', '--always', '--exclude=*', '--abbrev=12', '--dirty=+']
     try:
-        done = [
-            subprocess.run(
-                ['git', '-C', ROOT, *arguments], capture_output=True, text=True, check=True
-            ).stdout.strip()
-            for arguments in (
-                ['rev-parse', '--short=12', 'HEAD'],
-                ['status', '--porcelain', '--untracked-files=no'],
-            )
-        ]
+        done = subprocess.run(
+            ['git', '-C', ROOT, *describe], capture_output=True, text=True, check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
-    return done[0] + '+' * bool(done[1])
+    return done.stdout.strip()
 
 
 def facts(threads: int | None) -> dict:

@@ -13,7 +13,7 @@ Examples:
     python -m reports documents docs/results.md     # the table again, from the JSON
 """
 
-import time
+import functools
 
 import numpy as np
 from absl import flags
@@ -21,9 +21,10 @@ from absl import flags
 from learning_to_simulate.command import named_paths
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
-from reports.protocol import driven_runs
+from reports.protocol import over_runs, tables
 
 SCHEMA_VERSION = 3
+QUANTITIES = 'soil_mm', 'force_l2'
 ROUNDS = 5
 # Drawn as lines, where the protocol has them: nobody waits for a baseline.
 LINES = ('persistence', 'path ridge', 'earthmoving, fitted', 'Bekker-Wong-Janosi, fitted')
@@ -60,67 +61,49 @@ def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) ->
         def loads(model=model):
             return model.rollout(poses, context=contexts)
 
-        def particles(model=model):
-            rollout = model.rollout(poses, context=contexts)
+        def particles(loads=loads):
+            rollout = loads()
             for frame in range(len(rollout)):
                 rollout.particles(frame)
 
-        n_frame = len(loads())
-        jobs[f'{name} load'] = timing.Job(loads, n_frame)
-        jobs[f'{name} particles'] = timing.Job(particles, n_frame)
-        jobs[f'{name} step'] = timing.Job(_Steps(model, poses, contexts))
+        def steps(live):
+            return timing.stepping(live, poses, contexts)[0]
+
+        n_frame = len(poses) - 1
+        jobs[name, 'load'] = timing.Job(loads, n_frame)
+        jobs[name, 'particles'] = timing.Job(particles, n_frame)
+        jobs[name, 'step'] = timing.Job(functools.partial(steps, model.stepper()))
     timed = timing.in_turns(jobs, rounds)
     return {
         name: {
-            f'{what}_ms': float(np.median(timed[f'{name} {what}'].processor_ms))
-            for what in ('load', 'particles')
-        }
-        | {
-            f'step{end}_ms': timed[f'{name} step'].percentile(q)
-            for end, q in (('', 50), ('_p99', 99))
+            'load_ms': float(np.median(timed[name, 'load'].processor)),
+            'particles_ms': float(np.median(timed[name, 'particles'].processor)),
+            'step_ms': float(np.median(timed[name, 'step'].clock)),
+            'step_p99_ms': float(np.percentile(timed[name, 'step'].clock, 99)),
         }
         for name in models
     }
 
 
-class _Steps:
-    """Steps a model through a path; each call returns the seconds of every step."""
-
-    def __init__(self, model, poses, contexts):
-        self._live, self._poses, self._contexts = model.stepper(), poses, contexts
-
-    def __call__(self) -> list[float]:
-        def context(frame):
-            return {} if self._contexts is None else {'context': self._contexts[frame]}
-
-        velocity = (self._poses[1] - self._poses[0])[:3] / self._live.dt
-        self._live.start(self._poses[0], velocity=velocity, **context(0))
-        seconds = []
-        for frame, pose in enumerate(self._poses[1:], 1):
-            start = time.perf_counter()
-            self._live.step(pose, **context(frame))
-            seconds.append(time.perf_counter() - start)
-        return seconds
+def _runs(data_path):
+    """(run, case) of each test run whose case is stated."""
+    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
+    return list(zip(dataset.read_split(data_path, 'test'), cases, strict=False))
 
 
 def _driven_path(data_path):
     """Poses and contexts of the first test run on a flat bed, off the grid."""
-    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
-    runs = dataset.read_split(data_path, 'test')
-    other = driven_runs.GRID, 'disturbed'
-    for run, case in zip(runs, cases, strict=False):
-        if case.get('kind') not in other and run.rigid_pose is not None:
+    for run, case in _runs(data_path):
+        if case.get('kind') not in (over_runs.GRID, 'disturbed') and run.rigid_pose is not None:
             return run.rigid_pose.astype(np.float64), run.step_context
     raise ValueError(f'{data_path}: no test run on a flat bed, off the grid, with poses')
 
 
 def solver_ms(data_path: str) -> float | None:
     """Milliseconds of CPU of a frame of the solver, median over the runs; None if not stated."""
-    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
-    runs = dataset.read_split(data_path, 'test')
     known = [
         1e3 * case['solver_cpu_s'] / (run.n_frames - 1)
-        for case, run in zip(cases, runs, strict=False)
+        for run, case in _runs(data_path)
         if 'solver_cpu_s' in case
     ]
     return float(np.median(known)) if known else None
@@ -137,10 +120,10 @@ def rows(times: dict, protocol: dict) -> tuple[list[dict], int]:
       dicts of `name`, `soil_mm` and `force_l2` (one value a seed) and the times that were taken.
       Another form of a method, named 'METHOD, in C', has its errors.
     """
-    errors = driven_runs.condense(protocol)[driven_runs.DRIVEN]
+    errors = over_runs.condense(protocol)[over_runs.DRIVEN]
     found = []
-    for name in dict.fromkeys(name for q in driven_runs.QUANTITIES for name in errors[q]):
-        of_method = {q: errors[q].get(name, []) for q in driven_runs.QUANTITIES}
+    for name in dict.fromkeys(name for q in QUANTITIES for name in errors[q]):
+        of_method = {q: errors[q].get(name, []) for q in QUANTITIES}
         forms = [n for n in times['models'] if n in (name, f'{name}, in C')]
         for form in forms or [name]:
             found.append({'name': form} | of_method | times['models'].get(form, {}))
@@ -152,11 +135,11 @@ def table(times_path: str, protocol_path: str) -> str:
     found, runs = rows(files.read_json(times_path), files.read_json(protocol_path))
     columns = [key for key in COLUMNS if any(key in row for row in found)]
     lines = [
-        (row['name'], *(markdown.span(row[q]) for q in driven_runs.QUANTITIES))
+        (row['name'], *(markdown.span(row[q]) for q in QUANTITIES))
         + tuple(row.get(key) for key in columns)
         for row in found
     ]
-    header = (f'{runs} driven test runs', *driven_runs.QUANTITIES.values())
+    header = (f'{runs} driven test runs', *(tables.TITLES[q] for q in QUANTITIES))
     return markdown.table((*header, *(COLUMNS[key] for key in columns)), lines)
 
 
@@ -167,11 +150,8 @@ def draw(times_path: str, protocol_path: str, picture: str) -> None:
     times = files.read_json(times_path)
     found, runs = rows(times, files.read_json(protocol_path))
     drawn = figure.Figure(figsize=(10, 4.6), layout='constrained')
-    panels = zip(
-        drawn.subplots(1, 2), driven_runs.QUANTITIES.items(), ('particles_ms', 'load_ms'),
-        strict=True,
-    )  # fmt: skip
-    for axes, (error, title), clock in panels:
+    panels = zip(drawn.subplots(1, 2), QUANTITIES, ('particles_ms', 'load_ms'), strict=True)
+    for axes, error, clock in panels:
         for row in (row for row in found if clock in row):
             seeds = np.array(row[error])
             spread = [[seeds.mean() - seeds.min()], [seeds.max() - seeds.mean()]]
@@ -186,7 +166,8 @@ def draw(times_path: str, protocol_path: str, picture: str) -> None:
         if times.get('solver_ms'):
             axes.axvline(times['solver_ms'], color='0.8', lw=1, label='solver')
         of = 'with all particles' if clock == 'particles_ms' else 'force only'
-        axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread', ylabel=title)
+        axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread')
+        axes.set_ylabel(tables.TITLES[error])
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()

@@ -2,38 +2,26 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import tqdm
 
-CLOCKS = {'min': 0, 'median': 50, 'p95': 95, 'p99': 99, 'worst': 100}
+WARM_UP = 2  # calls before
 
 
-@dataclasses.dataclass(frozen=True)
-class Timing:
-    """Raw samples of one clock, ms per step of one graph.
+class Timing(NamedTuple):
+    """Samples of one job, ms per step, in the order of measurement.
 
     Attributes:
-      samples_ms: every measured call, in the order of measurement.
-      processor_ms: the same by processor time of all threads, where it was taken: on a busy
-        machine it says more than the clock.
+      clock: by the clock on the wall.
+      processor: by processor time of all threads, where it was taken: on a busy machine it says
+        more.
     """
 
-    samples_ms: tuple[float, ...]
-    processor_ms: tuple[float, ...] = ()
-
-    def __post_init__(self):
-        if not self.samples_ms or not all(s > 0 for s in self.samples_ms):
-            raise ValueError(f'a timing needs positive samples, got {self.samples_ms[:5]!r}')
-
-    def percentile(self, q: float) -> float:
-        """The q-th percentile, ms per step; 0 is the minimum, 100 the worst."""
-        return float(np.percentile(self.samples_ms, q))
-
-    def summary(self, prefix: str = '') -> dict[str, float]:
-        """min, median, p95, p99 and worst, ms per step; names start with `prefix`."""
-        return {f'{prefix}{name}': self.percentile(q) for name, q in CLOCKS.items()}
+    clock: np.ndarray
+    processor: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,57 +32,63 @@ class Job:
       call: does it once, results materialised. If it returns numbers, these are the seconds: one
         call may time only a part of what it does, or many steps each by itself.
       steps: what the time of a call is divided by.
-      rounds: turns; None for as many as the others.
-      warm_up: calls before.
     """
 
     call: Callable[[], object]
     steps: int = 1
-    rounds: int | None = None
-    warm_up: int = 2
 
 
-def first_output(function: Callable, inputs: Sequence) -> None:
-    """Calls a compiled function and waits for its first output: a rollout's positions."""
-    function(*inputs)[0].numpy()
-
-
-def in_turns(jobs: Mapping[str, Job], rounds: int, label: str = 'in turns') -> dict[str, Timing]:
+def in_turns(jobs: Mapping[Any, Job], rounds: int) -> dict[Any, Timing]:
     """Times all jobs, one call of each in every round.
 
-    Args:
-      jobs: name -> what to time.
-      rounds: turns of a job that does not say its own number.
-      label: of the progress bar.
-
-    Returns:
-      name -> `Timing`, ms per step.
-
     Raises:
-      ValueError: a job returned a time that is not above 0.
+      ValueError: a job took, or returned, a time that is not above 0.
     """
-    for job in tqdm.tqdm(jobs.values(), 'warm-up', unit='job', disable=None, leave=False):
-        for _ in range(job.warm_up):
-            job.call()
-    seconds: dict[str, list] = {name: [] for name in jobs}
-    processor: dict[str, list] = {name: [] for name in jobs}
-    turns = max((job.rounds or rounds for job in jobs.values()), default=0)
-    for turn in tqdm.tqdm(range(turns), label, unit='round', disable=None):
+    seconds: dict[Any, list] = {name: [] for name in jobs}
+    processor: dict[Any, list] = {name: [] for name in jobs}
+    for turn in tqdm.tqdm(range(-WARM_UP, rounds), 'in turns', unit='round', disable=None):
         for name, job in jobs.items():
-            if turn >= (job.rounds or rounds):
-                continue
             wall, busy = time.perf_counter(), time.process_time()
             result = job.call()
             wall, busy = time.perf_counter() - wall, time.process_time() - busy
+            if turn < 0:
+                continue
             if isinstance(result, int | float | list | tuple):
                 seconds[name] += np.ravel(result).tolist()
             else:
                 seconds[name].append(wall)
                 processor[name].append(busy)
-    return {
-        name: Timing(
-            tuple(1e3 * s / job.steps for s in seconds[name]),
-            tuple(1e3 * s / job.steps for s in processor[name]),
-        )
-        for name, job in jobs.items()
-    }
+    found = {}
+    for name, job in jobs.items():
+        found[name] = Timing(*(1e3 * np.array(s[name]) / job.steps for s in (seconds, processor)))
+        if not len(found[name].clock) or not (found[name].clock > 0).all():
+            raise ValueError(f'{name}: times are positive, got {found[name].clock[:5]} ms')
+    return found
+
+
+def stepping(live, poses: np.ndarray, contexts=None, every: int | None = None):
+    """Seconds of every step of a model along a path, and of those steps that give particles.
+
+    Args:
+      live: `stepper()` of a model.
+      poses: [T, 7], from where it starts.
+      contexts: [T, C], or None.
+      every: steps after which the particles are asked for, too; None: never.
+
+    Returns:
+      lists: a step and its force; a step, its force and all particles.
+    """
+
+    def context(frame):
+        return {} if contexts is None else {'context': contexts[frame]}
+
+    live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **context(0))
+    steps, wholes = [], []
+    for frame, pose in enumerate(poses[1:], 1):
+        start = time.perf_counter()
+        now = live.step(pose, **context(frame))
+        steps.append(time.perf_counter() - start)
+        if every and frame % every == 0:
+            now.particles()
+            wholes.append(time.perf_counter() - start)
+    return steps, wholes

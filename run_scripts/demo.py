@@ -12,22 +12,20 @@ Examples:
     python -m run_scripts.demo --scenes=excavation --cases=reverse_0007 --output_path=demo_output
 """
 
-import json
 import os
 import shutil
 import statistics
-import sys
 import time
 
 import tqdm
-from absl import app, flags
+from absl import flags
 
 from mpm import scenes
 from mpm.motions import catalogue
-from pca_tools.storage import messages
-from reports import markdown
+from pca_tools import files
+from reports import command, markdown, timing
+from reports.record import ROOT
 
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 # Of each scene: the data of record, the models, and a test run of it.
 DATA = {'excavation': 'excavation_v2', 'wheel': 'wheel_v2'}
 MODELS = {'excavation': ('pcg', 'mlp_driven', 'swept_field'), 'wheel': ('pcg', 'swept_field')}
@@ -108,45 +106,23 @@ def stepping_ms(path: str, record) -> dict:
     import learning_to_simulate as lts
 
     live, poses = lts.load(path).stepper(), record.rigid_pose.astype(float)
-    contexts = record.step_context
-
-    def context(frame):
-        return {} if contexts is None else {'context': contexts[frame]}
-
-    live.start(poses[0], velocity=(poses[1] - poses[0])[:3] / live.dt, **context(0))
-    steps, wholes = [], []
-    for frame, pose in enumerate(poses[1:], 1):
-        begin = time.perf_counter()
-        now = live.step(pose, **context(frame))
-        steps.append(time.perf_counter() - begin)
-        if frame % EVERY == 0:
-            now.particles()
-            wholes.append(time.perf_counter() - begin)
+    steps, wholes = timing.stepping(live, poses, record.step_context, EVERY)
     # The first ones compile.
     return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
 
 
 def _row(name, mean):
-    return {
-        'method': name,
-        SOIL: mean['soil_mm'],
-        FORCE: _size_and_share(mean, 'force'),
-        DRAWBAR: _size_and_share(mean, 'drawbar'),
-    }
-
-
-def _size_and_share(mean, load):
-    return f'{mean[f"{load}_rmse"]:.3g} ({100 * mean[f"{load}_relative_l2"]:.0f} %)'
+    force, drawbar = (
+        f'{mean[f"{load}_rmse"]:.3g} ({100 * mean[f"{load}_relative_l2"]:.0f} %)'
+        for load in ('force', 'drawbar')
+    )
+    return {'method': name, SOIL: mean['soil_mm'], FORCE: force, DRAWBAR: drawbar}
 
 
 def table(name: str, case: int | str, rows: list[dict]) -> str:
     """The rows as aligned text."""
     cells = [['-' if row.get(title) is None else row[title] for title in COLUMNS] for row in rows]
     return f'{name}, {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
-
-
-def _bar(drawn, label):
-    return tqdm.tqdm(drawn, desc=label, unit='frame', disable=None)
 
 
 def draw(name: str, out: str) -> list[str]:
@@ -164,7 +140,7 @@ def draw(name: str, out: str) -> list[str]:
         formats=['png', 'gif'],
         step_stride=4,
         label=LABELS[shown],
-        progress=_bar,
+        progress=lambda drawn, label: tqdm.tqdm(drawn, label, unit='frame', disable=None),
         beside={LABELS[beside]: os.path.join(out, beside, 'rollout_test_0.npz')},
     )
     return paths
@@ -177,35 +153,30 @@ def define_flags() -> None:
     flags.DEFINE_list('cases', None, 'One run per scene; default: one that no model has seen.')
 
 
-def main(_) -> None:
-    """Runs the command; bad input ends with its message."""
+def main(values, _) -> None:
+    """Runs the command.
+
+    Raises:
+        ValueError: no such scenes, or other runs than the data of record have.
+    """
     started = time.perf_counter()
-    values = flags.FLAGS
     out = os.path.abspath(values.output_path)
-    try:
-        chosen = [scenes.scene_named(name) for name in values.scenes]
-        names = values.cases or [CASES[scene.name] for scene in chosen]
-        if len(names) != len(chosen):
-            raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
-        cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
-    except ValueError as error:
-        sys.exit(f'error: {messages.printable(error)}')
+    chosen = [scenes.scene_named(name) for name in values.scenes]
+    names = values.cases or [CASES[scene.name] for scene in chosen]
+    if len(names) != len(chosen):
+        raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
+    cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
     print('learned simulators: rolling out', flush=True)
     results, pictures = {}, []
     for scene, case in zip(chosen, cases):
         target = os.path.join(out, scene.name)
         data = os.path.join(target, 'dataset')
-        try:
-            run = single_run(scene.name, case, data)
-        except ValueError as error:
-            sys.exit(f'error: {messages.printable(error)}')
+        run = single_run(scene.name, case, data)
         results[scene.name] = {'case': case, 'rows': evaluate(scene.name, run, data, target)}
         pictures += draw(scene.name, target)
     text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
-    with open(os.path.join(out, 'table.txt'), 'w', encoding='utf-8') as file:
-        file.write(text + '\n')
-    with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as file:
-        json.dump(results, file, indent=2)
+    files.write_text(os.path.join(out, 'table.txt'), text + '\n')
+    files.write_json(os.path.join(out, 'table.json'), results)
     print('\n' + text + '\n')
     print("soil error: root mean square over the solver's own particles. Forces: root mean square")
     print('per component, and its share of the true force; persistence: the last known force,')
@@ -217,5 +188,4 @@ def main(_) -> None:
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

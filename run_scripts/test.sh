@@ -13,8 +13,9 @@ bash run_scripts/setup_env.sh
 
 workers=${WORKERS:-$("${VENV:-.venv}/bin/python" -c 'import os; print(min(4, os.cpu_count() or 1))')}
 # The processes share the cores between them: one thread each is faster than each of them taking
-# all. A whole file stays in one process, because its tests share compiled functions.
+# all. A whole file stays in one process, because its tests share compiled functions; files are dealt
+# in the order of tests/conftest.py, not by their number of tests, which says nothing of their time.
 export OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 TF_NUM_INTRAOP_THREADS=1 TF_NUM_INTEROP_THREADS=1
 # TensorFlow's remarks about the processor and missing graphics cards would drown the results.
 export TF_CPP_MIN_LOG_LEVEL=${TF_CPP_MIN_LOG_LEVEL:-2}
-exec "${VENV:-.venv}/bin/python" -m pytest -n "$workers" --dist loadfile "$@"
+exec "${VENV:-.venv}/bin/python" -m pytest -n "$workers" --dist loadfile --no-loadscope-reorder "$@"

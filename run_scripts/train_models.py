@@ -1,7 +1,7 @@
 """Trains every preset on the shipped datasets and copies what a model needs into `models/`.
 
 The checkpoints with the optimiser's state stay in the work folder, so that training can go on
-there.
+there; TensorBoard shows how far it is.
 
 Examples:
     python -m run_scripts.train_models --work_path=/tmp/training
@@ -11,64 +11,54 @@ Examples:
         --work_path=/tmp/training
 """
 
-import concurrent.futures
 import os
 import shutil
-import subprocess
-import sys
 
-from absl import app, flags
+from absl import flags
 
 from learning_to_simulate import checkpoints
+from pca_tools import files, workers
+from reports import command
+from reports.protocol import rollouts
+from reports.record import ROOT
 
 SHIPPED = ['fcg_original', 'pcg_thesis', 'pcg']
-ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
-def train(scene: str, preset: str, work: str, quiet: bool) -> str:
-    """Trains one model (or finishes its training) and returns its table on the test split."""
-    data = os.path.join(ROOT, 'datasets', scene)
-    model = os.path.join(work, scene, preset)
-    base = [sys.executable, '-m', 'learning_to_simulate.train', f'--data_path={data}',
-            f'--model_path={model}', '--num_threads=1']  # fmt: skip
-    os.makedirs(work, exist_ok=True)
-    with open(os.path.join(work, f'{scene}_{preset}.log'), 'a', encoding='utf-8') as log:
-        subprocess.run(
-            [*base, f'--preset={preset}'], cwd=ROOT, check=True, stderr=log if quiet else None
-        )
-        target = os.path.join(ROOT, 'models', scene, preset)
-        os.makedirs(target, exist_ok=True)
-        for name in (checkpoints.CONFIG_FILE, checkpoints.WEIGHTS_FILE):
-            shutil.copyfile(os.path.join(model, name), os.path.join(target, name))
-        rollouts = os.path.join(work, scene, f'{preset}_rollouts')
-        done = subprocess.run(
-            [*base, '--mode=eval_rollout', f'--output_path={rollouts}'],
-            cwd=ROOT, check=True, capture_output=True, text=True,
-        )  # fmt: skip
-    shutil.copyfile(os.path.join(rollouts, 'metrics.json'), os.path.join(target, 'metrics.json'))
-    return f'{scene} {preset}\n{done.stdout}'
+def train(job: tuple[str, str, str]) -> str:
+    """Trains one model (or finishes its training) and returns its table on the test split; `job`:
+    scene, preset, folder for the work."""
+    from learning_to_simulate import evaluation  # TensorFlow, which help does not wait for
+
+    scene, preset, work = job
+    data, folder = os.path.join(ROOT, 'datasets', scene), os.path.join(work, 'rollouts', scene)
+    ((model, given),) = rollouts.trainings(preset, 1, os.path.join(work, scene))
+    rollouts.make((data, model, given, ('test',), folder))
+    metrics = os.path.join(rollouts.roll_out(data, model, 'test', folder), 'metrics.json')
+    target = os.path.join(ROOT, 'models', scene, preset)
+    os.makedirs(target, exist_ok=True)
+    names = checkpoints.CONFIG_FILE, checkpoints.WEIGHTS_FILE
+    for path in (metrics, *(os.path.join(model, name) for name in names)):
+        shutil.copy(path, target)
+    return f'{scene} {preset}\n{evaluation.table(files.read_json(metrics))}'
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_list('scenes', ['excavation', 'wheel'], 'Folders of datasets/ to train on.')
     flags.DEFINE_list('presets', SHIPPED, 'Presets to train.')
-    flags.DEFINE_string('work_path', None, 'Folder for training states and logs.', required=True)
-    flags.DEFINE_integer('num_processes', 1, 'Models trained at a time.', 1)
+    flags.DEFINE_string('work_path', None, 'Folder for training states.', required=True)
+    command.define_workers('Models trained at a time.')
 
 
-def main(_) -> None:
+def main(values, _) -> None:
     """Runs the command."""
-    values = flags.FLAGS
-    jobs = [(scene, preset) for preset in values.presets for scene in values.scenes]
-    with concurrent.futures.ThreadPoolExecutor(values.num_processes) as pool:
-        running = [
-            pool.submit(train, *job, values.work_path, values.num_processes > 1) for job in jobs
-        ]
-        for future in concurrent.futures.as_completed(running):
-            print(future.result(), flush=True)
+    work = os.path.abspath(values.work_path)
+    jobs = [(scene, preset, work) for preset in values.presets for scene in values.scenes]
+    with workers.start(values.cluster, values.num_processes) as crew:
+        for outcome in crew.run(train, jobs):
+            print(outcome.error or outcome.value, flush=True)
 
 
 if __name__ == '__main__':
-    define_flags()
-    app.run(main)
+    command.start(define_flags, main)

@@ -87,8 +87,8 @@ def make() -> None:
         found = found or [package['sdist']]
         if package['name'] in needed:
             digests = ' '.join(sorted(f'--hash=sha256:{f["hashes"]["sha256"]}' for f in found))
-            who = ', '.join(needed[package['name']])
-            lines.append(f'{package["name"]}=={package["version"]} {digests}  # {who}')
+            users = ', '.join(needed[package['name']])
+            lines.append(f'{package["name"]}=={package["version"]} {digests}  # {users}')
     head = '# Made by run_scripts/verified_install.py --make; wheels for Linux x86-64.\n'
     (ROOT / 'hashes.txt').write_text(head + '\n'.join(lines) + '\n', encoding='utf-8')
 

@@ -152,7 +152,7 @@ def cutting_force(depth, rake, heap_area, soil: BladeSoil):
     parts = np.where(depth > 0, np.stack(parts), 0.0)
     angle = rake + soil.wall_angle
     direction = np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
-    return np.moveaxis(parts, 0, -1)[..., None] * direction[..., None, :]
+    return np.moveaxis(parts, 0, -1)[..., None] * direction[..., None, :]  # type: ignore[type-var]
 
 
 def _heap_within(reach, area, soil):

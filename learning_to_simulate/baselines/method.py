@@ -74,7 +74,7 @@ class OpenLoopEvaluator(evaluation.Evaluator):
         """`Rollout` of one `RunGroup` of the split."""
         simulator, cases = self._model.simulator, cases_of(group, self._split, self._metadata)
         start = time.perf_counter()
-        predicted = self._model.method.predict(group, cases)
+        predicted = self._model.method.predict(group, cases)  # type: ignore[attr-defined]
         seconds = time.perf_counter() - start
         position, force = predicted.position, predicted.force
         judgements = rollout_status.judge(

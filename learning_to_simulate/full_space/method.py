@@ -176,7 +176,7 @@ class ParticleEvaluator(evaluation.Evaluator):
         simulator, n, n_frame = self._model.simulator, group.n_rigid, group.position.shape[1]
         body = np.diff(group.position[0, H - 1 :, :n], axis=0)
         position, velocity = history_of(group, 0, H - 1)
-        simulator.step(position, velocity, 0 * body[0], group.context_at(H, 0), n)  # warm-up
+        simulator.step(position, velocity, 0 * body[0], group.context_at(H, 0), n)  # type: ignore[call-arg]  # warm-up
         positions = np.full((1, n_frame - H, *position.shape), np.nan)
         forces = None
         if group.force is not None:
@@ -184,7 +184,7 @@ class ParticleEvaluator(evaluation.Evaluator):
         edges, judgement = [], Judgement(RolloutStatus.OK)
         start = time.perf_counter()
         for k in range(n_frame - H):
-            displacement, force, n_edge = simulator.step(
+            displacement, force, n_edge = simulator.step(  # type: ignore[call-arg]
                 position, velocity, body[k], group.context_at(H + k, 0), n
             )
             position = position + displacement

@@ -43,7 +43,7 @@ def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
     soils = _raw_soil(raw_path, metadata, split, records) if raw_path else _decoded_soil
     positions = []
     for i, run in enumerate(records):
-        soil = soils(data_path, run, i) if raw_path else soils(data_path, run)
+        soil = soils(data_path, run, i) if raw_path else soils(data_path, run)  # type: ignore[call-arg]
         kept = thinned_indices(soil.shape[1], soil_particles)
         rigid = run.position[:, : run.n_rigid].astype(np.float64)
         positions.append(np.concatenate([rigid, soil[:, kept]], axis=1))
@@ -58,7 +58,7 @@ def read_runs(data_path, raw_path, split, metadata, soil_particles) -> RunGroup:
         n_rigid=first.n_rigid,
         particle_type=np.append(first.particle_type[: first.n_rigid], [SOIL_TYPE] * n_soil),
         position=np.stack(positions),
-        force=None if first.force is None else np.stack([r.force for r in records]).astype(float),
+        force=None if first.force is None else np.stack([r.force for r in records]).astype(float),  # type: ignore[misc]
         context=context_of(records),
         record=np.arange(len(records)),
     )

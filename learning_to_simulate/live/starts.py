@@ -337,7 +337,7 @@ class RecordedStart:
         names = scene.context_names
         if (context is None) == bool(names):
             raise ValueError(f'the scene takes context {list(names)}, got {context}')
-        self.context = None if context is None else self.read_context(context)
+        self.context = None if context is None else self.read_context(context)  # type: ignore[misc]
         self.kept = np.arange(n_rigid)
         self.pose = None
 

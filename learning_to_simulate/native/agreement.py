@@ -113,7 +113,7 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
         if run.rigid_pose is None:
             return {'skipped': 'the first test run holds no pose of its tool'}
         cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])
-        row = over_poses(*pair, run, cases[0].get('case'))
+        row = over_poses(*pair, run, cases[0].get('case'))  # type: ignore[call-arg]
     else:
         groups = registry.open_model(model_path, data_path, 'test').groups
         group = next((g for g in groups if g.n_rigid == opened.n_rigid), None)
@@ -121,7 +121,7 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
             return {'skipped': f'no test run has {opened.n_rigid} rigid nodes'}
         if opened.model.simulator.scene.rigid_motion is RigidMotion.PREDICTED:
             tolerance = TOLERANCE_OF_PREDICTED
-        row = over_frames(*pair, group.select(0), COMPARED_STEPS)
+        row = over_frames(*pair, group.select(0), COMPARED_STEPS)  # type: ignore[call-arg]
     names = ('position', 'force', 'particles')[: 3 if opened.field else 2]
     difference = {name: row[name] for name in names}
     if bad := {k: v for k, v in difference.items() if not v <= tolerance}:
@@ -215,7 +215,7 @@ def compare(ours: Stepper, theirs: Stepper, steps) -> dict:
         count += 1
         same += mine.now == frame.now and mine.judgement[:3] == frame.judgement[:3]
         shown = [_shown(f, has_modes) for f in (mine, frame, first)]
-        note('position', *shown[:2], shown[1] - shown[2])
+        note('position', *shown[:2], shown[1] - shown[2])  # type: ignore[call-arg]
         for name in ('force', 'torque', 'bound'):
             note(name, getattr(mine, name), getattr(frame, name))
         if draws and k % every == 0:

@@ -184,7 +184,7 @@ class CFieldEngine:
         self._c.start(start.pose, start.velocity, bed, **options)
         self._uses_other, self._start, self._ground = False, start, ground
         self._now, self._coming = (start.pose, self._c.save()), None
-        return self._proposal(self._judged(H - 1), *self._now, np.zeros(3), np.zeros(3))
+        return self._proposal(self._judged(H - 1), *self._now, np.zeros(3), np.zeros(3))  # type: ignore[call-arg]
 
     def _begin_other(self, start, bed, blade_width, n):
         self._other = self._other or FieldEngine(self._field, self.starts, self.subspace)
@@ -222,7 +222,7 @@ class CFieldEngine:
             coming[self.up] = found.point[self.up]
         judgement = self._judged(number) if found.status else OK
         self._coming = coming, self._c.save()
-        return self._proposal(judgement, *self._coming, found.force, found.torque, found.bound)
+        return self._proposal(judgement, *self._coming, found.force, found.torque, found.bound)  # type: ignore[call-arg]
 
     def accept(self) -> None:
         """Takes the frame that was proposed last as the newest one."""

@@ -70,7 +70,7 @@ class Mlp:
 
     def tail(self) -> dict:
         """`lts_mlp`: from the first layer to the factor f."""
-        r = np.linalg.qr(np.concatenate([self._w, self._b[None]]).T, mode='r').T
+        r = np.linalg.qr(np.concatenate([self._w, self._b[None]]).T, mode='r').T  # type: ignore[attr-defined]
         return {
             'n_hidden': len(self._hidden),
             'width': self.width,

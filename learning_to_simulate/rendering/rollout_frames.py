@@ -363,7 +363,7 @@ def _nodes(path: str, arrays: dict[str, np.ndarray]):
     if missing := [key for key in forces if has_force and key not in arrays]:
         raise ValueError(f'{path}: has forces but lacks {missing}')
     shapes = {key: (length, count, DIM) for key, length in nodes.items()}
-    shapes |= {key: (length, DIM) for key, length in forces.items() if has_force}
+    shapes |= {key: (length, DIM) for key, length in forces.items() if has_force}  # type: ignore[misc]
     values = {}
     for key, shape in shapes.items():
         if arrays[key].shape != shape:

@@ -202,7 +202,7 @@ def read(path: str) -> EdgeList:
             raise ValueError(f'{len(names)} nodes are more than the limit of {MAX_NODES}')
         ends = [_indices(values[key]) for key in ('senders', 'receivers')]
         return EdgeList(
-            mask=Adjacency(*ends, len(names)).mask(),
+            mask=Adjacency(*ends, len(names)).mask(),  # type: ignore[call-arg]
             node_names=names,
             probabilities=np.array(values['probabilities'], np.float64),
             method=values['method'],
@@ -280,7 +280,7 @@ def choose(config, data_path: str, n_modes: int, velocities) -> ModeEdges:
     if kind.endswith('.npy'):
         mask = read_mask(kind)
         source = f'{name} (sha256 {files.sha256_of_file(kind)[:12]})'
-        return ModeEdges(*((mask, None) if len(mask) == n_modes else (None, mask)), source)
+        return ModeEdges(*((mask, None) if len(mask) == n_modes else (None, mask)), source)  # type: ignore[call-arg]
     edges = read(kind)
     try:
         edges.check_data(data_path)

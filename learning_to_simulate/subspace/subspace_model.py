@@ -134,7 +134,7 @@ def read_parts(path: str) -> Parts:
         require(is_int(n_rigid, 0, MAX_RIGID), 'n_rigid', n_rigid)
         require(isinstance(source, str | None), 'edge_source', source)
         masks = [_mask(values[key], key) for key in ('mode_mask', 'loaded_mask')]
-        return Parts(scene, config, statistics, types, n_rigid, *masks, source)
+        return Parts(scene, config, statistics, types, n_rigid, *masks, source)  # type: ignore[call-arg]
 
 
 def load(path: str) -> Model:

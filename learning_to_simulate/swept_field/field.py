@@ -331,7 +331,7 @@ def load(path: str) -> SweptField:
             'ranges': {k: [float(x) for x in v] for k, v in values['ranges'].items()},
             'calibration': {k: [float(x) for x in v] for k, v in values['calibration'].items()},
         }
-        limits_of(parts['ranges'], parts['tool'].scalars)
+        limits_of(parts['ranges'], parts['tool'].scalars)  # type: ignore[attr-defined]
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
         raise ValueError(f'{where}: a field is missing, unknown or wrong ({error!r})') from error
     arrays = checkpoints.stored_weights(path)

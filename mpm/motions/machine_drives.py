@@ -48,7 +48,7 @@ def machine_drive(
         width = operator_paths.NARROW_WIDTH if rng.random() < 0.3 else bodies.BLADE_WIDTH
         body, kept = bodies.make_blade(width), {'blade_width_m': width}
     else:
-        body, kept = bodies.tool_body(tool), {'tool': tool}
+        body, kept = bodies.tool_body(tool), {'tool': tool}  # type: ignore[dict-item]
     draw = _press if kind == 'press' else _set_down
     drive, drawn = checks.first_that_fits(
         lambda: draw(rng, scene.bin, body), scene.bin, f'the kind {kind!r}, seed {seed}'

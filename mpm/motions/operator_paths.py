@@ -224,7 +224,7 @@ def _is_fine(drive, box, parameters) -> bool:
     x, is_below = x[drive.lead_in :], depth[drive.lead_in :] > 0.0
     if plot == 'lift':  # back in the soil for a while
         out = np.flatnonzero(np.diff(is_below.astype(int)) == -1)
-        return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES
+        return len(out) > 0 and np.count_nonzero(is_below[out[0] + 1 :]) >= SECOND_CUT_FRAMES  # type: ignore[return-value]
     if plot == 'reverse':
         return float((x - np.minimum.accumulate(x)).max()) >= LEAST_REVERSE
     return True

@@ -181,13 +181,13 @@ def series_of(folder: str) -> dict[str, list[tuple[float | None, str]]]:
     collections = [name for name in names if name.endswith('.pvd')]
     if collections:
         return {
-            name.removesuffix('.pvd'): read_collection(os.path.join(folder, name))
+            name.removesuffix('.pvd'): read_collection(os.path.join(folder, name))  # type: ignore[misc]
             for name in collections
         }
     if own := _frames(folder):
-        return {os.path.basename(os.path.abspath(folder)): own}
+        return {os.path.basename(os.path.abspath(folder)): own}  # type: ignore[dict-item]
     series = {name: _frames(os.path.join(folder, name)) for name in names}
-    return {name: frames for name, frames in series.items() if frames}
+    return {name: frames for name, frames in series.items() if frames}  # type: ignore[misc]
 
 
 def _frames(folder: str) -> list[tuple[None, str]]:

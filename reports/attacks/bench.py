@@ -29,45 +29,41 @@ class Hang(BaseException):
     """A reader took too long; no `except Exception` of a reader may swallow it."""
 
 
-@dataclasses.dataclass
 class Bench:
     """One target in its folder, with the valid content of its files in memory."""
 
-    target: Target
-    folder: str
-
-    def __post_init__(self):
-        os.makedirs(self.folder)
+    def __init__(self, target: Target, folder: str):
+        self.target, self._folder = target, folder
+        os.makedirs(folder)
         with contextlib.redirect_stdout(io.StringIO()):
-            self.target.write(self.folder)
-            self.valid = {name: self._bytes(name) for name in os.listdir(self.folder)}
-            value = self.target.read(self.folder)
-            self.original = fingerprint(value)
-            self.parts = {fingerprint(part) for part in self.target.parts(value)}
+            target.write(folder)
+            self._valid = {}
+            for name in os.listdir(folder):
+                with open(os.path.join(folder, name), 'rb') as file:
+                    self._valid[name] = file.read()
+            value = target.read(folder)
+            self._original = fingerprint(value)
+            self._parts = {fingerprint(part) for part in target.parts(value)}
             self._restore()
 
-    def _bytes(self, name):
-        with open(os.path.join(self.folder, name), 'rb') as file:
-            return file.read()
-
     def _write(self, name, data):
-        with open(os.path.join(self.folder, name), 'wb') as file:
+        with open(os.path.join(self._folder, name), 'wb') as file:
             file.write(data)
 
     def _restore(self):
-        for name in os.listdir(self.folder):
-            if name not in self.valid:
-                os.remove(os.path.join(self.folder, name))
-        for name, data in self.valid.items():
-            if not os.path.exists(os.path.join(self.folder, name)):
-                self._write(name, data)
+        """Puts back what a reader removed or made; changed files are put back by `run`."""
+        there = set(os.listdir(self._folder))
+        for name in there - self._valid.keys():
+            os.remove(os.path.join(self._folder, name))
+        for name in self._valid.keys() - there:
+            self._write(name, self._valid[name])
 
     def make(self, seed: int, number: int) -> tuple[str, bytes, bool]:
         """File name, content and whether it is a forgery of input `number`."""
         rng = random.Random(f'{self.target.name}:{seed}:{number}')
         name = rng.choice(self.target.changed)
         forged = rng.random() < 0.5
-        data = self.valid[name]
+        data = self._valid[name]
         data = mutations.forge(name, data, rng) if forged else mutations.damage(data, rng)
         return name, data, forged
 
@@ -78,19 +74,10 @@ class Bench:
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                value = self.target.read(self.folder)
-            if fingerprint(value) == self.original:
-                return 'equal', ''
-            damaged = self.target.promise is Promise.CHECKSUM and not forged
-            if self.target.promise is Promise.SEALED or (
-                damaged and not {fingerprint(p) for p in self.target.parts(value)} <= self.parts
-            ):
-                return 'failed', f'a changed {name} was read as if it were whole'
-            if not self.target.possible(value):
-                return 'failed', f'a {name} that cannot be was read'
-            return 'possible', ''
+                value = self.target.read(self._folder)
+            return self._judged(name, value, forged)
         except (ValueError, OSError) as error:
-            named = self.folder in str(error)
+            named = self._folder in str(error)
             return ('refused', '') if named else ('failed', f'no file in the message: {error!r}')
         except Hang:
             return 'failed', f'hangs for {SECONDS} s'
@@ -98,8 +85,21 @@ class Bench:
             return 'failed', traceback.format_exc(limit=-3)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
-            self._write(name, self.valid[name])
+            self._write(name, self._valid[name])
             self._restore()
+
+    def _judged(self, name, value, forged):
+        """The outcome of an input that was read."""
+        target = self.target
+        if fingerprint(value) == self._original:
+            return 'equal', ''
+        parts = {fingerprint(part) for part in target.parts(value)}
+        damaged = target.promise is Promise.CHECKSUM and not forged and not parts <= self._parts
+        if target.promise is Promise.SEALED or damaged:
+            return 'failed', f'a changed {name} was read as if it were whole'
+        if not target.possible(value):
+            return 'failed', f'a {name} that cannot be was read'
+        return 'possible', ''
 
 
 def fingerprint(value: Any) -> str:
@@ -111,12 +111,9 @@ def fingerprint(value: Any) -> str:
             digest.update(f'{part.shape}{part.dtype}'.encode())
             digest.update(np.ascontiguousarray(part).tobytes())
         elif dataclasses.is_dataclass(part):
-            for field in dataclasses.fields(part):
-                add(getattr(part, field.name))
+            add([getattr(part, field.name) for field in dataclasses.fields(part)])
         elif isinstance(part, dict):
-            for key in sorted(part, key=repr):
-                digest.update(repr(key).encode('utf-8', 'surrogatepass'))
-                add(part[key])
+            add([item for key in sorted(part, key=repr) for item in (key, part[key])])
         elif isinstance(part, (list, tuple)):
             digest.update(str(len(part)).encode())
             for item in part:
@@ -132,28 +129,39 @@ def _raise_hang(*_):
     raise Hang
 
 
+def turns(names: list[str]) -> list[Target]:
+    """A round of inputs: some targets, each as often as its share. Number n goes to the n-th."""
+    chosen = (target for target in TARGETS if target.name in names)
+    return [target for target in chosen for _ in range(target.share)]
+
+
+def dealt(names: list[str], number: int) -> Target:
+    """The target of input `number`."""
+    order = turns(names)
+    return order[number % len(order)]
+
+
 @contextlib.contextmanager
 def benches(names: list[str]) -> Iterator[list[Bench]]:
-    """A round of benches of some targets (see `dealt`), their folders in memory where that can
-    be."""
+    """A round of benches, their folders in memory where that can be."""
     signal.signal(signal.SIGPROF, _raise_hang)
-    with tempfile.TemporaryDirectory(dir=_memory_folder()) as work:
-        made = {
-            target.name: Bench(target, os.path.join(work, str(i)))
-            for i, target in enumerate(_chosen(names))
-        }
-        yield [made[target.name] for target in _round(names)]
+    memory = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None
+    with tempfile.TemporaryDirectory(dir=memory) as work:
+        order = turns(names)
+        made: dict[str, Bench] = {}
+        for target in order:
+            if target.name not in made:
+                made[target.name] = Bench(target, os.path.join(work, str(len(made))))
+        yield [made[target.name] for target in order]
 
 
 def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) -> dict:
     """Runs inputs `first` .. `last` - 1; number n goes to bench n of the round.
 
     Args:
-        made: of `benches`.
-        seed: of the inputs.
-        first: first number.
-        last: one beyond the last number.
-        note: file that always holds the number at hand, for whoever finds this process dead.
+      made: of `benches`.
+      seed, first, last: of the inputs.
+      note: file that always holds the number at hand, for whoever finds this process dead.
 
     Returns:
       `counts`: target -> outcome -> number; `failures`: list of dicts.
@@ -174,8 +182,15 @@ def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) ->
 
 
 def run_alone(names: list[str], seed: int, first: int, last: int, note: str) -> dict:
-    """`run_block` of some targets in a process that has nothing else to do."""
-    limit_memory()
+    """`run_block` in a process that has nothing else to do: it may take `MEMORY` bytes more than it
+    has, and ends where all inputs together take more CPU than they may."""
+    tf.constant(0)  # TensorFlow's threads and arenas come first
+    with open('/proc/self/statm', encoding='utf-8') as file:
+        size = int(file.read().split()[0]) * resource.getpagesize()
+    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    seconds = int(used) + SECONDS * (last - first + 10)
+    for kind, limit in ((resource.RLIMIT_AS, size + MEMORY), (resource.RLIMIT_CPU, seconds)):
+        resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
     with benches(names) as made:
         return run_block(made, seed, first, last, note)
 
@@ -185,30 +200,3 @@ def make_input(names: list[str], seed: int, number: int) -> tuple[str, bytes]:
     with tempfile.TemporaryDirectory() as work:
         bench = Bench(dealt(names, number), os.path.join(work, '0'))
         return bench.make(seed, number)[:2]
-
-
-def dealt(names: list[str], number: int) -> Target:
-    """The target of input `number`: in rounds, in which each has as many turns as its share."""
-    turns = _round(names)
-    return turns[number % len(turns)]
-
-
-def _round(names):
-    return [target for target in _chosen(names) for _ in range(target.share)]
-
-
-def _chosen(names):
-    return [target for target in TARGETS if target.name in names]
-
-
-def _memory_folder():
-    return '/dev/shm' if os.access('/dev/shm', os.W_OK) else None
-
-
-def limit_memory() -> None:
-    """Lets this process take `MEMORY` bytes more than it has now."""
-    tf.constant(0)  # TensorFlow's threads and arenas come first
-    with open('/proc/self/statm', encoding='utf-8') as file:
-        size = int(file.read().split()[0]) * resource.getpagesize()
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, hard))

@@ -17,34 +17,27 @@ from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
-import tensorflow as tf
 
-from learning_to_simulate import checkpoints, evaluation, presets, reading_utils, registry
+from learning_to_simulate import evaluation, registry
 from learning_to_simulate.export import exporting
-from learning_to_simulate.live import starts
 from learning_to_simulate.native import agreement, library
-from learning_to_simulate.subspace import method, trainer
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
-from pca_tools import convert, dataset, files, raw_writer
+from pca_tools import convert, files
+from reports.attacks import small
 
-FRAMES, R, MODES = 12, 4, 3
 SOLVER_FRAMES, SOLVER_CASES = 12, (22, 100, 186)
-TINY = {'latent_size': 4, 'hidden_layers': 1, 'num_steps': 6, 'unroll_steps': 0, 'mode_edges': 4}
 
 
 def fingerprint(path: str) -> dict[str, str]:
     """Name -> sha256 of the files that a result is made of; arrays by value, logs not."""
     found = {}
     for name in sorted(os.listdir(path)):
-        if name.startswith(('.', 'events.')) or name.endswith('.damaged'):
-            continue
-        if name.startswith('ckpt-') and not name.endswith('.json'):
-            found[name] = 'there'  # TensorFlow's files hold times
-        elif name.endswith('.json') and name.startswith('ckpt-'):
-            found[name] = 'there'
-        else:
-            found[name] = files.sha256_of_file(os.path.join(path, name))
+        if not name.startswith(('.', 'events.')) and not name.endswith('.damaged'):
+            # TensorFlow's files hold times, and so do their digests.
+            is_stamped = name.startswith('ckpt-')
+            file = os.path.join(path, name)
+            found[name] = 'there' if is_stamped else files.sha256_of_file(file)
     return found
 
 
@@ -64,72 +57,29 @@ class Task:
 
 
 def prepare(folder: str) -> None:
-    """Raw runs, a dataset and an untrained model."""
-    rng = np.random.default_rng(0)
-    bed = rng.uniform(0.0, 0.3, (40, 3))
-    plate = rng.uniform(0.0, 0.1, (R, 3))
-
-    def run(speed):
-        travel = (speed * np.arange(FRAMES) / 60)[:, None, None] * np.array([1.0, 0.0, 0.0])
-        force = rng.normal(size=(FRAMES, 3))
-        moved = bed + travel * rng.uniform(0.2, 0.4, (1, len(bed), 1))
-        return {'positions': moved, 'rigid_positions': plate + travel, 'force': force}
-
-    raw_writer.write_raw(
-        f'{folder}/raw', [run(speed) for speed in (0.2, 0.3, 0.4, 0.5, 0.6)], 1 / 60, up_axis='y'
-    )
-    _convert(folder)
+    """The small world, whose dataset the tasks make anew."""
+    small.write(folder)
     os.rename(f'{folder}/data', f'{folder}/trained_on')
-    path = f'{folder}/model'
-    os.makedirs(path)
-    training = _training(folder)
-    loop.open_model_path(path, training)
-    checkpoints.save_weights(path, training.model.simulator)
 
 
-def _convert(folder: str) -> None:
+def _convert(folder):
     if not os.path.exists(f'{folder}/data/manifest.json'):
-        convert.convert(f'{folder}/raw', f'{folder}/data', modes=MODES)
+        convert.convert(f'{folder}/raw', f'{folder}/data', modes=small.MODES)
 
 
-def _convert_again(folder: str) -> None:
+def _convert_again(folder):
     """Over an older dataset."""
     if not os.path.exists(f'{folder}/again'):
         os.rename(f'{folder}/trained_on', f'{folder}/again')
-    convert.convert(f'{folder}/raw', f'{folder}/again', modes=MODES - 1, overwrite=True)
+    convert.convert(f'{folder}/raw', f'{folder}/again', modes=small.MODES - 1, overwrite=True)
 
 
-class _CheapTrainer(trainer.Trainer):
-    """The trainer with steps that cost nothing: what lies on the disk does not see them."""
-
-    def step(self, step):
-        """Moves all variables by a known amount."""
-        variables = self.simulator.trainable_variables
-        for variable, average in zip(variables, self.averaging.variables, strict=True):
-            variable.assign(variable * 0.9 + 0.01 * step)
-            average.assign(average * 0.5 + variable * 0.5)
-        self.optimizer.iterations.assign_add(1)
-        return {'loss': tf.constant(1.0)}
+def _train(folder):
+    training = small.training(f'{folder}/trained_on')
+    loop.run(training, f'{folder}/training', registry.TrainOptions(save_every=2))
 
 
-def _training(folder: str) -> loop.Training:
-    data = f'{folder}/trained_on'
-    metadata = dataset.read_metadata(data)
-    config = presets.make_config('pcg', **TINY)
-    groups = reading_utils.read_groups(data, 'train', metadata, **config.nodes)
-    model = method.make_model(data, metadata, groups, config)
-    return loop.Training(
-        model=model, trainer=_CheapTrainer(model, groups), evaluator=None, valid=[],
-        n_rigid=groups[0].n_rigid, data={'path': data, 'sha256': {}}, title='kills',
-        write_files=lambda path: starts.write(path, data, config.nodes),
-    )  # fmt: skip
-
-
-def _train(folder: str) -> None:
-    loop.run(_training(folder), f'{folder}/training', registry.TrainOptions(save_every=2))
-
-
-def _export(folder: str) -> None:
+def _export(folder):
     if not os.path.exists(f'{folder}/exported/export.json'):  # an empty folder may be filled
         flags = [flag.replace('-O3', '-O0') for flag in library.FLAGS]
         quick = functools.partial(library.compile_sources, flags=flags)
@@ -140,31 +90,28 @@ def _export(folder: str) -> None:
             exporting.export(f'{folder}/model', f'{folder}/trained_on', f'{folder}/exported', 'fmu')
 
 
-def _save_results(folder: str) -> None:
+def _save_results(folder):
     """Over older results of more runs."""
-    path = f'{folder}/results'
+    path, n_node = f'{folder}/results', small.R + small.MODES
     for count, seed in ((3, 1), (2, 2)):
-        if seed == 2 or not os.path.exists(f'{path}/metrics.json'):
-            _save(path, count, seed)
+        if seed == 1 and os.path.exists(f'{path}/metrics.json'):
+            continue
+        rng = np.random.default_rng(seed)
+        nodes = rng.normal(size=(1, small.FRAMES, n_node, 3))
+        group = types.SimpleNamespace(
+            position=nodes, force=rng.normal(size=(1, small.FRAMES, 3)), context=None, source=None,
+            all_particles=lambda position, as_recorded=False: position,
+            all_particle_types=lambda: np.zeros(n_node, np.int64),
+        )  # fmt: skip
+        rollout = types.SimpleNamespace(
+            position=nodes[:, 6:], force=rng.normal(size=(1, small.FRAMES - 6, 3)),
+            judgements=[('ok', -1, -1, '')],
+        )  # fmt: skip
+        results = [(i, group, rollout) for i in range(count)]
+        evaluation.save_rollouts(path, 'test', results, {'seed': seed}, {}, f'{seed:064d}')
 
 
-def _save(path, count, seed):
-    rng = np.random.default_rng(seed)
-    nodes = rng.normal(size=(1, FRAMES, R + MODES, 3))
-    group = types.SimpleNamespace(
-        position=nodes, force=rng.normal(size=(1, FRAMES, 3)), context=None, source=None,
-        all_particles=lambda position, as_recorded=False: position,
-        all_particle_types=lambda: np.zeros(R + MODES, np.int64),
-    )  # fmt: skip
-    rollout = types.SimpleNamespace(
-        position=nodes[:, 6:], force=rng.normal(size=(1, FRAMES - 6, 3)),
-        judgements=[('ok', -1, -1, '')],
-    )  # fmt: skip
-    results = [(i, group, rollout) for i in range(count)]
-    evaluation.save_rollouts(path, 'test', results, {'seed': seed}, {}, f'{seed:064d}')
-
-
-def _solve(folder: str, frames: int = SOLVER_FRAMES, cases=SOLVER_CASES) -> None:
+def _solve(folder, frames=SOLVER_FRAMES, cases=SOLVER_CASES):
     from mpm import batch, experiments, simulation  # the other tasks do without the solver
 
     with mock.patch.object(scenes, 'FRAMES', frames):
@@ -181,7 +128,7 @@ def warm(folder: str) -> None:
         _solve(folder, 2, SOLVER_CASES[:1])
 
 
-def _solved(path: str) -> dict[str, str]:
+def _solved(path):
     """The contents of the runs; files also hold the time that they took."""
     manifest = raw_run.read_manifest(path) or {'runs': []}
     listed = {entry['file']: entry['content'] for entry in manifest['runs']}

@@ -105,12 +105,10 @@ class Plan:
     """One task with its undisturbed run: named points, duration and result."""
 
     def __init__(self, name: str, task, base: str, work: str):
-        self.name, self._task = name, task
-        self._base, self._work = base, work
-        folder = self._fresh()
+        self._task, self._base, self._work = task, base, work
+        folder, points_file = self._fresh(), os.path.join(work, 'points.json')
         start = time.monotonic()
-        points_file = os.path.join(work, 'points.json')
-        if _run(self._task.run, folder, points_file=points_file):
+        if _run(task.run, folder, points_file=points_file):
             raise OSError(f'{name} fails without a kill')
         self._seconds = time.monotonic() - start
         self.points = files.read_json(points_file)
@@ -190,18 +188,14 @@ def run(
                 yield name, n, '', plan.kill_at_random(rng)
 
 
-def table(path: str) -> str:
-    """The kills by task in a `kills.json`, as Markdown."""
-    return _table(files.read_json(path)['tasks'])
-
-
 _COLUMNS = {
     'points': 'named points', 'named': 'kills there', 'random': 'kills at random moments',
     'lost': 'something lost',
 }  # fmt: skip
 
 
-def _table(rows):
+def table(rows: dict) -> str:
+    """The kills by task, as Markdown."""
     cells = [[name, *(row[key] for key in _COLUMNS)] for name, row in rows.items()]
     sums = [sum(row[key] for row in rows.values()) for key in _COLUMNS]
     return markdown.table(('task', *_COLUMNS.values()), [*cells, ['**all**', *sums]])
@@ -239,7 +233,7 @@ def main(values, _) -> int:
             document['losses'].append({'task': name, 'at': at, 'lost': lost})
         if path:
             files.write_json(path, document | record.provenance())
-    print(_table(document['tasks']))
+    print(table(document['tasks']))
     for loss in document['losses'][:20]:
         print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')
     return int(bool(document['losses']))

@@ -30,75 +30,30 @@ _POINTER = b'version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 190
 def damage(data: bytes, rng: random.Random) -> bytes:
     """One to three changes of bytes."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        data = rng.choice(_DAMAGES)(data, rng)
+        i, elsewhere = (rng.randrange(len(data) + 1) for _ in range(2))
+        j = min(i + rng.choice((1, 2, 4, 8, 16, 64, 1000)), len(data))
+        before, span, after = data[:i], data[i:j], data[j:]
+        flipped = bytes([b ^ 1 << rng.randrange(8) for b in span[:1]]) + span[1:]
+        size = rng.choice((2, 4, 8))
+        number = rng.choice(_INTEGERS) % 2 ** (8 * size)
+        number = number.to_bytes(size, rng.choice(('little', 'big'))) + data[i + size :]
+        end = rng.choice((b'\n' * 7, bytes(64), rng.randbytes(20), data[:100], data))
+        others = b'', _POINTER, b'\x89PNG\r\n', bytes(len(data)), rng.randbytes(200)
+        changed = {
+            'a bit': before + flipped + after,
+            'a number': before + number,
+            'cut off': before,
+            'cut out': before + after,
+            'repeated': before + span * rng.choice((2, 3, 51)) + after,
+            'zeros': before + bytes(len(span)) + after,
+            'noise': before + rng.randbytes(len(span)) + after,
+            'inserted': before + rng.randbytes(rng.choice((1, 7, 64))) + span + after,
+            'appended': data + end,
+            'spliced': before + data[elsewhere:],
+            'another file': rng.choice(others),
+        }
+        data = changed[rng.choice(['a bit', 'a bit', 'a number', *changed])]
     return data
-
-
-def _flip(data, rng):
-    changed = bytearray(data)
-    if changed:
-        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
-    return bytes(changed)
-
-
-def _span(data, rng):
-    start = rng.randrange(len(data) + 1)
-    return start, min(start + rng.choice((1, 2, 4, 8, 16, 64, 1000)), len(data))
-
-
-def _truncate(data, rng):
-    return data[: rng.randrange(len(data) + 1)]
-
-
-def _cut(data, rng):
-    start, end = _span(data, rng)
-    return data[:start] + data[end:]
-
-
-def _repeat(data, rng):
-    start, end = _span(data, rng)
-    return data[:end] + data[start:end] * rng.choice((1, 2, 50)) + data[end:]
-
-
-def _zero(data, rng):
-    start, end = _span(data, rng)
-    return data[:start] + bytes(end - start) + data[end:]
-
-
-def _noise(data, rng):
-    start, end = _span(data, rng)
-    return data[:start] + rng.randbytes(end - start) + data[end:]
-
-
-def _insert(data, rng):
-    start = rng.randrange(len(data) + 1)
-    return data[:start] + rng.randbytes(rng.choice((1, 7, 64))) + data[start:]
-
-
-def _append(data, rng):
-    return data + rng.choice((b'\n' * 7, bytes(64), rng.randbytes(20), data[:100], data))
-
-
-def _number(data, rng):
-    value, size = rng.choice(_INTEGERS), rng.choice((2, 4, 8))
-    start = rng.randrange(len(data) + 1)
-    number = (value % 2 ** (8 * size)).to_bytes(size, rng.choice(('little', 'big')))
-    return data[:start] + number + data[start + size :]
-
-
-def _splice(data, rng):
-    start, other = rng.randrange(len(data) + 1), rng.randrange(len(data) + 1)
-    return data[:start] + data[other:]
-
-
-def _replace_whole(data, rng):
-    return rng.choice((b'', _POINTER, b'\x89PNG\r\n', bytes(len(data)), rng.randbytes(200)))
-
-
-_DAMAGES = (
-    _flip, _flip, _flip, _truncate, _cut, _repeat, _zero, _noise, _insert, _append, _number,
-    _number, _splice, _replace_whole,
-)  # fmt: skip
 
 
 def forge(name: str, data: bytes, rng: random.Random) -> bytes:

@@ -14,15 +14,16 @@ Examples:
 
 import concurrent.futures
 import functools
+import multiprocessing
 import os
 import tempfile
-import time
 
 import tqdm
 from absl import flags
 
 from pca_tools import files
-from reports import command, isolated, markdown, record
+from pca_tools.storage import parent
+from reports import command, markdown, record
 
 COLUMNS = {
     'refused': 'refused',
@@ -31,59 +32,61 @@ COLUMNS = {
     'failed': 'failures',
 }
 _PART = 5000  # inputs of a process
-_LIMIT_S = 10 * _PART  # of a part: an input may take 10 s of CPU
+
+
+def alone(function, *arguments):
+    """Calls a function in a fresh process.
+
+    Raises:
+      concurrent.futures.process.BrokenProcessPool: the process died.
+    """
+    context = multiprocessing.get_context('spawn')
+    with concurrent.futures.ProcessPoolExecutor(1, context, parent.end_with_parent) as pool:
+        return pool.submit(function, *arguments).result()
 
 
 def run_part(names: list[str], seed: int, part: tuple[int, int]) -> dict:
     """Runs inputs `part` in processes of their own; one that dies is a failure of its input.
 
     Args:
-        names: of the targets.
-        seed: of the inputs.
-        part: first number, and one beyond the last.
+      names: of the targets.
+      seed: of the inputs.
+      part: first number, and one beyond the last.
 
     Returns:
-        `first`, `last`, `seconds`; `counts`: target -> outcome -> number; `failures`: list of
-        target, number and reason.
+      `first`, `last`; `counts`: target -> outcome -> number; `failures`: list of target, number and
+      reason.
     """
     from reports.attacks import bench
 
-    start, found = time.monotonic(), []
+    counts = {name: dict.fromkeys(COLUMNS, 0) for name in names}
+    failures = []
     with tempfile.TemporaryDirectory() as folder:
         note, todo = os.path.join(folder, 'note'), [part]
         while todo:
             first, last = todo.pop()
             try:
-                found.append(
-                    isolated.call(bench.run_alone, names, seed, first, last, note, limit_s=_LIMIT_S)
-                )
-            except (RuntimeError, TimeoutError) as error:
+                found = alone(bench.run_alone, names, seed, first, last, note)
+            except concurrent.futures.process.BrokenProcessPool as error:
                 if not os.path.exists(note):
-                    raise OSError(f'a fuzzing process ended before any input: {error}') from error
+                    raise OSError('a fuzzing process ended before any input') from error
                 with open(note, encoding='utf-8') as file:
                     number = int(file.read())
                 os.remove(note)
                 # What was counted before it in this process is lost: it is run again.
                 todo += [p for p in ((first, number), (number + 1, last)) if p[0] < p[1]]
                 name = bench.dealt(names, number).name
-                died = {n: dict.fromkeys(COLUMNS, 0) | {'failed': int(n == name)} for n in names}
-                failure = {'target': name, 'number': number, 'why': f'the process died: {error}'}
-                found.append({'counts': died, 'failures': [failure]})
-    return {
-        'first': part[0],
-        'last': part[1],
-        'seconds': round(time.monotonic() - start),
-        'counts': _sum([one['counts'] for one in found]),
-        'failures': [failure for one in found for failure in one['failures']],
-    }
+                failure = {'target': name, 'number': number, 'why': 'the process died'}
+                found = {'counts': {name: {'failed': 1}}, 'failures': [failure]}
+            _add(counts, found['counts'])
+            failures += found['failures']
+    return {'first': part[0], 'last': part[1], 'counts': counts, 'failures': failures}
 
 
-def _sum(counts):
-    """Counts of several parts in one."""
-    return {
-        name: {outcome: sum(c[name][outcome] for c in counts) for outcome in COLUMNS}
-        for name in counts[0]
-    }
+def _add(counts, more):
+    for name, outcomes in more.items():
+        for outcome, count in outcomes.items():
+            counts[name][outcome] += count
 
 
 def save_failures(path: str, failures: list[dict], names: list[str], seed: int) -> None:
@@ -99,23 +102,18 @@ def save_failures(path: str, failures: list[dict], names: list[str], seed: int) 
         files.write_text(os.path.join(folder, 'why.txt'), f'{failure["target"]}\n{failure["why"]}')
 
 
-def table(path: str) -> str:
-    """The outcomes by target in a `fuzz.json`, as Markdown."""
-    return _table(files.read_json(path)['parts'])
-
-
-def _table(parts):
+def table(parts: list[dict]) -> str:
+    """The outcomes by target, as Markdown; `parts` of `run_part`."""
     from reports.attacks.targets import TARGETS
 
-    counts = _sum([part['counts'] for part in parts])
+    counts = {name: dict.fromkeys(COLUMNS, 0) for name in parts[0]['counts']}
+    for part in parts:
+        _add(counts, part['counts'])
     promises = {target.name: target.promise.value for target in TARGETS}
-    rows = []
-    for name, outcomes in counts.items():
-        values = [outcomes[key] for key in COLUMNS]
-        rows.append([name, promises[name], sum(values), *values])
-    sums = [sum(o[key] for o in counts.values()) for key in COLUMNS]
-    rows.append(['**all**', '', sum(sums), *sums])
-    return markdown.table(('reader', 'promise', 'inputs', *COLUMNS.values()), rows)
+    rows = [[name, promises[name], sum(o.values()), *o.values()] for name, o in counts.items()]
+    sums = [sum(column) for column in zip(*(row[2:] for row in rows))]
+    header = ('reader', 'promise', 'inputs', *COLUMNS.values())
+    return markdown.table(header, [*rows, ['**all**', '', *sums]])
 
 
 def define_flags() -> None:
@@ -149,7 +147,7 @@ def main(values, _) -> int:
                 document = head | {'seed': values.seed, 'readers': names, 'parts': parts}
                 files.write_json(f'{path}/fuzz.json', document)
                 save_failures(f'{path}/fuzz_failures', part['failures'], names, values.seed)
-    print(_table(parts))
+    print(table(parts))
     failures = [failure for part in parts for failure in part['failures']]
     for failure in failures[:20]:
         last_line = failure['why'].strip().splitlines()[-1]

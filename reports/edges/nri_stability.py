@@ -14,13 +14,14 @@ import os
 import numpy as np
 from absl import flags
 
+from learning_to_simulate.command import import_tensorflow
 from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
 from nri import edge_picture
 from nri.config import NriConfig
 from nri.export_edges import edge_posterior, spread
 from pca_tools import files, workers
-from reports import command, isolated, markdown, record
+from reports import command, markdown, record
 
 SETTINGS = (
     'nodes', 'modes', 'epochs', 'hidden', 'window', 'stride', 'batch_size', 'learning_rate',
@@ -65,8 +66,9 @@ def train_seed(data_path: str, model_path: str, config: NriConfig, threshold: fl
 
 
 def train_job(job: tuple) -> dict:
-    """`train_seed` as a task of a worker, in a process of its own and on one thread."""
-    return isolated.call(train_seed, *job, threads=1)
+    """`train_seed` as a task of a worker, on one thread."""
+    import_tensorflow(1)
+    return train_seed(*job)
 
 
 def matrices(rows: list[dict]) -> np.ndarray:
@@ -89,35 +91,25 @@ def compare(rows: list[dict], threshold: float) -> dict:
     """
     p = matrices(rows)[:, ~np.eye(len(rows[0]['node_names']), dtype=bool)]
     found = p > threshold
-    pairs = list(itertools.combinations(range(len(rows)), 2))
-
-    def over_pairs(function):
-        values = [function(a, b) for a, b in pairs]
-        known = [v for v in values if v is not None]
-        if not known:
-            return None
-        return {'mean': float(np.mean(known)), 'min': min(known), 'max': max(known)}
-
-    def jaccard(a, b):
-        either = int((found[a] | found[b]).sum())
-        return float((found[a] & found[b]).sum() / either) if either else None
-
-    def correlation(a, b):
-        if not (p[a].std() > 0 and p[b].std() > 0):
-            return None
-        return float(np.corrcoef(p[a], p[b])[0, 1])
-
-    density = found.mean(axis=1)
-    both = [density[a] * density[b] for a, b in pairs]
-    neither = [(1 - density[a]) * (1 - density[b]) for a, b in pairs]
+    by_chance: list = []
+    values: dict = {'jaccard': [], 'agreement': [], 'correlation': []}
+    for a, b in itertools.combinations(range(len(rows)), 2):
+        both, either = (found[a] & found[b]).mean(), (found[a] | found[b]).mean()
+        if either:
+            values['jaccard'].append(both / either)
+        values['agreement'].append((found[a] == found[b]).mean())
+        if p[a].std() > 0 and p[b].std() > 0:
+            values['correlation'].append(np.corrcoef(p[a], p[b])[0, 1])
+        x, y = found[a].mean(), found[b].mean()  # two unrelated graphs of these densities
+        either = x + y - x * y
+        by_chance.append((x * y / either if either else 1.0, x * y + (1 - x) * (1 - y)))
+    jaccard, same = np.mean(by_chance, axis=0)
     return {
-        'jaccard': over_pairs(jaccard),
-        'jaccard_by_chance': float(
-            np.mean([x / (1 - y) if y < 1 else 1.0 for x, y in zip(both, neither)])
-        ),
-        'agreement': over_pairs(lambda a, b: float((found[a] == found[b]).mean())),
-        'agreement_by_chance': float(np.mean(np.add(both, neither))),
-        'correlation': over_pairs(correlation),
+        name: {'mean': float(np.mean(v)), 'min': float(min(v)), 'max': float(max(v))} if v else None
+        for name, v in values.items()
+    } | {
+        'jaccard_by_chance': float(jaccard),
+        'agreement_by_chance': float(same),
         'in_all_seeds': int(found.all(axis=0).sum()),
         'in_any_seed': int(found.any(axis=0).sum()),
         'pairs_of_nodes': int(p.shape[1]),
@@ -143,25 +135,6 @@ def agreement(*paths: str) -> str:
              markdown.span([row['edges'] for row in result['seeds']]), *beside_chance,
              found['correlation']['mean'], found['in_all_seeds'], found['in_any_seed'])
         )  # fmt: skip
-    return markdown.table(header, lines)
-
-
-def lists(*paths: str) -> str:
-    """What lists of edges between the same modes hold, and how far each agrees with the others."""
-    masks = [edge_lists.read(path).mask for path in paths]
-    lines = []
-    for path, mask in zip(paths, masks, strict=True):
-        shared = [
-            float((mask & other).sum() / (mask | other).sum())
-            for other in masks
-            if other is not mask and (mask | other).any()
-        ]
-        # Modes are counted from 1 in texts.
-        pairs = ', '.join(f'{j + 1} to {i + 1}' for i, j in np.argwhere(mask))
-        name = os.path.basename(path).removesuffix('.json').replace('_', ' ')
-        own = int(np.trace(mask))
-        lines.append((name, int(mask.sum()) - own, own, pairs, markdown.span(shared)))
-    header = ('list', 'edges', 'self-edges', 'sender to receiver', 'Jaccard with the others')
     return markdown.table(header, lines)
 
 

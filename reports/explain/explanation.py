@@ -174,11 +174,10 @@ class Explanation:
           rounds: timed rollouts of each variant.
         """
         jobs = {
-            name: timing.Job(partial(timing.first_output, function, inputs), inputs[-1])
+            name: timing.Job(partial(_first_output, function, inputs), inputs[-1])
             for name, (function, inputs) in self._calls.items()
         }
-        times = timing.in_turns(jobs, rounds, 'rollouts in turns')
-        us = {name: 1e3 * np.array(found.samples_ms) for name, found in times.items()}
+        us = {name: 1e3 * t.clock for name, t in timing.in_turns(jobs, rounds).items()}
         for item in self.items:
             if item.variants:
                 off, on = (us[name] for name in item.variants)
@@ -195,6 +194,11 @@ class Explanation:
             'us_per_step_of_variants': {name: samples.tolist() for name, samples in us.items()},
             'items': [dataclasses.asdict(item) for item in self.items],
         }
+
+
+def _first_output(function, inputs):
+    """Calls a compiled rollout and waits for its positions."""
+    function(*inputs)[0].numpy()
 
 
 def _weights(simulator):

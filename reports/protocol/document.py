@@ -1,101 +1,53 @@
-"""The document of one dataset: models made and rolled out, baselines fitted, all runs judged."""
+"""The document of one dataset: models and baselines made, rolled out and judged, run by run."""
 
+import dataclasses
 import glob
 import os
 
 import numpy as np
 import tqdm
 
-from learning_to_simulate.soil_truth import PARTICLES
+from learning_to_simulate import soil_truth
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from pca_tools import dataset, files, workers
 from reports import record
-from reports.protocol import curve, rollouts, run_errors
-from reports.protocol.truth import TruthReader
+from reports.protocol import rollouts
+from reports.protocol.over_runs import GRID
 
 SPLITS = ('valid', 'test')
 SCHEMA_VERSION = 1
+_FORCE = ('force', 'drawbar', 'vertical')
+# Baselines that are fitted: preset -> its name in tables, and what it says anything of.
+BASELINES = {
+    'path_ridge': ('path ridge', ('soil', 'height', *_FORCE)),
+    'earthmoving': ('earthmoving', _FORCE),
+    'earthmoving_fitted': ('earthmoving, fitted', _FORCE),
+    'bekker_wong_janosi': ('Bekker-Wong-Janosi', ('height', *rollouts.LOADS)),
+    'bekker_wong_janosi_fitted': ('Bekker-Wong-Janosi, fitted', ('height', *rollouts.LOADS)),
+}
+# Those that need no fit stand beside every model: key of its metrics, and what is said.
+TRIVIAL = {
+    'persistence': ('stay_still', ('soil', 'height', *rollouts.LOADS)),
+    'constant velocity': ('constant_velocity', ('soil', 'height')),
+    'mean force': ('constant_velocity', rollouts.LOADS),
+}
 
 
-def data_facts(reader: TruthReader, truths: dict) -> dict:
-    """What the judged data are."""
-    names = ['train', *SPLITS]
-    first = truths[SPLITS[0]][0]
-    return {
-        'path': os.path.relpath(reader.folder, record.ROOT),
-        'version': record.data_version(reader.metadata),
-        'train_runs': len(dataset.read_split(reader.folder, 'train')),
-        'sha256': {
-            f'{n}.tfrecord': files.sha256_of_file(dataset.split_path(reader.folder, n))
-            for n in names
-        },
-        'truth': _truth_in_words(first),
-        'spacing_mm': 1e3 * first.spacing,
-        'modes': reader.metadata['mode_number'],
-    }
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """What is judged.
 
-
-def _truth_in_words(truth):
-    count, frames = len(truth.soil.indices), np.unique(np.diff(truth.soil.frames)).tolist()
-    text = f'{count} particles in every {"" if frames == [1] else f"{frames[0]}. "}frame'
-    if truth.soil.space != PARTICLES:
-        text += ', decoded from the modes; what the modes cut off is added to errors of whole runs'
-    return text
-
-
-def run_facts(truth) -> dict:
-    """What tables say of a run."""
-    return {
-        'record': truth.record,
-        'case': truth.case,
-        'kind': truth.kind,
-        'motion_mm': truth.motion,
-        'truncation_mm': truth.truncation,
-    }
-
-
-def clean(errors: dict) -> dict:
-    """Errors of a run as JSON: what is not finite is None, and counts as failed."""
-    if isinstance(errors, dict):
-        return {k: clean(v) for k, v in errors.items()}
-    return None if isinstance(errors, float) and not np.isfinite(errors) else errors
-
-
-def judge(reader: TruthReader, methods: list[dict], progress=iter) -> dict:
-    """Runs and errors of all methods.
-
-    Args:
-      reader: of the dataset.
-      methods: dicts of `name`, `baseline`, `about` and `seeds`: dicts of `seed`, `source` and
-        `predictions` (split -> `RunPrediction` per record).
-      progress: wraps the list of runs.
-
-    Returns:
-      `data`, `runs` (split -> facts of each run) and `methods` with the errors of every run in
-      place of the predictions.
+    Attributes:
+      name: in tables.
+      models: (model folder, flags of its training or None where it is trained) of each seed.
+      said: of `rollouts.read`.
+      baseline: whether others are compared with it.
     """
-    judged = [
-        {k: m[k] for k in ('name', 'baseline', 'about')}
-        | {
-            'seeds': [
-                {k: s[k] for k in ('seed', 'source', 'curve') if k in s}
-                | {'runs': {n: [] for n in SPLITS}}
-                for s in m['seeds']
-            ]
-        }
-        for m in methods
-    ]
-    runs: dict[str, list] = {split: [] for split in SPLITS}
-    first: dict[str, list] = {}
-    for split in SPLITS:
-        for truth in progress(reader.runs(split)):
-            first.setdefault(split, [truth])
-            runs[split].append(run_facts(truth))
-            for method, out in zip(methods, judged, strict=True):
-                for seed, row in zip(method['seeds'], out['seeds'], strict=True):
-                    prediction = seed['predictions'][split][truth.record]
-                    errors = run_errors.run_errors(prediction, truth)
-                    row['runs'][split].append(clean(errors))
-    return {'data': data_facts(reader, first), 'runs': runs, 'methods': judged}
+
+    name: str
+    models: list[tuple]
+    said: tuple[str, ...] | None = None
+    baseline: bool = False
 
 
 def name_of(data_path: str) -> str:
@@ -103,126 +55,198 @@ def name_of(data_path: str) -> str:
     return os.path.basename(os.path.abspath(data_path))
 
 
-def _models_of(dataset_name, values):
-    """Method -> model folders, from --model or those shipped for the dataset."""
-    found: dict[str, list] = {}
-    given = values.model
-    if not given:
-        shipped = sorted(glob.glob(os.path.join(record.ROOT, 'models', dataset_name, '*')))
-        given = [f'{os.path.basename(path)}={path}' for path in shipped]
-    for item in given:
-        name, _, path = item.partition('=')
-        if not path:
-            raise ValueError(f'--model={item}: NAME=FOLDER was expected')
-        found.setdefault(name, []).append(path)
-    folder = os.path.join(values.work_path, 'models', dataset_name)
-    return found | {
-        name: [
-            os.path.join(folder, f'{rollouts.name_of_folder(name)}_{seed}')
-            for seed in rollouts.seeds_of(name, values.num_seeds)
-        ]
-        for name in values.train
+def data_version(metadata: dict) -> int:
+    """Of a dataset: that of the first case that states one; 1 of those made before it was."""
+    cases = (case for split in metadata.get('cases', {}).values() for case in split)
+    return int(next((case['data_version'] for case in cases if 'data_version' in case), 1))
+
+
+def facts(data_path: str) -> tuple[dict, dict]:
+    """What the judged data are, and split -> what tables say of each run.
+
+    Raises:
+      FileNotFoundError: no dataset, or one without `subspace.npz` (nothing can be judged in full
+        space without it).
+    """
+    reader = soil_truth.TruthReader(data_path)
+    if reader.subspace is None:
+        path = os.path.join(data_path, 'subspace.npz')
+        raise FileNotFoundError(
+            f'{path}: no such file; errors in full space need the subspace of the records'
+        )
+    runs: dict[str, list] = {split: [] for split in SPLITS}
+    for split in SPLITS:
+        for number, run in enumerate(dataset.read_split(data_path, split)):
+            scores = run.position[:, run.n_rigid :].astype(np.float64)
+            soil = reader.read(split, number, scores, None)
+            runs[split].append(_run_facts(reader.metadata, split, number, soil, scores))
+    names = ['train', *SPLITS]
+    return {
+        'path': os.path.relpath(data_path, record.ROOT),
+        'version': data_version(reader.metadata),
+        'train_runs': len(dataset.read_split(data_path, 'train')),
+        'sha256': {
+            f'{n}.tfrecord': files.sha256_of_file(dataset.split_path(data_path, n)) for n in names
+        },
+        'truth': _truth_in_words(soil),
+        'modes': reader.metadata['mode_number'],
+    }, runs
+
+
+def _run_facts(metadata, split, number, soil, scores):
+    """Of one run: its case, how far its soil moves, and what the modes cut off (root mean squares
+    over particles, axes and frames after the given ones)."""
+    cut, motion, case = (
+        soil_truth.of_run(metadata.get(key), split, number)
+        for key in ('projection_mse', 'motion_mse', 'cases')
+    )
+    if soil.space == soil_truth.PARTICLES:
+        cut, motion = soil.mean_square(soil.of_modes(scores[H:])).mean(), None
+    if motion is None:
+        motion = ((soil.particles - soil.start) ** 2).mean()
+    case = case or {}
+    return {
+        'record': number,
+        'case': case.get('case', number),
+        'kind': case.get('kind') or GRID,
+        'motion_mm': float(1e3 * np.sqrt(motion)),
+        'truncation_mm': None if cut is None else float(1e3 * np.sqrt(cut)),
     }
 
 
-def _jobs(found, data_path, values, folder):
-    """The tasks of `rollouts.make`; only models of --train are trained."""
-    jobs = []
-    for name, paths in found.items():
-        for seed, path in enumerate(map(os.path.abspath, paths)):
-            flags_ = None
-            if name in values.train:
-                flags_ = [*rollouts.flags_of_seed(name, seed), '--num_threads=1']
-            jobs.append((os.path.abspath(data_path), path, flags_, SPLITS, folder))
-    return jobs
+def _truth_in_words(soil):
+    stride = int(np.diff(soil.frames)[0])
+    every = 'every frame' if stride == 1 else f'every {stride}. frame'
+    text = f'{len(soil.indices)} particles in {every}'
+    if soil.space != soil_truth.PARTICLES:
+        text += ', decoded from the modes; what the modes cut off is added to errors of whole runs'
+    return text
 
 
-def _make_models(found, data_path, values) -> str:
-    """Trains the models of --train and rolls all out, side by side; returns the rollouts' folder.
+def methods_of(dataset_name: str, values) -> list[Method]:
+    """The fitted baselines, the models of --model or those shipped for the dataset, and those of
+    --train.
 
     Raises:
-      ValueError: some failed; the others are made, and the same call goes on.
+      ValueError: no NAME=FOLDER, or a method of --train that cannot be.
     """
-    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', name_of(data_path)))
-    jobs = _jobs(found, data_path, values, folder)
-    failed = []
+    folder = os.path.join(values.work_path, 'models', dataset_name)
+    found = []
+    for preset, (name, said) in BASELINES.items():
+        ((path, flags),) = rollouts.trainings(preset, 1, os.path.join(folder, 'baselines'))
+        found.append(Method(name, [(path, flags)], said, baseline=True))
+    shipped = sorted(glob.glob(os.path.join(record.ROOT, 'models', dataset_name, '*')))
+    given: dict[str, list] = {}
+    for item in values.model or [f'{os.path.basename(path)}={path}' for path in shipped]:
+        name, _, path = item.partition('=')
+        if not path:
+            raise ValueError(f'--model={item}: NAME=FOLDER was expected')
+        given.setdefault(name, []).append((path, None))
+    for name in values.train:
+        given[name] = rollouts.trainings(name, values.num_seeds, folder)
+    return found + [Method(name, models) for name, models in given.items()]
+
+
+def _make(methods, data_path, values, folder) -> list[Method]:
+    """Trains and rolls out all models, side by side; returns the methods without the baselines that
+    do not fit the scene.
+
+    Raises:
+      ValueError: other models failed; the rest is made, and the same call goes on.
+    """
+    jobs = [
+        (os.path.abspath(data_path), os.path.abspath(path), flags, SPLITS, folder)
+        for method in methods
+        for path, flags in method.models
+    ]
+    of_job = [method for method in methods for _ in method.models]
+    failed = {}
     with (
         workers.start(values.cluster, values.num_processes) as crew,
         tqdm.tqdm(total=len(jobs), unit='model', desc='training, rolling out', disable=None) as bar,
     ):
         for outcome in crew.run(rollouts.make, jobs):
             if outcome.error is not None:
-                failed.append(f'{jobs[outcome.index][1]}: {outcome.error}')
+                failed[outcome.index] = f'{jobs[outcome.index][1]}: {outcome.error}'
             bar.update()
-    if failed:
+    absent = [of_job[i] for i in failed if of_job[i].baseline]  # a blade's formula has no wheel
+    for method in absent:
+        print(f'  no {method.name}: {failed[of_job.index(method)].splitlines()[-1]}', flush=True)
+    if bad := [text for i, text in failed.items() if not of_job[i].baseline]:
         raise ValueError(
-            f'{len(failed)} of {len(jobs)} models failed, the others are made:\n'
-            + '\n'.join(failed)
+            f'{len(bad)} of {len(jobs)} models failed, the others are made:\n' + '\n'.join(bad)
         )
-    return folder
+    return [method for method in methods if method not in absent]
 
 
-def _model_method(name, paths, data_path, reader, folder):
-    """A method of the seeds of one model, which are trained and rolled out."""
+def judged(method: Method, data_path: str, folder: str) -> dict:
+    """A method whose models are rolled out, as the document holds it."""
     seeds = []
-    for path in paths:
+    for path, _ in method.models:
         config = files.read_json(os.path.join(path, 'config.json'))
-        predictions = {}
-        for split in SPLITS:
-            rolled = rollouts.roll_out(data_path, path, split, folder)
-            count = len(dataset.read_split(data_path, split))
-            predictions[split] = rollouts.read(rolled, split, count, reader.metadata)
         shipped = os.path.abspath(path).startswith(record.ROOT + os.sep)
+        rolled = {split: rollouts.roll_out(data_path, path, split, folder) for split in SPLITS}
         seeds.append(
             {
                 'seed': config.get('config', {}).get('seed'),
                 'source': os.path.relpath(path, record.ROOT) if shipped else 'trained for this',
-                'curve': curve.of_training(path),
-                'predictions': predictions,
+                'curve': rollouts.curve(path),
+                'runs': {split: rollouts.read(rolled[split], said=method.said) for split in SPLITS},
             }
         )
     about = {'preset': config.get('config', {}).get('preset')}
-    return {'name': name, 'baseline': False, 'about': about, 'seeds': seeds}
+    # What a ridge chose from is thousands of lines.
+    about |= {k: v for k, v in config.get('method', {}).items() if k != 'choices'}
+    return {'name': method.name, 'baseline': method.baseline, 'about': about, 'seeds': seeds}
+
+
+def trivial(folders: list[str]) -> list[dict]:
+    """The predictors that need no fit, from the rollouts of any models of a dataset.
+
+    Args:
+      folders: of `rollouts.roll_out`, above the splits. Errors of a torque stand beside models that
+        predict one only, so all are read; what two of them hold is the same.
+    """
+    found = []
+    for name, (key, said) in TRIVIAL.items():
+        runs: dict[str, list] = {}
+        for split in SPLITS:
+            of_models = [rollouts.read(os.path.join(f, split), key, said) for f in folders]
+            runs[split] = [
+                {k: v for row in reversed(rows) for k, v in row.items()} for rows in zip(*of_models)
+            ]
+        if any(runs['test']):
+            seed = {'seed': None, 'source': 'fitted for this', 'runs': runs}
+            found.append({'name': name, 'baseline': True, 'about': {}, 'seeds': [seed]})
+    return found
 
 
 def protocol(data_path: str, values) -> dict:
-    """The document of one dataset, without what `tables.complete` adds; see `judge`.
+    """The document of one dataset, without what `tables.complete` adds.
 
     Args:
       data_path: its folder.
       values: flags of the command.
+
+    Raises:
+      ValueError: models failed; see `methods_of`.
     """
-    from reports.protocol import baselines  # loads TensorFlow, and --help does not wait for it
-
-    reader = TruthReader(data_path)
-    scene = reader.metadata.get('scene', {}).get('name', name_of(data_path))
-    print(f'{data_path}: fitting baselines', flush=True)
-    methods = [
-        {
-            'name': b.name,
-            'baseline': True,
-            'about': b.about,
-            'seeds': [
-                {
-                    'seed': None,
-                    'source': 'fitted for this',
-                    'predictions': {n: baselines.predictions(b, reader, n) for n in SPLITS},
-                }
-            ],
-        }
-        for b in baselines.fit_all(reader)
+    data, runs = facts(data_path)
+    name = name_of(data_path)
+    folder = os.path.abspath(os.path.join(values.work_path, 'rollouts', name))
+    print(f'{data_path}: training and rolling out', flush=True)
+    methods = _make(methods_of(name, values), data_path, values, folder)
+    folders = [
+        os.path.dirname(rollouts.roll_out(data_path, path, SPLITS[0], folder))
+        for method in methods
+        for path, _ in method.models
     ]
-    found = _models_of(name_of(data_path), values)
-    folder = _make_models(found, data_path, values)
-    for name, paths in found.items():
-        methods.append(_model_method(name, paths, data_path, reader, folder))
-
-    def progress(runs):
-        return tqdm.tqdm(runs, unit='run', desc='judging', disable=None)
-
+    found = [judged(method, data_path, folder) for method in methods]
     return {
         'schema_version': SCHEMA_VERSION,
-        'scene': scene,
+        'scene': dataset.read_metadata(data_path).get('scene', {}).get('name', name),
         'record': record.provenance(),
-        **judge(reader, methods, progress),
+        'data': data,
+        'runs': runs,
+        'methods': trivial(folders) + found,
     }

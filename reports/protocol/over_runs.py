@@ -21,6 +21,7 @@ QUANTITIES = {
     'pitch_l2': 'torque in the plane of travel, relative L2',
 }
 ALL = 'all'
+GRID, DRIVEN = 'grid', 'driven'  # runs of the case grid at constant speed, and all others
 
 
 def figures(errors: Sequence[float], baselines: dict[str, Sequence[float]]) -> dict:
@@ -36,29 +37,26 @@ def figures(errors: Sequence[float], baselines: dict[str, Sequence[float]]) -> d
       strictly smaller) and `ratio` (geometric mean over runs of error / baseline's error; None
       where a run failed or an error is 0).
     """
-    own = np.array(errors, np.float64)
-    failed = int((~np.isfinite(own)).sum())
-    own = np.where(np.isfinite(own), own, np.inf)
-    wins, ratio = {}, {}
-    for name, others in baselines.items():
-        theirs = np.array(others, np.float64)
-        theirs = np.where(np.isfinite(theirs), theirs, np.inf)
-        wins[name] = int((own < theirs).sum())
-        ratio[name] = geometric_mean_ratio(own, theirs)
+    own, *others = (_or_infinite(values) for values in (errors, *baselines.values()))
     return {
         'runs': len(own),
-        'failed': failed,
+        'failed': int(np.isinf(own).sum()),
         'median': _known(np.median(own)),
         'mean': _known(own.mean()),
         'worst': _known(own.max()),
-        'wins': wins,
-        'ratio': ratio,
+        'wins': {name: int((own < theirs).sum()) for name, theirs in zip(baselines, others)},
+        'ratio': {name: _mean_ratio(own, theirs) for name, theirs in zip(baselines, others)},
     }
 
 
-def geometric_mean_ratio(errors, others) -> float | None:
+def _or_infinite(errors):
+    own = np.array(errors, np.float64)
+    return np.where(np.isfinite(own), own, np.inf)
+
+
+def _mean_ratio(errors, others) -> float | None:
     """exp(mean(log(errors / others))), or None where an error is not finite or not positive."""
-    both = np.array([errors, others], np.float64)
+    both = np.array([errors, others])
     if not (np.isfinite(both).all() and (both > 0).all()):
         return None
     return float(np.exp(np.mean(np.log(both[0] / both[1]))))
@@ -73,12 +71,7 @@ def over_seeds(values: Sequence[float | None]) -> dict | None:
     known = [float(v) for v in values if v is not None]
     if len(known) < len(values) or not known:
         return None
-    return {
-        'mean': float(np.mean(known)),
-        'low': min(known),
-        'high': max(known),
-        'seeds': known,
-    }
+    return {'mean': float(np.mean(known)), 'low': min(known), 'high': max(known), 'seeds': known}
 
 
 def median_seed(seeds: Sequence[dict]) -> int:
@@ -118,40 +111,68 @@ def summarise(document: dict) -> dict:
     for split, runs in document['runs'].items():
         kinds = sorted({run['kind'] for run in runs})
         result[split] = {
-            kind: _of_kind(document['methods'], split, runs, kind)
+            kind: _of_kind(
+                document['methods'], split, runs,
+                [i for i, run in enumerate(runs) if kind in (ALL, run['kind'])],
+            )
             for kind in ([ALL] + kinds if len(kinds) > 1 else [ALL])
-        }
+        }  # fmt: skip
     return result
 
 
-def _of_kind(methods, split, runs, kind):
-    chosen = [i for i, run in enumerate(runs) if kind in (ALL, run['kind'])]
+def condense(document: dict, split: str = 'test') -> dict:
+    """Means over the runs of the grid, and over those that are driven freely, of each method.
+
+    Returns:
+      `GRID` and `DRIVEN` (those there are) -> `runs`, and quantity -> method -> one value a seed; a
+      method of which a run failed is absent.
+    """
+    runs = document['runs'][split]
+    found: dict[str, dict] = {}
+    for kind in (GRID, DRIVEN):
+        chosen = [i for i, run in enumerate(runs) if (run['kind'] == GRID) == (kind == GRID)]
+        if not chosen:
+            continue
+        found[kind] = {'runs': len(chosen), 'soil_mm': {}, 'force_l2': {}}
+        for quantity in ('soil_mm', 'force_l2'):
+            judged = _judged(runs, chosen, quantity)
+            for method in document['methods']:
+                errors = np.array([_errors(s, split, judged, quantity) for s in method['seeds']])
+                if judged and np.isfinite(errors).all():
+                    found[kind][quantity][method['name']] = errors.mean(axis=1).tolist()
+    return found
+
+
+def _judged(runs, chosen, quantity):
+    """Of the chosen runs, those that count: one that hardly moves says nothing of soil, but its
+    force is a force."""
+    return [i for i in chosen if quantity != 'soil_mm' or runs[i]['motion_mm'] >= QUIET_MM]
+
+
+def _of_kind(methods, split, runs, chosen):
     result = {}
     for quantity in QUANTITIES:
-        # A run that hardly moves says nothing of soil, but its force is a force.
-        judged = [i for i in chosen if quantity != 'soil_mm' or runs[i]['motion_mm'] >= QUIET_MM]
-        rows = {m['name']: m for m in methods if _has(m, split, quantity)}
-        if not judged or not rows:
+        judged = _judged(runs, chosen, quantity)
+        rows = {
+            m['name']: m
+            for m in methods
+            if any(quantity in run for run in m['seeds'][0]['runs'][split])
+        }
+        if not judged:
             continue
         baselines = {
             name: _errors(m['seeds'][median_seed(m['seeds'])], split, judged, quantity)
             for name, m in rows.items()
             if m['baseline']
         }
-        result[quantity] = {
-            name: _with_seeds(
-                [
-                    figures(_errors(seed, split, judged, quantity), baselines)
-                    for seed in method['seeds']
-                ]
-            )
-            for name, method in rows.items()
-        }
+        if rows:
+            result[quantity] = {
+                name: _with_seeds(
+                    [figures(_errors(s, split, judged, quantity), baselines) for s in m['seeds']]
+                )
+                for name, m in rows.items()
+            }
     return result
-
-
-def _has(method, split, quantity):
-    return any(quantity in run for run in method['seeds'][0]['runs'][split])
 
 
 def _errors(seed, split, judged, quantity):
@@ -161,9 +182,9 @@ def _errors(seed, split, judged, quantity):
 
 def _with_seeds(rows):
     """Figures of several seeds -> each with mean and range."""
-    result = {'runs': rows[0]['runs'], 'failed': over_seeds([r['failed'] for r in rows])}
-    for key in ('median', 'mean', 'worst'):
-        result[key] = over_seeds([r[key] for r in rows])
+    result = {'runs': rows[0]['runs']}
+    for key in ('failed', 'median', 'mean', 'worst'):
+        result[key] = over_seeds([row[key] for row in rows])
     for key in ('wins', 'ratio'):
-        result[key] = {name: over_seeds([r[key][name] for r in rows]) for name in rows[0][key]}
+        result[key] = {name: over_seeds([row[key][name] for row in rows]) for name in rows[0][key]}
     return result

@@ -1,6 +1,7 @@
-"""Rollouts of trained models, as the files that `train --mode=eval_rollout` writes: the same for
-every method of the registry."""
+"""Models as the protocol judges them: trained and rolled out by the commands that a user types,
+each in a process of its own. The errors are those that an evaluation writes (`metrics.json`)."""
 
+import glob
 import os
 import re
 import shlex
@@ -9,12 +10,20 @@ import sys
 
 import numpy as np
 
-from learning_to_simulate import presets
-from pca_tools import dataset, files
-from reports.protocol.run_errors import RunPrediction
+from learning_to_simulate import checkpoints, command, presets
+from pca_tools import files
 from reports.record import ROOT
 
 _TRAIN = 'learning_to_simulate.train'
+LOADS = ('force', 'drawbar', 'vertical', 'torque', 'pitch')
+# Errors of a run: key in metrics.json -> key in documents.
+_ERRORS = {'soil_mm': 'soil_mm', 'height_mm': 'height_mm', 'status': 'status'} | {
+    f'{load}_{name}': f'{load}_{short}'
+    for load in LOADS
+    for name, short in (('relative_l2', 'l2'), ('rmse', 'n'), ('peak_error', 'peak_n'))
+}
+# What a training logs of valid at its checkpoints.
+_LOGGED = {'rollout_error_mse': 'soil_mse', 'force_error_mse': 'force_mse'}
 
 
 def make(job: tuple) -> None:
@@ -28,8 +37,8 @@ def make(job: tuple) -> None:
       ValueError: see `_run`.
     """
     data_path, model_path, flags, splits, folder = job
-    if flags is not None:
-        train(data_path, model_path, flags)
+    if flags is not None and not _is_trained(model_path):
+        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags])
     for split in splits:
         roll_out(data_path, model_path, split, folder)
 
@@ -46,51 +55,29 @@ def training_flags(name: str) -> list[str]:
     return [f'--preset={preset}', *others]
 
 
-def seeds_of(name: str, count: int) -> range:
-    """The seeds of a method of --train: `count` of them, one where nothing is drawn.
+def trainings(name: str, n_seed: int, folder: str) -> list[tuple[str, list[str]]]:
+    """Model folder and flags of each training of a method of --train: one a seed, in whose flags
+    {seed} stands for it, and a single one where nothing is drawn.
 
     Raises:
       ValueError: no preset of that name, or as `training_flags`.
     """
-    return range(count if _draws(name) else 1)
-
-
-def flags_of_seed(name: str, seed: int) -> list[str]:
-    """Flags of the training of a method of --train from a seed, which stands for {seed} in them.
-
-    Raises:
-      ValueError: as `seeds_of`.
-    """
-    given = [flag.replace('{seed}', str(seed)) for flag in training_flags(name)]
-    return [*given, *[f'--seed={seed}'] * _draws(name)]
-
-
-def _draws(name):
-    """Whether anything is drawn in the training of a method of --train."""
-    preset = training_flags(name)[0].removeprefix('--preset=')
-    return hasattr(presets.make_config(preset), 'seed')
-
-
-def name_of_folder(name: str) -> str:
-    """A method of --train as part of a path."""
-    return re.sub(r'\W+', '_', name)
-
-
-def train(data_path: str, model_path: str, flags: list[str], shown: bool = False) -> None:
-    """Trains a model, goes on where its training ended, or finds it done; see `_run`."""
-    if not _is_trained(model_path):
-        _run([f'--data_path={data_path}', f'--model_path={model_path}', *flags], shown)
+    given = training_flags(name)
+    draws = hasattr(presets.make_config(given[0].removeprefix('--preset=')), 'seed')
+    stem = os.path.join(folder, re.sub(r'\W+', '_', name))
+    found = []
+    for seed in range(n_seed if draws else 1):
+        flags = [flag.replace('{seed}', str(seed)) for flag in given]
+        found.append((f'{stem}_{seed}', [*flags, *[f'--seed={seed}'] * draws, '--num_threads=1']))
+    return found
 
 
 def _is_trained(model_path):
     """Whether the last checkpoint of a network is that of its last step; a process that only says
     so would take as long to start as a rollout."""
     path = os.path.join(model_path, 'config.json')
-    if not os.path.exists(path):
-        return False
-    config = files.read_json(path).get('config', {})
-    total = config.get('num_steps', 0)
-    return total > 0 and os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
+    total = files.read_json(path).get('config', {}).get('num_steps') if os.path.exists(path) else 0
+    return bool(total) and os.path.exists(os.path.join(model_path, f'ckpt-{total}.json'))
 
 
 def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
@@ -99,98 +86,71 @@ def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
     The folder is named by what the model is, so a second call finds it done; metrics.json is the
     last file to be written.
     """
-    digest = files.sha256_of_file(os.path.join(model_path, 'config.json'))[:6]
-    weights = [n for n in sorted(os.listdir(model_path)) if n.endswith('.npz')]
-    digest += ''.join(files.sha256_of_file(os.path.join(model_path, n))[:6] for n in weights)
-    output = os.path.join(folder, f'{os.path.basename(model_path)}_{digest}', split)
+    name = f'{os.path.basename(model_path)}_{checkpoints.folder_digest(model_path)[:12]}'
+    output = os.path.join(folder, name, split)
     if not os.path.exists(os.path.join(output, 'metrics.json')):
         _run(
-            [
-                '--mode=eval_rollout',
-                f'--data_path={data_path}',
-                f'--model_path={model_path}',
-                f'--eval_split={split}',
-                f'--output_path={output}',
-            ]
-        )
+            ['--mode=eval_rollout', f'--data_path={data_path}', f'--model_path={model_path}',
+             f'--eval_split={split}', f'--output_path={output}']
+        )  # fmt: skip
     return output
 
 
-def _run(flags, shown=False):
-    """Runs `learning_to_simulate.train`; `shown`: on the terminal.
+def _run(flags):
+    """Runs `learning_to_simulate.train`.
 
     Raises:
-      ValueError: it failed; the message holds its last lines, where they were not shown.
+      ValueError: it failed; the message holds its last lines.
     """
     # Ends with this process: a worker that is killed leaves no training behind.
-    command = [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()), _TRAIN, *flags]
-    done = subprocess.run(command, cwd=ROOT, capture_output=not shown, text=True, check=False)
+    program = [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid()), _TRAIN, *flags]
+    done = subprocess.run(program, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
-        printed = (done.stdout or '') + (done.stderr or '')
-        tail = '\n'.join(printed.strip().splitlines()[-5:])
-        raise ValueError(f'learning_to_simulate.train {" ".join(flags)} failed:\n{tail}')
+        tail = '\n'.join((done.stdout + done.stderr).strip().splitlines()[-5:])
+        raise ValueError(f'{_TRAIN} {" ".join(flags)} failed:\n{tail}')
 
 
-def read(folder: str, split: str, n_run: int, metadata: dict) -> list[RunPrediction]:
-    """The predictions of a folder of rollout files, in the order of the records.
+def read(folder: str, method: str = 'model', said: tuple[str, ...] | None = None) -> list[dict]:
+    """Errors of every run of a split, in the order of the records.
 
-    A method that predicts particles and no modes writes them beside DeepMind's keys as
-    `predicted_particles` [F, P, 3], `particle_frames` [F] (numbers of the record's frames) and
-    `particle_indices` [P].
+    Args:
+      folder: of `roll_out`.
+      method: 'model', or a trivial predictor that stands beside it: 'stay_still',
+        'constant_velocity'.
+      said: first words of the errors that count ('soil', 'force'); None for all there are.
 
     Raises:
-      FileNotFoundError: a run has no file.
-      ValueError: a file holds neither the modes of the dataset nor particles.
+      ValueError: not one row for each record.
     """
+    path = os.path.join(folder, 'metrics.json')
+    rows = files.read_json(path)['runs'][method]
+    if [row['record'] for row in rows] != list(range(len(rows))):
+        raise ValueError(f'{path}: runs are not the records of a split; remove the folder')
     return [
-        _prediction(os.path.join(folder, f'rollout_{split}_{record}.npz'), metadata)
-        for record in range(n_run)
+        {
+            _ERRORS[key]: value
+            for key, value in row.items()
+            if key in _ERRORS and (said is None or key.partition('_')[0] in said)
+        }
+        for row in rows
     ]
 
 
-def _prediction(path, metadata):
-    arrays = files.read_npz(path)
-    if lacking := {'predicted_rollout', 'particle_types'} - arrays.keys():
-        raise ValueError(f'{path}: lacks {sorted(lacking)}')
-    nodes = arrays['predicted_rollout'].astype(np.float64)
-    soil = arrays['particle_types'] == dataset.MODE_PARTICLE_ID
-    own, modes = {}, None
-    if 'predicted_particles' in arrays:
-        names = 'predicted_particles', 'particle_frames', 'particle_indices'
-        own = {name: arrays[name] for name in names}
-    elif soil.sum() == metadata['mode_number']:
-        modes = nodes[:, soil]
-    else:
-        raise ValueError(
-            f'{path}: holds {soil.sum()} soil nodes and no predicted_particles; the dataset has '
-            f'{metadata["mode_number"]} modes'
-        )
-    up = metadata.get('scene', {}).get('up_axis', 1)
-    # Of several bodies `predicted_forces` is the sum; each is judged.
-    bodies = 'predicted_body_forces' in arrays
-    force, torque = (
-        arrays[key].astype(np.float64).reshape(len(nodes), -1) if key in arrays else None
-        for key in ('predicted_body_forces' if bodies else 'predicted_forces', 'predicted_torques')
-    )
-    return RunPrediction(
-        modes=modes,
-        own=own,
-        force=force,
-        height=nodes[:, ~soil, up].mean(axis=1) if (~soil).any() else None,
-        torque=torque,
-        status=str(arrays['status']) if 'status' in arrays else None,
-    )
+def curve(model_path: str) -> list[dict]:
+    """What a training logged of valid at its checkpoints: [{step, soil_mse, force_mse}], by step.
 
+    Steps that were trained twice, after a training was killed, count as they were last. Empty for a
+    method that is fitted at once.
+    """
+    command.import_tensorflow()
+    import tensorflow as tf
 
-def from_open_loop(prediction, group, run: int, scene) -> RunPrediction:
-    """One run of an `open_loop.Prediction`; what the method does not predict is None."""
-    said, n_rigid = prediction.predicts, group.n_rigid
-    position = prediction.position[run]
-    return RunPrediction(
-        modes=position[:, n_rigid:] if 'soil' in said else None,
-        force=prediction.force[run] if 'force' in said else None,
-        height=position[:, :n_rigid, scene.up_axis].mean(axis=1) if 'height' in said else None,
-        torque=prediction.torque[run]
-        if 'torque' in said and prediction.torque is not None
-        else None,
-    )
+    found: dict[int, dict] = {}
+    for path in sorted(glob.glob(os.path.join(model_path, 'events.*'))):
+        for event in tf.compat.v1.train.summary_iterator(path):
+            for value in event.summary.value:
+                if value.tag in _LOGGED:
+                    number = float(tf.make_ndarray(value.tensor))
+                    row = found.setdefault(event.step + 1, {'step': event.step + 1})
+                    row[_LOGGED[value.tag]] = number if np.isfinite(number) else None
+    return [found[step] for step in sorted(found)]

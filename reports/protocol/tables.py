@@ -1,8 +1,10 @@
 """Tables of a protocol document, as Markdown, from its JSON alone."""
 
+import numpy as np
+
 from pca_tools import files
 from reports import markdown
-from reports.protocol import curve, driven_runs, over_runs
+from reports.protocol import over_runs
 from reports.protocol.over_runs import ALL
 
 
@@ -48,19 +50,6 @@ def quantity_table(document: dict, split: str, quantity: str, kind: str = ALL) -
     return markdown.table(header, cells)
 
 
-def kind_table(document: dict, split: str, quantity: str) -> str:
-    """Mean error of all methods by kind of run, and over all runs."""
-    summary = {k: v[quantity] for k, v in document['summary'][split].items() if quantity in v}
-    kinds = [*sorted(summary.keys() - {ALL}), ALL]
-    of_kind = [next(iter(summary[kind].values()))['runs'] for kind in kinds]
-    header = ['method', *(f'{kind} ({n})' for kind, n in zip(kinds, of_kind, strict=True))]
-    rows = []
-    for method in document['methods']:
-        if (name := method['name']) in summary[ALL]:
-            rows.append([_shown(method), *(_span(summary[kind][name]['mean']) for kind in kinds)])
-    return markdown.table(header, rows)
-
-
 def training_table(document: dict) -> str:
     """Of every training whose checkpoints were judged on valid: its steps, and the mean error over
     the last quarter of them over that of the quarter before. '' where there is none."""
@@ -68,10 +57,18 @@ def training_table(document: dict) -> str:
     for method in document['methods']:
         for seed in method['seeds']:
             if points := seed.get('curve'):
-                flat = (curve.change(points, key) for key in ('soil_mse', 'force_mse'))
+                flat = (_change(points, key) for key in ('soil_mse', 'force_mse'))
                 rows.append((method['name'], seed['seed'], points[-1]['step'], *flat))
     header = ('method', 'seed', 'steps', 'last quarter over the one before: soil', 'force')
     return markdown.table(header, rows) if rows else ''
+
+
+def _change(points, key):
+    """Mean over the last quarter of the checkpoints, over that of the quarter before; None where
+    one of them has no number, or there are fewer than four."""
+    n = len(points) // 4
+    known = [row[key] for row in points[-2 * n :] if n and row.get(key) is not None]
+    return float(np.mean(known[n:]) / np.mean(known[:n])) if n and len(known) == 2 * n else None
 
 
 # Tables of pages (`reports.documents`), of stored documents.
@@ -143,15 +140,15 @@ def sizes(*paths: str) -> str:
     found = []
     for path in paths:
         document = files.read_json(path)
-        errors = driven_runs.condense(document)
-        judged = errors.get(driven_runs.DRIVEN) or errors[driven_runs.GRID]
+        errors = over_runs.condense(document)
+        judged = errors.get(over_runs.DRIVEN) or errors[over_runs.GRID]
         found.append((document['data']['train_runs'], judged))
-    columns = [(q, name) for q in driven_runs.QUANTITIES for name in found[-1][1][q]]
+    columns = [(q, name) for q in ('soil_mm', 'force_l2') for name in found[-1][1][q]]
     lines = [
         (count, *(markdown.span(errors[q].get(name, [])) for q, name in columns))
         for count, errors in sorted(found, key=lambda row: row[0])
     ]
-    titles = (f'{name}: {driven_runs.QUANTITIES[q]}' for q, name in columns)
+    titles = (f'{name}: {TITLES[q]}' for q, name in columns)
     return markdown.table(('training runs', *titles), lines)
 
 

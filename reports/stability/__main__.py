@@ -12,6 +12,7 @@ Examples:
     python -m reports stability --parts=driven,network --output_path=/tmp/stability
 """
 
+import functools
 import importlib
 import os
 import time
@@ -23,11 +24,11 @@ from pca_tools import files
 from reports import command, record
 from reports.stability import cases, pictures
 
-# Part -> module whose `run_all` it is.
+# Part -> module and its function.
 PARTS = {
-    'rollouts': 'rollout_cases',
-    'driven': 'driven_cases',
-    'network': 'network_cases',
+    'rollouts': ('subspace_cases', 'run_rollouts'),
+    'driven': ('driven_cases', 'run_driven'),
+    'network': ('subspace_cases', 'run_network'),
 }
 REPORT, DATA = 'stability.md', 'stability.json'
 
@@ -50,13 +51,11 @@ def report(parts: list[str], is_quick: bool, output_path: str) -> list[cases.Cas
     curves: dict = {}
     seconds: dict[str, float] = {}
     for part in parts:
-        module = importlib.import_module(f'reports.stability.{PARTS[part]}')
+        module, name = PARTS[part]
+        run = getattr(importlib.import_module(f'reports.stability.{module}'), name)
         started = time.process_time()
-
-        def bar(items, part=part):
-            return tqdm.tqdm(items, desc=part, disable=None, leave=False)
-
-        new, drawn = module.run_all(is_quick, bar)
+        bar = functools.partial(tqdm.tqdm, desc=part, disable=None, leave=False)
+        new, drawn = run(is_quick, bar)
         rows += new
         curves |= drawn
         seconds[part] = round(time.process_time() - started, 1)

@@ -1,12 +1,12 @@
-"""What every part of the stability report hands back: rows of a table and curves for pictures."""
+"""What every part of the stability report hands back, and how paths go on: frame numbers."""
 
 import dataclasses
 import math
 
+import numpy as np
+
 from reports.markdown import cell, table
 
-# A curve of the JSON file holds no more points than a picture can show.
-MAX_POINTS = 160
 HOLDS, FAILS, MEASURED, REFUSED, FLAGGED = 'holds', 'FAILS', 'measured', 'refused', 'flagged'
 
 
@@ -36,47 +36,42 @@ class Case:
 
 def judged(part: str, name: str, figure: float, unit: str, threshold=None, note: str = '') -> Case:
     """A case whose outcome follows from figure and threshold; NaN never holds."""
-    if threshold is None:
-        return Case(part, name, figure, unit, None, MEASURED, note)
-    outcome = HOLDS if figure <= threshold else FAILS
+    outcome = MEASURED
+    if threshold is not None:
+        outcome = HOLDS if figure <= threshold else FAILS
     return Case(part, name, figure, unit, threshold, outcome, note)
 
 
 def markdown(rows: list[Case]) -> str:
     """The rows as Markdown, one table per part."""
-    parts = []
-    for part in dict.fromkeys(row.part for row in rows):
-        cells = [
-            (
-                row.name,
-                f'**{row.outcome}**' if row.outcome == FAILS else row.outcome,
-                '' if row.figure is None else f'{cell(row.figure)} {row.unit}',
-                row.threshold,
-                row.note,
-            )
-            for row in rows
-            if row.part == part
-        ]
-        header = ('case', 'outcome', 'figure', 'threshold', '')
-        parts.append(f'### {part}\n\n{table(header, cells)}\n')
-    return '\n'.join(parts)
+    parts: dict[str, list] = {}
+    for row in rows:
+        outcome = f'**{row.outcome}**' if row.outcome == FAILS else row.outcome
+        figure = '' if row.figure is None else f'{cell(row.figure)} {row.unit}'
+        parts.setdefault(row.part, []).append((row.name, outcome, figure, row.threshold, row.note))
+    header = ('case', 'outcome', 'figure', 'threshold', '')
+    return '\n'.join(f'### {part}\n\n{table(header, cells)}\n' for part, cells in parts.items())
 
 
 def to_json(value):
-    """`value` for JSON: arrays as short lists, four digits, None for numbers that JSON lacks.
-
-    Series of more than `MAX_POINTS` are thinned; all of a curve have one length, so they still fit.
-    """
+    """`value` for JSON: arrays as lists, four digits, None for numbers that JSON lacks."""
     if dataclasses.is_dataclass(value):
-        return to_json(dataclasses.asdict(value))
+        value = dataclasses.asdict(value)
     if isinstance(value, dict):
         return {str(key): to_json(item) for key, item in value.items()}
-    if hasattr(value, 'tolist'):
-        value = value.tolist()
+    value = getattr(value, 'tolist', lambda: value)()
     if isinstance(value, (list, tuple)):
-        stride = math.ceil(len(value) / MAX_POINTS)
-        is_series = stride > 1 and isinstance(value[0], (int, float, type(None)))
-        return [to_json(item) for item in (value[::stride] if is_series else value)]
+        return [to_json(item) for item in value]
     if isinstance(value, float):
         return float(f'{value:.4g}') if math.isfinite(value) else None
     return value
+
+
+def to_and_fro(n_frame: int, length: int):
+    """Frame numbers 0 .. T-1 and back and so on, `length` of them."""
+    return (n_frame - 1) - np.abs((n_frame - 1) - np.arange(length) % (2 * (n_frame - 1)))
+
+
+def hold(n_frame: int, length: int):
+    """Frame numbers 0 .. T-1, then the last one for ever."""
+    return np.minimum(np.arange(length), n_frame - 1)

@@ -8,8 +8,7 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.rollout_status import RolloutStatus
 from pca_tools import dataset
 from reports.record import ROOT
-from reports.stability import shipped
-from reports.stability.cases import FAILS, FLAGGED, HOLDS, Case, judged
+from reports.stability.cases import FAILS, FLAGGED, HOLDS, Case, hold, judged, to_and_fro
 
 PART = 'Driven tools'
 HORIZON = 10
@@ -74,10 +73,10 @@ def _statuses(rollouts):
     return f'{runs} of {len(rollouts)} runs ok, {100 * share:.0f} % of the frames'
 
 
-def to_and_fro(name: str, model, runs: list[dict], factor: int) -> list[Case]:
+def driven_on(name: str, model, runs: list[dict], factor: int) -> list[Case]:
     """The path to its end and back, again and again: how far the soil is at the end."""
     n_frame = len(runs[0]['poses'])
-    frames = shipped.to_and_fro(n_frame, H + factor * (n_frame - H))
+    frames = to_and_fro(n_frame, H + factor * (n_frame - H))
     rollouts = roll_out(model, runs, frames)
     ways = [
         rms(rollout.particles(-1) - rollout.particles(0)) / run['way']
@@ -86,18 +85,14 @@ def to_and_fro(name: str, model, runs: list[dict], factor: int) -> list[Case]:
     force = max(np.linalg.norm(rollout.force, axis=1).max() for rollout in rollouts)
     note = f'worst {max(ways):.3g}, largest force {force:.3g} N; {_statuses(rollouts)}'
     what = f'{name}, path to and fro, {factor} x horizon: soil distance at the end over the true '
-    return [
-        Case(
-            PART, f'{what}largest', float(np.median(ways)), '(median of the runs)', None,
-            _outcome(rollouts), note,
-        )
-    ]  # fmt: skip
+    figure, unit = float(np.median(ways)), '(median of the runs)'
+    return [Case(PART, f'{what}largest', figure, unit, None, _outcome(rollouts), note)]
 
 
 def held(name: str, model, runs: list[dict], factor: int) -> list[Case]:
     """The tool stops at the end of its path: what soil and force do from then on."""
     n_frame = len(runs[0]['poses'])
-    frames = shipped.hold(n_frame, H + factor * (n_frame - H))
+    frames = hold(n_frame, H + factor * (n_frame - H))
     rollouts = roll_out(model, runs, frames)
     stop = n_frame - H + 60  # a second after the stop, when true soil has come to rest
     creep = [1e3 * rms(r.particles(-1) - r.particles(stop)) for r in rollouts]
@@ -138,16 +133,13 @@ def beyond(name: str, model, run: dict, deeper: bool = True) -> list[Case]:
         rollout = model.rollout(path, context=context)
         share = 100 * np.mean([status == RolloutStatus.OK for status in rollout.frame_status])
         largest = float(np.linalg.norm(rollout.force, axis=1).max())
-        rows.append(
-            Case(
-                PART, f'{name}, {what}: frames that are ok', float(share), '%', None,
-                _outcome([rollout]), f'{rollout.status}; largest force {largest:.3g} N',
-            )
-        )  # fmt: skip
+        tried = f'{name}, {what}: frames that are ok'
+        note = f'{rollout.status}; largest force {largest:.3g} N'
+        rows.append(Case(PART, tried, float(share), '%', None, _outcome([rollout]), note))
     return rows
 
 
-def run_all(is_quick, progress):
+def run_driven(is_quick, progress):
     """All rows; no curves."""
     import learning_to_simulate as lts
 
@@ -159,7 +151,7 @@ def run_all(is_quick, progress):
         name = f'{data}/{preset}'
         model = lts.load(os.path.join(ROOT, 'models', data, preset))
         is_blade = data.startswith('excavation')
-        rows += to_and_fro(name, model, runs, factor) + held(name, model, runs, factor)
+        rows += driven_on(name, model, runs, factor) + held(name, model, runs, factor)
         rows += beyond(name, model, runs[0], is_blade)  # a wheel's height is not given
         if is_blade:
             rows += air(name, model, runs)

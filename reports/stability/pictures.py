@@ -47,7 +47,7 @@ def draw_all(curves: dict, folder: str) -> list[str]:
     for name, (key, lines, title, label) in _PICTURES.items():
         if not curves.get(key):
             continue
-        with rc_context(STYLE | {'legend.fontsize': 8}):
+        with rc_context(STYLE | {'legend.fontsize': 8}):  # type: ignore[arg-type]
             figure = Figure(layout='constrained')
             _draw(figure, curves[key], lines, label)
             figure.suptitle(title, fontsize=10)

@@ -7,7 +7,6 @@ hostile pickles have their tests beside the readers in `tests/pca_tools`; README
 import io
 import json
 import pathlib
-import resource
 import subprocess
 import sys
 import threading
@@ -23,6 +22,7 @@ from nri import data as nri_data
 from pca_tools import dataset, files, subspace
 from pca_tools.formats import full_space, lagrangebench
 from pca_tools.storage.folder_lock import locked
+from tests.faults.test_training_state import files_up_to
 from tests.learning_to_simulate import synthetic
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -133,13 +133,8 @@ def test_full_disk_leaves_the_old_file(tmp_path, ending):
     }[ending]
     write(values[:10])
     before = path.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    try:
-        with pytest.raises(OSError, match=path.name):
-            write(values)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with files_up_to(100_000), pytest.raises(OSError, match=path.name):
+        write(values)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == before
 

@@ -56,19 +56,27 @@ def test_lock_of_a_killed_process_is_taken_over_with_a_message(tmp_path, holder,
     assert os.listdir(tmp_path) == []
 
 
-def test_number_given_to_another_process_is_no_owner(tmp_path):
-    owner = {'host': socket.gethostname(), 'pid': os.getppid(), 'started': 1}
-    (tmp_path / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
-    assert take(tmp_path)['pid'] == os.getpid()
+HERE = {'host': socket.gethostname(), 'started': 1}
+OWNERS = {
+    'a number given to another process': (HERE | {'pid': os.getppid()}, None),
+    'another machine': (
+        {'host': 'elsewhere', 'pid': 7, 'started': 1}, 'process 7 on elsewhere .* --take_over_lock'
+    ),
+    'another machine of the same name': (
+        HERE | {'pid': 2**22, 'boot': 'another', 'namespace': 1}, '--take_over_lock'
+    ),
+}  # fmt: skip
 
 
-def test_lock_of_another_machine_needs_the_flag(tmp_path):
-    owner = {'host': 'elsewhere', 'pid': 7, 'started': 1}
-    (tmp_path / folder_lock.LOCK_NAME).write_text(json.dumps(owner))
-    with pytest.raises(ValueError, match='process 7 on elsewhere .* --take_over_lock'):
-        take(tmp_path)
-    assert json.loads((tmp_path / folder_lock.LOCK_NAME).read_text()) == owner
-    assert take(tmp_path, take_over=True)['pid'] == os.getpid()
+@pytest.mark.parametrize('owner, refusal', OWNERS.values(), ids=OWNERS)
+def test_owners_of_other_machines_need_the_flag_and_dead_ones_do_not(tmp_path, owner, refusal):
+    text = json.dumps(owner)
+    (tmp_path / folder_lock.LOCK_NAME).write_text(text)
+    if refusal:
+        with pytest.raises(ValueError, match=refusal):
+            take(tmp_path)
+        assert (tmp_path / folder_lock.LOCK_NAME).read_text() == text
+    assert take(tmp_path, take_over=bool(refusal))['pid'] == os.getpid()
 
 
 @pytest.mark.parametrize('text', ['[]', '{"host": "a", "pid": -1, "started": 0}', '{"pid"', '{}'])
@@ -81,15 +89,17 @@ def test_foreign_lock_is_left_alone(tmp_path, text):
     assert path.read_text() == text
 
 
-def test_lock_is_released_after_an_error(tmp_path):
+def test_lock_is_held_once_in_a_process_and_released_after_an_error(tmp_path):
     with pytest.raises(KeyError), folder_lock.locked(str(tmp_path)):
+        with pytest.raises(ValueError, match='writes into'):
+            take(tmp_path)
         raise KeyError
     assert os.listdir(tmp_path) == []
 
 
 def test_of_many_at_once_one_wins(tmp_path):
     """Eight processes meet a stale lock together; the one that passes waits for seven refusals."""
-    owner = {'host': socket.gethostname(), 'pid': os.getpid(), 'started': 1}
+    owner = HERE | {'pid': os.getpid()}
     folder, refused = tmp_path / 'model', tmp_path / 'refused'
     folder.mkdir()
     refused.mkdir()
@@ -129,15 +139,6 @@ def test_lock_of_a_living_process_in_another_container_is_respected(tmp_path, ho
         take(tmp_path)
 
 
-def test_machines_with_one_host_name_are_told_apart(tmp_path):
-    owner = {'host': socket.gethostname(), 'pid': 2**22, 'started': 1, 'boot': 'another'}
-    path = tmp_path / folder_lock.LOCK_NAME
-    path.write_text(json.dumps(owner | {'namespace': 1}))
-    with pytest.raises(ValueError, match='--take_over_lock'):
-        take(tmp_path)
-    assert take(tmp_path, take_over=True)['pid'] == os.getpid()
-
-
 def test_kill_while_the_lock_is_made_blocks_nobody(tmp_path):
     (tmp_path / folder_lock.LOCK_NAME).touch()
     (tmp_path / f'{folder_lock.LOCK_NAME}.4711.tmp').touch()
@@ -153,9 +154,3 @@ def test_lock_that_is_a_link_is_refused_and_its_target_kept(tmp_path):
     with pytest.raises(ValueError, match='is a symbolic link'):
         take(folder)
     assert victim.read_text() == 'precious'
-
-
-def test_lock_is_held_again_in_the_same_process_only_once(tmp_path):
-    with folder_lock.locked(str(tmp_path)), pytest.raises(ValueError, match='writes into'):
-        take(tmp_path)
-    assert os.listdir(tmp_path) == []

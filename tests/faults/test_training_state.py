@@ -5,6 +5,7 @@ is; that a real training killed by SIGKILL resumes bit for bit is held by
 `tests/learning_to_simulate/test_train.py`.
 """
 
+import contextlib
 import json
 import os
 import pathlib
@@ -24,6 +25,7 @@ from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
 from pca_tools import dataset, files
 from pca_tools.storage import whole_files
+from reports.attacks.small import cheap_step
 from tests.learning_to_simulate import synthetic
 
 TINY = {'latent_size': 4, 'num_steps': 12, 'unroll_steps': 0, 'mode_edges': 5}
@@ -33,14 +35,30 @@ def config(**overrides):
     return presets.make_config('pcg', **TINY | overrides)
 
 
-def cheap_step(self, step):
-    for variable, average in zip(
-        self.simulator.trainable_variables, self.averaging.variables, strict=True
-    ):
-        variable.assign(variable * 0.9 + 0.01 * step)
-        average.assign(average * 0.5 + variable * 0.5)
-    self.optimizer.iterations.assign_add(1)
-    return {'loss': tf.constant(1.0)}
+def step_with(number, action):
+    """The cheap step, which does something more at one of them."""
+
+    def step(self, i):
+        if i == number:
+            action()
+        return cheap_step(self, i)
+
+    return step
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def files_up_to(size):
+    """No file may grow above a size, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.fixture(scope='module')
@@ -139,9 +157,8 @@ def test_folder_of_damaged_checkpoints_only_never_starts_fresh(model, train):
     assert {p.name: p.read_bytes() for p in model.iterdir()} == before
 
 
-@pytest.mark.parametrize('other', [{'latent_size': 6}, {'hidden_layers': 1}], ids=str)
-def test_checkpoint_of_another_model_is_refused(model, train, tmp_path, other):
-    train(tmp_path / 'other', **other)
+def test_checkpoint_of_another_model_is_refused(model, train, tmp_path):
+    train(tmp_path / 'other', latent_size=6)
     for path in (tmp_path / 'other').glob('ckpt-12.*'):
         shutil.copy(path, model)
     with pytest.raises(ValueError, match='ckpt-12: is a checkpoint of another model'):
@@ -159,14 +176,9 @@ def test_checkpoint_under_another_step_is_refused(model, train):
 
 @pytest.mark.parametrize('number, code', [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=str)
 def test_stop_signals_save_and_release(whole, tmp_path, train, monkeypatch, number, code):
-    def step(self, i):
-        if i == 5:
-            os.kill(os.getpid(), number)
-        return cheap_step(self, i)
-
     before = signal.getsignal(number)
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, 'step', step)
+        patch.setattr(Trainer, 'step', step_with(5, lambda: os.kill(os.getpid(), number)))
         with pytest.raises(SystemExit) as stopped:
             train(tmp_path / 'model')
     assert stopped.value.code == code
@@ -181,35 +193,25 @@ def test_stop_signals_save_and_release(whole, tmp_path, train, monkeypatch, numb
 @pytest.mark.parametrize('writer', ['weights', 'checkpoint'])
 def test_end_within_the_first_save_goes_on(whole, data, tmp_path, monkeypatch, save_every, writer):
     """Killed between weights and checkpoint: the weights alone were taken for a finished model."""
-    path = tmp_path / 'model'
-
-    def run():
-        registry.train(data, str(path), config(), save_every=save_every)
-
-    def killed(*_):
-        raise KeyboardInterrupt
-
+    path = str(tmp_path / 'model')
     place, name = {
         'weights': (loop.checkpoints, 'save_weights'),
         'checkpoint': (training_state.TrainingState, 'save'),
     }[writer]
     monkeypatch.setattr(Trainer, 'step', cheap_step)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(place, name, killed)
-        run()
-    run()
+        patch.setattr(place, name, interrupt)
+        registry.train(data, path, config(), save_every=save_every)
+    registry.train(data, path, config(), save_every=save_every)
     assert_same_weights(whole, path)
 
 
 def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):
-    def step(self, i):
-        if i == 5:
-            # To this thread, so that each is handled before the next line.
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-        return cheap_step(self, i)
+    def twice():  # to this thread, so that each is handled before the next line
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(Trainer, 'step', step)
+    monkeypatch.setattr(Trainer, 'step', step_with(5, twice))
     # A shell starts background jobs with Ctrl-C ignored; 'as usual' is what a terminal has.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -223,38 +225,26 @@ def test_second_ctrl_c_ends_at_once(tmp_path, train, monkeypatch):
 
 @pytest.mark.parametrize('limit', [1000, 5000], ids='{} bytes a file'.format)
 def test_full_disk_stops_training_and_keeps_the_checkpoint(tmp_path, train, monkeypatch, limit):
-    """No file may grow above the limit from step 6 on, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def step(self, i):
-        if i == 6:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
-        return cheap_step(self, i)
-
-    monkeypatch.setattr(Trainer, 'step', step)
-    try:
+    with contextlib.ExitStack() as stack:
+        fill = step_with(6, lambda: stack.enter_context(files_up_to(limit)))
+        monkeypatch.setattr(Trainer, 'step', fill)
         with pytest.raises(OSError, match='model'):
             train(tmp_path / 'model')
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert training_state.stored_steps(str(tmp_path / 'model')) == [4]
     training_state.check(str(tmp_path / 'model'), 4)
     assert not [n for n in os.listdir(tmp_path / 'model') if n.endswith(('_temp', '.tmp'))]
 
 
-def test_checkpoint_on_a_full_disk_says_so(model, data, monkeypatch):
+def test_checkpoint_on_a_full_disk_says_so(model, data):
     """The checkpoint itself, without the weights that are written before it."""
-    trainer = make_trainer(data)
-    state = training_state.TrainingState(str(model), trainer)
+    state = training_state.TrainingState(str(model), make_trainer(data))
     state.restore()
     before = sorted(os.listdir(model))
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(OSError, match='checkpoint of step 13 could not be written'):
-            state.save(13)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with (
+        files_up_to(1000),
+        pytest.raises(OSError, match='checkpoint of step 13 could not be written'),
+    ):
+        state.save(13)
     assert sorted(os.listdir(model)) == before
 
 
@@ -278,17 +268,11 @@ def test_an_old_checkpoint_half_deleted_is_deleted_by_a_finished_training(model,
     assert training_state.stored_steps(str(model)) == before
 
 
-@pytest.mark.parametrize('name', ['a[1]', 'a*', 'what?', 'a[!b]*'])
+@pytest.mark.parametrize('name', ['a[1]', 'what*'])
 def test_folder_names_that_are_patterns_resume(whole, tmp_path, train, monkeypatch, capsys, name):
-    def step(self, i):
-        if i == 9:
-            raise KeyboardInterrupt
-        return cheap_step(self, i)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, 'step', step)
-        with pytest.raises(KeyboardInterrupt):
-            train(tmp_path / name)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Trainer, 'step', step_with(9, interrupt))
+        train(tmp_path / name)
     train(tmp_path / name)
     assert 'at step 8' in capsys.readouterr().out
     assert_same_weights(whole, tmp_path / name)

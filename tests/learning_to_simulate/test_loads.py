@@ -103,10 +103,12 @@ def test_a_trained_model_follows_a_known_torque(rolled):
 def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
     opened, results, summary = rolled
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, opened.metadata)
-    said = rollouts.read(str(tmp_path), 'test', len(results), opened.metadata)
-    for (record, group, rollout), prediction in zip(results, said, strict=True):
-        np.testing.assert_array_equal(prediction.torque, rollout.torque[0])
+    said = rollouts.read(str(tmp_path))
+    for (record, group, rollout), errors in zip(results, said, strict=True):
+        share = relative(rollout.torque[0], group.torque[0, H:])
+        assert errors['torque_l2'] == pytest.approx(share, rel=1e-4)
         arrays = files.read_npz(str(tmp_path / f'rollout_test_{record}.npz'))
+        np.testing.assert_array_equal(arrays['predicted_torques'], rollout.torque[0])
         both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])
         np.testing.assert_array_equal(both, group.torque[0].astype(np.float32))
 

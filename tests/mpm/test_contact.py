@@ -7,7 +7,7 @@ import pytest
 
 from mpm import bodies, columns, experiments
 from mpm.bodies import signed_distances
-from mpm.contact import ContactLaw, contact, list_near, make_contact
+from mpm.contact import ContactLaw, contact, make_contact
 from mpm.grid import make_grid
 from mpm.motions.drive import poses
 from mpm.scenes import CORNER, Bin
@@ -134,18 +134,6 @@ def test_stiffness_and_radius_follow_from_the_soil():
     assert law.radius == pytest.approx(1e-3)  # half of 2 mm
     modulus = 1.5e6 * 0.7 / (1.3 * 0.4)  # E (1 - nu) / ((1 + nu) (1 - 2 nu))
     assert law.stiffness == pytest.approx(modulus * 12e-6 / (4 * 2e-3))
-
-
-def test_near_particles_are_those_within_reach():
-    rng = np.random.default_rng(0)
-    particles = np.zeros((3000, columns.COLUMNS))
-    particles[:, :3] = rng.uniform(-0.2, 0.2, (3000, 3))
-    blade, pose = bodies.make_blade(0.2), (0.02, -0.1, 0.3, 0.01)
-    near = np.zeros(3000, dtype=np.int64)
-    count = list_near(particles, blade, np.array(pose), 0.03, near)
-    expected = np.flatnonzero(signed_distances(blade, pose, particles[:, :3]) < 0.03)
-    assert 100 < count < 2500
-    np.testing.assert_array_equal(near[:count], expected)
 
 
 def moment(rows, mass, cell, about=0.0):

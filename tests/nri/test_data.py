@@ -34,14 +34,17 @@ def test_charges_become_types():
         data.edge_types(np.full((1, 2, 2), 0.5))
 
 
-def test_normalised_kipf_data_fill_minus_one_to_one(tmp_path):
-    held = data.load(small.write_springs(tmp_path), 'train')
+def test_normalised_kipf_data_fill_minus_one_to_one_and_still_ones_keep_their_scale():
+    held = small.springs(n_run=16)
     offset, scale = data.normalization(held)
     assert offset.shape == (1, 4)
     normal = (held.features - offset[:, None]) / scale[:, None]
     for group in ([0, 1], [2, 3]):
         assert normal[..., group].min() == pytest.approx(-1, abs=1e-6)
         assert normal[..., group].max() == pytest.approx(1, abs=1e-6)
+    still = dataclasses.replace(held, features=np.full_like(held.features, 3.0))
+    offset, scale = data.normalization(still)
+    assert (scale == 1.0).all() and (offset == 3.0).all()
 
 
 def test_modes_of_a_dataset(tmp_path):
@@ -64,8 +67,8 @@ def test_modes_of_a_dataset(tmp_path):
     assert np.abs(normal[:, 1, :, 5]).max() < 0.9
 
 
-def test_first_modes_of_a_dataset(tmp_path):
-    folder = synthetic.write_dataset(tmp_path)
+def test_first_modes_and_the_lowest_rigid_particles_of_a_dataset(tmp_path):
+    folder = synthetic.write_dataset(tmp_path / 'data', rigid_counts=(4, 6))
     whole, some = data.load(folder, 'valid'), data.load(folder, 'valid', modes=2)
     assert some.node_names == whole.node_names[:2] and some.digest == whole.digest
     np.testing.assert_array_equal(some.features, whole.features[:, :2])
@@ -73,15 +76,8 @@ def test_first_modes_of_a_dataset(tmp_path):
         data.load(folder, 'train', modes=4)
     with pytest.raises(ValueError, match='no modes to choose from'):
         data.load(small.write_springs(tmp_path / 'springs'), 'train', modes=2)
-
-
-def test_rigid_nodes_are_the_lowest_of_every_run(tmp_path):
-    folder = synthetic.write_dataset(tmp_path, rigid_counts=(4, 6))
     held = data.load(folder, 'train', 'modes_and_rigid')
-    assert (
-        held.node_names
-        == tuple(f'rigid_{i}' for i in range(4)) + data.load(folder, 'train').node_names
-    )
+    assert held.node_names == tuple(f'rigid_{i}' for i in range(4)) + whole.node_names
     run = dataset.read_split(folder, 'train')[1]
     lowest = np.sort(run.position[0, :6, 1])[:4]
     np.testing.assert_allclose(np.sort(run.position[1, :4, 1]), held.features[1, :4, 0, 1])
@@ -102,7 +98,7 @@ def _overwrite(folder, name, array):
 
 
 def _write_text(folder, name, text):
-    pathlib.Path(folder, f'{name}.npy').write_text(text)
+    pathlib.Path(folder, f'{name}3.npy').write_text(text)
 
 
 LFS_POINTER = 'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n'
@@ -118,9 +114,9 @@ LFS_POINTER = 'version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\
         (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), np.nan)), 'holds 2880 NaN'),
         (lambda f: _overwrite(f, 'vel', np.full((32, 15, 2, 3), 'a')), 'array of numbers'),
         (lambda f: _overwrite(f, 'vel', np.array([{}], dtype=object)), 'not a plain .npy'),
-        (lambda f: _write_text(f, 'vel_train_springs3', 'x'), 'vel_train'),
-        (lambda f: _write_text(f, 'vel_train_springs3', LFS_POINTER), 'git-lfs'),
-        (lambda f: _write_text(f, 'loc_train_charged3', 'x'), 'one system per folder'),
+        (lambda f: _write_text(f, 'vel_train_springs', 'x'), 'vel_train'),
+        (lambda f: _write_text(f, 'vel_train_springs', LFS_POINTER), 'git-lfs'),
+        (lambda f: _write_text(f, 'loc_train_charged', 'x'), 'one system per folder'),
     ],
 )
 def test_damaged_and_foreign_files_are_named(tmp_path, damage, message):
@@ -145,11 +141,3 @@ def test_missing_files_and_wrong_names(tmp_path):
         data.load(folder, 'tests')
     with pytest.raises(ValueError, match="nodes 'all'"):
         data.load(folder, 'valid', 'all')
-
-
-def test_still_features_keep_scale_one():
-    held = small.springs(n_run=4)
-    still = dataclasses.replace(held, features=np.full_like(held.features, 3.0))
-    offset, scale = data.normalization(still)
-    np.testing.assert_array_equal(scale, 1.0)
-    np.testing.assert_array_equal(offset, 3.0)

@@ -8,22 +8,21 @@ from scipy import stats
 from nri import config, losses
 
 SEED = tf.constant([3, 7])
+SATURATED = pytest.mark.parametrize('size', [1e3, 1e30])
 
 
-def test_divergence_of_saturated_logits_is_exact():
-    for size in (1e3, 1e30):
-        logits = tf.constant([[size, -size], [-size, size]])
-        uniform = losses.kl_to_prior(logits, config.log_prior(2, None)).numpy()
-        np.testing.assert_allclose(uniform, np.log(2), atol=1e-6)
-        sparse = losses.kl_to_prior(logits, config.log_prior(2, 0.9)).numpy()
-        np.testing.assert_allclose(sparse, [-np.log(0.9), -np.log(0.1)], rtol=1e-6)
-
-
-def test_gradient_of_the_divergence_is_finite_when_saturated():
-    logits = tf.Variable([[1e3, -1e3], [1e30, -1e30]])
-    with tf.GradientTape() as tape:
-        divergence = tf.reduce_sum(losses.kl_to_prior(logits, config.log_prior(2, None)))
-    assert np.isfinite(tape.gradient(divergence, logits)).all()
+@SATURATED
+def test_saturated_logits_have_an_exact_divergence_a_finite_sample_and_gradients(size):
+    logits = tf.Variable([[size, -size], [-size, size]])
+    with tf.GradientTape(persistent=True) as tape:
+        uniform = losses.kl_to_prior(logits, config.log_prior(2, None))
+        sparse = losses.kl_to_prior(logits, config.log_prior(2, 0.9))
+        sample = losses.gumbel_softmax(logits, 0.05, SEED)
+        square = tf.reduce_sum(sample**2)
+    np.testing.assert_allclose(uniform, np.log(2), atol=1e-6)
+    np.testing.assert_allclose(sparse, [-np.log(0.9), -np.log(0.1)], rtol=1e-6)
+    np.testing.assert_array_equal(sample, [[1, 0], [0, 1]])
+    assert all(np.isfinite(tape.gradient(value, logits)).all() for value in (uniform, square))
 
 
 @pytest.mark.parametrize('prior', [None, 0.05, 0.5, 0.99])
@@ -40,12 +39,6 @@ def test_divergence_is_that_of_scipy_and_never_negative(prior):
     np.testing.assert_allclose(at_prior, 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize('prior', [0.0, 1.0, -0.1, float('nan')])
-def test_impossible_priors_are_refused(prior):
-    with pytest.raises(ValueError, match='no_edge_prior'):
-        config.log_prior(2, prior)
-
-
 def test_likelihood_is_that_of_a_gaussian_and_at_the_best_variance_where_errors_are_large():
     rng = np.random.default_rng(1)
     target = rng.normal(size=(4, 5, 3)).astype(np.float32)
@@ -60,7 +53,7 @@ def test_likelihood_is_that_of_a_gaussian_and_at_the_best_variance_where_errors_
     assert float(losses.gaussian_nll(tf.constant(target), tf.constant(target), 5e-5)) == 0.0
 
 
-def test_accuracy_does_not_depend_on_the_names_of_the_types():
+def test_accuracy_is_that_of_one_naming_of_the_types_for_the_whole_data_set():
     rng = np.random.default_rng(2)
     true = rng.integers(0, 3, (50, 20))
     found = np.where(rng.random(true.shape) < 0.8, true, rng.integers(0, 3, true.shape))
@@ -68,17 +61,10 @@ def test_accuracy_does_not_depend_on_the_names_of_the_types():
     assert plain == (found == true).mean() and naming == (0, 1, 2)
     renamed, naming = losses.edge_accuracy(np.array([2, 0, 1])[found], true, 3)
     assert renamed == plain and naming == (1, 2, 0)
-
-
-def test_one_naming_serves_the_whole_data_set():
-    """Types switched in half of the runs are half wrong, not all right."""
-    true = np.random.default_rng(3).integers(0, 2, (100, 20))
-    found = true.copy()
-    found[50:] = 1 - found[50:]
-    assert losses.edge_accuracy(found, true, 2)[0] == pytest.approx(0.5, abs=0.05)
-
-
-def test_accuracy_refuses_what_does_not_fit():
+    # Types switched in half of the runs are half wrong, not all right.
+    true = rng.integers(0, 2, (100, 20))
+    switched = np.concatenate([true[:50], 1 - true[50:]])
+    assert losses.edge_accuracy(switched, true, 2)[0] == pytest.approx(0.5, abs=0.05)
     with pytest.raises(ValueError, match='differ'):
         losses.edge_accuracy(np.zeros((2, 3), int), np.zeros((2, 4), int), 2)
     with pytest.raises(ValueError, match='from 0 to 2'):
@@ -90,22 +76,15 @@ def test_a_collapsed_posterior_is_flagged():
     certain[..., 0] = 1.0
     used = losses.edge_usage(certain)
     assert used == {'usage': [1.0, 0.0], 'entropy': 0.0, 'status': 'COLLAPSED'}
-    barely = certain.copy()
-    barely[0, :9] = [0.0, 1.0]
-    assert losses.edge_usage(barely)['status'] == 'COLLAPSED'
-    barely[0, :11] = [0.0, 1.0]
-    assert losses.edge_usage(barely)['status'] == 'OK'
+    for count, status in ((9, 'COLLAPSED'), (11, 'OK')):  # of 1000 pairs
+        barely = certain.copy()
+        barely[0, :count] = [0.0, 1.0]
+        assert losses.edge_usage(barely)['status'] == status
     unsure = losses.edge_usage(np.full((4, 5, 2), 0.5))
     assert unsure['entropy'] == pytest.approx(1.0) and unsure['status'] == 'COLLAPSED'
 
 
-@pytest.mark.parametrize('temperature', [0.0, -1.0, 0.049, float('nan'), float('inf')])
-def test_temperatures_below_the_floor_are_refused(temperature):
-    with pytest.raises(ValueError, match='temperature'):
-        losses.gumbel_softmax(tf.zeros([1, 2]), temperature, SEED)
-
-
-def test_gradient_survives_at_the_lowest_temperature():
+def test_gradient_survives_at_the_lowest_temperature_and_hot_samples_are_uniform():
     logits = tf.Variable(tf.random.stateless_normal([500, 2], [1, 2]))
     with tf.GradientTape() as tape:
         sample = losses.gumbel_softmax(logits, config.MIN_TEMPERATURE, SEED)
@@ -114,29 +93,20 @@ def test_gradient_survives_at_the_lowest_temperature():
     assert np.isfinite(sample).all() and np.isfinite(gradient).all()
     # Measured 0.22 of all samples.
     assert (np.abs(gradient).max(axis=1) > 1e-3).mean() > 0.02
+    hot = losses.gumbel_softmax(tf.constant([[3.0, -2.0, 0.0]] * 100), 1e8, SEED).numpy()
+    np.testing.assert_allclose(stats.entropy(hot, axis=-1), np.log(3), atol=1e-6)
 
 
-def test_ten_million_draws_are_finite_and_gumbel():
-    draws = losses.gumbel_from_uniform(tf.random.stateless_uniform([10_000_000], SEED)).numpy()
-    assert np.count_nonzero(~np.isfinite(draws)) == 0
-    # Mean 0.57722 and variance pi²/6; standard errors 4e-4 and 1.4e-3.
-    assert abs(draws.mean() - np.euler_gamma) < 0.003
-    assert abs(draws.var() - np.pi**2 / 6) < 0.01
-
-
-def test_both_ends_of_the_interval_are_finite():
-    ends = tf.constant([0.0, 2.0**-149, 1.0 - 2.0**-24, 1.0])
-    draws = losses.gumbel_from_uniform(ends).numpy()
-    assert np.isfinite(draws).all() and (np.diff(draws) >= 0).all()
+def test_a_million_draws_are_finite_and_gumbel_at_both_ends_of_the_interval():
+    draws = losses.gumbel_from_uniform(tf.random.stateless_uniform([1_000_000], SEED)).numpy()
+    assert np.isfinite(draws).all()
+    # Mean 0.57722 and variance pi²/6; standard errors 1.3e-3 and 4.4e-3.
+    assert abs(draws.mean() - np.euler_gamma) < 0.006
+    assert abs(draws.var() - np.pi**2 / 6) < 0.02
+    ends = losses.gumbel_from_uniform(tf.constant([0.0, 2.0**-149, 1.0 - 2.0**-24, 1.0])).numpy()
+    assert np.isfinite(ends).all() and (np.diff(ends) >= 0).all()
     # -log(-log(u)) of the largest float32 below 1, in float64.
-    assert draws[2] == pytest.approx(-np.log(-np.log1p(-(2.0**-24))), rel=1e-6)
-
-
-def test_hot_samples_are_uniform():
-    logits = tf.constant([[3.0, -2.0, 0.0]] * 100)
-    sample = losses.gumbel_softmax(logits, 1e8, SEED).numpy().astype(np.float64)
-    entropy = -(sample * np.log(sample)).sum(-1)
-    np.testing.assert_allclose(entropy, np.log(3), atol=1e-6)
+    assert ends[2] == pytest.approx(-np.log(-np.log1p(-(2.0**-24))), rel=1e-6)
 
 
 def test_frequencies_are_the_softmax_and_samples_follow_the_seed():
@@ -152,11 +122,9 @@ def test_frequencies_are_the_softmax_and_samples_follow_the_seed():
     assert (sample != other).any()
 
 
-@pytest.mark.parametrize('size', [1e3, 1e30])
-def test_saturated_logits_give_a_finite_sample_and_gradient(size):
-    logits = tf.Variable([[size, -size], [-size, size]])
-    with tf.GradientTape() as tape:
-        sample = losses.gumbel_softmax(logits, 0.05, SEED)
-        loss = tf.reduce_sum(sample**2)
-    np.testing.assert_array_equal(sample, [[1, 0], [0, 1]])
-    assert np.isfinite(tape.gradient(loss, logits)).all()
+@pytest.mark.parametrize('value', [0.0, -1.0, 0.049, float('nan'), float('inf')])
+def test_temperatures_and_priors_that_cannot_be_are_refused(value):
+    with pytest.raises(ValueError, match='temperature'):
+        losses.gumbel_softmax(tf.zeros([1, 2]), value, SEED)
+    with pytest.raises(ValueError, match='no_edge_prior'):
+        config.log_prior(2, 1.0 if value == 0.049 else value)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from nri import layers, model
+from nri import model, networks
 from nri.config import NriConfig
 from nri.model import load_model
 from pca_tools import files
@@ -48,7 +48,7 @@ def test_a_saved_model_gives_the_same_bits(tmp_path, symmetric):
         assert float(loaded.losses(held.features, seed)[name]) == float(value)
 
 
-def test_weights_do_not_depend_on_what_was_made_before():
+def test_weights_follow_the_seed_and_not_what_was_made_before():
     held = small.springs(n_run=2)
     one = small.model(held, seed=3)
     tf.random.normal([5])
@@ -60,38 +60,25 @@ def test_weights_do_not_depend_on_what_was_made_before():
 
 def test_long_runs_are_the_mean_over_their_windows():
     held = small.springs(n_run=3, n_frame=40)
-    made = small.model(held)
-    starts = [0, 12, 25]  # three windows of 15 frames cover 40, the last one ends with the run
-    want = np.mean([made.edge_probabilities(held.features[:, :, s : s + 15]) for s in starts], 0)
-    np.testing.assert_allclose(made.edge_probabilities(held.features), want, atol=1e-6)
-    strided = small.model(held, stride=2)
-    want = np.mean(
-        [strided.window_probabilities(held.features[:, :, s : s + 29 : 2]) for s in (0, 11)], 0
-    )
-    np.testing.assert_allclose(strided.edge_probabilities(held.features), want, atol=1e-6)
+    # Windows of 15 frames (of 29 with a stride) cover 40; the last one ends with the run.
+    for stride, span, starts in ((1, 15, (0, 12, 25)), (2, 29, (0, 11))):
+        made = small.model(held, stride=stride)
+        windows = [held.features[:, :, s : s + span : stride] for s in starts]
+        want = np.mean([made.window_probabilities(window) for window in windows], axis=0)
+        np.testing.assert_allclose(made.edge_probabilities(held.features), want, atol=1e-6)
 
 
 def test_foreign_features_are_refused():
     held = small.springs(n_run=2)
     made = small.model(held)
     for features, message in (
-        (small.springs(n_run=2, n_objects=4).features, 'has 4 nodes, the model 3'),
+        (small.springs(n_run=2, n_objects=4).features, r'\(2, 4, 15, 4\), \(runs, 3 nodes'),
         (held.features[:, :, :14], 'runs have 14 frames'),
-        (held.features[..., :3], r'\(runs, nodes, frames, 4\)'),
+        (held.features[..., :3], 'frames, 4'),
         (held.features[0], 'shape'),
     ):
         with pytest.raises(ValueError, match=message):
             made.edge_probabilities(features)
-
-
-def test_weights_that_are_not_finite_are_not_saved(tmp_path):
-    made = small.model(small.springs(n_run=2))
-    made.save(str(tmp_path))
-    before = (tmp_path / 'weights.npz').read_bytes()
-    made.trainable_variables[0].assign(made.trainable_variables[0] * np.nan)
-    with pytest.raises(ValueError, match='not finite'):
-        made.save(str(tmp_path))
-    assert (tmp_path / 'weights.npz').read_bytes() == before
 
 
 def test_damaged_and_foreign_model_folders_are_refused(tmp_path):
@@ -99,31 +86,32 @@ def test_damaged_and_foreign_model_folders_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match='config.json'):
         load_model(str(tmp_path))
     made.save(str(tmp_path))
-    good = made.to_json()
-
-    def refused(values, message):
-        files.write_json(str(tmp_path / 'config.json'), values)
+    before, good = (tmp_path / 'weights.npz').read_bytes(), made.to_json()
+    for changes, message in (
+        ({'kind': None}, 'not the config of an NRI model'),
+        ({'schema_version': 2}, 'schema version 2'),
+        ({'config': good['config'] | {'new': 1}}, 'missing, unknown'),
+        ({'config': good['config'] | {'hidden': 9}}, 'not the weights of config.json'),
+        ({'config': good['config'] | {'temperature': 0}}, 'temperature'),
+    ):
+        files.write_json(str(tmp_path / 'config.json'), good | changes)
         with pytest.raises(ValueError, match=message):
             load_model(str(tmp_path))
-
-    refused({'schema_version': 1}, 'not the config of an NRI model')
-    refused(good | {'schema_version': 2}, 'schema version 2')
-    refused(good | {'config': good['config'] | {'new': 1}}, 'missing, unknown')
-    refused(good | {'config': good['config'] | {'hidden': 9}}, 'not the weights of config.json')
-    refused(good | {'config': good['config'] | {'temperature': 0}}, 'temperature')
     files.write_json(str(tmp_path / 'config.json'), good)
     load_model(str(tmp_path))
+    made.trainable_variables[0].assign(made.trainable_variables[0] * np.nan)
+    with pytest.raises(ValueError, match='not finite'):
+        made.save(str(tmp_path))
+    assert (tmp_path / 'weights.npz').read_bytes() == before
 
 
 def test_prior_moves_the_loss_by_its_divergence_only():
     """The same divergence in training and validation, with any prior."""
     held = small.springs(n_run=8)
-    plain = small.model(held)
-    sparse = small.model(held, no_edge_prior=0.9)
+    plain, sparse = small.model(held), small.model(held, no_edge_prior=0.9)
     seed = tf.constant([5, 6])
     for is_training in (True, False):
-        a = plain.losses(held.features, seed, is_training=is_training)
-        b = sparse.losses(held.features, seed, is_training=is_training)
+        a, b = (m.losses(held.features, seed, is_training=is_training) for m in (plain, sparse))
         assert float(a['nll']) == pytest.approx(float(b['nll']), rel=1e-6)
         assert float(a['kl']) != float(b['kl']) and min(float(a['kl']), float(b['kl'])) >= 0
         assert float(a['loss']) == pytest.approx(float(a['nll']) + float(a['kl']), rel=1e-6)
@@ -134,22 +122,20 @@ def test_mutual_types_are_one_for_both_directions(monkeypatch):
     held = small.springs(n_run=4, n_objects=4)
     plain, mutual = small.model(held), small.model(held, symmetric=True)
     frames = mutual.normalized(held.features)
-    logits = plain.logits(frames, is_training=False).numpy()
-    receivers, senders = layers.pair_indices(4)
+    receivers, senders = networks.pair_indices(4)
     back = [list(zip(receivers, senders)).index((j, i)) for i, j in zip(receivers, senders)]
-    want = tf.nn.softmax(0.5 * (logits + logits[:, back])).numpy()
-    got = mutual.edge_probabilities(held.features)
-    np.testing.assert_allclose(got, want, rtol=1e-5)
-    np.testing.assert_array_equal(got, got[:, back])
-    logits = plain.logits(frames, is_training=True).numpy()
-    want = tf.nn.softmax(0.5 * (logits + logits[:, back])).numpy()
+
+    def wanted(is_training):
+        logits = plain.logits(frames, is_training).numpy()
+        return tf.nn.softmax(0.5 * (logits + logits[:, back])).numpy()
+
+    np.testing.assert_allclose(mutual.edge_probabilities(held.features), wanted(False), rtol=1e-5)
+    want = wanted(True)
     kl = (want * np.log(2.0 * want)).sum(-1).sum(1).mean() / 4
+    seen, predict = [], model.unroll
+    monkeypatch.setattr(model, 'unroll', lambda *a: (seen.append(a[2].numpy()), predict(*a))[1])
     values = mutual.losses(held.features, tf.constant([1, 2]), is_training=True)
     assert float(values['kl']) == pytest.approx(0.5 * kl, rel=1e-4)
-    seen = []
-    predict = model.unroll
-    monkeypatch.setattr(model, 'unroll', lambda *a: (seen.append(a[2].numpy()), predict(*a))[1])
-    mutual.losses(held.features, tf.constant([1, 2]), is_training=True)
     np.testing.assert_array_equal(seen[0], seen[0][:, back])
     assert (seen[0][0, 0] != seen[0][0, 1]).all()
 

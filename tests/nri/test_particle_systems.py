@@ -11,33 +11,26 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def pair(n=2):
-    return (1.0 - np.eye(n))[None]
+PAIR = (1.0 - np.eye(2))[None]
 
 
 def test_two_springs_follow_the_cosine_and_the_order_is_two():
     k, time = 3.0, 2.0
     start = np.array([[[0.4, 0.1], [-0.2, 0.3]]])
     centre, half = start.mean(1), 0.5 * (start[:, 0] - start[:, 1])
+    omega = np.sqrt(2 * k)
+    exact = centre + half * np.cos(omega * time), -half * omega * np.sin(omega * time)
     errors = []
     for n in (50, 100, 200):
         system = Springs(n_objects=2, dt=time / n, interaction_strength=k)
-        position, velocity = leapfrog(system, start, 0 * start, pair(), n, n)
-        omega = np.sqrt(2 * k)
-        exact = centre + half * np.cos(omega * time)
-        exact_velocity = -half * omega * np.sin(omega * time)
-        errors.append(
-            max(
-                np.abs(position[:, 0, 0] - exact).max(),
-                np.abs(velocity[:, 0, 0] - exact_velocity).max(),
-            )
-        )
+        found = leapfrog(system, start, 0 * start, PAIR, n, n)
+        errors.append(max(np.abs(f[:, 0, 0] - e).max() for f, e in zip(found, exact, strict=True)))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     # Measured 2.002 and 2.0005.
     assert np.abs(order - 2).max() < 0.3
 
 
-@pytest.mark.parametrize('stiffness', [1e-4, 0.01, 0.1, 0.5, 0.75])
+@pytest.mark.parametrize('stiffness', [1e-4, 0.1, 0.75])
 def test_energy_of_springs_does_not_drift_below_the_limit(stiffness):
     """k dt² up to 94 % of the limit 4 / V = 0.8. The energy swings but must not drift."""
     system = Springs(dt=0.05, interaction_strength=stiffness / 0.05**2, box_size=1e3)
@@ -58,8 +51,8 @@ def test_above_the_limit_energy_explodes():
     system = Springs(n_objects=2, dt=0.1, interaction_strength=1.0, box_size=1e30)
     object.__setattr__(system, 'interaction_strength', 1.05 * 2.0 / 0.1**2)
     start = np.array([[[0.1, 0.0], [-0.1, 0.0]]])
-    position, velocity = leapfrog(system, start, 0 * start, pair(), 60, 20)
-    energy = [system.energy(position[:, t], velocity[:, t], pair())[0] for t in range(3)]
+    position, velocity = leapfrog(system, start, 0 * start, PAIR, 60, 20)
+    energy = [system.energy(position[:, t], velocity[:, t], PAIR)[0] for t in range(3)]
     assert energy[2] > 1e3 * energy[0]
 
 
@@ -82,27 +75,21 @@ def test_unstable_or_senseless_settings_are_refused(make, message):
 
 def test_objects_without_relations_go_straight_and_bounce():
     system = Springs(dt=0.01, box_size=1.0)
-    g = rng(1)
-    start, velocity = g.uniform(-1, 1, (2, 4, 5, 2))
+    start, velocity = rng(1).uniform(-1, 1, (2, 4, 5, 2))
     position, after = leapfrog(system, start, velocity, np.zeros((4, 5, 5)), 1000, 1000)
     # Unfolding the box: the same straight line, reflected.
     free = np.abs((start + 10.0 * velocity + 1.0) % 4.0)
     free = np.where(free > 2.0, 4.0 - free, free) - 1.0
     np.testing.assert_allclose(position[:, 0], free, atol=1e-10)
     np.testing.assert_allclose(np.abs(after[:, 0]), np.abs(velocity), atol=1e-12)
-
-
-def test_an_object_that_leaves_the_box_in_one_step_is_refused():
-    system = Springs(dt=1.0, box_size=1.0)
-    start = np.zeros((1, 5, 2))
+    coarse = Springs(dt=1.0, box_size=1.0)
     with pytest.raises(ValueError, match='left the box'):
-        leapfrog(system, start, start + 5.0, np.zeros((1, 5, 5)), 1, 1)
+        leapfrog(coarse, 0 * start, velocity + 5.0, np.zeros((4, 5, 5)), 1, 1)
 
 
 def test_charges_against_another_integrator():
     system = Charged(n_objects=3, dt=1e-4)
     charge = np.array([[1.0, -1.0, 1.0]])
-    relations = charge[:, :, None] * charge[:, None]
     start = np.array([[[1.0, 0.0], [0.0, 0.8], [-1.0, -0.5]]])
     velocity = np.array([[[0.0, 0.3], [0.2, 0.0], [0.1, -0.2]]])
 
@@ -118,10 +105,10 @@ def test_charges_against_another_integrator():
 
     state = np.concatenate([start.reshape(-1), velocity.reshape(-1)])
     other = solve_ivp(rate, (0, 0.5), state, rtol=1e-11, atol=1e-12).y[:, -1]
-    position, after = leapfrog(system, start, velocity, relations, 5000, 5000)
+    relations = charge[:, :, None] * charge[:, None]
+    found = leapfrog(system, start, velocity, relations, 5000, 5000)
     # Measured 5e-9 and 4e-8.
-    np.testing.assert_allclose(position.reshape(-1), other[:6], atol=1e-6)
-    np.testing.assert_allclose(after.reshape(-1), other[6:], atol=1e-6)
+    np.testing.assert_allclose(np.concatenate(found, axis=None), other, atol=1e-6)
 
 
 def test_charges_keep_their_energy_through_close_encounters():
@@ -138,29 +125,25 @@ def test_charges_keep_their_energy_through_close_encounters():
         assert (np.abs(after - before) / scale).max() < 0.01
 
 
-@pytest.mark.parametrize('system', [Springs(n_objects=2), Charged(n_objects=2)])
-def test_two_identical_objects_stay_finite_and_together(system):
+SYSTEMS = pytest.mark.parametrize('make', [Springs, Charged])
+
+
+@SYSTEMS
+def test_two_identical_objects_stay_finite_and_together(make):
     start = np.full((1, 2, 2), 0.3)
     for sign in (1.0, -1.0):
-        position, velocity = leapfrog(system, start, 0 * start, sign * pair(), 50, 10)
-        np.testing.assert_array_equal(position, np.broadcast_to(0.3, position.shape))
-        np.testing.assert_array_equal(velocity, 0.0)
+        found = leapfrog(make(n_objects=2), start, 0 * start, sign * PAIR, 50, 10)
+        for values, want in zip(found, (0.3, 0.0), strict=True):
+            np.testing.assert_array_equal(values, np.broadcast_to(want, values.shape))
 
 
-def test_momentum_is_kept_without_walls():
-    for system in (Springs(box_size=1e3), Charged(box_size=1e3)):
-        position, velocity, relations = simulate_particles(system, 10, 400, 200, rng(2))
-        assert position.shape == velocity.shape == (10, 2, 5, 2)
-        assert relations.shape == (10, 5, 5)
-        momentum = velocity.sum(2)
-        np.testing.assert_allclose(momentum[:, 0], momentum[:, 1], atol=1e-11)
-
-
-def test_relations_are_symmetric_and_half_of_all():
-    for system in (Springs(), Charged()):
-        relations = system.relations(rng(5), 2000)
-        np.testing.assert_array_equal(relations, relations.transpose(0, 2, 1))
-        off = relations[:, ~np.eye(5, dtype=bool)]
-        share = (off > 0).mean()
-        # 20 000 fair pairs: the standard error is 0.0035.
-        assert abs(share - 0.5) < 0.02
+@SYSTEMS
+def test_momentum_is_kept_without_walls_and_half_of_all_relations_are(make):
+    position, velocity, relations = simulate_particles(make(box_size=1e3), 10, 400, 200, rng(2))
+    assert position.shape == velocity.shape == (10, 2, 5, 2) and relations.shape == (10, 5, 5)
+    momentum = velocity.sum(2)
+    np.testing.assert_allclose(momentum[:, 0], momentum[:, 1], atol=1e-11)
+    relations = make().relations(rng(5), 2000)
+    np.testing.assert_array_equal(relations, relations.transpose(0, 2, 1))
+    # 20 000 fair pairs: the standard error is 0.0035.
+    assert abs((relations[:, ~np.eye(5, dtype=bool)] > 0).mean() - 0.5) < 0.02

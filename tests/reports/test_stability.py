@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from reports.stability import __main__ as stability_report
-from reports.stability import cases, shipped
+from reports.stability import cases, subspace_cases
 
 
 def test_outcome_follows_figure_and_threshold():
@@ -20,14 +20,14 @@ def test_outcome_follows_figure_and_threshold():
 
 
 def test_to_and_fro_turns_at_both_ends():
-    assert shipped.to_and_fro(4, 9).tolist() == [0, 1, 2, 3, 2, 1, 0, 1, 2]
-    assert shipped.hold(3, 5).tolist() == [0, 1, 2, 2, 2]
+    assert cases.to_and_fro(4, 9).tolist() == [0, 1, 2, 3, 2, 1, 0, 1, 2]
+    assert cases.hold(3, 5).tolist() == [0, 1, 2, 2, 2]
 
 
 @pytest.mark.slow
 def test_report_in_miniature(tmp_path, monkeypatch):
     """All parts on the smallest cases: every promise holds, and table, JSON and pictures agree."""
-    monkeypatch.setattr(shipped, 'SCENES', ('excavation',))
+    monkeypatch.setattr(subspace_cases, 'PRECISIONS', ('float64',))  # each is compiled for seconds
     parts = list(stability_report.PARTS)
     rows = stability_report.report(parts, True, str(tmp_path))
     assert {row.outcome for row in rows} >= {cases.HOLDS, cases.MEASURED, cases.FLAGGED}

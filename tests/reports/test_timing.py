@@ -1,5 +1,8 @@
 """The one timer, on a clock that the test turns."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from reports import timing
@@ -14,7 +17,7 @@ def clock(monkeypatch):
     return now
 
 
-def test_calls_take_turns_after_their_warm_up(clock):
+def test_calls_take_turns_after_their_warm_up_and_may_time_themselves(clock):
     order = []
 
     def job(name, seconds, **options):
@@ -24,22 +27,50 @@ def test_calls_take_turns_after_their_warm_up(clock):
 
         return timing.Job(call, **options)
 
-    jobs = {'a': job('a', 0.5, steps=5, warm_up=1), 'b': job('b', 2.0, rounds=1, warm_up=2)}
-    found = timing.in_turns(jobs, 3)
-    assert ''.join(order) == 'abb' + 'ab' + 'a' + 'a'
-    assert found['a'].samples_ms == pytest.approx((100.0,) * 3)
-    assert found['a'].processor_ms == pytest.approx((200.0,) * 3)
-    assert found['b'].samples_ms == pytest.approx((2000.0,))
-
-
-def test_calls_may_time_themselves(clock):
-    jobs = {'one': timing.Job(lambda: 0.25, steps=10), 'many': timing.Job(lambda: [0.1, 0.3])}
+    jobs = {'a': job('a', 0.5, steps=5), 'b': job('b', 2.0)}
+    jobs |= {'own': timing.Job(lambda: 0.25, steps=10), 'many': timing.Job(lambda: [0.1, 0.3])}
     found = timing.in_turns(jobs, 2)
-    assert found['one'].samples_ms == pytest.approx((25.0, 25.0))
-    assert found['many'].samples_ms == pytest.approx((100.0, 300.0) * 2)
-    assert found['many'].processor_ms == ()
+    assert ''.join(order) == 4 * 'ab'
+    assert found['a'].clock == pytest.approx((100.0,) * 2)
+    assert found['a'].processor == pytest.approx((200.0,) * 2)
+    assert found['b'].clock == pytest.approx((2000.0,) * 2)
+    assert found['own'].clock == pytest.approx((25.0, 25.0))
+    assert found['many'].clock == pytest.approx((100.0, 300.0) * 2)
+    assert not len(found['many'].processor)
 
 
 def test_a_clock_that_stands_still_is_refused(clock):
-    with pytest.raises(ValueError, match='positive samples'):
+    with pytest.raises(ValueError, match='a: times are positive'):
         timing.in_turns({'a': timing.Job(lambda: None)}, 1)
+
+
+class Live:
+    """A stepper that remembers where it was, and takes 1 s a step and 2 s for its particles."""
+
+    dt = 0.5
+
+    def __init__(self, clock):
+        self.clock, self.log = clock, []
+
+    def start(self, pose, velocity, **context):
+        self.log.append(('start', pose[0], velocity.tolist(), context))
+
+    def step(self, pose, **context):
+        self.clock[0] += 1
+        self.log.append(('step', pose[0], context))
+        return SimpleNamespace(particles=self.particles)
+
+    def particles(self):
+        self.clock[0] += 2
+
+
+def test_every_pose_after_the_first_is_a_step_that_is_given_its_context(clock):
+    poses = np.zeros((5, 7))
+    poses[:, 0], poses[:, 1] = 2.0, np.arange(5)
+    live = Live(clock)
+    assert timing.stepping(live, poses) == ([1.0] * 4, [])
+    # It starts with the speed of the path, 1 m in 0.5 s.
+    assert live.log == [('start', 2.0, [0.0, 2.0, 0.0], {})] + 4 * [('step', 2.0, {})]
+    live = Live(clock)
+    assert timing.stepping(live, poses, np.arange(5.0), every=2) == ([1.0] * 4, [3.0] * 2)
+    assert [entry[-1]['context'] for entry in live.log] == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate import evaluation, reading_utils, rollout
+from learning_to_simulate import evaluation, rollout
 from learning_to_simulate.native import model_data
 from learning_to_simulate.presets import make_config
 from learning_to_simulate.scene import Scene
 from learning_to_simulate.subspace.learned_simulator import Layout
 from learning_to_simulate.subspace.trainer import Trainer
 from pca_tools import dataset, files
-from reports.protocol import baselines, rollouts
-from reports.protocol.truth import TruthReader
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.twins.numpy_twin import Twin
 from tests.learning_to_simulate.twins.whole_state_twin import WholeStateTwin
@@ -165,27 +163,13 @@ def test_damaged_numbers_of_bodies_are_refused(made):
         wrong.check(scene)
 
 
-def test_the_protocol_judges_the_force_on_each(tmp_path):
-    """Truth, mean force and files hold the forces one behind the other, not their sum."""
-    folder = write(str(tmp_path / 'data'))
-    synthetic.write_subspace(folder)
-    reader = TruthReader(folder)
-    truth = next(reader.runs('test'))
-    run = dataset.read_split(folder, 'test')[0]
-    np.testing.assert_allclose(truth.force, run.body_force[H:].reshape(-1, 6), rtol=1e-6)
-    train = dataset.read_split(folder, 'train')
-    mean = np.mean([r.body_force.reshape(r.n_frames, 6).mean(axis=0) for r in train], axis=0)
-    (found,) = [b for b in baselines.trivial(reader) if b.name == 'mean force']
-    metadata = dataset.read_metadata(folder)
-    group = reading_utils.read_groups(folder, 'test', metadata)[0]
-    force = found.predict(group, None).force
-    np.testing.assert_allclose(force[0], np.broadcast_to(mean, (len(truth.force), 6)), rtol=1e-5)
-    arrays = {
-        'predicted_rollout': run.position[H:],
-        'particle_types': run.particle_type,
-        'predicted_forces': truth.force.reshape(-1, 2, 3).sum(axis=1),
-        'predicted_body_forces': truth.force.reshape(-1, 2, 3),
-    }
-    files.write_npz(str(tmp_path / 'rollout_test_0.npz'), **arrays)
-    (read,) = rollouts.read(str(tmp_path), 'test', 1, metadata)
-    np.testing.assert_allclose(read.force, truth.force)
+def test_errors_are_of_the_force_on_each(made):
+    """Half a newton too much on the one and too little on the other: the sum would be right."""
+    model, group = made
+    off = np.repeat([[0.5, -0.5]], 3, axis=1)
+    result = rollout.Rollout(
+        group.position[:1, H:], group.force[:1, H:] + off,
+        [rollout.Judgement(rollout.RolloutStatus.OK)], 1.0,
+    )  # fmt: skip
+    summary = evaluation.summarise([(0, group.select(0), result)], model, {}, 'test')
+    assert summary['mean']['model']['force_rmse'] == pytest.approx(0.5, rel=1e-5)

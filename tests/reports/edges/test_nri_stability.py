@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from learning_to_simulate.subspace import edge_lists
+from nri import data as nri_data
+from nri import experiment
 from nri.config import NriConfig
+from nri.model import load_model
 from pca_tools import files
 from reports.edges import nri_stability
 from tests.nri import small
@@ -37,33 +40,28 @@ def test_comparison_of_seeds_against_hand_counts():
     assert empty['jaccard'] is None and empty['correlation'] is None
 
 
-def test_stability_in_miniature(tmp_path):
+def test_the_row_of_a_seed_is_what_its_model_says(tmp_path, monkeypatch):
+    """The training itself is tested where it lies; here it leaves an untrained model."""
     data = small.write_springs(tmp_path / 'data')
+    held = nri_data.load(data, 'train')
     config = NriConfig(**small.TINY, seed=1)
-    rows = [nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)] * 2
-    again = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
-    assert again['probabilities'] == rows[0]['probabilities']
-    compared = nri_stability.compare(rows, 0.6)
-    assert compared['agreement']['mean'] == 1.0
-    nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': rows})
+
+    def train(data_path, model_path, given):
+        assert (data_path, given) == (data, config)
+        small.model(held, seed=1).save(model_path)
+        files.write_json(f'{model_path}/history.json', [{'loss': 2.0}, {'loss': 1.5}])
+        return {'test': {'status': 'OK', 'loss': 1.75}, 'seconds': 3.0}
+
+    monkeypatch.setattr(experiment, 'train', train)
+    row = nri_stability.train_seed(data, str(tmp_path / 'seed_1'), config, 0.6)
+    assert (row['valid_losses'], row['test_loss'], row['status']) == ([2.0, 1.5], 1.75, 'OK')
+    found = nri_stability.matrices([row])[0]
+    edges = load_model(str(tmp_path / 'seed_1')).edge_probabilities(held.features)[..., 1]
+    np.testing.assert_allclose(found[~np.eye(3, dtype=bool)], edges.mean(axis=0), atol=1e-5)
+    assert row['edges'] == np.count_nonzero(edges.mean(axis=0) > 0.6)
+    assert nri_stability.compare([row, row], 0.6)['agreement']['mean'] == 1.0
+    nri_stability.draw(str(tmp_path / 'a.png'), {'seeds': [row, row]})
     assert (tmp_path / 'a.png').stat().st_size > 1000
-
-
-def test_lists_show_their_pairs_and_what_they_share(tmp_path):
-    names, none = edge_lists.mode_names(3), np.full((3, 3), np.nan)
-    paths = []
-    for number, pairs in enumerate(([(0, 1), (2, 2)], [(0, 1), (1, 0)])):
-        mask = np.zeros((3, 3), bool)
-        for receiver, sender in pairs:
-            mask[receiver, sender] = True
-        paths.append(str(tmp_path / f'seed_{number}.json'))
-        edge_lists.write(paths[-1], edge_lists.EdgeList(mask, names, none, 'gates', None, {}))
-    rows = nri_stability.lists(*paths).splitlines()[2:]
-    # One pair of three is in both: from mode 2, as texts count, to mode 1.
-    assert rows == [
-        '| seed 0 | 1 | 1 | 2 to 1, 3 to 3 | 0.333 |',
-        '| seed 1 | 2 | 0 | 2 to 1, 1 to 2 | 0.333 |',
-    ]
 
 
 def test_shipped_list_is_that_of_the_seed_with_the_least_loss():

@@ -1,25 +1,23 @@
-"""A judged document whose errors are known."""
+"""Documents whose errors are known."""
 
-RUNS = [
-    {'kind': 'grid', 'motion_mm': 9.0},
-    {'kind': 'lift', 'motion_mm': 9.0},
-    {'kind': 'stops', 'motion_mm': 0.1},  # hardly moves: only its force counts
-]
+KINDS = {'grid': 9.0, 'lift': 9.0, 'stops': 0.1}  # the last hardly moves: only its force counts
+RUNS = [{'kind': kind, 'motion_mm': motion} for kind, motion in KINDS.items()]
 
 
 def document(train_runs, scale):
-    def seed(factor):
-        soil, force = [2.0, 4.0, 99.0], [0.1, 0.2, 0.4]
+    """'field' of two seeds, and 'path ridge', of which a run failed."""
+
+    def seed(factor, first=2.0):
+        soil, force = [first, 4.0, 99.0], [0.1, 0.2, 0.4]
         rows = [
-            {'soil_mm': factor * s, 'force_l2': factor * f}
+            {'soil_mm': s and factor * s, 'force_l2': factor * f}
             for s, f in zip(soil, force, strict=True)
         ]
-        return {'seed': 0, 'runs': {'test': rows}}
+        return {'seed': 0, 'runs': {'valid': rows, 'test': rows}}
 
-    ridge = seed(1.0)
-    ridge['runs']['test'][0]['soil_mm'] = None  # a run that failed
     methods = [
-        {'name': 'field', 'seeds': [seed(scale), seed(3 * scale)]},
-        {'name': 'path ridge', 'seeds': [ridge]},
+        {'name': 'field', 'baseline': False, 'seeds': [seed(scale), seed(3 * scale)]},
+        {'name': 'path ridge', 'baseline': True, 'seeds': [seed(1.0, None)]},
     ]
-    return {'data': {'train_runs': train_runs}, 'runs': {'test': RUNS}, 'methods': methods}
+    runs = {'valid': RUNS, 'test': RUNS}
+    return {'data': {'train_runs': train_runs}, 'runs': runs, 'methods': methods}

@@ -45,7 +45,7 @@ def run():
 
 def test_the_path_goes_to_and_fro_from_the_last_given_frame(run):
     model = Model()
-    (row,) = driven_cases.to_and_fro('m', model, [run], 3)
+    (row,) = driven_cases.driven_on('m', model, [run], 3)
     path, context = model.paths[0]
     length = 3 * (N_FRAME - H) + 1
     assert len(path) == len(context) == length
@@ -67,7 +67,7 @@ def test_soil_that_creeps_under_a_tool_at_rest_is_told(run):
 
 @pytest.mark.parametrize('bad, outcome', [(np.nan, cases.FAILS), (7.0, cases.FLAGGED)])
 def test_a_force_that_is_no_number_fails_and_a_status_flags(run, bad, outcome):
-    (row,) = driven_cases.to_and_fro('m', Model(bad=bad), [run], 2)
+    (row,) = driven_cases.driven_on('m', Model(bad=bad), [run], 2)
     assert row.outcome == outcome and '0 of 1 runs ok' in row.note
 
 
