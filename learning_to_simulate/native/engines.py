@@ -122,8 +122,7 @@ class CFieldSoil(Soil):
 
     def __init__(self, engine: 'CFieldEngine', state: bytes):
         self._engine, self._state = engine, state
-        self.subspace, self.up_axis = engine.subspace, engine.up
-        self.extent = engine.extent
+        self.subspace, self.up_axis, self.extent = engine.subspace, engine.up, engine.extent
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3], world, m; none of it inside the tool."""
@@ -154,7 +153,8 @@ class CFieldEngine:
         self.scene, self.starts, self.subspace = field.scene, starts, subspace
         self.up, self.extent = field.axes.up, plan_extent(field.rest, field.axes.up)
         self._field, self._c = field, soil or CField.of(field, starts, subspace)
-        self._drawn = self._c.another()  # for particles of any frame
+        self._drawn = self._c.another()  # for particles of any frame, now that of a state
+        self._drawn_state = b''
         self._other: FieldEngine | None = None
         self._uses_other = False
         self._start = self._ground = None
@@ -250,8 +250,13 @@ class CFieldEngine:
 
     def particles(self, state: bytes) -> np.ndarray:
         """float32 [N, 3], m, of a state of the library."""
-        self._drawn.load_state(state)
+        self._draw(state)
         return self._drawn.particles()
+
+    def _draw(self, state):
+        if state is not self._drawn_state:  # asked again, the library has them already
+            self._drawn.load_state(state)
+            self._drawn_state = state
 
     @property
     def state(self) -> tuple:
@@ -275,5 +280,5 @@ class CFieldEngine:
         """What the newest frame leaves out."""
         if self._uses_other:
             return self._other.explain()
-        self._drawn.load_state(self._now[1])
+        self._draw(self._now[1])
         return field_engine.left_out(self._drawn.call('moving'), len(self._field.rest))
