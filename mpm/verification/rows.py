@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -64,6 +65,26 @@ def table(path: str) -> str:
             (row['name'], f'{row["figure"]:.4g}', *bound, '' if row['passed'] else '**fails**')
         )
     return markdown.table(('check', 'figure', 'expected', 'within', ''), rows)
+
+
+def summary(path: str) -> str:
+    """Returns the kept checks as Markdown, those that check the same of other cases in one row."""
+    groups: dict[tuple, list[dict]] = {}
+    for row in checks_of(read_kept(path)):
+        subject, _, what = row['name'].partition(':')
+        # 'excavation 186', 'column collapse, a = 0.5' and 'wheel 122' without their numbers.
+        subject = re.sub(r'(, a =)? [0-9.]+$', '', subject)
+        groups.setdefault((subject, what, row['expected'], row['tolerance']), []).append(row)
+    rows = []
+    for (subject, what, expected, tolerance), members in groups.items():
+        low, high = (f'{f(row["figure"] for row in members):.3g}' for f in (min, max))
+        limit = '' if expected is None else f'{expected:.4g} +- {tolerance:.2g}'
+        failed = sum(not row['passed'] for row in members)
+        found = low if low == high else f'{low} to {high}'
+        rows.append(
+            (f'{subject}:{what}', len(members), found, limit, f'**{failed} fail**' * bool(failed))
+        )
+    return markdown.table(('check', 'rows', 'figure', 'limit', ''), rows)
 
 
 def read_kept(path: str) -> dict:
