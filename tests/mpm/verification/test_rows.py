@@ -39,6 +39,18 @@ def test_results_are_written_when_made_and_not_made_again(tmp_path):
     assert pathlib.Path(path).read_text().count('\n') == 12
 
 
+def test_checks_of_the_same_share_a_row_of_the_summary(tmp_path):
+    path = str(tmp_path / 'verify.json')
+    made = [Check('blade 7: draft', 0.9, 1.0, 0.2), Check('blade 8: draft', 1.3, 1.0, 0.2)]
+    made += [Check('blade 9: draft', 0.5), Check('blade 7: lift', 2.0, 2.0, 1.0)]
+    rows.make(path, {('entries', 'all'): rows.kept_checks(lambda: made)})
+    assert rows.summary(path).splitlines()[2:] == [
+        '| blade: draft | 2 | 0.9 to 1.3 | 1 +- 0.2 | **1 fail** |',
+        '| blade: draft | 1 | 0.5 |  |  |',
+        '| blade: lift | 1 | 2 | 2 +- 1 |  |',
+    ]
+
+
 @pytest.mark.parametrize('figure', [0.94, 1.06, float('nan')])
 def test_figure_outside_its_bounds_fails(figure):
     assert not Check('a', figure, 1.0, 0.05).passed
