@@ -144,7 +144,7 @@ def _epoch(trainer, valid, history, bar):
     epoch_seconds = time.perf_counter() - started
     if not np.isfinite(train_loss):
         raise ValueError(
-            f'loss is {train_loss} in epoch {len(history) + 1}; the checkpoint of before stays'
+            f'loss is {train_loss} in epoch {len(history) + 1}; the last good checkpoint stays'
         )
     measured = trainer.evaluate(valid)
     before = history[-1]['seconds'] if history else 0.0

@@ -100,7 +100,7 @@ def find_edges(
       data_path: the data it was trained on.
       split: runs that the posterior is averaged over.
       threshold: edges have a probability above it.
-      keep: instead, so many of the most probable edges (self-edges counted).
+      keep: instead, the number of most probable edges to keep (self-edges counted).
       self_edges: whether every node gets one.
       no_edge_type: the type that means no edge; None for type 0 of a model with `skip_first`.
       allow_degenerate: whether an empty or saturated graph is a result.

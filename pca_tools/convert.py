@@ -218,7 +218,7 @@ def define_flags() -> None:
     flags.DEFINE_integer('seed', 0, 'Seed of the split.')
     flags.DEFINE_list('hold_out', [], 'Case ids that go to the test split.')
     flags.DEFINE_integer(
-        'frame_stride', 1, 'Fit the subspace to every so many frames of a training run.'
+        'frame_stride', 1, 'Fit the subspace to every n-th frame of a training run.'
     )
     flags.DEFINE_float('max_memory_mb', 1024.0, 'Memory of the fit in MiB, beside one run.')
     flags.DEFINE_string(

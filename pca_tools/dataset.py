@@ -288,7 +288,7 @@ def _series_problems(trajectory: Trajectory) -> list[str]:
 
 
 def has_shape(values: np.ndarray, n_frames: int, of_frame: tuple) -> bool:
-    """Whether a series has so many frames of a shape, where None is any number."""
+    """Whether a series has `n_frames` frames of a shape, where None is any number."""
     return values.ndim == 1 + len(of_frame) and all(
         wanted in (None, size) for wanted, size in zip((n_frames, *of_frame), values.shape)
     )

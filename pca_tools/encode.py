@@ -38,7 +38,7 @@ class EncodedRun:
         trajectory: the record.
         parameters: all parameters of the case.
         details: see `projection_details`.
-        floors: number of modes -> mean squared error in m^2 that so many modes leave.
+        floors: number of modes -> mean squared error in m^2 that they leave.
         sample: packed particles and their number of frames, see `pca_tools.particles`.
     """
 

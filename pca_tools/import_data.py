@@ -2,7 +2,7 @@
 
 Known are DeepMind's learning_to_simulate, geoelements/gns, LagrangeBench, MPM-NGF, series of VTP
 files, plain npz, and the folders of Subspace-Graph-Physics (which become a dataset at once). The
-format is told by the files. Soil and body are told apart by the particle types: 0 rigid, 3 boundary
+format is recognised from the files. Soil and body differ by the particle types: 0 rigid, 3 boundary
 or prescribed, all others soil.
 
 Examples:

@@ -1,7 +1,7 @@
 """`metadata.json` of a dataset folder: what it must hold and how it is checked.
 
 Raw runs are of a scene with bounds, too; both are checked here alike. Every check returns
-sentences, so that a person is told all of them at once.
+sentences, so that a person sees all of them at once.
 
 The keys are DeepMind's (learning_to_simulate) and the authors' (Subspace-Graph-Physics); ours come
 on top and are optional: `schema_version`, `scene`, `frames_stored`, `n_soil`, `pca`, `cases`,

@@ -56,7 +56,7 @@ def trivial_errors(trajectory: Trajectory, n_soil: int, history: int = HISTORY) 
         trajectory: one run of more than `history` frames.
         n_soil: N; W is orthonormal, so squared score errors / (3 N) are mean squared particle
             errors.
-        history: H; prediction starts after so many frames.
+        history: H, frames before the first prediction.
 
     Returns:
         `stay_still` and `constant_velocity` mean squared errors in m^2, mean over the predicted

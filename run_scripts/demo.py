@@ -101,7 +101,7 @@ def stepping_ms(path: str, record) -> dict:
       record: `dataset.Trajectory` with poses.
 
     Returns:
-      medians: of a step with its force and, at every so many steps, of it and all particles.
+      medians: of a step with its force, and of a step with its force and all particles.
     """
     import learning_to_simulate as lts
 

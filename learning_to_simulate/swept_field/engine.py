@@ -70,7 +70,7 @@ class FieldEngine(Engine):
       name: what it is called.
 
     Raises:
-      ValueError: so many members there are not.
+      ValueError: the model has fewer members.
     """
 
     def __init__(self, field, starts, subspace=None, members=None, name: str = 'TensorFlow'):

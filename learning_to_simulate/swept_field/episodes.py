@@ -77,7 +77,7 @@ class EpisodeReader:
         Args:
           split: of the dataset.
           start_every: frames between starts in the middle of runs; 0: none there.
-          limit: only of so many runs, spread over the split; 0: of all.
+          limit: number of runs, spread over the split; 0: all.
         """
         sample = self.sample(split)
         cases = self._metadata.get('cases', {}).get(split, [])

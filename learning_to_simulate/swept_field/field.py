@@ -187,7 +187,7 @@ class SweptField:
         Args:
           frames: [T, ...] of one path.
           rest: [P, 3] from the tool's first place and the level, m (`Ground.local`).
-          members: only so many networks; None: all.
+          members: number of networks that are used; None: all.
 
         Returns:
           float32 [M, T, P, 3], m, along the way, up, across.

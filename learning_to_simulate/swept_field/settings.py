@@ -18,7 +18,7 @@ class SweptFieldConfig(Settings):
       num_steps: of training.
       batch_size: frames of a batch.
       learning_rate: the first one; it ends at 0 along a cosine.
-      train_runs: so many runs spread over train are used, 0: all (for learning curves).
+      train_runs: number of training runs, spread over train; 0: all (for learning curves).
       start_every: frames between the starts of further episodes in the middle of runs; 0: none.
       seed: of first weights and draws.
 
