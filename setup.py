@@ -28,6 +28,7 @@ EXTRAS = {
     'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
     'fmu': ['fmpy>=0.3.32'],
     'live': ['viser>=1.1.1'],
+    'page': ['ziglang>=0.14'],
     'vtk': ['vtk>=9.4'],
     'dev': ['mypy', 'playwright', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],
 }

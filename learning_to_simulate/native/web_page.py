@@ -1,15 +1,16 @@
 """Writes a page that needs no server: one HTML file with the C library as WebAssembly inside.
 
-Needs clang with lld and the C library of WASI (Debian: apt install clang lld wasi-libc
-libclang-rt-dev-wasm32). The kernels' vectors of four become those of WebAssembly.
+The compiler and its C library come with the package `ziglang` (extra `page`). The kernels' vectors
+of four become those of WebAssembly.
 """
 
 import base64
 import glob
+import importlib.util
 import json
 import os
-import shutil
 import subprocess
+import sys
 import tempfile
 
 import numpy as np
@@ -18,17 +19,14 @@ from learning_to_simulate import command
 from learning_to_simulate.native import library, project
 from pca_tools import files
 
-TARGET = ('--target=wasm32-wasi', '--sysroot={root}', '-O3', '-msimd128', '-nostartfiles',
-          '-Wl,--no-entry', '-Wl,--strip-all')  # fmt: skip
-# Where the C library of WASI may lie, below its usual prefixes.
-ROOTS = ('/usr', '/opt/wasi-sdk/share/wasi-sysroot', '/usr/share/wasi-sysroot')
-MISSING = 'apt install clang lld wasi-libc libclang-rt-dev-wasm32'
+TARGET = ('--target=wasm32-wasi', '-O3', '-msimd128', '-mexec-model=reactor', '-Wl,--no-entry',
+          '-Wl,--strip-all')  # fmt: skip
+MISSING = 'pip install ziglang, or learning_to_simulate_soil[page]'
 
 
-def sysroot() -> str | None:
-    """Folder of the C library for WebAssembly, or None."""
-    marker = os.path.join('lib', 'wasm32-wasi', 'libc.a')
-    return next((root for root in ROOTS if os.path.exists(os.path.join(root, marker))), None)
+def is_available() -> bool:
+    """Whether the compiler is there."""
+    return importlib.util.find_spec('ziglang') is not None
 
 
 def compile_model(name: str, values: dict) -> bytes:
@@ -41,10 +39,8 @@ def compile_model(name: str, values: dict) -> bytes:
     Raises:
       ValueError: no compiler for it, or one that does not compile it; the message has its words.
     """
-    clang, root = shutil.which('clang'), sysroot()
-    if clang is None or root is None:
-        lacks = 'clang' if clang is None else 'the C library of WASI'
-        raise ValueError(f'{lacks} is not there, which a page needs: {MISSING}')
+    if not is_available():
+        raise ValueError(f'there is no compiler for WebAssembly, which a page needs: {MISSING}')
     if not values.get('n_soil'):
         raise ValueError('a page draws particles: the model has no subspace')
     with tempfile.TemporaryDirectory() as folder:
@@ -56,13 +52,13 @@ def compile_model(name: str, values: dict) -> bytes:
             file.write(f'#include "lts.h"\nextern const lts_model {name};\n')
         wasm = os.path.join(folder, 'soil.wasm')
         done = subprocess.run(
-            [clang, *(part.format(root=root) for part in TARGET), f'-DLTS_MODEL={name}',
+            [sys.executable, '-m', 'ziglang', 'cc', *TARGET, f'-DLTS_MODEL={name}',
              f'-DLTS_SOIL={values["n_soil"]}', f'-I{folder}',
-             f'-I{root}/include/wasm32-wasi', *sorted(glob.glob(f'{folder}/*.c')), '-o', wasm],
+             *sorted(glob.glob(f'{folder}/*.c')), '-o', wasm],
             capture_output=True, text=True,
         )  # fmt: skip
         if done.returncode:
-            raise ValueError(f'clang cannot compile the model for a page: {done.stderr}')
+            raise ValueError(f'the model cannot be compiled for a page: {done.stderr}')
         with open(wasm, 'rb') as file:
             return file.read()
 
@@ -135,8 +131,8 @@ def run(values) -> None:
     """
     folder = os.path.dirname(os.path.abspath(values.output_path))
     command.writable_folder(folder)
-    if shutil.which('clang') is None or sysroot() is None:
-        raise ValueError(f'clang for WebAssembly is not there: {MISSING}')
+    if not is_available():
+        raise ValueError(f'there is no compiler for WebAssembly, which a page needs: {MISSING}')
     command.import_tensorflow()
     from learning_to_simulate import api, shipped
     from learning_to_simulate.live_page import recorded

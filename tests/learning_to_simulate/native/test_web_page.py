@@ -16,8 +16,8 @@ from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 SHOWN = 'docs/live/excavation.html'
-needs_clang = pytest.mark.skipif(
-    not (shutil.which('clang') and web_page.sysroot()), reason=f'needs {web_page.MISSING}'
+needs_compiler = pytest.mark.skipif(
+    not web_page.is_available(), reason=f'needs {web_page.MISSING}'
 )
 # Poses in, one a line; forces and the last particle out.
 DRIVER = """
@@ -38,7 +38,7 @@ WebAssembly.instantiate(fs.readFileSync(process.argv[1]), {}).then(({ instance }
 """
 
 
-@needs_clang
+@needs_compiler
 @pytest.mark.skipif(not shutil.which('node'), reason='no node')
 def test_webassembly_gives_the_frames_of_the_stepper(tmp_path):
     values = agreement.Opened.of('models/excavation/pcg').values()
@@ -79,11 +79,10 @@ def test_the_page_of_the_documents_is_of_the_shipped_model():
 
 
 def test_what_a_page_needs_is_named(monkeypatch):
-    monkeypatch.setattr(web_page.shutil, 'which', lambda _: None)
-    with pytest.raises(ValueError, match='clang is not there.*apt install clang'):
+    monkeypatch.setattr(web_page, 'is_available', lambda: False)
+    with pytest.raises(ValueError, match='no compiler for WebAssembly.*pip install ziglang'):
         web_page.compile_model('lts_small', {'n_soil': 3})
-    monkeypatch.setattr(web_page.shutil, 'which', lambda _: '/usr/bin/clang')
-    monkeypatch.setattr(web_page, 'sysroot', lambda: '/')
+    monkeypatch.setattr(web_page, 'is_available', lambda: True)
     with pytest.raises(ValueError, match='no subspace'):
         web_page.compile_model('lts_small', {'n_soil': 0})
 
