@@ -19,7 +19,7 @@ def only(shapes: Iterable[tuple[int, ...]], source: str) -> Iterator[None]:
       source: the file, for the message.
 
     Raises:
-      ValueError: a variable of another shape was asked for, or one too many; it is not made.
+      ValueError: a variable of another shape, or one too many; it is not made.
     """
     import tensorflow as tf  # what lists the methods imports this, and waits for none
 

@@ -16,7 +16,7 @@ SPRAY_CFL = 2.0  # cells that a single grain may fly between exchanges
 
 
 class UnstableTimeStepError(ValueError):
-    """A time step above the limit of the explicit scheme was asked for."""
+    """A time step above the limit of the explicit scheme."""
 
 
 def wave_speed(soil: Soil) -> float:

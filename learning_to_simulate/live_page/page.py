@@ -196,7 +196,7 @@ class Page:
             self.do(lambda: self.pause(True))
 
     def frame(self) -> None:
-        """One turn: what was asked for, a frame, what there is to see of it."""
+        """One turn: applies the inputs of the browsers, steps, sends what they draw."""
         while not self._commands.empty():
             self._commands.get()()
         if self._paused or not self.server.get_clients():

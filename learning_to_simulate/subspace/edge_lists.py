@@ -53,7 +53,7 @@ class EdgeList:
     # float64 [V, V] of every pair, entry [receiver, sender]; NaN where the method has none.
     probabilities: np.ndarray
     method: str  # one of `METHODS`
-    threshold: float | None  # edges lie above it; None where a number of edges was asked for
+    threshold: float | None  # edges lie above it; None where their number was given
     digests: dict[str, str | None]  # sha256 of `model` and of the `DATA_FILES` it was found on
     degenerate: str | None = None  # 'empty' or 'saturated' where that was allowed
     report: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the method; free JSON

@@ -24,7 +24,7 @@ def begin(field, starts, subspace, start, bed=None, blade_width=None):
     Args:
       field: `SweptField`.
       starts, subspace: of the model folder.
-      start: `live.starts.Start`. Where a case was asked for, the bed is that of the case; so is
+      start: `live.starts.Start`. Where it is of a case, the bed is that of the case; so is
         that of a driven wheel, which has sunk in.
       bed: None for that of the start; [N, 3] particles, m; or a `tool.bed.HeightMap`.
       blade_width: m; None for that of the case.

@@ -149,7 +149,7 @@ def test_recorded_runs_are_followed_to_their_end_and_can_be_left(name):
     path, true = (x[:, :3][:, level] for x in (shown.path(), solver.poses))
     np.testing.assert_allclose(path, true, atol=1e-9)
     shown.take_over()
-    if name == WHEEL:  # it stands until it is told to go on
+    if name == WHEEL:  # it stands until it is given a speed
         shown.steering.set('slip', 40.0)
     assert shown.run is None and shown.advance().frame == len(solver)
 

@@ -7,7 +7,7 @@ import pytest
 
 from pca_tools import convert, dataset, files
 from reports.protocol import __main__ as command
-from reports.protocol import parts, tables
+from reports.protocol import parts
 from tests.pca_tools import synthetic as raw_runs
 from tests.reports.protocol import known
 
@@ -73,19 +73,6 @@ def test_the_document_of_folds_has_every_run_of_every_seed():
     assert found['folds'] == 2 and len(found['runs']['test']) == 6
     first = found['methods'][0]['seeds'][0]['runs']['test']
     assert [run['soil_mm'] for run in first] == [2.0, 4.0, 99.0, 4.0, 8.0, 198.0]
-
-
-def test_the_table_of_sizes_joins_the_documents(tmp_path):
-    paths = [str(tmp_path / name) for name in ('a.json', 'b.json')]
-    for path, size, scale in zip(paths, (28, 7), (0.5, 1.0), strict=True):
-        files.write_json(path, known.document(size, scale))
-    lines = tables.sizes(*paths).splitlines()
-    columns = 'field: soil, mm | path ridge: soil, mm | field: force, rel. L2 | path ridge: force, '
-    assert lines[0] == f'| training runs | {columns}rel. L2 |'
-    assert lines[2:] == [
-        '| 7 | 8 (4 to 12) | 4 | 0.6 (0.3 to 0.9) | 0.3 |',
-        '| 28 | 4 (2 to 6) | 4 | 0.3 (0.15 to 0.45) | 0.3 |',
-    ]
 
 
 @pytest.mark.parametrize(
