@@ -20,7 +20,7 @@ MANIFEST = 'manifest.json'
 _ARRAYS = {
     'positions': (None, 3), 'rigid_positions': (None, 3), 'force': (3,), 'torque': (3,),
     'pose': (7,), 'step_context': (None,), 'target': (3,), 'external': (3,),
-    'subframe_force': (None, 3),
+    'subframe_force': (None, 3), 'heights': (None, None),
 }  # fmt: skip
 _REQUIRED = ('positions', 'rigid_positions', 'force', 'torque', 'pose')
 # What a run cost depends on the machine and is left out of the digest of its content.

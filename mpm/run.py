@@ -9,6 +9,7 @@ import numpy as np
 
 from mpm import bodies, scenes, splits, stability, versions
 from mpm.constitutive import Soil, friction_coefficient, make_soil
+from mpm.height_map import HeightMap
 from mpm.motions import checks
 from mpm.motions.catalogue import Motion, motion_of
 from mpm.motions.recording import Recording
@@ -35,6 +36,8 @@ class RawRun:
             actuators, at the end of the frame; None where nothing is free.
         subframe_force: float32 [T, 4, 3], N, as the force, of the quarters of the frame, of a free
             body; None where nothing is free.
+        heights: float32 [T, nx, nz], m, of the soil over the bin, see `height_map`; None in runs of
+            other solvers.
     """
 
     positions: np.ndarray
@@ -47,6 +50,7 @@ class RawRun:
     target: np.ndarray | None = None
     external: np.ndarray | None = None
     subframe_force: np.ndarray | None = None
+    heights: np.ndarray | None = None
 
 
 def prepared(
@@ -120,12 +124,13 @@ def run_case(
     started = time.process_time()
     motion = prepared(scene, case, settings, tool)
     drive, ground = motion.drive, motion.ground
+    heights = HeightMap(scene.bin, packed[0])
     simulation = make_simulation(scene, motion, packed[0], settings)
     seen: list[dict] = []
     deepest: dict[str, float] = {}
 
     def note(force, torque) -> None:
-        seen.append(_seen(scene, motion, simulation, force, torque))
+        seen.append(_seen(scene, motion, simulation, heights, force, torque))
         for name, value in simulation.penetration().items():
             deepest[name] = max(value, deepest.get(name, 0))
 
@@ -169,11 +174,13 @@ def run_case(
     return RawRun(parameters=record, **arrays)
 
 
-def _seen(scene, motion, simulation, force, torque) -> dict:
+def _seen(scene, motion, simulation, heights, force, torque) -> dict:
     """What a run records of the frame that ends now; see `RawRun`."""
     machine, now = motion.drive.machine, np.array([simulation.time])
+    particles = simulation.positions()
     seen = {
-        'positions': simulation.positions()[:: scene.bin.keep_every].astype(np.float32),
+        'positions': particles[:: scene.bin.keep_every].astype(np.float32),
+        'heights': heights(particles),
         'rigid_positions': simulation.rigid_points(),
         'force': force,
         'torque': torque,

@@ -45,6 +45,8 @@ def test_parameters_say_what_was_run(made):
     assert p['penetration_deepest_cells'] >= 0.0 and p['penetration_inside'] >= 0
     assert p['blade_width_m'] in (0.30, 0.457) and p['solver_cpu_s'] > 0.0
     assert made(small.BLADE, 'stops_9001', 3).parameters['split'] is None
+    assert (found.heights[0] == np.float32(small.BLADE.bin.surface)).all()
+    assert found.heights[-1].min() < small.BLADE.bin.surface - 0.002
     grid = made(small.BLADE, splits.grid_runs(scenes.EXCAVATION)[0], 3)
     assert grid.parameters['kind'] == 'grid' and grid.parameters['split'] in splits.SPLITS
 
