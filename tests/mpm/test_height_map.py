@@ -56,6 +56,7 @@ def test_soil_that_is_carried_over_shifts_its_heights(packed):
     i, k = nx // 3, nz // 2
     middle = CORNER + np.array([(i + 0.5) * length, (k + 0.5) * width])
     volume = np.prod(BOX.size) / len(packed)
+
     def column(x):
         away = (x[:, [0, 2]] - middle) / (length, width)
         return spline(away).prod(axis=1).sum() * volume / (length * width)
