@@ -1,0 +1,270 @@
+"""The three networks of a soil field, all members at once, and what they see and say; TensorFlow.
+
+A frame holds J strips with n bins each (`strips`, `sweep`). With f, n, b outputs of networks, I, D
+and A of the sweep, w the width of the tool and s the terrain before it (numbers of
+docs/soil_field.md):
+
+  contact     kappa = clip((HEAP sqrt(A) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), s_max the
+              highest terrain about the tool                                                  (10)
+  of a strip  with its neighbour on one side: (F_u, F_y, T, F_side) =
+              kappa w / J (FORCE, FORCE, TORQUE, FORCE) exp(clip(b, -4, 4)) n / WIDTH         (11)
+  load        F_u, F_y, T: sums over strips of the mean of both sides; the force across is the sum
+              of F_side of the left minus the right sides; torques along and up follow from the
+              lever of each strip                                                             (12)
+  stirred     g = I clip(way / STIR, 0, 1) clip((w/2 + BESIDE - |z|) / BESIDE_RAMP, 0, 1)     (13)
+  surface     rises by g LENGTH f                                                             (14)
+  particle    moves by g clip((D + BELOW - (s - y)) / BELOW_RAMP, 0, 1) LENGTH
+              (1, 1, clip(z / ACROSS, -1, 1)) f                                               (15)
+
+No load acts in the air, soil far from all that was swept rests to the last bit, and nothing jumps
+where a passage begins.
+"""
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.soil_field import strips as strips_lib
+from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.inputs import TABLES
+from learning_to_simulate.swept_field.network import _FUNCTIONS, _SQUASHES, Members
+from learning_to_simulate.tool import inputs
+
+FORCE, TORQUE = 100.0, 10.0  # N, N m of the field, for a tool of this width, m
+WIDTH = {'blade': 0.4, 'wheel': 0.1}
+GAIN_LIMIT = 4.0
+LENGTH = 0.03  # m, of what soil does
+AROUND_TOOL = (-0.06, -0.03, 0.0, 0.03, 0.06)
+# A heap of a swept area stands at most so high above the surface, in roots of the area: a slope of
+# 35 degrees on one side of an upright wall.
+HEAP = float(np.sqrt(2.0 * np.tan(np.radians(35.0))))
+ABOVE, RAMP = 0.02, 0.01
+STIR = 0.005
+BESIDE_RAMP = 0.05
+BELOW, BELOW_RAMP = 0.05, 0.03
+ACROSS = 0.05
+NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
+HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (128, 128, 128)}
+
+
+class SoilNetworks(tf.Module):
+    """Load, surface and soil.
+
+    Args:
+      tool: a class of `tools.TOOLS`.
+      members: M networks of each.
+      seed: of their first weights.
+      hidden: layers of each network.
+      grid: bins.
+    """
+
+    def __init__(self, tool, members: int, seed: int, hidden=None, grid=sweep.GRID):
+        super().__init__(name='soil_field')
+        hidden = HIDDEN if hidden is None else hidden
+        self.tool, self.members, self._grid = tool, members, grid
+        self.scalars = {n: i for i, n in enumerate((*sweep.SCALARS, *tool.scalars))}
+        self._first, self._spacing = float(grid.offsets[0]), grid.spacing
+        t = self.tables = TABLES[tool.name]
+        self.sizes = {
+            'load': [len(t.load) + len(t.side), *hidden['load'], 5],
+            'surface': [len(t.here) + len(t.tool) + 2, *hidden['surface'], 1],
+            'soil': [len(t.here) + len(t.particle) + len(t.tool) + 2, *hidden['soil'], 3],
+        }
+        self.load, self.surface, self.soil = (
+            Members(members, sizes, 3 * seed + k, name)
+            for k, (name, sizes) in enumerate(self.sizes.items())
+        )
+
+    def _scalar(self, scalars, name):
+        return scalars[..., self.scalars[name]]
+
+    def _at(self, bins, names, strip, share, place):
+        """Channels at places [B, P, k] (m from the origin) on strips [B, P] and their next ones by
+        a share [B, P]; linear, beyond the ends the ends. Name -> [B, P, k]."""
+        rows, n = tf.shape(bins)[1], tf.shape(bins)[2]
+        seen = tf.stack([bins[..., sweep.CHANNELS.index(c)] for c in names], axis=-1)
+        flat = tf.reshape(seen, [tf.shape(bins)[0], rows * n, len(names)])
+        last = tf.cast(n - 1, tf.float32)
+        along = tf.clip_by_value((place - self._first) / self._spacing, 0.0, last)
+        low = tf.minimum(tf.floor(along), last - 1.0)
+        a, k = (along - low)[..., None], tf.cast(low, tf.int32)
+
+        def row(j):
+            index = j[..., None] * n + k
+            near = tf.gather(flat, index, batch_dims=1)
+            far = tf.gather(flat, index + 1, batch_dims=1)
+            return near + a * (far - near)
+
+        found = row(strip)
+        if bins.shape[1] != 1:
+            b = share[..., None, None]
+            found = found + b * (row(tf.minimum(strip + 1, rows - 1)) - found)
+        return dict(zip(names, tf.unstack(found, axis=-1)))
+
+    def _read(self, table, values, look):
+        """Inputs [B, P, I] of a table.
+
+        Args:
+          values: name -> [B, P] of what is the same for all offsets.
+          look: names and offsets -> name -> [B, P, k].
+        """
+        at = {offsets: look(names, offsets) for offsets, names in table.offsets().items()}
+        values = {name: value[..., None] for name, value in values.items()}
+        columns = []
+        for row in table.rows:
+            there = {f'at.{name}': value for name, value in at.get(row.at, {}).items()}
+            value = inputs.evaluate(row.operand, values | there, _FUNCTIONS)
+            value = value - row.shift if row.shift else value
+            columns.append(_SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value))
+        shape = tf.shape(next(iter(values.values())))[:2]
+        return tf.concat(
+            [tf.broadcast_to(c, [*tf.unstack(shape), tf.shape(c)[-1]]) for c in columns], axis=-1
+        )
+
+    def _values(self, scalars):
+        return {name: scalars[..., i] for name, i in self.scalars.items()}
+
+    # Load.
+
+    def load_inputs(self, bins, scalars):
+        """What the load's network sees: own [B, K, I] of the K strips under the tool, sides
+        [B, K, 2, I'] with the left and the right neighbour, kappa [B, K]: (10)."""
+        under = strips_lib.N_BESIDE if bins.shape[1] > 1 else 0
+        count = self.tool.columns if bins.shape[1] > 1 else 1
+        strips = tf.range(under, under + count)[None] * tf.ones([tf.shape(bins)[0], 1], tf.int32)
+        none = tf.zeros_like(strips, tf.float32)
+        own = scalars[:, under : under + count]
+        tip, values = self._scalar(own, 'tip'), self._values(own)
+
+        def look_from(j):
+            def look(names, offsets):
+                names = [*names, *{'surface', 'cut'} - set(names)] if 'beside' in names else names
+                known = [n for n in names if n != 'beside']
+                place = tip[..., None] + tf.constant(offsets, tf.float32)
+                found = self._at(bins, known, strips, none, place)
+                if 'beside' in names:
+                    other = self._at(bins, ['surface', 'cut'], j, none, place)
+                    found['beside'] = other['surface'] - other['cut']
+                return found
+
+            return look
+
+        seen = self._read(self.tables.load, values, look_from(strips))
+        step = 1 if bins.shape[1] > 1 else 0
+        sides = tf.stack(
+            [
+                self._read(self.tables.side, values, look_from(strips + sign * step))
+                for sign in (-1, 1)
+            ],
+            axis=2,
+        )
+        place = tip[..., None] + tf.constant(AROUND_TOOL, tf.float32)
+        highest = tf.reduce_max(self._at(bins, ['surface'], strips, none, place)['surface'], -1)
+        heap = HEAP * tf.sqrt(tf.maximum(values['area'], 0.0))
+        clearance = values['height'] - values['radius'] - highest
+        kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
+        return seen, sides, kappa
+
+    def load_of(self, seen, sides, kappa, width, members=None):
+        """[M, B, 6] force along, up, across (N) and torque along, up, across (N m) of the field,
+        from `load_inputs` and widths [B]: (11), (12)."""
+        b, k = tf.shape(seen)[0], seen.shape[1]
+        both = tf.concat([tf.repeat(seen[:, :, None], 2, axis=2), sides], axis=-1)
+        found = self.load(tf.reshape(both, [-1, both.shape[-1]]), members)
+        found = tf.reshape(found, [-1, b, k, 2, 5])
+        gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
+        unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
+        share = kappa * width[:, None] / (WIDTH[self.tool.name] * k)
+        found = found[..., :4] * gain * unit * share[None, ..., None, None]
+        plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
+        across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
+        lever = (tf.range(k, dtype=tf.float32) - (k - 1) / 2) * width[:, None] / k
+        along, up, turn = (plane[..., i] for i in range(3))
+        sums = [
+            tf.reduce_sum(along, axis=2), tf.reduce_sum(up, axis=2), across,
+            -tf.reduce_sum(lever * up, axis=2), tf.reduce_sum(lever * along, axis=2),
+            tf.reduce_sum(turn, axis=2),
+        ]  # fmt: skip
+        return tf.stack(sums, axis=-1)
+
+    def loads(self, bins, scalars, members=None):
+        """`load_of` frames."""
+        width = 2.0 * self._scalar(scalars, 'half_width')[:, 0]
+        return self.load_of(*self.load_inputs(bins, scalars), width, members)
+
+    # Surface and soil.
+
+    def _places(self, bins, scalars, places, strips):
+        """Inputs [B, P, I] of places and g (13) [B, P], and what particles need beside them."""
+        (strip, share), (out, out_share), (into, into_share) = strips
+        u, z = places[..., 0], places[..., -1]
+        here = self._at(
+            bins, ['cut', 'surface', 'area_before', 'influence', 'disturbed'], strip, share,
+            u[..., None],
+        )  # fmt: skip
+        here = {name: value[..., 0] for name, value in here.items()}
+        low = tf.gather(scalars, strip, batch_dims=1)
+        if bins.shape[1] != 1:
+            high = tf.gather(scalars, tf.minimum(strip + 1, tf.shape(bins)[1] - 1), batch_dims=1)
+            low = low + share[..., None] * (high - low)
+        values = self._values(low) | here | {'u': u, 'z': z}
+
+        def look(names, offsets):
+            place = u[..., None] + tf.constant(offsets, tf.float32)
+            return self._at(bins, names, strip, share, place)
+
+        def look_at_tool(names, offsets):
+            place = values['tip'][..., None] + tf.constant(offsets, tf.float32)
+            return self._at(bins, names, strip, share, place)
+
+        # The terrain beside, farther from and nearer to the middle; nothing where they change over.
+        fade = tf.clip_by_value(tf.abs(z) / ACROSS, 0.0, 1.0)
+        beside = [
+            fade * (self._at(bins, ['surface'], j, b, u[..., None])['surface'][..., 0]
+                    - here['surface']) / LENGTH
+            for j, b in ((out, out_share), (into, into_share))
+        ]  # fmt: skip
+        seen = [
+            self._read(self.tables.here, values, look),
+            tf.stack(beside, axis=-1),
+            self._read(self.tables.tool, values, look_at_tool),
+        ]
+        across = (values['half_width'] + strips_lib.BESIDE - tf.abs(z)) / BESIDE_RAMP
+        gate = here['influence'] * tf.clip_by_value(values['way'] / STIR, 0.0, 1.0)
+        return seen, gate * tf.clip_by_value(across, 0.0, 1.0), values, look
+
+    def rise(self, bins, scalars, places, strips, members=None):
+        """By how much the surface has risen, [M, B, P] m: (14).
+
+        Args:
+          bins, scalars: of `sweep.Frame`.
+          places: [B, P, 2] u from the origin and distance across, m.
+          strips: three pairs of `Strips.shares`, int32 and float32 [B, P]: at the place, and
+            `NEIGHBOUR` farther from and nearer to the middle.
+          members: number of networks that answer; None: all.
+        """
+        seen, gate, _, _ = self._places(bins, scalars, places, strips)
+        seen = tf.concat(seen, axis=-1)
+        found = self.surface(tf.reshape(seen, [-1, seen.shape[-1]]), members)
+        return LENGTH * gate[None] * tf.reshape(found, [-1, *tf.unstack(tf.shape(gate))])
+
+    def displacement(self, bins, scalars, places, strips, members=None):
+        """By how much particles have moved, [M, B, P, 3] m along, up, across: (15); places are
+        [B, P, 3] u from the origin, height over the level, distance across, m."""
+        seen, gate, values, look = self._places(bins, scalars, places, strips)
+        values['y'] = places[..., 1]
+        seen.insert(1, self._read(self.tables.particle, values, look))
+        seen = tf.concat(seen, axis=-1)
+        deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
+        gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
+        found = self.soil(tf.reshape(seen, [-1, seen.shape[-1]]), members)
+        found = tf.reshape(found, [-1, *tf.unstack(tf.shape(gate)), 3])
+        odd = tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
+        odd = tf.stack([tf.ones_like(odd), tf.ones_like(odd), odd], axis=-1)
+        return LENGTH * gate[None, ..., None] * odd[None] * found
+
+
+def looks(strips: strips_lib.Strips, across):
+    """What `rise` and `displacement` take as strips, for distances across [...], m."""
+    sign = np.where(np.asarray(across) < 0, -1.0, 1.0)
+    pairs = [strips.shares(np.asarray(across) + d * sign) for d in (0.0, NEIGHBOUR, -NEIGHBOUR)]
+    return [(j.astype(np.int32), b.astype(np.float32)) for j, b in pairs]

@@ -1,0 +1,293 @@
+"""What a tool has swept on a terrain: the state of a soil field, in numpy and float64.
+
+A tool is a circle drawn out across the way: the round lower edge of a blade or bucket, or the rim
+of a wheel. Columns lie side by side across the way, under the tool and beside it; each has bins
+along the way. The bins are a ring about the tool: where it leaves them, those behind are dropped
+and new ones are read from the terrain, so that a path has no end and a step always costs the same.
+With the circle's centre c = (u_c, h) and radius rho, bins u_k du apart and the terrain s before the
+tool (numbers of docs/soil_field.md):
+
+  underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
+  profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
+  cut          q(u) = s(u) - p(u)                                                              (3)
+  swept area   A = sum of q(u_k) du over u_k >= u_c - WINDOW                                   (4)
+  since        way since e(u) last was below s(u), at most `FORGET`                            (5)
+  area before  A_0(u) = A when e(u) first was below s(u), 0 where it was not                   (6)
+  foremost     the largest u_c while e(u) < s(u) somewhere, at most WINDOW before the tool
+
+Soil hardly knows time: what it remembers fades with the way that the tool goes. A motion is
+d = (du_c, dh, x) where x is a length that the tool turns by: of a blade 0.1 m times its change of
+lean, of a wheel its slip R dalpha - du_c. With the way ds = |(du_c, dh)| + |x|,
+
+  memory       m <- exp(-ds / l) m + (1 - exp(-ds / l)) d / ds, for each l of MEMORIES         (7)
+
+so a tool that halts keeps what it has, and one that turns back forgets within millimetres, which
+is how soil unloads. Two cones tell how far soil may have been moved,
+
+  cone         C(v, a)_k = max_j (v_j - a |k - j|)
+  influence    I = clip(3 C(min(q / TOUCH, 1), du / REACH), 0, 1)                              (8)
+  disturbed    D = C(q, RISE du), the depth to which soil may have moved                       (9)
+
+Two calls in a row equal one call over the joined path up to (7), which sees straight pieces; moving
+path and terrain together changes nothing. Coordinates: u (m) along the way, y (m) upwards; lengths
+are those of the tool's scale (`tool.Tool`). The C form is lts_sweep.c.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from learning_to_simulate.tool.swept import cone, underside
+
+WINDOW = 0.45  # m behind and before the tool that count
+FORGET = 1.0  # m
+MEMORIES = (0.0005, 0.002, 0.008, 0.03)  # m
+# A place counts as fully cut below this depth, m; between, its influence grows with the depth, so
+# that nothing jumps when the tool first touches the soil.
+TOUCH = 0.002
+# Soil farther than this from all that was cut has not moved, m.
+REACH = 0.35
+# How steeply the zone that has moved rises away from the cut: rise per length.
+RISE = 0.5
+# Channels of the bins of a frame: (3), height of the terrain over the level, (5), (6), (8), (9).
+CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
+CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
+MOTIONS = ('along', 'up', 'turn')
+# Scalars of a frame that come from the path; `tool.Tool.scalars` has those of the tool behind them.
+SCALARS = (
+    'tip', 'height', 'lean', 'area', 'foremost', 'way', 'speed',
+    *(f'{name}_{i}' for i in range(len(MEMORIES)) for name in MOTIONS),
+)  # fmt: skip
+
+Read = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Bins along the way.
+
+    Attributes:
+      spacing: of the bins, m; no tool has a smaller radius.
+      behind, ahead: how far they reach behind and ahead of the origin, m.
+      back, on: the tool stays within so much behind and ahead of the origin, m.
+      chunk: bins by which the origin follows.
+    """
+
+    spacing: float = 0.005
+    behind: float = 0.55
+    ahead: float = 0.75
+    back: float = 0.1
+    on: float = 0.3
+    chunk: int = 20
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """[n] centres of the bins from the origin, m; 0 is one."""
+        first, last = round(self.behind / self.spacing), round(self.ahead / self.spacing)
+        return self.spacing * np.arange(-first, last + 1)
+
+
+GRID = Grid()
+
+
+class Sweep(NamedTuple):
+    """State of B columns; a function of terrain and path so far.
+
+    Attributes:
+      origin: [B] u of the bins' origin, m; bin k lies at `origin + grid.offsets[k]`.
+      surface: [B, n] height of the terrain before the tool, m.
+      profile: [B, n] the lowest of surface and undersides so far, m.
+      last: [B, n] distance travelled at the last passage below the surface, m; `-FORGET` where
+        there was none.
+      area_before: [B, n], (6), m2.
+      pose: [B, 3] u and y of the circle's centre (m) and its turn: lean of a blade, rad.
+      memory: [B, K, 3], (7).
+      travelled: [B] length of the path, m.
+      way: [B] sum of ds, m.
+      foremost: [B], m.
+      speed: [B] ds over the duration of the last frame, m/s.
+    """
+
+    origin: np.ndarray
+    surface: np.ndarray
+    profile: np.ndarray
+    last: np.ndarray
+    area_before: np.ndarray
+    pose: np.ndarray
+    memory: np.ndarray
+    travelled: np.ndarray
+    way: np.ndarray
+    foremost: np.ndarray
+    speed: np.ndarray
+
+    @property
+    def tip(self) -> np.ndarray:
+        """u [B] of the centre, m."""
+        return self.pose[:, 0]
+
+
+class Frame(NamedTuple):
+    """What the networks see of B frames of one tool.
+
+    Attributes:
+      bins: float32 [B, J, n, C] of `CHANNELS`.
+      scalars: float32 [B, J, S]: `SCALARS`, then those of the tool.
+    """
+
+    bins: np.ndarray
+    scalars: np.ndarray
+
+    def at(self, which) -> 'Frame':
+        """Some of the frames."""
+        return Frame(self.bins[which], self.scalars[which])
+
+
+def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
+    """The state before any motion. The tool has cut nothing yet, wherever it stands.
+
+    Args:
+      pose: [B, 3], see `Sweep`.
+      read: heights [B, k] of the terrain at places u [B, k] of the columns, m.
+      grid: bins.
+
+    Raises:
+      ValueError: poses or heights that are not finite.
+    """
+    pose = _checked('pose', pose)
+    origin = pose[:, 0].copy()
+    surface = _checked('terrain', read(origin[:, None] + grid.offsets))
+    none = np.zeros_like(origin)
+    return Sweep(
+        origin, surface, surface, np.full_like(surface, -FORGET), np.zeros_like(surface), pose,
+        np.zeros((len(pose), len(MEMORIES), 3)), none, none, origin, none,
+    )  # fmt: skip
+
+
+def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid = GRID) -> Sweep:
+    """Moves the circles in a straight line to their next poses; the state before is not changed.
+
+    Args:
+      state: before.
+      pose: [B, 3], see `Sweep`.
+      turn: [B], x of (7), m.
+      radius: [B], m.
+      dt: duration, s.
+      read: see `start`; called where new bins come into sight.
+      grid: bins.
+
+    Raises:
+      ValueError: a time that does not pass; poses that are not finite.
+    """
+    if not 0 < dt < np.inf:
+        raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
+    pose = _checked('pose', pose)
+    state = _followed(state, pose[:, 0], read, grid)
+    step = pose - state.pose
+    length = np.hypot(step[:, 0], step[:, 1])
+    bins = state.origin[:, None] + grid.offsets
+    height = underside(bins, state.pose[:, :2], pose[:, :2], np.asarray(radius)[:, None])
+    profile = np.minimum(state.profile, height)  # (2)
+    passed = height < state.surface
+    was_cut, is_cut = state.profile < state.surface, profile < state.surface
+    travelled = state.travelled + length
+    # In the soil the tool makes itself a new foremost place.
+    foremost = np.where(passed.any(axis=1), np.maximum(state.foremost, pose[:, 0]), state.foremost)
+    ds = length + np.abs(turn)
+    motion = np.stack([step[:, 0], step[:, 1], turn], axis=1) / np.maximum(ds, 1e-30)[:, None]
+    fade = np.exp(-ds[:, None] / np.array(MEMORIES))[..., None]
+    return Sweep(
+        state.origin,
+        state.surface,
+        profile,
+        np.where(passed, travelled[:, None], state.last),
+        # (6): the area before this frame, so that what is cut together has one value.
+        np.where(is_cut & ~was_cut, area(state, grid)[:, None], state.area_before),
+        pose,
+        fade * state.memory + (1 - fade) * motion[:, None],  # (7)
+        travelled,
+        state.way + ds,
+        np.minimum(foremost, pose[:, 0] + WINDOW),
+        ds / dt,
+    )
+
+
+def follow(origin, tip, grid: Grid = GRID):
+    """Where the bins' origin goes when a tool goes to u = tip, m."""
+    while tip - origin > grid.on:
+        origin = origin + grid.chunk * grid.spacing
+    while tip - origin < -grid.back:
+        origin = origin - grid.chunk * grid.spacing
+    return origin
+
+
+def _followed(state, tip, read, grid):
+    """The state with bins about the coming tips [B]."""
+    coming = np.array([follow(o, t, grid) for o, t in zip(state.origin, tip, strict=True)])
+    shift = np.rint((coming - state.origin) / grid.spacing).astype(int)
+    return _shifted(state, shift, coming, read, grid) if shift.any() else state
+
+
+def _shifted(state, shift, origin, read, grid):
+    """The state with the origins of its columns moved by bins [B] to u [B]."""
+    n = state.surface.shape[1]
+    index = np.arange(n) + shift[:, None]
+    is_new = (index < 0) | (index >= n)
+    old = np.clip(index, 0, n - 1)
+    surface = np.where(is_new, read(origin[:, None] + grid.offsets), _taken(state.surface, old))
+    return state._replace(
+        origin=origin,
+        surface=surface,
+        profile=np.where(is_new, surface, _taken(state.profile, old)),
+        last=np.where(is_new, state.travelled[:, None] - FORGET, _taken(state.last, old)),
+        area_before=np.where(is_new, 0.0, _taken(state.area_before, old)),
+    )
+
+
+def _taken(values, index):
+    return np.take_along_axis(values, index, axis=1)
+
+
+def area(state: Sweep, grid: Grid = GRID) -> np.ndarray:
+    """[B], m2: (4)."""
+    cut = state.surface - state.profile
+    counts = state.origin[:, None] + grid.offsets >= state.tip[:, None] - WINDOW
+    return grid.spacing * np.sum(np.where(counts, cut, 0.0), axis=1)
+
+
+def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
+    """float32 [B, n, C] of `CHANNELS`; heights from a level [B], m."""
+    cut = state.surface - state.profile
+    seen = [
+        cut,  # (3)
+        state.surface - np.asarray(level)[:, None],
+        np.minimum(state.travelled[:, None] - state.last, FORGET),  # (5)
+        state.area_before,  # (6)
+        np.clip(3.0 * cone(np.minimum(cut / TOUCH, 1.0), grid.spacing / REACH), 0.0, 1.0),  # (8)
+        cone(cut, RISE * grid.spacing),  # (9)
+    ]
+    return np.stack(seen, axis=-1).astype(np.float32)
+
+
+def scalars(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
+    """float32 [B, S] of `SCALARS`; u from the bins' origin, heights from a level [B], m."""
+    own = [
+        state.tip - state.origin,
+        state.pose[:, 1] - level,
+        state.pose[:, 2],
+        area(state, grid),
+        state.foremost - state.origin,
+        state.way,
+        state.speed,
+    ]
+    memory = state.memory.reshape(len(state.way), -1)
+    return np.concatenate([np.stack(own, axis=1), memory], axis=1).astype(np.float32)
+
+
+def _checked(name, values):
+    values = np.asarray(values, np.float64)
+    if not np.isfinite(values).all():
+        column = int(np.argwhere(~np.isfinite(values))[0][0])
+        raise ValueError(f'{name} of column {column} is not finite: {values[column]}')
+    return values

@@ -1,0 +1,154 @@
+"""`Terrain`: the ground that tools work on, a map of heights."""
+
+import weakref
+
+import numpy as np
+
+from learning_to_simulate.soil_field.tools import Soil
+from pca_tools import files
+
+CELL = 0.02  # m, of a terrain of a given size
+
+
+class Terrain:
+    """Heights on a level grid of cells; y is up, x and z lie on the ground, all in metres.
+
+    Args:
+      heights: [nx, nz] at the middles of the cells.
+      cell: side of a cell, or [2] along x and z.
+      corner: [2] lowest x and z of the map.
+      soil: what it consists of.
+      floor: below it there is no soil.
+      walled: whether the border is a wall, as that of a bin.
+
+    Raises:
+      ValueError: heights that are not finite or lie below the floor; cells of no size.
+    """
+
+    def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
+        self._heights = np.array(heights, np.float64)
+        self._works: list = []  # weak references to what changes heights when they are asked for
+        self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
+        self.corner = np.asarray(corner, np.float64)
+        self.soil = Soil() if soil is None else soil
+        self.walled = bool(walled)
+        if self._heights.ndim != 2 or not self._heights.size:
+            raise ValueError(f'heights have shape {self._heights.shape}, [nx, nz] was expected')
+        if not np.isfinite(self.heights).all():
+            place = tuple(np.argwhere(~np.isfinite(self.heights))[0].tolist())
+            raise ValueError(f'heights{list(place)} is {self.heights[place]}')
+        if not ((self.cell > 0) & np.isfinite(self.cell)).all():
+            raise ValueError(f'cell is {cell} m, must be positive')
+        if self.corner.shape != (2,) or not np.isfinite(self.corner).all():
+            raise ValueError(f'corner is {corner}, x and z in m were expected')
+        lowest = float(self.heights.min())
+        self.floor = lowest - 1.0 if floor is None else float(floor)
+        if not self.floor <= lowest:
+            raise ValueError(f'the floor at {self.floor} m lies above heights of {lowest} m')
+
+    @property
+    def heights(self) -> np.ndarray:
+        """float64 [nx, nz], m, as all tools have left them by now; may be written into."""
+        for work in list(self._works):
+            if (update := work()) is None:
+                self._works.remove(work)
+            else:
+                update()
+        return self._heights
+
+    def add_work(self, update) -> None:
+        """From now on calls a bound method before heights are read, as long as its owner lives."""
+        self._works.append(weakref.WeakMethod(update))
+
+    @classmethod
+    def flat(cls, size, height=0.0, cell=CELL, corner=(0.0, 0.0), **more):
+        """A level terrain of a size [2] along x and z, m; see the class for the rest."""
+        sides = np.broadcast_to(np.asarray(cell, np.float64), 2)
+        size = np.asarray(size, np.float64)
+        if size.shape != (2,) or not ((size > 0) & np.isfinite(size)).all():
+            raise ValueError(f'size is {size}, two positive lengths in m were expected')
+        counts = np.maximum(np.rint(size / sides), 1).astype(int)
+        return cls(np.full(counts, float(height)), cell, corner, **more)
+
+    def clone(self) -> 'Terrain':
+        """A terrain of its own with the same content."""
+        return Terrain(self.heights, self.cell, self.corner, self.soil, self.floor, self.walled)
+
+    def save(self, path: str) -> None:
+        """Writes the terrain to an `.npz` file."""
+        files.write_npz(
+            path, heights=self.heights, cell=self.cell, corner=self.corner, floor=self.floor,
+            walled=self.walled,
+            soil=np.array([self.soil.friction_angle_deg, self.soil.density, self.soil.gravity]),
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str) -> 'Terrain':
+        """Reads what `save` has written.
+
+        Raises:
+          FileNotFoundError: no such file.
+          ValueError: it holds no terrain.
+        """
+        arrays = files.read_npz(path)
+        try:
+            soil = Soil(*map(float, arrays['soil']))
+            parts = (arrays[name] for name in ('heights', 'cell', 'corner'))
+            return cls(*parts, soil, float(arrays['floor']), bool(arrays['walled']))
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f'{path}: is no terrain: {error}') from error
+
+    @property
+    def volume(self) -> float:
+        """m3 of soil above the height 0."""
+        return float(self.heights.sum() * np.prod(self.cell))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """nx, nz."""
+        return self._heights.shape
+
+    def write(self, cells, heights) -> None:
+        """Sets the heights [K] (m) of cells of some numbers [K] in the flat map."""
+        self._heights.ravel()[cells] = heights
+
+    @property
+    def middles(self) -> tuple[np.ndarray, np.ndarray]:
+        """x [nx] and z [nz] of the middles of the cells, m."""
+        x, z = (
+            self.corner[i] + self.cell[i] * (np.arange(n) + 0.5) for i, n in enumerate(self.shape)
+        )
+        return x, z
+
+    def ahead(self, place, u: float) -> float:
+        """Distance (m) along a place from u to the wall; infinite where there is none."""
+        if not self.walled:
+            return np.inf
+        here = place.origin + u * place.along
+        ends = [self.corner, self.corner + self.cell * self.shape]
+        ways = [
+            (ends[int(place.along[axis] > 0)][i] - here[axis]) / place.along[axis]
+            for i, axis in enumerate((0, 2))
+            if abs(place.along[axis]) > 1e-12
+        ]
+        return float(min(ways))
+
+    def at(self, x, z) -> np.ndarray:
+        """Heights (m) at places x, z (m, arrays of one shape), bilinear between the middles of the
+        cells; beyond the map, its border."""
+        nx, nz = self.shape
+        row, a = _cell_of((np.asarray(x) - self.corner[0]) / self.cell[0], nx)
+        column, b = _cell_of((np.asarray(z) - self.corner[1]) / self.cell[1], nz)
+        # Weighted so that a level terrain is level to the last bit.
+        h = self.heights
+        low, high = min(1, nx - 1), min(1, nz - 1)
+        near = h[row, column] + b * (h[row, column + high] - h[row, column])
+        far = h[row + low, column] + b * (h[row + low, column + high] - h[row + low, column])
+        return near + a * (far - near)
+
+
+def _cell_of(place, count):
+    """Lower neighbour of places in cells, and the share of the way to the upper one."""
+    place = np.clip(place - 0.5, 0.0, count - 1.0)
+    low = np.minimum(place.astype(np.int64), max(count - 2, 0))
+    return low, place - low

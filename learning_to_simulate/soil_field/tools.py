@@ -1,0 +1,166 @@
+"""Tools of a soil field, their scale, and soils.
+
+Dry soil that hardly knows rates has no length of its own: a scene of another size, density or
+gravity is the same scene in other units (`mpm.verification.similarity` checks it on the solver).
+So a field works in the units of a tool: lengths in `scale` m, forces in rho g scale^3 of the
+standard soil, times in the root of scale over g. A blade's scale is 1 as long as its width lies
+within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.
+"""
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+
+STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
+
+
+@dataclasses.dataclass(frozen=True)
+class Soil:
+    """Dry soil.
+
+    Attributes:
+      friction_angle_deg: of the soil in itself.
+      density: kg/m3, as packed.
+      gravity: m/s2.
+
+    Raises:
+      ValueError: a value that no soil has.
+    """
+
+    friction_angle_deg: float = 37.2348
+    density: float = STANDARD_DENSITY
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self):
+        if not 0 < self.friction_angle_deg < 90:
+            raise ValueError(
+                f'friction_angle_deg is {self.friction_angle_deg}, must lie in (0, 90)'
+            )
+        _check_positive(self, 'density', 'gravity')
+
+    @property
+    def friction(self) -> float:
+        """Tangent of the friction angle."""
+        return float(np.tan(np.radians(self.friction_angle_deg)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Tool:
+    """What a field must know of a tool.
+
+    Attributes:
+      width: across the way, m.
+      radius: of the lower edge or of the rim, m.
+    """
+
+    width: float
+    radius: float
+
+    name: ClassVar[str]
+    columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
+    scalars: ClassVar[tuple[str, ...]]  # behind those of `sweep.SCALARS`
+
+    def __post_init__(self):
+        _check_positive(self, 'width', 'radius')
+
+    @property
+    def scale(self) -> float:
+        """m of the world to one m of the field."""
+        raise NotImplementedError
+
+    def turn(self, step, scale: float) -> np.ndarray:
+        """x of (7) of `sweep` [...], in lengths of the field, of changes [..., 3] of u, y (m of the
+        field) and lean (rad)."""
+        raise NotImplementedError
+
+    def values(self, soil: Soil) -> np.ndarray:
+        """[S'] of `scalars`, in lengths of the field."""
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True)
+class Blade(Tool):
+    """A blade or bucket; its pose is that of the middle of its lower edge.
+
+    Attributes:
+      length: height of the upright outline over the edge, m.
+      bucket: 1 of a shell that is open to the front, 0 of a flat blade.
+      plates: 1 where the ends of a bucket are closed.
+    """
+
+    width: float = 0.457
+    radius: float = 0.014
+    length: float = 0.277
+    bucket: float = 0.0
+    plates: float = 0.0
+
+    name = 'blade'
+    columns = 5
+    taught_widths: ClassVar = (0.15, 0.6)
+    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'ahead')
+
+    def __post_init__(self):
+        super().__post_init__()
+        _check_positive(self, 'length')
+
+    @property
+    def scale(self):
+        return self.width / float(np.clip(self.width, *self.taught_widths))
+
+    def turn(self, step, scale):
+        """See `Tool`: 0.1 m times the change of lean."""
+        return 0.1 * step[..., 2]
+
+    def values(self, soil):
+        s = self.scale
+        return np.array(
+            [self.width / 2 / s, soil.friction, self.radius / s, self.length / s, self.bucket,
+             self.plates]
+        )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Wheel(Tool):
+    """A wheel. Its pose is that of the middle of its axle.
+
+    Attributes:
+      radius: of the rim between grousers, m.
+      lugs, lug_height: number and height (m) of its grousers.
+    """
+
+    width: float = 1 / 12
+    radius: float = 0.075
+    lugs: int = 0
+    lug_height: float = 0.0
+
+    name = 'wheel'
+    columns = 1
+    RIM: ClassVar = 0.1  # m of the field
+    scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'ahead')
+
+    @property
+    def scale(self):
+        return self.radius / self.RIM
+
+    def turn(self, step, scale):
+        """See `Tool`: the slip of the rim, positive where it spins; a wheel that rolls forward
+        leans forward, so R dalpha is -R dlean."""
+        return -self.RIM * step[..., 2] - step[..., 0]
+
+    def values(self, soil):
+        s = self.scale
+        return np.array(
+            [self.width / 2 / s, soil.friction, self.RIM, float(self.lugs), self.lug_height / s]
+        )
+
+
+TOOLS = {tool.name: tool for tool in (Blade, Wheel)}
+
+
+def _check_positive(owner, *names):
+    for name in names:
+        if not 0 < getattr(owner, name) < np.inf:
+            raise ValueError(
+                f'{type(owner).__name__}.{name} must be positive, got {getattr(owner, name)}'
+            )
