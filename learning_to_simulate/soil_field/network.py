@@ -232,35 +232,48 @@ class SoilNetworks(tf.Module):
         gate = here['influence'] * tf.clip_by_value(values['way'] / STIR, 0.0, 1.0)
         return seen, gate * tf.clip_by_value(across, 0.0, 1.0), values, look
 
+    def surface_inputs(self, bins, scalars, places, strips):
+        """What the network of the surface sees [B, P, I], and g [B, P]; arguments as of `rise`."""
+        seen, gate, _, _ = self._places(bins, scalars, places, strips)
+        return tf.concat(seen, axis=-1), gate
+
+    def rise_of(self, seen, gate, members=None):
+        """[M, ...] m, of `surface_inputs` [..., I] and [...]: (14)."""
+        found = self.surface(tf.reshape(seen, [-1, seen.shape[-1]]), members)
+        return LENGTH * gate[None] * tf.reshape(found, tf.concat([[-1], tf.shape(gate)], axis=0))
+
     def rise(self, bins, scalars, places, strips, members=None):
         """By how much the surface has risen, [M, B, P] m: (14).
 
         Args:
           bins, scalars: of `sweep.Frame`.
           places: [B, P, 2] u from the origin and distance across, m.
-          strips: three pairs of `Strips.shares`, int32 and float32 [B, P]: at the place, and
-            `NEIGHBOUR` farther from and nearer to the middle.
+          strips: of `looks`: three pairs of `Strips.shares`, int32 and float32 [B, P], at the
+            place, and `NEIGHBOUR` farther from and nearer to the middle.
           members: number of networks that answer; None: all.
         """
-        seen, gate, _, _ = self._places(bins, scalars, places, strips)
-        seen = tf.concat(seen, axis=-1)
-        found = self.surface(tf.reshape(seen, [-1, seen.shape[-1]]), members)
-        return LENGTH * gate[None] * tf.reshape(found, [-1, *tf.unstack(tf.shape(gate))])
+        return self.rise_of(*self.surface_inputs(bins, scalars, places, strips), members)
+
+    def soil_inputs(self, bins, scalars, places, strips):
+        """What the network of particles sees [B, P, I], and what its outputs are multiplied by
+        [B, P, 3]; arguments as of `displacement`."""
+        seen, gate, values, look = self._places(bins, scalars, places, strips)
+        values['y'] = places[..., 1]
+        seen.insert(1, self._read(self.tables.particle, values, look))
+        deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
+        gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
+        odd = gate * tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
+        return tf.concat(seen, axis=-1), tf.stack([gate, gate, odd], axis=-1)
+
+    def displacement_of(self, seen, gate, members=None):
+        """[M, ..., 3] m, of `soil_inputs` [..., I] and [..., 3]: (15)."""
+        found = self.soil(tf.reshape(seen, [-1, seen.shape[-1]]), members)
+        return LENGTH * gate[None] * tf.reshape(found, tf.concat([[-1], tf.shape(gate)], axis=0))
 
     def displacement(self, bins, scalars, places, strips, members=None):
         """By how much particles have moved, [M, B, P, 3] m along, up, across: (15); places are
         [B, P, 3] u from the origin, height over the level, distance across, m."""
-        seen, gate, values, look = self._places(bins, scalars, places, strips)
-        values['y'] = places[..., 1]
-        seen.insert(1, self._read(self.tables.particle, values, look))
-        seen = tf.concat(seen, axis=-1)
-        deep = values['disturbed'] + BELOW - (values['surface'] - values['y'])
-        gate = gate * tf.clip_by_value(deep / BELOW_RAMP, 0.0, 1.0)
-        found = self.soil(tf.reshape(seen, [-1, seen.shape[-1]]), members)
-        found = tf.reshape(found, [-1, *tf.unstack(tf.shape(gate)), 3])
-        odd = tf.clip_by_value(values['z'] / ACROSS, -1.0, 1.0)
-        odd = tf.stack([tf.ones_like(odd), tf.ones_like(odd), odd], axis=-1)
-        return LENGTH * gate[None, ..., None] * odd[None] * found
+        return self.displacement_of(*self.soil_inputs(bins, scalars, places, strips), members)
 
 
 def looks(strips: strips_lib.Strips, across):
