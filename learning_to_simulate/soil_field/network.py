@@ -20,6 +20,9 @@ No load acts in the air, soil far from all that was swept rests to the last bit,
 where a passage begins.
 """
 
+import functools
+from typing import Any, NamedTuple
+
 import numpy as np
 import tensorflow as tf
 
@@ -44,6 +47,17 @@ BELOW, BELOW_RAMP = 0.05, 0.03
 ACROSS = 0.05
 NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
 HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (128, 128, 128)}
+
+
+class Compiled(NamedTuple):
+    """Methods of `SoilNetworks` of these names, as functions of tensors."""
+
+    load_inputs: Any
+    surface_inputs: Any
+    soil_inputs: Any
+    loads: Any
+    rise: Any
+    displacement: Any
 
 
 class SoilNetworks(tf.Module):
@@ -72,6 +86,30 @@ class SoilNetworks(tf.Module):
         self.load, self.surface, self.soil = (
             Members(members, sizes, 3 * seed + k, name)
             for k, (name, sizes) in enumerate(self.sizes.items())
+        )
+
+    @functools.cache  # noqa: B019 - networks live as long as their functions
+    def compiled(self, n_strips: int) -> 'Compiled':
+        """Functions for frames of a number of strips, compiled where they are first called."""
+        spec = tf.TensorSpec
+        n = len(self._grid.offsets)
+        frame = [
+            spec([None, n_strips, n, len(sweep.CHANNELS)]),
+            spec([None, n_strips, len(self.scalars)]),
+        ]
+        pair = spec([None, None], tf.int32), spec([None, None])
+        pairs = [pair, pair, pair]
+
+        def made(function, *signature):
+            return tf.function(function, input_signature=signature, autograph=False)
+
+        return Compiled(
+            made(self.load_inputs, *frame),
+            made(self.surface_inputs, *frame, spec([None, None, 2]), pairs),
+            made(self.soil_inputs, *frame, spec([None, None, 3]), pairs),
+            made(self.loads, *frame),
+            made(self.rise, *frame, spec([None, None, 2]), pairs),
+            made(self.displacement, *frame, spec([None, None, 3]), pairs),
         )
 
     def _scalar(self, scalars, name):
@@ -167,17 +205,18 @@ class SoilNetworks(tf.Module):
     def load_of(self, seen, sides, kappa, width, members=None):
         """[M, B, 6] force along, up, across (N) and torque along, up, across (N m) of the field,
         from `load_inputs` and widths [B]: (11), (12)."""
-        b, k = tf.shape(seen)[0], seen.shape[1]
+        b, k = tf.shape(seen)[0], tf.shape(seen)[1]
+        count = tf.cast(k, tf.float32)
         both = tf.concat([tf.repeat(seen[:, :, None], 2, axis=2), sides], axis=-1)
         found = self.load(tf.reshape(both, [-1, both.shape[-1]]), members)
         found = tf.reshape(found, [-1, b, k, 2, 5])
         gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
         unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
-        share = kappa * width[:, None] / (WIDTH[self.tool.name] * k)
+        share = kappa * width[:, None] / (WIDTH[self.tool.name] * count)
         found = found[..., :4] * gain * unit * share[None, ..., None, None]
         plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
         across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
-        lever = (tf.range(k, dtype=tf.float32) - (k - 1) / 2) * width[:, None] / k
+        lever = (tf.range(count) - (count - 1.0) / 2.0) * width[:, None] / count
         along, up, turn = (plane[..., i] for i in range(3))
         sums = [
             tf.reduce_sum(along, axis=2), tf.reduce_sum(up, axis=2), across,

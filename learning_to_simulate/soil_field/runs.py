@@ -42,6 +42,13 @@ class Run(NamedTuple):
             walled=True,
         )  # fmt: skip
 
+    def before(self) -> Terrain:
+        """The bed before the tool stood on it; a wheel has sunk into it in the first frame."""
+        terrain = self.terrain()
+        if self.tool.name == 'wheel':
+            terrain.write(slice(None), np.median(terrain.heights))
+        return terrain
+
 
 def tool_of(case: dict) -> Tool:
     """The tool of a run, from its parameters."""

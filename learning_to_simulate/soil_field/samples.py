@@ -1,0 +1,187 @@
+"""What the three networks of a soil field learn from: inputs, gates and targets of runs.
+
+All inputs follow from terrain and path, so they are computed once. Each run counts alike, whatever
+it moves or weighs. Of places and particles a part is drawn in each frame, more of those that move;
+each drawn one stands for as many as it was drawn from.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate.soil_field import strips as strips_lib
+from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.network import looks
+from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.runs import Run
+from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY
+
+# A run that moves less than this (root mean square, m of the field) weighs no more than one that
+# does; one that feels less force, N of the field, likewise.
+LEAST_MOTION, LEAST_FORCE = 0.003, 5.0
+MOVED = 0.001  # m of the field, of what moves
+DRAWN = 48  # places or particles of a frame
+START_EVERY = 100  # frames between the starts of episodes of particles
+BATCH = 128  # frames
+
+
+class Part(NamedTuple):
+    """Samples of one network.
+
+    Attributes:
+      inputs: arrays [S, ...] that it takes, see `SoilNetworks.load_of` and so on.
+      target: [S, ...].
+      weight: [S], of squared errors.
+    """
+
+    inputs: tuple
+    target: np.ndarray
+    weight: np.ndarray
+
+
+def unit_of_force(run: Run) -> float:
+    """N of the world to one N of the field, for a tool of scale 1 times scale cubed."""
+    soil = run.soil.density * run.soil.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
+    return soil * run.tool.scale**3
+
+
+def loads_of(run: Run, place) -> np.ndarray:
+    """Measured force and torque [T, 6] along, up, across of the field, N and N m."""
+    unit = unit_of_force(run)
+    force, torque = (np.asarray(v, np.float64) @ place.axes.T for v in (run.force, run.torque))
+    return np.concatenate([force / unit, torque / (unit * run.tool.scale)], axis=1)
+
+
+class Walk:
+    """A passage along a recorded path, over the recorded terrain.
+
+    Args:
+      run: the run.
+      start: frame, a multiple of the stride of its heights.
+      set_down: see `Passage`.
+    """
+
+    def __init__(self, run: Run, start: int = 0, set_down: bool = True):
+        self._run, self.frame_number = run, start
+        terrain = run.terrain(start) if start else run.before()
+        self.passage = Passage(terrain, run.tool, run.pose[start], set_down=set_down)
+        self._all = np.arange(terrain.heights.size)
+
+    def go_on(self) -> None:
+        """Goes to the next frame."""
+        run, self.frame_number = self._run, self.frame_number + 1
+        if not self.frame_number % run.stride:
+            heights = run.heights[self.frame_number // run.stride]
+            self.passage.terrain.write(self._all, heights.ravel())
+        self.passage.step(run.pose[self.frame_number], run.dt)
+
+
+def frames_of(run: Run) -> tuple[sweep.Frame, Passage, list]:
+    """`Frame` of [T, ...] of a run, its passage at the end, and of each frame with heights its
+    number, the origin's places [K, 2] of cells and how far they have risen [K], m of the field."""
+    walk = Walk(run)
+    passage, frames, risen = walk.passage, [], []
+    while True:
+        frames.append(passage.frame)
+        t = walk.frame_number
+        if not t % run.stride:
+            cells, places, before = passage.surroundings()
+            now = run.heights[t // run.stride].ravel()[cells]
+            risen.append((t, places, (now - before) / passage.scale))
+        if t + 1 == len(run.pose):
+            return sweep.Frame(*map(np.concatenate, zip(*frames, strict=True))), passage, risen
+        walk.go_on()
+
+
+def load_part(networks, run: Run, frames: sweep.Frame, place) -> Part:
+    """Samples of the load: all frames in which the tool may feel soil."""
+    call = networks.compiled(frames.bins.shape[1]).load_inputs
+    parts = [
+        [x.numpy() for x in call(*map(tf.constant, frames.at(slice(i, i + BATCH))))]
+        for i in range(0, len(frames.scalars), BATCH)
+    ]
+    seen, sides, kappa = (np.concatenate(x) for x in zip(*parts, strict=True))
+    width = np.full(len(seen), run.tool.width / run.tool.scale, np.float32)
+    load = loads_of(run, place)
+    size = max(float(np.sqrt((load[:, :2] ** 2).sum(axis=1).mean())), LEAST_FORCE)
+    felt = kappa.max(axis=1) > 0
+    target = load.astype(np.float32)
+    weight = np.full(len(seen), 1.0 / size**2, np.float32)
+    return Part(tuple(x[felt] for x in (seen, sides, kappa, width)), target[felt], weight[felt])
+
+
+def _drawn(rng, moves, count):
+    """Indices of about `count` of [K], half of them of those that move, and for how many each of
+    them stands."""
+    chosen, stands = [], []
+    for group in (np.flatnonzero(moves), np.flatnonzero(~moves)):
+        if len(group):
+            some = rng.choice(group, min(len(group), count // 2), replace=False)
+            chosen.append(some)
+            stands.append(np.full(len(some), len(group) / len(some)))
+    return np.concatenate(chosen), np.concatenate(stands)
+
+
+def surface_part(networks, run: Run, frames: sweep.Frame, passage, risen, rng) -> Part:
+    """Samples of the surface."""
+    motion = np.sqrt(np.mean(np.concatenate([rise for *_, rise in risen]) ** 2))
+    rows = []
+    for t, places, rise in risen[1:]:
+        chosen, stands = _drawn(rng, np.abs(rise) > MOVED, DRAWN)
+        seen, gate = networks.compiled(frames.bins.shape[1]).surface_inputs(
+            *_one(frames, t), *_places(passage.strips, places[chosen])
+        )
+        weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
+        rows.append((seen.numpy()[0], gate.numpy()[0], rise[chosen], weight))
+    return _part(rows)
+
+
+def soil_part(networks, run: Run, rng) -> Part:
+    """Samples of particles: episodes that begin in the middle of the run too, none longer than the
+    bins reach."""
+    rows: list = []
+    last = len(run.pose) - 2 * run.stride
+    first = START_EVERY - START_EVERY % run.stride
+    for start in range(0, last, first):
+        walk = Walk(run, start, set_down=start == 0)
+        passage, origin = walk.passage, walk.passage.state.origin[0]
+        local = passage.place.local(run.particles[:, :]) / passage.scale  # type: ignore[index]
+        rest = local[start // run.stride]
+        reach = run.tool.width / passage.scale / 2 + strips_lib.BESIDE
+        near = np.abs(rest[:, 2]) < reach
+        while walk.frame_number + 1 < len(run.pose):
+            walk.go_on()
+            t = walk.frame_number
+            if passage.state.origin[0] != origin:
+                break
+            if t % (2 * run.stride):
+                continue
+            moved = local[t // run.stride] - rest
+            chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near, DRAWN)
+            places = rest[chosen] - [origin, passage.level, 0.0]
+            seen, gate = networks.compiled(len(passage.strips.centres)).soil_inputs(
+                *map(tf.constant, passage.frame), *_places(passage.strips, places)
+            )
+            rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
+    part = _part(rows)
+    motion = np.sqrt((part.weight[:, None] * part.target**2).sum() / part.weight.sum())
+    return part._replace(weight=part.weight / max(motion, LEAST_MOTION) ** 2)
+
+
+def _one(frames, t):
+    return tf.constant(frames.bins[t : t + 1]), tf.constant(frames.scalars[t : t + 1])
+
+
+def _places(strips, places):
+    """Places [P, ...] and their strips as a network takes those of one frame."""
+    pairs = [(tf.constant(j[None]), tf.constant(b[None])) for j, b in looks(strips, places[:, -1])]
+    return tf.constant(places[None].astype(np.float32)), pairs
+
+
+def _part(rows):
+    seen, gate, target, weight = (
+        np.concatenate(x).astype(np.float32) for x in zip(*rows, strict=True)
+    )
+    felt = gate.reshape(len(gate), -1).max(axis=1) > 0
+    return Part((seen[felt], gate[felt]), target[felt], weight[felt])

@@ -1,0 +1,128 @@
+"""Training of the three networks of a soil field, one after the other, from samples of runs.
+
+Every draw is a function of (seed, step). With the errors e of the members,
+
+  L_load = sum over members of the mean of weight |COMPONENTS e|^2                            (16)
+  L_surface, L_soil = sum over members of the mean of weight |e / LENGTH|^2                   (17)
+"""
+
+import numpy as np
+import tensorflow as tf
+import tqdm
+
+from learning_to_simulate.soil_field import network, samples
+from learning_to_simulate.soil_field.runs import Run
+from learning_to_simulate.soil_field.settings import BATCHES, SoilFieldConfig
+from learning_to_simulate.soil_field.tools import TOOLS
+
+CLIP_NORM = 1.0
+# How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m.
+COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
+_STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
+
+
+def make_networks(config: SoilFieldConfig, tool_name: str) -> network.SoilNetworks:
+    """Fresh networks for tools of a name."""
+    return network.SoilNetworks(TOOLS[tool_name], config.members, config.seed)
+
+
+def parts_of(networks, runs: list[Run], seed: int, progress=iter) -> dict[str, list]:
+    """Name of a network -> samples of runs, pooled by their shapes (loads of uneven terrain have
+    five strips, of even terrain one).
+
+    Raises:
+      ValueError: no runs.
+    """
+    if not runs:
+        raise ValueError('no runs to learn from')
+    pools: dict[str, dict] = {'load': {}, 'surface': {}, 'soil': {}}
+    for number, run in enumerate(progress(runs)):
+        rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 9, number]))
+        frames, passage, risen = samples.frames_of(run)
+        found = {
+            'load': samples.load_part(networks, run, frames, passage.place),
+            'surface': samples.surface_part(networks, run, frames, passage, risen, rng),
+        }
+        if run.particles is not None:
+            found['soil'] = samples.soil_part(networks, run, rng)
+        for name, part in found.items():
+            pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
+    return {name: [_joined(parts) for parts in pool.values()] for name, pool in pools.items()}
+
+
+def _joined(parts):
+    inputs = zip(*(part.inputs for part in parts), strict=True)
+    return samples.Part(
+        tuple(map(np.concatenate, inputs)),
+        np.concatenate([part.target for part in parts]),
+        np.concatenate([part.weight for part in parts]),
+    )
+
+
+def fit(networks, config: SoilFieldConfig, pools: dict[str, list], progress=True) -> dict:
+    """Trains all networks on `parts_of`; returns their mean losses over the last tenth.
+
+    Raises:
+      ValueError: a loss that is not finite.
+    """
+    components = tf.constant(COMPONENTS[networks.tool.name], tf.float32) / network.FORCE
+    scales = {'load': components, 'surface': 1 / network.LENGTH, 'soil': 1 / network.LENGTH}
+    calls = {
+        'load': networks.load_of, 'surface': networks.rise_of, 'soil': networks.displacement_of,
+    }  # fmt: skip
+    return {
+        f'loss_{name}': _fit(getattr(networks, name), calls[name], scales[name], name, parts,
+                             config, progress)
+        for name, parts in pools.items()
+        if parts
+    }  # fmt: skip
+
+
+def _fit(part, call, scale, name, pools, config, progress):
+    variables = part.trainable_variables
+    schedule = tf.keras.optimizers.schedules.CosineDecay(config.learning_rate, config.num_steps)
+    optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
+    optimizer.build(variables)
+    counts = np.array([len(pool.weight) for pool in pools])
+    mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
+    batch = BATCHES[name]
+    # Pools are drawn from by their shares.
+    sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
+
+    @tf.function(autograph=False)
+    def step(drawn):
+        with tf.GradientTape() as tape:
+            total = 0.0
+            for inputs, target, weight in drawn:
+                error = (call(*inputs) - target) * scale
+                square = error**2
+                if len(target.shape) > 1:
+                    square = tf.reduce_sum(square, axis=-1)
+                # Summed over members, which know nothing of each other.
+                total += tf.reduce_sum(square * weight)
+            loss = total / batch
+        gradient = tape.gradient(loss, variables)
+        optimizer.apply_gradients(zip(gradient, variables, strict=True))
+        return loss
+
+    late = []
+    bar = tqdm.trange(config.num_steps, unit='step', desc=name, disable=None if progress else True)
+    for number in bar:
+        rng = np.random.Generator(
+            np.random.Philox(key=config.seed, counter=[0, 0, _STREAMS[name], number])
+        )
+        drawn = []
+        for pool, size in zip(pools, sizes, strict=True):
+            rows = rng.integers(len(pool.weight), size=size)
+            inputs = tuple(x[rows] for x in pool.inputs)
+            weight = (pool.weight[rows] / mean).astype(np.float32)
+            drawn.append((inputs, pool.target[rows], weight))
+        loss = step(drawn)
+        if number % 50 == 0 or number >= 0.9 * config.num_steps:
+            value = float(loss) / config.members
+            if not np.isfinite(value):
+                raise ValueError(f'the loss of the {name} is {value} at step {number}')
+            bar.set_postfix(loss=f'{value:.3g}')
+            if number >= 0.9 * config.num_steps:
+                late.append(value)
+    return float(np.mean(late))
