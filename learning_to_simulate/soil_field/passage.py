@@ -118,7 +118,7 @@ class Passage:
         """Moves the tool in a straight line to a pose [7] within dt s.
 
         Raises:
-          ValueError: a time that does not pass, a pose that is none or farther away than `MAX_STEP`;
+          ValueError: a time that does not pass, no pose, or one farther away than `MAX_STEP`;
             the passage is as it was.
         """
         check_time(dt)
