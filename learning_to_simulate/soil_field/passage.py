@@ -6,12 +6,14 @@ import numpy as np
 
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.place import place_of
+from learning_to_simulate.soil_field.place import checked_pose, place_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
+from learning_to_simulate.tool.swept import check_time
 
 AHEAD = 0.7  # m of the field, farther walls do not matter
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
+MAX_STEP = 20.0  # m of the field along the way in one frame
 _SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
@@ -28,13 +30,18 @@ class Passage:
       rise: gives how far the surface has risen [K] since, of this passage and places [K, 2] u from
         the origin and across, all in m of the field; or None.
       set_down: whether the tool comes from above; else it stands in soil that it has not moved.
-      even: whether all strips count as the middle one; None: where they are.
+      even: whether the terrain counts as level across the way, so that one strip as wide as the
+        tool does; None: as long as it is.
       grid: bins.
 
     Attributes:
-      place, scale, strips: of the passage.
+      place, scale, strips: of the passage; from one strip it goes over to all of them where even
+        terrain ends.
       state: `sweep.Sweep`; one row for each strip.
       level: height that those of frames count from, m of the field.
+
+    Raises:
+      ValueError: see `place_of`.
     """
 
     def __init__(
@@ -48,13 +55,11 @@ class Passage:
         # s of the field: in the root of scale over g.
         self._time = np.sqrt(STANDARD_GRAVITY / terrain.soil.gravity * self.scale)
         self._pose = self.seen(pose)
-        self.strips = strips_lib.strips_of(tool)
-        if even is None:
-            read = self._read(self._pose[:1] + grid.offsets)
-            even = bool(np.ptp(read, axis=0).max() <= EVEN)
-        if even:
-            self.strips = strips_lib.EVEN
-        self._radius = np.full(len(self.strips.centres), tool.radius / self.scale)
+        # Whether to look if the terrain goes on being even.
+        self._looks = even is None and tool.columns > 1
+        if self._looks:
+            even = self._is_even(self._pose[0] + grid.offsets)
+        self._take(strips_lib.strips_of(tool, bool(even)))
         first = self._rows(self._pose)
         self.state = sweep.start(first, self._read, grid)
         self.level = float(self.state.surface.mean())
@@ -63,15 +68,40 @@ class Passage:
             above[:, 1] = max(first[0, 1], surface.max() + self._radius[0] + _SET_DOWN)
             self.state = sweep.start(above, lambda u: surface, grid)
             self._advance(first, 0.0, 1.0)
-        # Of cells in sight, by their number: what they were before the tool.
-        self._cells, self._before = np.zeros(0, np.int64), np.zeros(0)
+        # Of cells in sight, by their number: heights before the tool, and as it left them, m.
+        self._cells, self._before, self._left = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
         self._is_stale = False
         self._see()
+        self._is_stale = set_down
 
     def seen(self, pose) -> np.ndarray:
         """u, y (m of the field) and lean (rad) of a pose [7]."""
+        pose = checked_pose(pose)
         u, y, _ = self.place.local(pose[:3]) / self.scale
         return np.array([u, y, self.place.turns(pose)[0]])
+
+    def _is_even(self, u):
+        """Whether all strips are equal at places u [k]."""
+        strips = strips_lib.strips_of(self.tool)
+        u = np.broadcast_to(u, (len(strips.centres), len(u)))
+        read = strips_lib.heights(self.terrain, self.place, self.scale, strips, u)
+        return bool(np.ptp(read, axis=0).max(initial=0.0) <= EVEN)
+
+    def _take(self, strips):
+        self.strips = strips
+        # A sharper edge would fall between the bins.
+        radius = max(self.tool.radius / self.scale, self._grid.spacing / 2)
+        self._radius = np.full(len(strips.centres), radius)
+
+    def _look_ahead(self, origin):
+        """Takes all strips from where the bins that come into sight are not even."""
+        low, high = self.state.origin[0] + self._grid.offsets[[0, -1]]
+        coming, half = origin + self._grid.offsets, self._grid.spacing / 2
+        if self._is_even(coming[(coming < low - half) | (coming > high + half)]):
+            return
+        self._looks = False
+        self._take(strips_lib.strips_of(self.tool))
+        self.state = sweep.Sweep(*(np.repeat(x, len(self._radius), axis=0) for x in self.state))
 
     def _rows(self, pose):
         return np.repeat(pose[None], len(self.strips.centres), axis=0)
@@ -85,52 +115,74 @@ class Passage:
         self.state = sweep.advance(self.state, rows, turn, self._radius, dt, self._read, self._grid)
 
     def step(self, pose, dt: float) -> None:
-        """Moves the tool to a pose [7] within dt s.
+        """Moves the tool in a straight line to a pose [7] within dt s.
 
         Raises:
-          ValueError: see `sweep.advance`.
+          ValueError: a time that does not pass, no pose, or one farther away than `MAX_STEP`;
+            the passage is as it was.
         """
+        check_time(dt)
         coming = self.seen(pose)
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
-        origin = self.state.origin[0]
-        if sweep.follow(origin, coming[0], self._grid) != origin:
+        # No farther at once than a chunk, so that no cell goes by unseen.
+        before, chunk = self._pose, self._grid.chunk * self._grid.spacing
+        if abs(change[0]) > MAX_STEP:
+            raise ValueError(
+                f'the tool goes {self.scale * change[0]:.4g} m within one frame, at most '
+                f'{self.scale * MAX_STEP:.4g} m can be followed: give poses between'
+            )
+        count = max(int(np.ceil(abs(change[0]) / chunk - 1e-9)), 1)
+        for i in range(1, count):
+            self._go(before + i / count * change, change / count, dt / count)
+        self._go(coming, change / count, dt / count)
+
+    def _go(self, coming, change, dt):
+        origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0], self._grid)
+        if to != origin:
             self.update()  # the last chance of cells that the bins leave
-        self._advance(self._rows(coming), self.tool.turn(change, self.scale), dt / self._time)
-        self._pose, self._is_stale = coming, True
-        if self.state.origin[0] != origin:
+            if self._looks:
+                self._look_ahead(to)
+        self._advance(self._rows(coming), self.tool.turn(change), dt / self._time)
+        self._pose = coming
+        if to != origin:
             self._see()
+        self._is_stale = True
 
     def _see(self):
         """Remembers what cells were that have come into sight, and forgets those out of sight."""
-        low, high = self.state.origin[0] + self._grid.offsets[[0, -1]]
-        cells = self._within(low, high)[0]
-        known = np.searchsorted(self._cells, cells)
-        known = np.minimum(known, max(len(self._cells) - 1, 0))
-        is_known = self._cells[known] == cells if len(self._cells) else np.zeros(len(cells), bool)
-        heights = self.terrain.heights.ravel()[cells]
-        if len(self._cells):
-            heights = np.where(is_known, self._before[known], heights)
-        self._cells, self._before = cells, heights
+        cells, u, across = self._within(*(self.state.origin[0] + self._grid.offsets[[0, -1]]))
+        before = self.terrain.heights.ravel()[cells]
+        left = before.copy()
+        _, now, old = np.intersect1d(cells, self._cells, assume_unique=True, return_indices=True)
+        before[now], left[now] = self._before[old], self._left[old]
+        self._cells, self._before, self._left = cells, before, left
+        self._places = np.stack([u, across], axis=1)
 
     def update(self) -> None:
-        """Writes the heights about the tool into its terrain."""
+        """Writes the heights about the tool into its terrain. What others have changed there since
+        stays: the terrain before the tool counts as changed by so much."""
         if not self._is_stale or self._rise is None:
             return
         self._is_stale = False
+        near = self._near()
+        self._before[near] += self.terrain.heights.ravel()[self._cells[near]] - self._left[near]
         cells, places, before = self.surroundings()
-        rise = self.scale * self._rise(self, places)
-        self.terrain.write(cells, before + rise)
+        self.terrain.write(cells, before + self.scale * self._rise(self, places))
+        self._left[near] = self.terrain.heights.ravel()[cells]
 
     def surroundings(self):
         """The cells about the tool: their numbers int [K] in the flat map, places [K, 2] u from the
         origin and across (m of the field), and heights [K] before the tool, m."""
-        tip, chunk = self.state.tip[0], self._grid.chunk * self._grid.spacing
-        cells, u, z = self._within(tip - sweep.WINDOW - chunk, tip + sweep.WINDOW)
-        at = np.minimum(np.searchsorted(self._cells, cells), max(len(self._cells) - 1, 0))
-        known = self._cells[at] == cells if len(self._cells) else np.zeros(len(cells), bool)
-        places = np.stack([u - self.state.origin[0], z], axis=1)
-        return cells[known], places[known], self._before[at[known]]
+        near = self._near()
+        places = self._places[near] - [self.state.origin[0], 0.0]
+        return self._cells[near], places, self._before[near]
+
+    def _near(self):
+        """Which of the remembered cells lie about the tool. Between two updates it goes a chunk."""
+        ahead = self._places[:, 0] - self.state.tip[0]
+        reach = sweep.WINDOW + self._grid.chunk * self._grid.spacing
+        return np.abs(ahead) <= reach
 
     def _within(self, low, high):
         """Ascending numbers of the cells between places low and high along the way (m of the

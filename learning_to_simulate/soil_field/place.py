@@ -63,15 +63,30 @@ def place_of(pose) -> Place:
     """The place of a tool at a pose [7] that goes where it looks.
 
     Raises:
-        ValueError: the tool lies on its side, so that it looks nowhere.
+        ValueError: a pose that is not finite, or a tool on its side, so that it looks nowhere.
     """
-    pose = np.asarray(pose, np.float64)
+    pose = checked_pose(pose)
     across = rotation(pose) @ UPRIGHT[2] * np.array([1.0, 0.0, 1.0])
     length = np.linalg.norm(across)
     if length < 1e-3:
         raise ValueError(f'the tool lies on its side (quaternion {pose[3:]}): it looks nowhere')
     across = across / length
     return Place(pose[:3] * np.array([1.0, 0.0, 1.0]), np.cross(UP, across), across)
+
+
+def checked_pose(pose) -> np.ndarray:
+    """A pose [7] as float64.
+
+    Raises:
+        ValueError: another shape, values that are not finite, or a quaternion that is not of
+          length 1 (to 1e-3).
+    """
+    pose = np.asarray(pose, np.float64)
+    if pose.shape != (7,) or not np.isfinite(pose).all():
+        raise ValueError(f'pose is {pose}, place in m and unit quaternion [7] were expected')
+    if abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
+        raise ValueError(f'quaternion {pose[3:]} (w, x, y, z) must have length 1')
+    return pose
 
 
 def rotation(pose) -> np.ndarray:

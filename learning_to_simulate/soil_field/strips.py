@@ -2,7 +2,7 @@
 
 Under a blade of width w lie five strips of w / 5, beside it on either side three of 0.1 m. The
 height of a strip at some place along the way is the mean over its width. Where all strips are
-equal, one of them does: `even`.
+equal, one as wide as the tool does.
 """
 
 from typing import NamedTuple
@@ -41,10 +41,10 @@ class Strips(NamedTuple):
         return low, np.clip((across - self.centres[low]) / gap, 0.0, 1.0)
 
 
-def strips_of(tool: Tool) -> Strips:
-    """The strips of a tool; one for a tool that knows no neighbours."""
+def strips_of(tool: Tool, even: bool = False) -> Strips:
+    """The strips of a tool; one on even terrain, and for a tool that knows no neighbours."""
     width, count = tool.width / tool.scale, tool.columns
-    if count == 1:
+    if even or count == 1:
         return Strips(np.zeros(1), np.array([width]), slice(0, 1))
     under = (np.arange(count) - (count - 1) / 2) * width / count
     beside = width / 2 + BESIDE_WIDTH * (np.arange(N_BESIDE) + 0.5)
@@ -56,9 +56,6 @@ def strips_of(tool: Tool) -> Strips:
         ),
         slice(N_BESIDE, N_BESIDE + count),
     )  # fmt: skip
-
-
-EVEN = Strips(np.zeros(1), np.ones(1), slice(0, 1))
 
 
 def heights(terrain: Terrain, place: Place, scale: float, strips: Strips, u) -> np.ndarray:

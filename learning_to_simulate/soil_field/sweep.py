@@ -10,7 +10,7 @@ tool (numbers of docs/soil_field.md):
   underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
   profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
   cut          q(u) = s(u) - p(u)                                                              (3)
-  swept area   A = sum of q(u_k) du over u_k >= u_c - WINDOW                                   (4)
+  swept area   A = sum of q(u_k) du over |u_k - u_c| <= WINDOW, of the outermost their share   (4)
   since        way since e(u) last was below s(u), at most `FORGET`                            (5)
   area before  A_0(u) = A when e(u) first was below s(u), 0 where it was not                   (6)
   foremost     the largest u_c while e(u) < s(u) somewhere, at most WINDOW before the tool
@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.tool.swept import cone, underside
+from learning_to_simulate.tool.swept import check_time, cone, underside
 
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
@@ -69,7 +69,7 @@ class Grid:
     """Bins along the way.
 
     Attributes:
-      spacing: of the bins, m; no tool has a smaller radius.
+      spacing: of the bins, m; an edge of less than half of it would fall between them.
       behind, ahead: how far they reach behind and ahead of the origin, m.
       back, on: the tool stays within so much behind and ahead of the origin, m.
       chunk: bins by which the origin follows.
@@ -180,8 +180,7 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
     Raises:
       ValueError: a time that does not pass; poses that are not finite.
     """
-    if not 0 < dt < np.inf:
-        raise ValueError(f'a frame must last longer than 0 s, got {dt}: time does not go back')
+    check_time(dt)
     pose = _checked('pose', pose)
     state = _followed(state, pose[:, 0], read, grid)
     step = pose - state.pose
@@ -214,17 +213,17 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
 
 
 def follow(origin, tip, grid: Grid = GRID):
-    """Where the bins' origin goes when a tool goes to u = tip, m."""
-    while tip - origin > grid.on:
-        origin = origin + grid.chunk * grid.spacing
-    while tip - origin < -grid.back:
-        origin = origin - grid.chunk * grid.spacing
-    return origin
+    """Where the bins' origins [...] go when tools go to u = tip [...], m; by whole chunks, and no
+    farther than needed."""
+    chunk, offset = grid.chunk * grid.spacing, tip - origin
+    on = np.maximum(np.ceil((offset - grid.on) / chunk), 0.0)
+    back = np.maximum(np.ceil((-grid.back - offset) / chunk), 0.0)
+    return origin + chunk * (on - back)
 
 
 def _followed(state, tip, read, grid):
     """The state with bins about the coming tips [B]."""
-    coming = np.array([follow(o, t, grid) for o, t in zip(state.origin, tip, strict=True)])
+    coming = follow(state.origin, tip, grid)
     shift = np.rint((coming - state.origin) / grid.spacing).astype(int)
     return _shifted(state, shift, coming, read, grid) if shift.any() else state
 
@@ -235,7 +234,8 @@ def _shifted(state, shift, origin, read, grid):
     index = np.arange(n) + shift[:, None]
     is_new = (index < 0) | (index >= n)
     old = np.clip(index, 0, n - 1)
-    surface = np.where(is_new, read(origin[:, None] + grid.offsets), _taken(state.surface, old))
+    coming = _checked('terrain', read(origin[:, None] + grid.offsets))
+    surface = np.where(is_new, coming, _taken(state.surface, old))
     return state._replace(
         origin=origin,
         surface=surface,
@@ -252,8 +252,9 @@ def _taken(values, index):
 def area(state: Sweep, grid: Grid = GRID) -> np.ndarray:
     """[B], m2: (4)."""
     cut = state.surface - state.profile
-    counts = state.origin[:, None] + grid.offsets >= state.tip[:, None] - WINDOW
-    return grid.spacing * np.sum(np.where(counts, cut, 0.0), axis=1)
+    distance = np.abs(state.origin[:, None] + grid.offsets - state.tip[:, None])
+    share = np.clip((WINDOW - distance) / grid.spacing + 0.5, 0.0, 1.0)
+    return grid.spacing * np.sum(share * cut, axis=1)
 
 
 def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
@@ -277,7 +278,8 @@ def scalars(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:
         state.pose[:, 1] - level,
         state.pose[:, 2],
         area(state, grid),
-        state.foremost - state.origin,
+        # Farther behind, as of a tool that goes on in the air, it tells nothing of what is near.
+        np.maximum(state.foremost, state.tip - WINDOW) - state.origin,
         state.way,
         state.speed,
     ]

@@ -26,7 +26,7 @@ class Terrain:
     """
 
     def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
-        self._heights = np.array(heights, np.float64)
+        self._heights = np.array(heights, np.float64, order='C')  # `write` needs a flat view
         self._works: list = []  # weak references to what changes heights when they are asked for
         self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
         self.corner = np.asarray(corner, np.float64)
@@ -109,8 +109,9 @@ class Terrain:
         return self._heights.shape
 
     def write(self, cells, heights) -> None:
-        """Sets the heights [K] (m) of cells of some numbers [K] in the flat map."""
-        self._heights.ravel()[cells] = heights
+        """Sets the heights [K] (m) of cells of some numbers [K] in the flat map; at the floor soil
+        ends."""
+        self._heights.reshape(-1)[cells] = np.maximum(heights, self.floor)
 
     @property
     def middles(self) -> tuple[np.ndarray, np.ndarray]:

@@ -69,7 +69,7 @@ class Tool:
         """m of the world to one m of the field."""
         raise NotImplementedError
 
-    def turn(self, step, scale: float) -> np.ndarray:
+    def turn(self, step) -> np.ndarray:
         """x of (7) of `sweep` [...], in lengths of the field, of changes [..., 3] of u, y (m of the
         field) and lean (rad)."""
         raise NotImplementedError
@@ -103,12 +103,15 @@ class Blade(Tool):
     def __post_init__(self):
         super().__post_init__()
         _check_positive(self, 'length')
+        for name in ('bucket', 'plates'):
+            if getattr(self, name) not in (0, 1):
+                raise ValueError(f'Blade.{name} must be 0 or 1, got {getattr(self, name)}')
 
     @property
     def scale(self):
         return self.width / float(np.clip(self.width, *self.taught_widths))
 
-    def turn(self, step, scale):
+    def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""
         return 0.1 * step[..., 2]
 
@@ -139,11 +142,17 @@ class Wheel(Tool):
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'ahead')
 
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ('lugs', 'lug_height'):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f'Wheel.{name} must not be negative, got {getattr(self, name)}')
+
     @property
     def scale(self):
         return self.radius / self.RIM
 
-    def turn(self, step, scale):
+    def turn(self, step):
         """See `Tool`: the slip of the rim, positive where it spins; a wheel that rolls forward
         leans forward, so R dalpha is -R dlean."""
         return -self.RIM * step[..., 2] - step[..., 0]

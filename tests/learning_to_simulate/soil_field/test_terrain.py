@@ -1,0 +1,145 @@
+"""The map of heights against scipy's interpolation and walks in small steps."""
+
+import gc
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from learning_to_simulate.soil_field.place import place_of
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Soil
+from tests.learning_to_simulate.soil_field import scenes
+
+RNG = np.random.default_rng(0)
+
+
+def rough(shape=(7, 5), **more):
+    return Terrain(RNG.normal(size=shape), (0.1, 0.2), (-0.3, 1.0), **more)
+
+
+def test_heights_between_cells_are_those_of_scipy():
+    terrain = rough()
+    x, z = terrain.middles
+    np.testing.assert_allclose([x[0], z[0], x[-1], z[-1]], [-0.25, 1.1, 0.35, 1.9])
+    points = RNG.uniform((x[0], z[0]), (x[-1], z[-1]), (50, 2))
+    wanted = RegularGridInterpolator((x, z), terrain.heights)(points)
+    np.testing.assert_allclose(terrain.at(*points.T), wanted, atol=1e-13)
+    np.testing.assert_array_equal(terrain.at(x[:, None] + 0 * z, z + 0 * x[:, None]).shape, (7, 5))
+    np.testing.assert_allclose(terrain.at(x[2], z[3]), terrain.heights[2, 3], atol=1e-14)
+
+
+def test_beyond_the_map_its_border_goes_on():
+    terrain = rough()
+    x, z = terrain.middles
+    points = RNG.uniform(-3, 3, (60, 2))
+    inside = np.clip(points, (x[0], z[0]), (x[-1], z[-1]))
+    np.testing.assert_allclose(terrain.at(*points.T), terrain.at(*inside.T), atol=1e-13)
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (1, 4), (4, 1)])
+def test_maps_of_one_row(shape):
+    terrain = rough(shape)
+    x, z = terrain.middles
+    found = terrain.at(x[:, None] + 0 * z, z + 0 * x[:, None])
+    np.testing.assert_allclose(found, terrain.heights, atol=1e-14)
+
+
+def test_level_ground_is_level_to_the_last_bit():
+    terrain = Terrain.flat((1.0, 0.5), 0.1234567, cell=(0.03, 0.07), corner=(-0.2, 0.1))
+    assert terrain.shape == (33, 7) and terrain.floor == pytest.approx(-0.8765433)
+    assert (terrain.at(*RNG.uniform(-1, 2, (2, 500))) == 0.1234567).all()
+    assert terrain.volume == pytest.approx(33 * 0.03 * 7 * 0.07 * 0.1234567)
+
+
+def test_a_copy_and_a_file_hold_everything(tmp_path):
+    terrain = rough(soil=Soil(31.0, 1500.0, 1.6), floor=-9.0, walled=True)
+    path = str(tmp_path / 'terrain.npz')
+    terrain.save(path)
+    copy, read = terrain.clone(), Terrain.load(path)
+    for other in (copy, read):
+        np.testing.assert_array_equal(other.heights, terrain.heights)
+        np.testing.assert_array_equal(other.cell, terrain.cell)
+        np.testing.assert_array_equal(other.corner, terrain.corner)
+        assert (other.soil, other.floor, other.walled) == (terrain.soil, -9.0, True)
+        other.heights[0, 0] = 5.0
+    assert terrain.heights[0, 0] != 5.0
+
+
+def test_a_file_that_is_no_terrain_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Terrain.load(str(tmp_path / 'none.npz'))
+    path = str(tmp_path / 'other.npz')
+    np.savez(path, heights=np.zeros((2, 2)), soil=np.ones(2))
+    with pytest.raises(ValueError, match='no terrain'):
+        Terrain.load(path)
+
+
+@pytest.mark.parametrize('order', ['C', 'F'])
+def test_written_cells_change_and_soil_ends_at_the_floor(order):
+    heights = np.asarray(RNG.uniform(0, 1, (4, 3)), order=order)
+    terrain = Terrain(heights, floor=-0.5)
+    wanted = heights.copy()
+    wanted[1, 2], wanted[3, 0] = 7.0, -0.5
+    terrain.write(np.array([1 * 3 + 2, 3 * 3]), np.array([7.0, -2.0]))
+    np.testing.assert_array_equal(terrain.heights, wanted)
+    assert heights.max() <= 1  # the caller's array is his own
+    np.testing.assert_array_equal(terrain.clone().heights, wanted)
+
+
+def test_work_is_done_before_heights_are_read_as_long_as_its_owner_lives():
+    class Worker:
+        def __init__(self, terrain):
+            self.terrain = terrain
+
+        def dig(self):
+            self.terrain.write(np.array([0]), -0.25)
+
+    terrain = Terrain.flat((0.1, 0.1))
+    worker = Worker(terrain)
+    terrain.add_work(worker.dig)
+    assert terrain.heights[0, 0] == -0.25
+    terrain.heights[0, 0] = 0.5
+    assert terrain.at(0.01, 0.01) == -0.25
+    del worker
+    gc.collect()
+    terrain.heights[0, 0] = 0.5
+    assert terrain.heights[0, 0] == 0.5
+
+
+@pytest.mark.parametrize('yaw', [0.0, 0.5, np.pi / 2, 2.2, -2.0, -0.3])
+@pytest.mark.parametrize('u', [-0.2, 0.0, 0.15])
+def test_the_wall_ahead_is_where_a_walk_leaves_the_map(yaw, u):
+    terrain = Terrain.flat((1.0, 0.6), corner=(-0.4, -0.2), walled=True)
+    place = place_of(scenes.poses([[0.0, 0.0, 0.0]], yaw, (0.05, 0.3, 0.06))[0])
+    way = np.arange(0, 2, 1e-4)
+    x, _, z = (place.origin + (u + way)[:, None] * place.along).T
+    inside = (x >= -0.4) & (x <= 0.6) & (z >= -0.2) & (z <= 0.4)
+    assert terrain.ahead(place, u) == pytest.approx(way[inside].max(), abs=2e-4)
+    terrain.walled = False
+    assert terrain.ahead(place, u) == np.inf
+
+
+@pytest.mark.parametrize(
+    'arguments, message',
+    [
+        ((np.zeros(3),), 'shape'),
+        ((np.zeros((0, 3)),), 'shape'),
+        (([[0.0, np.nan]],), r'heights\[0, 1\]'),
+        ((np.zeros((2, 2)), 0.0), 'cell'),
+        ((np.zeros((2, 2)), (0.1, np.inf)), 'cell'),
+        ((np.zeros((2, 2)), 0.1, (0.0, np.nan)), 'corner'),
+        ((np.zeros((2, 2)), 0.1, (0.0, 0.0, 0.0)), 'corner'),
+        ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, 0.1), 'floor'),
+        ((np.zeros((2, 2)), 0.1, (0.0, 0.0), None, np.nan), 'floor'),
+    ],
+)
+def test_what_is_no_terrain_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Terrain(*arguments)
+
+
+@pytest.mark.parametrize('size', [(1.0, 0.0), (np.inf, 1.0), (1.0,), 2.0])
+def test_sizes_that_no_terrain_has_are_refused(size):
+    with pytest.raises(ValueError, match='size'):
+        Terrain.flat(size)

@@ -1,0 +1,48 @@
+"""Scale, turns and values of tools, and values that none has."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+
+
+def test_a_blade_as_wide_as_those_taught_is_its_own_scale():
+    assert [Blade(w).scale for w in (0.15, 0.4, 0.6)] == [1, 1, 1]
+    assert Blade(1.2).scale == pytest.approx(2.0) and Blade(0.05).scale == pytest.approx(1 / 3)
+    assert Wheel(0.2, 0.25).scale == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize('factor', [2.0, 5.0])
+def test_tools_of_one_form_are_one_tool_of_the_field(factor):
+    soil = Soil(33.0)
+    blade = Blade(0.6, 0.012, 0.3, 1.0, 1.0), Blade(*factor * np.array([0.6, 0.012, 0.3]), 1.0, 1.0)
+    wheel = Wheel(0.1, 0.1, 12, 0.01), Wheel(factor * 0.1, factor * 0.1, 12, factor * 0.01)
+    for one, other in (blade, wheel):
+        np.testing.assert_allclose(other.values(soil), one.values(soil))
+        named = dict(zip(one.scalars, one.values(soil)))
+        assert named['half_width'] == one.width / 2 and named['radius'] == one.radius
+        assert named['friction'] == pytest.approx(np.tan(np.radians(33.0)))
+        assert len(one.scalars) == len(one.values(soil)) + 1  # the way to the wall comes last
+    assert dict(zip(Blade.scalars, blade[0].values(soil)))['length'] == 0.3
+    assert dict(zip(Wheel.scalars, wheel[0].values(soil)))['lug_height'] == 0.01
+
+
+def test_turns():
+    """A wheel that rolls forward without slip leans forward by the way over its radius."""
+    assert Wheel(0.2, 0.25).turn(np.array([0.03, 0.0, -0.3])) == pytest.approx(0.0)
+    assert Wheel(0.2, 0.25).turn(np.array([0.0, 0.0, -0.3])) == pytest.approx(0.03)
+    assert Blade().turn(np.array([0.5, 0.1, 0.2])) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    'kind, values',
+    [
+        (Soil, {'friction_angle_deg': 90.0}), (Soil, {'density': 0.0}),
+        (Soil, {'gravity': np.nan}), (Blade, {'width': -1.0}), (Blade, {'radius': np.inf}),
+        (Blade, {'length': 0.0}), (Blade, {'bucket': 0.5}), (Wheel, {'radius': 0.0}),
+        (Wheel, {'lugs': -1}), (Wheel, {'lug_height': np.nan}),
+    ],
+)  # fmt: skip
+def test_values_that_nothing_has_are_refused(kind, values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        kind(**values)
