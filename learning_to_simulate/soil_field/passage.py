@@ -55,10 +55,9 @@ class Passage:
         # s of the field: in the root of scale over g.
         self._time = np.sqrt(STANDARD_GRAVITY / terrain.soil.gravity * self.scale)
         self._pose = self.seen(pose)
-        # Whether to look if the terrain goes on being even.
-        self._looks = even is None and tool.columns > 1
-        if self._looks:
-            even = self._is_even(self._pose[0] + grid.offsets)
+        self._looks = False  # whether to look if the terrain goes on being even
+        if even is None and tool.columns > 1:
+            self._looks = even = self._is_even(self._pose[0] + grid.offsets)
         self._take(strips_lib.strips_of(tool, bool(even)))
         first = self._rows(self._pose)
         self.state = sweep.start(first, self._read, grid)

@@ -1,0 +1,297 @@
+"""A tool on its way: turned, moved, mirrored and scaled scenes, and what it does to the terrain."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.passage import AHEAD, Passage
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from tests.learning_to_simulate.soil_field import scenes
+from tests.learning_to_simulate.soil_field.scenes import DT, PATH, poses, walk
+
+TOOLS = {'blade': Blade(0.3), 'wheel': Wheel(0.1, 0.1, 8, 0.01)}
+SHIFT = np.array([0.7, -1.3, 2.1])
+
+
+@pytest.fixture(params=TOOLS)
+def tool(request):
+    return TOOLS[request.param]
+
+
+def path_of(tool, start=0.0, end=None):
+    """`PATH`, or a way in the soil at one height; of the circle's centre."""
+    if end is None:
+        return PATH + [0.0, 0.08 * (tool.name == 'wheel'), 0.0]
+    u = np.linspace(start, end, 1 + int(round(abs(end - start) / 0.04)))
+    return np.stack([u, 0 * u - 0.03 + tool.radius, 0 * u], axis=1)
+
+
+def trench(passage, places):
+    """The rise of soil that vanishes where the tool has been."""
+    s = passage.state
+    middle = len(s.profile) // 2
+    cut = np.interp(places[:, 0], sweep.GRID.offsets, (s.profile - s.surface)[middle])
+    half = passage.tool.width / passage.scale / 2
+    return np.where(np.abs(places[:, 1]) < half, cut, 0.0)
+
+
+def level(size=(4.0, 1.6), height=0.0, **more):
+    """It reaches from x = -3 to 1, and the middle is at z = 0."""
+    return Terrain.flat(size, height, corner=(-3.0, -size[1] / 2), **more)
+
+
+@pytest.mark.parametrize('yaw', [0.3, 2.0, -2.8])
+@pytest.mark.parametrize('even', [None, False])
+def test_a_turned_and_moved_scene_on_level_ground_looks_the_same(tool, yaw, even):
+    soil = level((9.0, 9.0)), level((9.0, 9.0), SHIFT[1])
+    _, here = walk(soil[0], tool, poses(path_of(tool)), even=even)
+    _, there = walk(soil[1], tool, poses(path_of(tool), yaw, SHIFT), even=even)
+    scenes.assert_frames(there, here)
+    count = 11 if even is False and tool.name == 'blade' else 1
+    assert here[-1].bins.shape == (1, count, 261, 6) and here[-1].bins[..., 0].max() > 0.04
+
+
+def test_a_hilly_scene_turned_by_a_right_angle_looks_the_same(tool):
+    soil = scenes.hills()
+    soil.walled = True
+    low, size = soil.corner, soil.cell * soil.shape
+    corner = np.array([low[1], -(low[0] + size[0])]) + SHIFT[[0, 2]]
+    turned = Terrain(soil.heights.T[:, ::-1] + SHIFT[1], soil.cell, corner, walled=True)
+    _, here = walk(soil, tool, poses(path_of(tool)))
+    _, there = walk(turned, tool, poses(path_of(tool), np.pi / 2, SHIFT))
+    scenes.assert_frames(there, here)
+    assert here[-1].scalars[0, 0, -1] == pytest.approx((1.1 - 0.47) / tool.scale)
+
+
+def test_in_a_mirror_the_strips_change_sides(tool):
+    soil = scenes.hills()
+    _, here = walk(soil, tool, poses(path_of(tool)))
+    mirror = Terrain(soil.heights[:, ::-1], soil.cell, soil.corner)
+    _, there = walk(mirror, tool, scenes.mirrored(poses(path_of(tool))))
+    scenes.assert_frames(
+        there, [sweep.Frame(f.bins[:, ::-1], f.scalars[:, ::-1]) for f in here]
+    )  # fmt: skip
+    if tool.name == 'blade':
+        assert np.ptp(here[-1].bins[0, ..., sweep.SURFACE], axis=0).max() > 0.02
+
+
+@pytest.mark.parametrize(
+    'one, other',
+    [
+        (Blade(0.6), Blade(1.2, 0.028, 0.554)),
+        (Wheel(0.1, 0.1, 8, 0.01), Wheel(0.2, 0.2, 8, 0.02)),
+    ],
+)
+def test_a_scene_of_twice_the_size_is_the_same_in_other_units(one, other):
+    path = path_of(one)
+    here, frames = walk(scenes.hills(), one, poses(path))
+    there, others = walk(scenes.hills(scale=2.0), other, poses(path * [2, 2, 1]), np.sqrt(2.0) * DT)
+    scenes.assert_frames(others, frames)
+    assert there.scale == 2 * here.scale == 2
+    for a, b in zip(there.surroundings(), here.surroundings()):
+        np.testing.assert_allclose(a, b * (2 if b.ndim == 1 and b.dtype == float else 1))
+
+
+def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
+    moon = scenes.hills()
+    moon.soil = Soil(30.0, gravity=9.81 / 4)
+    _, here = walk(scenes.hills(), tool, poses(path_of(tool)))
+    _, there = walk(moon, tool, poses(path_of(tool)))
+    names = (*sweep.SCALARS, *tool.scalars)
+    for one, other in zip(here[1:], there[1:], strict=True):
+        np.testing.assert_array_equal(other.bins, one.bins)
+        same = [i for i, name in enumerate(names) if name not in ('speed', 'friction')]
+        np.testing.assert_array_equal(other.scalars[..., same], one.scalars[..., same])
+        speed, friction = names.index('speed'), names.index('friction')
+        np.testing.assert_allclose(other.scalars[..., speed], 2 * one.scalars[..., speed], 1e-5)
+        assert other.scalars[0, 0, friction] == pytest.approx(np.tan(np.radians(30.0)))
+
+
+def test_a_frame_holds_place_speed_and_wall_in_units_of_the_field():
+    tool, soil = Wheel(0.1, 0.2), level(walled=True)
+    passage, frames = walk(soil, tool, poses([[0.0, 0.4, 0.0], [0.06, 0.4, -0.1]]), set_down=False)
+    seen = dict(zip((*sweep.SCALARS, *tool.scalars), frames[1].scalars[0, 0].tolist()))
+    assert passage.scale == 2 and seen['tip'] == pytest.approx(0.03)
+    assert seen['height'] == pytest.approx(0.2) and seen['ahead'] == pytest.approx(AHEAD)
+    # On the way of 0.03 the rim turned by 0.1 * 0.1: it slides by 0.02.
+    assert seen['way'] == pytest.approx(0.05)
+    assert seen['speed'] == pytest.approx(0.05 / DT * np.sqrt(2.0), rel=1e-6)
+    passage.step(poses([[2.5, 0.4, 0.0]])[0], DT)
+    assert passage.frame.scalars[0, 0, -1] == pytest.approx(0.25)
+    assert passage.frame.scalars[0, 0, sweep.SCALARS.index('tip')] == pytest.approx(0.25)
+
+
+def test_a_wheel_that_goes_round_and_round_only_rolls():
+    tool, u = Wheel(0.1, 0.1), np.arange(0, 1.2, 0.05)
+    path = np.stack([u, 0 * u + 0.09, -u / tool.radius], axis=1)
+    passage, _ = walk(level(), tool, poses(path), set_down=False)
+    assert passage.state.way == pytest.approx(u[-1])
+
+
+def test_a_tool_is_set_down_from_above_or_stands_in_soil_as_it_is():
+    first = poses([[0.1, -0.04, 0.2]])[0]
+    fresh = Passage(scenes.hills(), TOOLS['blade'], first, set_down=False)
+    assert fresh.state.way.max() == 0 and not fresh.frame.bins[..., sweep.CUT].any()
+    down = Passage(scenes.hills(), TOOLS['blade'], first, trench)
+    s = down.state
+    circle = s.pose[0, 1] - np.sqrt(np.maximum(0.014**2 - sweep.GRID.offsets**2, 0.0))
+    wanted = np.where(np.abs(sweep.GRID.offsets) <= 0.014, np.minimum(s.surface, circle), s.surface)
+    np.testing.assert_allclose(s.profile, wanted, atol=1e-14)
+    np.testing.assert_allclose(s.memory[:, 0], np.array([0.0, -1.0, 0.0]) + 0 * s.memory[:, 0])
+    assert s.surface.max() + 0.014 + 0.049 < s.way[0] - 0.04 < s.surface.max() + 0.1
+    before = down.terrain.heights.copy()
+    down.update()
+    assert (down.terrain.heights < before).any()
+    # In the air it stays where it is.
+    air = Passage(scenes.hills(), TOOLS['blade'], poses([[0.1, 0.5, 0.0]])[0])
+    assert air.state.way.max() == 0
+
+
+def test_heights_are_written_where_something_rises_and_nowhere_else(tool):
+    soil = scenes.hills()
+    first = soil.heights.copy()
+    place = poses(path_of(tool), 0.4)
+    passage, _ = walk(soil, tool, place, rise=trench)
+    passage.update()
+    x, z = np.meshgrid(*soil.middles, indexing='ij')
+    local = passage.place.local(np.stack([x, 0 * x, z], axis=-1))
+    bins = passage.state.origin[0] + sweep.GRID.offsets
+    cut = (passage.state.profile - passage.state.surface)[len(passage.state.profile) // 2]
+    wanted = passage.scale * np.interp(local[..., 0] / passage.scale, bins, cut)
+    wanted = np.where(np.abs(local[..., 2]) < tool.width / 2, wanted, 0.0)
+    np.testing.assert_allclose(soil.heights - first, wanted, atol=1e-14)
+    still = wanted == 0
+    np.testing.assert_array_equal(soil.heights[still], first[still])
+    assert wanted.min() < -0.03 and still.any()
+
+
+def test_without_a_rise_nothing_is_written(tool):
+    soil = scenes.hills()
+    passage, _ = walk(soil, tool, poses(path_of(tool)))
+    passage.update()
+    np.testing.assert_array_equal(soil.heights, scenes.hills().heights)
+
+
+def test_what_was_before_is_remembered_until_the_bins_leave():
+    tool, soil = TOOLS['blade'], level()
+    passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.2)), rise=trench)
+    for _ in range(3):  # nothing adds up
+        passage.step(poses(path_of(tool, 0.2, 0.2))[0], DT)
+        passage.update()
+    cells, places, before = passage.surroundings()
+    assert not before.any() and soil.heights.min() == pytest.approx(-0.03, abs=1e-12)
+    assert np.abs(places[:, 1]).max() <= 0.45 and np.abs(places[:, 0]).max() <= 0.75
+    for pose in poses(path_of(tool, 0.2, 1.5)):
+        passage.step(pose, DT)
+    for pose in poses(path_of(tool, 1.5, 0.2)):
+        passage.step(pose, DT)
+    cells, _, before = passage.surroundings()
+    # What has left the bins and come back is the trench by now.
+    np.testing.assert_array_equal(before, np.where(before < 0, soil.heights.ravel()[cells], 0.0))
+    assert before.min() == pytest.approx(-0.03, abs=1e-12) and passage.state.surface.min() < -0.02
+
+
+@pytest.mark.parametrize('steps', [1, 3, 50])
+def test_frames_of_any_length_leave_the_same_trench(steps):
+    soil, tool = level(), TOOLS['blade']
+    passage = Passage(soil, tool, poses([[0.0, -0.016, 0.0]])[0], trench)
+    for u in np.linspace(0, 2, steps + 1)[1:]:
+        passage.step(poses([[u, -0.016, 0.0]])[0], DT)
+    passage.update()
+    x, z = np.meshgrid(*soil.middles, indexing='ij')
+    inside = (np.abs(z) < 0.15) & (x < 0) & (x > -2)
+    np.testing.assert_allclose(soil.heights[inside], -0.03, atol=1e-12)
+    assert not soil.heights[(np.abs(z) > 0.15) | (x > 0.02) | (x < -2.02)].any()
+
+
+@pytest.mark.parametrize('lag', [0, 3])
+def test_two_tools_far_apart_do_not_know_of_each_other(lag):
+    tool, soil, alone = TOOLS['blade'], level((4.0, 4.0)), []
+    ways = [poses(path_of(tool, 0.0, 0.5)), poses(path_of(tool, 0.0, 0.5), 0.5, (0.0, 0.0, -1.5))]
+    for way in ways:
+        own = level((4.0, 4.0))
+        walk(own, tool, way, rise=trench)[0].update()
+        alone.append(own.heights)
+    passages = [Passage(soil, tool, way[0], trench) for way in ways]
+    for passage in passages:
+        soil.add_work(passage.update)
+    for t in range(1, len(ways[0]) + lag):
+        for k, way in enumerate(ways):
+            if 0 < (now := t - k * lag) < len(way):
+                passages[k].step(way[now], DT)
+    np.testing.assert_array_equal(soil.heights, alone[0] + alone[1])
+
+
+def test_a_tool_meets_what_another_has_left_and_neither_undoes_the_other():
+    tool, soil = TOOLS['blade'], level()
+    first = Passage(soil, tool, poses([[0.3, -0.016, 0.0]])[0], trench)
+    soil.add_work(first.update)
+    first.step(poses([[0.7, -0.016, 0.0]])[0], DT)
+    one = soil.heights.copy()
+    # Across the first trench, which lies from x = -0.3 to -0.7.
+    across = poses([[-0.5, -0.006, 0.0], [0.5, -0.006, 0.0]], np.pi / 2, (-0.5, 0.0, 0.0))
+    second = Passage(soil, tool, across[0], trench)
+    soil.add_work(second.update)
+    u = second.state.origin[0] + sweep.GRID.offsets - 0.5  # from the middle of the trench
+    middle = second.state.surface[5]
+    np.testing.assert_allclose(middle[np.abs(u) < 0.12], -0.03, atol=1e-12)
+    np.testing.assert_allclose(middle[np.abs(u) > 0.17], 0.0, atol=1e-12)
+    second.step(across[1], DT)
+    both = soil.heights.copy()
+    assert both.min() == pytest.approx(-0.03, abs=1e-12) and (both < one).sum() > 500
+    # The first goes on on the spot, and what the second has done stays.
+    first.step(poses([[0.7, -0.016, 0.1]])[0], DT)
+    np.testing.assert_allclose(soil.heights, both, atol=1e-12)
+    assert first.state.way[0] > 0.4
+
+
+def test_one_strip_becomes_all_of_them_where_even_terrain_ends():
+    tool, soil = TOOLS['blade'], level()
+    x, z = soil.middles
+    soil.heights[np.ix_(x < -1.0, z < -0.1)] = -0.04
+    way = poses(path_of(tool, 0.0, 1.4))
+    auto, found = walk(soil, tool, way)
+    always, wanted = walk(soil, tool, way, even=False)
+    counts = [f.bins.shape[1] for f in found]
+    assert counts[0] == 1 and counts[-1] == 11 and counts == sorted(counts)
+    for f, w in zip(found, wanted, strict=True):
+        for a, b in zip(f, w):
+            np.testing.assert_allclose(np.broadcast_to(a, b.shape), b, atol=1e-6)
+    for a, b in zip(auto.surroundings(), always.surroundings()):
+        np.testing.assert_array_equal(a, b)
+    # Where it is said that terrain is even, one strip as wide as the tool is read.
+    one, _ = walk(soil, tool, way, even=True)
+    last = one.state.surface[0, -1]
+    assert one.state.surface.shape[0] == 1 and last == pytest.approx(-0.04 * 0.2)
+
+
+def test_a_sharp_edge_does_not_fall_between_bins():
+    tool, scale = Blade(1.2, 0.003), 2.0
+    path = [[0.005, 0.1, 0.0], [0.005, -0.03, 0.0]]
+    passage, _ = walk(level(), tool, poses(path), set_down=False)
+    assert passage.scale == scale and passage.state.profile.min() <= -0.015
+
+
+def test_bad_input_is_refused_and_changes_nothing(tool):
+    pose = poses(path_of(tool))
+    passage, _ = walk(scenes.hills(), tool, pose[:4], rise=trench)
+    state, good = passage.state, pose[4]
+    for bad, dt, message in (
+        (good * np.nan, DT, 'expected'),
+        (good + [np.inf, 0, 0, 0, 0, 0, 0], DT, 'expected'),
+        (good * [1, 1, 1, 0, 0, 0, 0], DT, 'length 1'),
+        (good[:6], DT, 'expected'),
+        (good, 0.0, 'longer than 0 s'),
+        (good, np.nan, 'longer than 0 s'),
+        (good - [1e6, 0, 0, 0, 0, 0, 0], DT, 'within one frame'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            passage.step(bad, dt)
+        assert passage.state is state
+    fresh, _ = walk(scenes.hills(), tool, pose[:4], rise=trench)
+    for p in (passage, fresh):
+        p.step(good, DT)
+    scenes.assert_frames([passage.frame], [fresh.frame], atol=0)
+    with pytest.raises(ValueError, match='side'):
+        Passage(scenes.hills(), tool, [0, 0, 0, np.sqrt(0.5), np.sqrt(0.5), 0, 0])
