@@ -74,7 +74,7 @@ class SoilNetworks(tf.Module):
     def __init__(self, tool, members: int, seed: int, hidden=None, grid=sweep.GRID):
         super().__init__(name='soil_field')
         hidden = HIDDEN if hidden is None else hidden
-        self.tool, self.members, self._grid = tool, members, grid
+        self.tool, self.members, self.hidden, self._grid = tool, members, hidden, grid
         self.scalars = {n: i for i, n in enumerate((*sweep.SCALARS, *tool.scalars))}
         self._first, self._spacing = float(grid.offsets[0]), grid.spacing
         t = self.tables = TABLES[tool.name]
@@ -89,8 +89,9 @@ class SoilNetworks(tf.Module):
         )
 
     @functools.cache  # noqa: B019 - networks live as long as their functions
-    def compiled(self, n_strips: int) -> 'Compiled':
-        """Functions for frames of a number of strips, compiled where they are first called."""
+    def compiled(self, n_strips: int, members: int | None = None) -> 'Compiled':
+        """Functions for frames of a number of strips and some members (None: all), compiled where
+        they are first called."""
         spec = tf.TensorSpec
         n = len(self._grid.offsets)
         frame = [
@@ -107,9 +108,9 @@ class SoilNetworks(tf.Module):
             made(self.load_inputs, *frame),
             made(self.surface_inputs, *frame, spec([None, None, 2]), pairs),
             made(self.soil_inputs, *frame, spec([None, None, 3]), pairs),
-            made(self.loads, *frame),
-            made(self.rise, *frame, spec([None, None, 2]), pairs),
-            made(self.displacement, *frame, spec([None, None, 3]), pairs),
+            made(lambda *x: self.loads(*x, members), *frame),
+            made(lambda *x: self.rise(*x, members), *frame, spec([None, None, 2]), pairs),
+            made(lambda *x: self.displacement(*x, members), *frame, spec([None, None, 3]), pairs),
         )
 
     def _scalar(self, scalars, name):
@@ -320,3 +321,9 @@ def looks(strips: strips_lib.Strips, across):
     sign = np.where(np.asarray(across) < 0, -1.0, 1.0)
     pairs = [strips.shares(np.asarray(across) + d * sign) for d in (0.0, NEIGHBOUR, -NEIGHBOUR)]
     return [(j.astype(np.int32), b.astype(np.float32)) for j, b in pairs]
+
+
+def placed(strips: strips_lib.Strips, places):
+    """Places [P, ...] of one frame and their `looks`, as tensors of [1, P, ...]."""
+    pairs = [(tf.constant(j[None]), tf.constant(b[None])) for j, b in looks(strips, places[:, -1])]
+    return tf.constant(places[None].astype(np.float32)), pairs

@@ -12,7 +12,7 @@ import tensorflow as tf
 
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.network import looks
+from learning_to_simulate.soil_field.network import placed
 from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY
@@ -130,7 +130,7 @@ def surface_part(networks, run: Run, frames: sweep.Frame, passage, risen, rng) -
     for t, places, rise in risen[1:]:
         chosen, stands = _drawn(rng, np.abs(rise) > MOVED, DRAWN)
         seen, gate = networks.compiled(frames.bins.shape[1]).surface_inputs(
-            *_one(frames, t), *_places(passage.strips, places[chosen])
+            *_one(frames, t), *placed(passage.strips, places[chosen])
         )
         weight = stands / len(rise) / max(motion, LEAST_MOTION) ** 2
         rows.append((seen.numpy()[0], gate.numpy()[0], rise[chosen], weight))
@@ -161,7 +161,7 @@ def soil_part(networks, run: Run, rng) -> Part:
             chosen, stands = _drawn(rng, (np.abs(moved).max(axis=1) > MOVED) & near, DRAWN)
             places = rest[chosen] - [origin, passage.level, 0.0]
             seen, gate = networks.compiled(len(passage.strips.centres)).soil_inputs(
-                *map(tf.constant, passage.frame), *_places(passage.strips, places)
+                *map(tf.constant, passage.frame), *placed(passage.strips, places)
             )
             rows.append((seen.numpy()[0], gate.numpy()[0], moved[chosen], stands / len(rest)))
     part = _part(rows)
@@ -171,12 +171,6 @@ def soil_part(networks, run: Run, rng) -> Part:
 
 def _one(frames, t):
     return tf.constant(frames.bins[t : t + 1]), tf.constant(frames.scalars[t : t + 1])
-
-
-def _places(strips, places):
-    """Places [P, ...] and their strips as a network takes those of one frame."""
-    pairs = [(tf.constant(j[None]), tf.constant(b[None])) for j, b in looks(strips, places[:, -1])]
-    return tf.constant(places[None].astype(np.float32)), pairs
 
 
 def _part(rows):

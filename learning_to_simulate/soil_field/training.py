@@ -11,6 +11,7 @@ import tensorflow as tf
 import tqdm
 
 from learning_to_simulate.soil_field import network, samples
+from learning_to_simulate.soil_field.field import CONDITIONS, SoilField
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.settings import BATCHES, SoilFieldConfig
 from learning_to_simulate.soil_field.tools import TOOLS
@@ -21,23 +22,27 @@ COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
-def make_networks(config: SoilFieldConfig, tool_name: str) -> network.SoilNetworks:
-    """Fresh networks for tools of a name."""
-    return network.SoilNetworks(TOOLS[tool_name], config.members, config.seed)
+def make_field(config: SoilFieldConfig, tool_name: str) -> SoilField:
+    """A field with fresh networks for tools of a name."""
+    return SoilField(config, network.SoilNetworks(TOOLS[tool_name], config.members, config.seed))
 
 
-def parts_of(networks, runs: list[Run], seed: int, progress=iter) -> dict[str, list]:
+def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:
     """Name of a network -> samples of runs, pooled by their shapes (loads of uneven terrain have
-    five strips, of even terrain one).
+    five strips, of even terrain one); the field learns their ranges.
 
     Raises:
       ValueError: no runs.
     """
     if not runs:
         raise ValueError('no runs to learn from')
+    networks = field.networks
     pools: dict[str, dict] = {'load': {}, 'surface': {}, 'soil': {}}
+    values = []
     for number, run in enumerate(progress(runs)):
-        rng = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 9, number]))
+        rng = np.random.Generator(
+            np.random.Philox(key=field.config.seed, counter=[0, 0, 9, number])
+        )
         frames, passage, risen = samples.frames_of(run)
         found = {
             'load': samples.load_part(networks, run, frames, passage.place),
@@ -45,8 +50,14 @@ def parts_of(networks, runs: list[Run], seed: int, progress=iter) -> dict[str, l
         }
         if run.particles is not None:
             found['soil'] = samples.soil_part(networks, run, rng)
+        values.append(field.judged(frames, np.zeros((len(frames.scalars), len(CONDITIONS)))))
         for name, part in found.items():
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
+    values = np.concatenate(values)
+    lows, highs = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    for name, low, high in zip(field.judged_names, lows, highs, strict=True):
+        if name not in CONDITIONS:
+            field.ranges[name] = [low, high]
     return {name: [_joined(parts) for parts in pool.values()] for name, pool in pools.items()}
 
 
@@ -59,12 +70,13 @@ def _joined(parts):
     )
 
 
-def fit(networks, config: SoilFieldConfig, pools: dict[str, list], progress=True) -> dict:
+def fit(field: SoilField, pools: dict[str, list], progress=True) -> dict:
     """Trains all networks on `parts_of`; returns their mean losses over the last tenth.
 
     Raises:
       ValueError: a loss that is not finite.
     """
+    networks, config = field.networks, field.config
     components = tf.constant(COMPONENTS[networks.tool.name], tf.float32) / network.FORCE
     scales = {'load': components, 'surface': 1 / network.LENGTH, 'soil': 1 / network.LENGTH}
     calls = {

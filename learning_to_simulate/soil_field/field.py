@@ -1,0 +1,175 @@
+"""`SoilField`: trained networks of one kind of tool, what they were taught, and their folder.
+
+A model folder holds `config.json` and `weights.npz`.
+"""
+
+import dataclasses
+import os
+
+import numpy as np
+import tensorflow as tf
+
+from learning_to_simulate import checkpoints, known_shapes
+from learning_to_simulate.rollout_status import Ranges
+from learning_to_simulate.soil_field import network, sweep
+from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.settings import SoilFieldConfig
+from learning_to_simulate.soil_field.tools import TOOLS
+from pca_tools import files
+
+# Share of its training range by which a number may leave it.
+MARGIN = 0.05
+# What no network sees and all of training had as it should be, in the soil: name -> (least, most).
+# Yaw and roll, rad; distance of the tool from the plane of its passage, m of the field.
+CONDITIONS = {'yaw': (-0.035, 0.035), 'roll': (-0.035, 0.035), 'aside': (-0.02, 0.02)}
+# Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
+_SCALARS = ('lean', 'area', 'speed')
+_OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
+
+
+@dataclasses.dataclass
+class SoilField:
+    """A trained model.
+
+    Attributes:
+      config: how it was trained.
+      networks: of it.
+      ranges: name of a number of `judged` -> its range in training.
+      data: where its training data came from, for the record.
+    """
+
+    config: SoilFieldConfig
+    networks: network.SoilNetworks
+    ranges: dict[str, list[float]] = dataclasses.field(default_factory=dict)
+    data: dict = dataclasses.field(default_factory=dict)
+
+    @property
+    def judged_names(self) -> tuple[str, ...]:
+        """Names of the columns of `judged`."""
+        return (*_SCALARS, *self.networks.tool.scalars[:-1], *_OF_BINS, *CONDITIONS)
+
+    @property
+    def limits(self) -> Ranges:
+        """What frames are judged by."""
+        names = self.judged_names
+        low, high = np.array([(self.ranges | CONDITIONS)[name] for name in names], float).T
+        extra = np.where([n in CONDITIONS for n in names], 0.0, MARGIN * (high - low)) + 1e-6
+        return Ranges(names, low, high, np.stack([low - extra, high + extra]))
+
+    def judged(self, frames: sweep.Frame, turns) -> np.ndarray:
+        """[T, N] numbers that say whether frames are like those of training, see `judged_names`.
+
+        Args:
+          frames: of one tool.
+          turns: [T, 3] yaw, roll (rad) and distance from the plane of the passage, m of the field.
+        """
+        columns = self.networks.scalars
+        tip, height, radius = (
+            frames.scalars[:, 0, columns[n]] for n in ('tip', 'height', 'radius')
+        )
+        surface = frames.bins[..., sweep.SURFACE]
+        places = sweep.GRID.offsets - tip[:, None]
+        here = np.abs(places)[:, None] < 0.05
+        near = np.abs(places)[:, None] < 0.25
+        under = surface.mean(axis=1, keepdims=True)
+        level = np.where(here, under, 0.0).sum(axis=(1, 2)) / here.sum(axis=(1, 2))
+        found = [
+            level - (height - radius),
+            np.where(near, surface, np.inf).min(axis=(1, 2)) - level,
+            np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
+            np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
+        ]
+        names = (*_SCALARS, *self.networks.tool.scalars[:-1])
+        own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
+        values = np.stack(own + found, axis=1).astype(np.float64)
+        lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
+        # In the air all is free but what the tool is.
+        touches = height - radius < np.maximum(lowest, level) + network.ABOVE + (
+            network.HEAP * np.sqrt(np.maximum(values[:, 1], 0.0))
+        )
+        free = np.zeros(len(self.judged_names), bool)
+        free[: len(_SCALARS)] = free[len(names) :] = True
+        values = np.concatenate([values, np.asarray(turns, np.float64)], axis=1)
+        middle = np.array([np.mean((self.ranges | CONDITIONS).get(n, (0, 0)))
+                           for n in self.judged_names])  # fmt: skip
+        return np.where(free & ~touches[:, None], middle, values)
+
+    def rise(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
+        """How far the surface has risen [K] at places [K, 2] of a passage, m of the field."""
+        call = self.networks.compiled(len(passage.strips.centres), members).rise
+        frame = map(tf.constant, passage.frame)
+        return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
+
+    def loads(self, frame: sweep.Frame, members: int | None = None) -> np.ndarray:
+        """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`."""
+        call = self.networks.compiled(frame.bins.shape[1], members).loads
+        return call(*map(tf.constant, frame)).numpy()
+
+    def displacement(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
+        """How far particles have moved [P, 3] since a passage began, along, up, across, from places
+        [P, 3] u from the origin, height over the level, across; all in m of the field."""
+        call = self.networks.compiled(len(passage.strips.centres), members).displacement
+        frame = map(tf.constant, passage.frame)
+        return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
+
+
+def save(path: str, field: SoilField) -> None:
+    """Writes a model folder, config.json last: it says that the rest is there.
+
+    Raises:
+      ValueError: weights that are not finite; nothing is written.
+    """
+    arrays = {name: v.numpy() for name, v in _weights(field.networks).items()}
+    if bad := [name for name, v in arrays.items() if not np.isfinite(v).all()]:
+        raise ValueError(f'{path}: not saved, weights are not finite: {bad[:3]}')
+    files.write_npz(os.path.join(path, checkpoints.WEIGHTS_FILE), **arrays)
+    files.write_json(
+        os.path.join(path, checkpoints.CONFIG_FILE),
+        {
+            'schema_version': checkpoints.SCHEMA_VERSION,
+            'config': dataclasses.asdict(field.config),
+            'field': {
+                'tool': field.networks.tool.name,
+                'hidden': field.networks.hidden,
+                'ranges': field.ranges,
+            },
+            'data': field.data,
+        },
+    )
+
+
+def load(path: str) -> SoilField:
+    """Reads a model folder.
+
+    Raises:
+      FileNotFoundError: no model there.
+      ValueError: a damaged one, or one of another method.
+    """
+    stored = checkpoints.read_config(path)
+    arrays = checkpoints.stored_weights(path)
+    with checkpoints.refusing_wrong_fields(path):
+        config = SoilFieldConfig(**stored['config'])
+        values = stored['field']
+        tool = TOOLS[values['tool']]
+        ranges = {str(k): [float(x) for x in v] for k, v in values['ranges'].items()}
+        hidden = {k: tuple(int(n) for n in values['hidden'][k]) for k in network.HIDDEN}
+        where = os.path.join(path, checkpoints.WEIGHTS_FILE)
+        with known_shapes.only((w.shape for w in arrays.values()), where):
+            networks = network.SoilNetworks(tool, config.members, config.seed, hidden)
+        found = SoilField(config, networks, ranges, stored.get('data', {}))
+        _ = found.limits
+    variables = _weights(networks)
+    checkpoints.check_weights(path, arrays, {n: tuple(v.shape) for n, v in variables.items()})
+    for name, variable in variables.items():
+        variable.assign(arrays[name])
+    return found
+
+
+def _weights(networks) -> dict:
+    """Name -> variable, the same in every process."""
+    return {
+        f'{name}/{i}/{kind}': variable
+        for name in network.HIDDEN
+        for i, layer in enumerate(getattr(networks, name).layers)
+        for kind, variable in zip(('weight', 'bias'), layer, strict=True)
+    }
