@@ -1,5 +1,6 @@
 """`Passage`: one tool on its way over a terrain, from where it was set down."""
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,8 @@ from learning_to_simulate.tool.swept import check_time
 
 AHEAD = 0.7  # m of the field, farther walls do not matter
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
-MAX_STEP = 20.0  # m of the field along the way in one frame
+# m of the field along the way in one frame: farther, cells would go by that no frame saw.
+MAX_STEP = sweep.WINDOW
 _SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
@@ -21,7 +23,8 @@ class Passage:
     """The sweep of a tool over a terrain.
 
     What the terrain was before the tool came is remembered as long as the bins reach there; the
-    heights of the terrain are kept as the tool has left them by now.
+    heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
+    a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
 
     Args:
       terrain: is changed, if `rise` is given.
@@ -124,19 +127,11 @@ class Passage:
         coming = self.seen(pose)
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
-        # No farther at once than a chunk, so that no cell goes by unseen.
-        before, chunk = self._pose, self._grid.chunk * self._grid.spacing
         if abs(change[0]) > MAX_STEP:
             raise ValueError(
                 f'the tool goes {self.scale * change[0]:.4g} m within one frame, at most '
                 f'{self.scale * MAX_STEP:.4g} m can be followed: give poses between'
             )
-        count = max(int(np.ceil(abs(change[0]) / chunk - 1e-9)), 1)
-        for i in range(1, count):
-            self._go(before + i / count * change, change / count, dt / count)
-        self._go(coming, change / count, dt / count)
-
-    def _go(self, coming, change, dt):
         origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0], self._grid)
         if to != origin:
             self.update()  # the last chance of cells that the bins leave
@@ -147,6 +142,13 @@ class Passage:
         if to != origin:
             self._see()
         self._is_stale = True
+
+    def clone(self, terrain: Terrain, rise: Callable | None = None) -> 'Passage':
+        """The passage on a clone of its terrain."""
+        other = copy.copy(self)
+        other.terrain, other._rise = terrain, rise
+        other._before, other._left = self._before.copy(), self._left.copy()
+        return other
 
     def _see(self):
         """Remembers what cells were that have come into sight, and forgets those out of sight."""
@@ -164,8 +166,8 @@ class Passage:
         if not self._is_stale or self._rise is None:
             return
         self._is_stale = False
-        near = self._near()
-        self._before[near] += self.terrain.heights.ravel()[self._cells[near]] - self._left[near]
+        near, now = self._near(), self.terrain.heights.ravel()
+        self._before[near] += now[self._cells[near]] - self._left[near]
         cells, places, before = self.surroundings()
         self.terrain.write(cells, before + self.scale * self._rise(self, places))
         self._left[near] = self.terrain.heights.ravel()[cells]

@@ -90,8 +90,17 @@ def frames_of(run: Run) -> tuple[sweep.Frame, Passage, list]:
             now = run.heights[t // run.stride].ravel()[cells]
             risen.append((t, places, (now - before) / passage.scale))
         if t + 1 == len(run.pose):
-            return sweep.Frame(*map(np.concatenate, zip(*frames, strict=True))), passage, risen
+            return _stacked(frames, len(passage.strips.centres)), passage, risen
         walk.go_on()
+
+
+def _stacked(frames, n_strips):
+    """`Frame`s one behind the other, those of one strip as that many equal ones: a passage takes
+    all strips from where even terrain ends."""
+    return sweep.Frame(
+        *(np.concatenate([np.repeat(x, n_strips // x.shape[1], axis=1) for x in values])
+          for values in zip(*frames, strict=True))
+    )  # fmt: skip
 
 
 def load_part(networks, run: Run, frames: sweep.Frame, place) -> Part:
