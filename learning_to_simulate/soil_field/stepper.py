@@ -182,9 +182,7 @@ class SoilStepper:
         terrain = self.terrain.clone()
         other = SoilStepper(self.field, terrain, self.tool, self._members)
         if self._passage is not None:
-            other._passage = copy.copy(self._passage)
-            other._passage.terrain = terrain
-            other._passage._rise = other._rise
+            other._passage = self._passage.clone(terrain, other._rise)
         other._frame, other._number = self._frame, self._number
         return other
 
