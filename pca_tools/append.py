@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from absl import flags
 
-from pca_tools import command, convert, dataset, encode, files, packing, particles
+from pca_tools import command, convert, dataset, encode, files, heights, packing, particles
 from pca_tools.encode import EncodedRun
 from pca_tools.metadata import SPLITS
-from pca_tools.raw_runs import RawRuns
+from pca_tools.raw_runs import RawRuns, raise_faults
 from pca_tools.splits import given_splits
 from pca_tools.storage import folder_lock
 
@@ -65,6 +65,7 @@ def append(
             runs.match_particles(held.space.initial)
         runs.check(check_units, held.space)
         convert.refuse_other_scene(data_path, held.metadata, runs)
+        raise_faults(raw_path, heights.grid_faults(runs[0].grid, held.grid, data_path))
         added = _encode_new(runs, held, data_path)
         together = held.with_parts(
             {split: [*held.parts.get(split, []), *added[split]] for split in SPLITS}, runs.world
@@ -102,7 +103,7 @@ def _encode_new(
         return encode.encode_runs(runs, indices, held.space, held.space.n_modes, held.sampled)
 
     for made, record in zip(encoded([*twice]), twice.values()):
-        if not _are_equal(made, record, sample):
+        if not _are_equal(made, record, sample, held.grid):
             raise ValueError(
                 f'{data_path}: holds case {made.parameters["case"]} with other content (path, '
                 'force, context or particles) than the raw run; nothing was changed. A new run '
@@ -117,7 +118,12 @@ def _encode_new(
     return {split: encoded([new[place] for place in part]) for split, part in dealt.items()}
 
 
-def _are_equal(made: EncodedRun, held: EncodedRun, sample: particles.ParticleSample) -> bool:
+def _are_equal(
+    made: EncodedRun,
+    held: EncodedRun,
+    sample: particles.ParticleSample,
+    grid: heights.Grid | None,
+) -> bool:
     """Whether two records are of one run.
 
     Packed records hold scores in whole steps and rigid particles as the pose puts them; everything
@@ -129,8 +135,10 @@ def _are_equal(made: EncodedRun, held: EncodedRun, sample: particles.ParticleSam
     soils = [
         packing.unpack_steps(*run.sample, sample.rest, sample.resolution) for run in (made, held)
     ]
+    terrains = [heights.unpack(run.heights, grid) for run in (made, held) if grid and run.heights]
     return (
         np.array_equal(*soils)
+        and (not terrains or np.array_equal(*terrains))
         and np.abs(ours.position - theirs.position).max() < dataset.POSE_TOLERANCE
         and all(
             np.array_equal(getattr(ours, name), getattr(theirs, name))

@@ -1,7 +1,8 @@
 """Converts raw solver runs to a dataset.
 
 A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
-split (`particles_<split>.npz`) and a manifest. The subspace is fitted on the training runs only,
+split (`particles_<split>.npz`), its heights where the raw runs have them (`heights_<split>.npz`),
+and a manifest. The subspace is fitted on the training runs only,
 with one run in memory at a time. Runs whose parameters name a split go there. All files are made in
 a folder beside the output, which takes its name at the very end: it is there whole or not at all.
 
@@ -123,7 +124,8 @@ def convert(
         if part
     }
     metadata = encode.make_metadata(parts, space, runs.world, base, frame_stride, packed)
-    encode.write(output_path, encode.Contents(parts, space, sampled, metadata), overwrite)
+    contents = encode.Contents(parts, space, sampled, metadata, runs[0].grid)
+    encode.write(output_path, contents, overwrite)
     return metadata
 
 

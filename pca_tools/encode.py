@@ -1,7 +1,8 @@
 """What a dataset holds of its runs, in memory: made of raw runs, read from a folder, written.
 
 A dataset is `{train,valid,test}.tfrecord`, metadata, subspace, a sample of the particles of each
-split (`particles_<split>.npz`) and a manifest. `convert`, `append` and `subset` only choose which
+split (`particles_<split>.npz`), the heights of the soil where the raw runs have them
+(`heights_<split>.npz`), and a manifest. `convert`, `append` and `subset` only choose which
 runs these are.
 """
 
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pca_tools import dataset, files, packing, particles
+from pca_tools import dataset, files, heights, packing, particles
 from pca_tools.metadata import METADATA_NAME, PROJECTION_KEYS, SCHEMA_VERSION, union_of_bounds
 from pca_tools.raw_runs import RawRun, RawRuns
 from pca_tools.statistics import motion_statistics
@@ -40,6 +41,7 @@ class EncodedRun:
         details: see `projection_details`.
         floors: number of modes -> mean squared error in m^2 that they leave.
         sample: packed particles and their number of frames, see `pca_tools.particles`.
+        heights: the same of the map of heights, see `pca_tools.heights`, or None.
     """
 
     trajectory: dataset.Trajectory
@@ -47,6 +49,7 @@ class EncodedRun:
     details: dict[str, float]
     floors: dict[int, float]
     sample: tuple[bytes, int]
+    heights: tuple[bytes, int] | None = None
 
 
 Parts = Mapping[str, Sequence[EncodedRun]]  # by split
@@ -61,12 +64,14 @@ class Contents:
         space: their subspace.
         sampled: int [P], which particles are kept as such.
         metadata: of `make_metadata`.
+        grid: where the map of heights of every run lies; None without one.
     """
 
     parts: Parts
     space: Subspace
     sampled: np.ndarray
     metadata: dict[str, Any]
+    grid: heights.Grid | None = None
 
     def with_parts(self, parts: Parts, world: Mapping[str, Any] | None = None) -> Contents:
         """Returns a dataset of other runs in the same subspace, with the same statistics.
@@ -112,6 +117,7 @@ def encode_runs(
                 projection_details(run.positions, kept, kept_scores),
                 _floors(run.positions, space, scores, n_modes),
                 (packed, len(sample)),
+                None if run.heights is None else heights.pack(run.heights),
             )
         )
     return encoded
@@ -195,11 +201,16 @@ def load(data_path: str) -> Contents:
         FileNotFoundError, ValueError: there is none, or its files do not fit each other.
     """
     metadata, space = load_space(data_path)
-    parts = {}
+    listed = files.check_manifest(data_path, ()) or {}
+    parts, grids = {}, {}
     for split, cases in metadata['cases'].items():
         sample = particles.read_sample(data_path, split)
         floors = metadata['projection_floors']
         by_modes = dict(zip(floors['modes'], floors[split]))
+        terrain = None
+        if heights.Heights.path_of('', split) in listed:
+            terrain = heights.read(data_path, split)
+        grids[split] = terrain and terrain.grid
         parts[split] = [
             EncodedRun(
                 trajectory,
@@ -207,10 +218,13 @@ def load(data_path: str) -> Contents:
                 {key: metadata[key][split][index] for key in PROJECTION_KEYS},
                 {count: mse for count, mse in by_modes.items() if count <= space.n_modes},
                 sample.packed(index),
+                terrain and terrain.packed(index),
             )
             for index, trajectory in enumerate(dataset.read_split(data_path, split))
         ]
-    return Contents(parts, space, sample.indices, metadata)
+    if len(set(grids.values())) > 1:
+        raise ValueError(f'{data_path}: height maps differ by split ({grids}); convert again')
+    return Contents(parts, space, sample.indices, metadata, next(iter(grids.values()), None))
 
 
 def load_space(data_path: str) -> tuple[dict[str, Any], Subspace]:
@@ -278,6 +292,11 @@ def write(output_path: str, contents: Contents, overwrite: bool) -> None:
             packed = [run.sample for run in part]
             particles.write_sample(path, packed, sampled, space.initial[sampled])
             listed[os.path.basename(path)] = {}
+            if contents.grid:
+                path = heights.Heights.path_of(folder, name)
+                maps = [run.heights for run in part if run.heights]  # of every run
+                heights.write(path, maps, contents.grid)
+                listed[os.path.basename(path)] = {}
         files.write_manifest(folder, listed)
 
     files.write_folder_atomically(output_path, fill, replace=overwrite)

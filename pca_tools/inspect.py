@@ -22,9 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from absl import flags
 
-from pca_tools import command, dataset, files, legacy_pickles, particles, rigid_fit, statistics
+from pca_tools import command, dataset, files, legacy_pickles, rigid_fit, statistics
 from pca_tools.dataset import Trajectory
+from pca_tools.heights import Heights
 from pca_tools.metadata import AXES, SPLITS
+from pca_tools.packed_runs import PackedRuns
+from pca_tools.particles import ParticleSample
 from pca_tools.statistics import HISTORY, mean_share
 from pca_tools.storage import markdown
 from pca_tools.subspace import CLUSTER_GAP, Subspace
@@ -106,7 +109,8 @@ def inspect_folder(folder: str) -> Inspection:
             _run(found, check)
         if not found.splits:
             found.findings.append(Finding(ERROR, f'{folder}: holds no readable split'))
-        for check in (*(of_runs * bool(found.splits)), _check_particles, _check_subspace):
+        kept = [_check_kept(kind) for kind in (ParticleSample, Heights)]
+        for check in (*(of_runs * bool(found.splits)), *kept, _check_subspace):
             _run(found, check)
         _run(found, _check_pickles, WARN)
     return found
@@ -359,24 +363,31 @@ def _check_truncation(found: Inspection) -> Findings:
         )
 
 
-def _check_particles(found: Inspection) -> Findings:
-    """The particle samples beside the records."""
-    good = []
-    for split, runs in found.splits.items():
-        path = particles.sample_path(found.folder, split)
-        if not os.path.exists(path):
-            continue
-        sample = particles.ParticleSample(path)
-        frames = [-(-run.n_frames // sample.frame_stride) for run in runs]
-        if frames != [len(soil) for soil in sample]:
-            yield ERROR, f'{path}: holds other runs than {split}.tfrecord; convert again'
-        else:
-            good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
-    if good:
-        yield OK, (
-            f'particle samples ({len(sample.indices)} particles, every {sample.frame_stride} '
-            f'frames, to {5e2 * sample.resolution:.2g} mm), a run: ' + ', '.join(good)
-        )
+def _check_kept(kind: type[PackedRuns]):
+    """Returns the check of the files of one kind beside the records."""
+
+    def check(found: Inspection) -> Findings:
+        good, low, high = [], math.inf, -math.inf
+        for split, runs in found.splits.items():
+            path = kind.path_of(found.folder, split)
+            if not os.path.exists(path):
+                continue
+            kept, lengths = kind(path), []
+            for values in kept:
+                lengths.append(len(values))
+                low, high = min(low, float(values.min())), max(high, float(values.max()))
+            if lengths != [-(-run.n_frames // kept.frame_stride) for run in runs]:
+                yield ERROR, f'{path}: holds other runs than {split}.tfrecord; convert again'
+            else:
+                good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
+        if good:
+            span = f', {low:.3f} to {high:.3f} m high' * (kind is Heights)
+            yield OK, (
+                f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
+                f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
+            )
+
+    return check
 
 
 def _check_subspace(found: Inspection) -> Findings:

@@ -23,12 +23,12 @@ _MAX_VALUES = 5 * 10**7
 
 
 def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> bytes:
-    """Packs positions as whole steps from rest, differenced in time, signs folded
+    """Packs positions or heights as whole steps from rest, differenced in time, signs folded
     (0, -1, 1, -2 -> 0, 1, 2, 3).
 
     Args:
-        positions: [F, P, 3] m.
-        rest: [P, 3] m.
+        positions: [F, ...] m, mostly [F, P, 3].
+        rest: [...] m, of one frame.
         resolution: length of a step, m; `unpack_steps` gives positions to within half of it.
 
     Raises:
@@ -40,21 +40,21 @@ def pack_steps(positions: np.ndarray, rest: np.ndarray, resolution: float) -> by
             f'a point is {np.abs(offset).max() * resolution:.3g} m from its rest place, which '
             f'steps of {resolution} m cannot hold'
         )
-    steps = np.rint(offset).astype(np.int32).transpose(2, 1, 0)  # axis, point, frame
+    steps = np.rint(offset).astype(np.int32).T  # axis, point, frame
     change = np.diff(steps, axis=-1, prepend=np.int32(0))
     return _compressed(((change << 1) ^ (change >> 31)).astype('<u4'))
 
 
 def unpack_steps(data: bytes, n_frames: int, rest: np.ndarray, resolution: float) -> np.ndarray:
-    """Unpacks `pack_steps`; returns float64 [F, P, 3] m.
+    """Unpacks `pack_steps`; returns float64 [F, ...] m.
 
     Raises:
         ValueError: the bytes are damaged or do not hold `n_frames` frames.
     """
-    folded = _decompressed(data, n_frames * rest.size).reshape(rest.shape[1], len(rest), n_frames)
+    folded = _decompressed(data, n_frames * rest.size).reshape(*rest.shape[::-1], n_frames)
     change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
     steps = np.cumsum(change, axis=-1, dtype=np.int64)
-    return rest + resolution * steps.transpose(2, 1, 0)
+    return rest + resolution * steps.T
 
 
 def pack_positions(positions: np.ndarray, resolution: float) -> bytes:

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pca_tools import files, matching, metadata
+from pca_tools import files, heights, matching, metadata
 from pca_tools.dataset import FRAME_SERIES, FrameSeries, has_shape, non_finite_problems
+from pca_tools.heights import Grid
 from pca_tools.metadata import AXES, DIM
 from pca_tools.subspace import Subspace
 
@@ -27,6 +28,7 @@ from pca_tools.subspace import Subspace
 SERIES = {'positions': (None, DIM), 'rigid_positions': (None, DIM)} | {
     name.removeprefix('rigid_'): shape for name, shape in FRAME_SERIES.items()
 }
+SERIES['heights'] = (None, None)
 SCENE_KEYS = ('name', 'rigid_motion', 'rigid_edges', 'context_names', 'force')
 ENTRY_KEYS = {'file', 'case', 'bytes', 'sha256'}
 # More faults than this are counted, not listed.
@@ -52,6 +54,7 @@ class RawRun(FrameSeries):
             one.
         context: float64 [C] global context values.
         parameters: all parameters of the case and of the solver.
+        heights: float32 [T, nx, nz] of the soil over the bin, metres, or None.
     """
 
     case: int | str
@@ -59,6 +62,12 @@ class RawRun(FrameSeries):
     rigid_positions: np.ndarray
     context: np.ndarray
     parameters: dict[str, Any]
+    heights: np.ndarray | None = None
+
+    @property
+    def grid(self) -> Grid | None:
+        """Where the map of heights lies."""
+        return heights.grid_of(self.parameters, self.heights)
 
 
 class RawRuns(Sequence):
@@ -91,7 +100,7 @@ class RawRuns(Sequence):
         self._entries = manifest['runs']
         self.cases = [entry['case'] for entry in self._entries]
         self._verified: set[int] = set()
-        self._shape: tuple[int, ...] | None = None
+        self._first: tuple[tuple[int, ...], Grid | None] | None = None
         self._reference: np.ndarray | None = None
         self._orders: dict[int, np.ndarray] = {}
 
@@ -131,12 +140,14 @@ class RawRuns(Sequence):
             raise ValueError(f'{path}: ' + '; '.join(faults))
         run = self._run_of(arrays, entry['case'])
         shape = (run.positions.shape[1], run.torque is not None, run.rigid_pose is not None)
-        self._shape = self._shape or shape
-        if shape != self._shape:
+        self._first = self._first or (shape, run.grid)
+        if shape != self._first[0]:
             raise ValueError(
-                f'{path}: has (particles, torque, pose) {shape}, the runs before it {self._shape}; '
-                'a dataset is of one bin: runs of another one need a folder of their own'
+                f'{path}: has (particles, torque, pose) {shape}, the runs before it '
+                f'{self._first[0]}; a dataset is of one bin: runs of another one need a folder of '
+                'their own'
             )
+        raise_faults(path, heights.grid_faults(run.grid, self._first[1], 'the runs before it'))
         if self._reference is None:
             return run
         if index not in self._orders:
@@ -189,7 +200,8 @@ class RawRuns(Sequence):
             except (ValueError, OSError) as error:
                 faults.append(str(error))
                 continue
-            extent.add(run.positions, run.rigid_positions, self.dt)
+            reach = heights.reach(run.heights, run.grid)
+            extent.add(run.positions, run.rigid_positions, self.dt, reach)
             reference = reference or (run.positions[0], f'case {run.case}')
             if fault := matching.order_fault(run.positions[0], *reference):
                 faults.append(f'case {run.case}: {fault}')
@@ -322,7 +334,9 @@ def array_faults(arrays: dict[str, np.ndarray], scene: dict[str, Any]) -> list[s
             faults.append(f'{name} is of {values.shape[1]} bodies, the scene has {len(bodies)}')
     if 'parameters' in arrays:
         try:
-            _read_context(arrays, scene)
+            parameters, _ = _read_context(arrays, scene)
+            if arrays.get('heights', np.empty(0)).ndim == 3:
+                heights.grid_of(parameters, arrays['heights'])
         except ValueError as error:
             faults.append(str(error))
     return faults
@@ -353,6 +367,7 @@ class Extent:
         low, high: [3] least and greatest soil coordinate in frame 0, metres.
         spacing: median distance of a soil particle to its nearest neighbour, metres.
         speed, fastest: of the fastest point of soil or body, metres per second; which it is.
+        reach: largest coordinate of the maps of heights, metres; 0 without maps.
     """
 
     low: np.ndarray = dataclasses.field(default_factory=lambda: np.full(DIM, np.inf))
@@ -360,9 +375,13 @@ class Extent:
     spacing: float = math.nan
     speed: float = 0.0
     fastest: str = 'soil'
+    reach: float = 0.0
 
-    def add(self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float) -> None:
+    def add(
+        self, positions: np.ndarray, rigid_positions: np.ndarray, dt: float, reach: float = 0.0
+    ) -> None:
         """Takes in one run; arrays as of `RawRun`."""
+        self.reach = max(self.reach, reach)
         first = np.asarray(positions[0], np.float64)
         self.low = np.minimum(self.low, first.min(axis=0))
         self.high = np.maximum(self.high, first.max(axis=0))
@@ -394,6 +413,11 @@ def unit_faults(extent: Extent, bounds: Any, dt: float) -> list[str]:
         faults.append(
             f'the soil lies outside the bounds: it spans {span}, the bounds are {bounds}'
             + _unit_guess(ratio)
+        )
+    if extent.reach > 2 * np.max(np.abs(bounds)):
+        faults.append(
+            f'the height map reaches {extent.reach:.4g} m, the bounds are {bounds}: heights, '
+            'corner and cells are in metres'
         )
     if not SPACING[0] <= extent.spacing <= SPACING[1] and math.isfinite(extent.spacing):
         faults.append(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pca_tools import files, raw_runs
+from pca_tools import files, heights, raw_runs
 from pca_tools.metadata import AXES
 from pca_tools.raw_runs import SERIES
 
@@ -44,8 +44,11 @@ def write_raw(
             [T, 3] on it, its `pose` [T, 7] (position, quaternion w x y z), `context` (name ->
             number), `step_context` [T, C] where that changes in time, `case` (id; default its
             index), `split` (train, valid or test), `kind`, and `parameters` (anything JSON can
-            hold). Metres, newtons; D = 2 or 3, a third coordinate of 0 is added to 2. T and R may
-            differ from run to run, N may not: particle i is the same particle in all runs.
+            hold). `heights` [T, nx, nz] of the soil's surface are coordinates along the upward
+            axis; the `parameters` then say where the map lies: `heights_corner_m` [x, z] and
+            `heights_cell_m` [dx, dz], the same in all runs. Metres, newtons; D = 2 or 3, a third
+            coordinate of 0 is added to 2. T and R may differ from run to run, N may not: particle i
+            is the same particle in all runs.
         dt: seconds from frame to frame.
         up_axis: axis against gravity, 0, 1, 2 or 'x', 'y', 'z'.
         body: what is known of the body's motion beforehand: 'prescribed' (all), 'driven' (rotation
@@ -105,21 +108,23 @@ def write_raw(
 def _write_runs(folder, runs, manifest, find_bounds, check_units) -> None:
     """Writes all runs, and their entries (and bounds, where none are given) into the manifest."""
     scene, dt = manifest['scene'], manifest['dt']
-    extent, entries, faults, corners, n_soil = raw_runs.Extent(), [], [], [], None
+    extent, entries, faults, corners, first = raw_runs.Extent(), [], [], [], None
     for index, run in enumerate(runs):
         arrays, problems = _arrays_of(index, run, scene)
         problems = problems or raw_runs.array_faults(arrays, scene)
-        if not problems and n_soil not in (None, arrays['positions'].shape[1]):
-            problems = [
-                f'has {arrays["positions"].shape[1]} particles, the runs before it {n_soil}'
-            ]
+        if not problems:
+            terrain, n_soil = arrays.get('heights'), arrays['positions'].shape[1]
+            grid = heights.grid_of(json.loads(str(arrays['parameters'])), terrain)
+            first = first or (n_soil, grid)
+            problems = heights.grid_faults(grid, first[1], 'the runs before it')
+            if n_soil != first[0]:
+                problems += [f'has {n_soil} particles, the runs before it {first[0]}']
         if problems:
             faults += [f'run {index}: {problem}' for problem in problems]
             continue
         soil = arrays['positions']
-        n_soil = soil.shape[1]
         body = arrays.get('rigid_positions', np.empty((len(soil), 0, 3), np.float32))
-        extent.add(soil, body, dt)
+        extent.add(soil, body, dt, heights.reach(terrain, grid))
         points = np.concatenate([soil, body], axis=1)
         corners += [points.min(axis=(0, 1)), points.max(axis=(0, 1))]
         if not faults:  # after the first fault the rest is only looked at
@@ -152,7 +157,8 @@ def _arrays_of(
         if values.dtype.kind not in 'fiu':
             faults.append(f'{name} is of type {values.dtype}, numbers were expected')
             continue
-        if scene.get('dim') == 2 and values.ndim and values.shape[-1] == 2:
+        is_plane = scene.get('dim') == 2 and values.ndim and values.shape[-1] == 2
+        if is_plane and name != 'heights':
             values = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
         arrays[name] = np.asarray(values, np.float32)
     context = run.get('context') or {}

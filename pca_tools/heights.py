@@ -1,0 +1,152 @@
+"""The map of heights of the soil beside the records: `heights_<split>.npz`.
+
+Raw runs may hold `heights` [T, nx, nz]: the coordinate of the soil's surface along the upward axis,
+over a grid of the two horizontal axes, metres (`mpm/height_map.py` says how our solver reads it).
+A dataset keeps every fourth frame, to within 0.05 mm: 2 to 47 kB a run of the solver's bins.
+Differences between neighbouring cells beside those in time save nothing more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pca_tools import packing
+from pca_tools.packed_runs import FRAME_STRIDE, PackedRuns, write_runs
+
+# Metres; heights are kept to half of it.
+RESOLUTION = 1e-4
+# Lower corner of the bins of our solver on each axis, m (`mpm.scenes`).
+_SOLVER_CORNER = 0.1
+
+
+class Grid(NamedTuple):
+    """Where a map of heights lies, on the two horizontal axes in their order.
+
+    Attributes:
+        shape: cells nx, nz.
+        corner: x, z of the lower corner of cell [0, 0], m.
+        cell: sides of a cell, m.
+    """
+
+    shape: tuple[int, int]
+    corner: tuple[float, float]
+    cell: tuple[float, float]
+
+    def __str__(self) -> str:
+        (nx, nz), (x, z), cell = self
+        length, width = (1e3 * side for side in cell)
+        return f'{nx} x {nz} cells of {length:.4g} x {width:.4g} mm from ({x:g}, {z:g}) m'
+
+
+def grid_of(parameters: Mapping[str, Any], heights: np.ndarray | None) -> Grid | None:
+    """Returns where the map of a run lies, None for a run without heights.
+
+    Args:
+        parameters: of the run: `heights_corner_m` and `heights_cell_m`, two numbers each; or
+            `bin_m`, as our solver writes: its map covers the whole bin.
+        heights: [T, nx, nz] m.
+
+    Raises:
+        ValueError: they do not say it.
+    """
+    if heights is None:
+        return None
+    nx, nz = heights.shape[1:]
+    try:
+        corner, cell = (parameters.get(f'heights_{name}_m') for name in ('corner', 'cell'))
+        if corner is None and cell is None:
+            length, _, width = parameters['bin_m']
+            corner, cell = (_SOLVER_CORNER, _SOLVER_CORNER), (length / nx, width / nz)
+        (x, z), (dx, dz) = (map(float, pair) for pair in (corner, cell))
+        if not (np.isfinite([x, z, dx, dz]).all() and dx > 0 and dz > 0):
+            raise ValueError(f'corner {corner}, cell {cell}')
+    except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
+        raise ValueError(
+            'parameters do not say where the height map lies: heights_corner_m [x, z], its '
+            'lower corner, and heights_cell_m [dx, dz], the sides of a cell, in metres'
+        ) from error
+    return Grid((nx, nz), (x, z), (dx, dz))
+
+
+def grid_faults(found: Grid | None, held: Grid | None, whose: str) -> list[str]:
+    """Returns a sentence if a run has another map than `held`, that of `whose`."""
+    if found == held:
+        return []
+    new, old = (grid or 'none' for grid in (found, held))
+    return [
+        f'its height map is {new}, that of {whose} {old}: all runs of a dataset have one map or '
+        'none; record those without `heights` again, or take the array out of the others'
+    ]
+
+
+def reach(heights: np.ndarray | None, grid: Grid | None) -> float:
+    """Returns the largest coordinate of a map, m; 0 without one."""
+    if heights is None or grid is None:
+        return 0.0
+    corner = np.array(grid.corner)
+    far = corner + np.multiply(grid.shape, grid.cell)
+    return float(max(np.abs(heights).max(), np.abs([corner, far]).max()))
+
+
+def pack(heights: np.ndarray) -> tuple[bytes, int]:
+    """Packs the kept frames of heights [T, nx, nz], m; returns bytes and number of frames."""
+    kept = heights[::FRAME_STRIDE]
+    return packing.pack_steps(kept, np.zeros(kept.shape[1:]), RESOLUTION), len(kept)
+
+
+def unpack(packed: tuple[bytes, int], grid: Grid) -> np.ndarray:
+    """Unpacks `pack`: float64 [F, nx, nz] m."""
+    return packing.unpack_steps(*packed, np.zeros(grid.shape), RESOLUTION)
+
+
+def write(path: str, packed: Sequence[tuple[bytes, int]], grid: Grid) -> None:
+    """Writes the packed runs of a split; see `write_runs`."""
+    corner, cell = np.float64(grid.corner), np.float64(grid.cell)
+    # Steps from 0 and not from a first map: so they hang on no other run.
+    rest = np.zeros(grid.shape)
+    write_runs(path, packed, rest, FRAME_STRIDE, RESOLUTION, corner=corner, cell=cell)
+
+
+class Heights(PackedRuns):
+    """The maps of a split, unpacked one run at a time.
+
+    `maps[i]` is float64 [F, nx, nz] in metres, in frame `f * frame_stride` of record i. Beside the
+    attributes of `PackedRuns`:
+
+    Attributes:
+        corner: float64 [2], x and z of the lower corner of cell [0, 0], m.
+        cell: float64 [2], sides of a cell, m.
+    """
+
+    NAME, TITLE, KINDS = 'heights', 'height map', {'corner': ('f', 1), 'cell': ('f', 1)}
+
+    @property
+    def corner(self) -> np.ndarray:
+        return self._own['corner']
+
+    @property
+    def cell(self) -> np.ndarray:
+        return self._own['cell']
+
+    @property
+    def grid(self) -> Grid:
+        """The same and the number of cells, to compare maps by."""
+        (nx, nz), (x, z), (dx, dz) = self.rest.shape, self.corner.tolist(), self.cell.tolist()
+        return Grid((nx, nz), (x, z), (dx, dz))
+
+    def __str__(self) -> str:
+        return str(self.grid)
+
+    def _fits(self) -> bool:
+        return (
+            self.rest.size > 0
+            and self.corner.shape == self.cell.shape == (2,)
+            and bool(np.isfinite(self.corner).all() and np.isfinite(self.cell).all())
+            and bool((self.cell > 0).all())
+        )
+
+
+read = Heights.read
