@@ -1,12 +1,14 @@
 """Runs as a soil field learns from them."""
 
-import json
+import contextlib
+import os
 from typing import NamedTuple
 
 import numpy as np
 
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Tool, Wheel
+from pca_tools import dataset, heights, particles
 
 
 class Run(NamedTuple):
@@ -69,17 +71,64 @@ def tool_of(case: dict) -> Tool:
     )  # fmt: skip
 
 
-def read_raw(path: str, stride: int = 4, particles: int = 600) -> Run:
-    """A raw run of the solver."""
-    found = np.load(path)
-    case = json.loads(str(found['parameters']))
-    size = np.array(case['bin_m'])
-    heights = found['heights'][::stride].astype(np.float64)
-    pick = np.random.default_rng(0).permutation(found['positions'].shape[1])[:particles]
-    return Run(
-        str(case['case']), case['kind'], case['split'], tool_of(case),
-        Soil(case['friction_angle_deg'], case['bulk_density_kg_m3'], case['gravity_m_s2']),
-        found['pose'].astype(np.float64), found['force'], found['torque'], heights, stride,
-        np.full(2, 0.1), size[[0, 2]] / heights.shape[1:],
-        found['positions'][::stride, np.sort(pick)].astype(np.float64),
-    )  # fmt: skip
+def read(folder: str, split: str) -> list[Run]:
+    """The runs of a split of a dataset; without particles where it has no sample of them.
+
+    Raises:
+      FileNotFoundError: no such split, or a dataset without height maps.
+      ValueError: a damaged file, a run without force, torque or pose, a case that says neither
+        tool nor soil.
+    """
+    metadata = dataset.read_metadata(folder)
+    maps = heights.read(folder, split)
+    has_sample = os.path.exists(particles.sample_path(folder, split))
+    sample = particles.read_sample(folder, split) if has_sample else None
+    if sample is not None and sample.frame_stride != maps.frame_stride:
+        raise ValueError(
+            f'{folder}: particles are kept every {sample.frame_stride} frames, heights every '
+            f'{maps.frame_stride}: convert its runs again'
+        )
+    found = []
+    cases = metadata.get('cases', {}).get(split, [])
+    records = dataset.read_split(folder, split)
+    for i, (record, case) in enumerate(zip(records, cases, strict=True)):
+        parts = (record.rigid_pose, record.force, record.torque)
+        if any(part is None for part in parts):
+            raise ValueError(
+                f'{folder}: run {case.get("case", i)} lacks a pose, force or torque, from which a '
+                f'soil field learns; convert runs that have them'
+            )
+        with _saying(folder, case):
+            found.append(
+                Run(
+                    str(case['case']), str(case.get('kind', 'run')), split, tool_of(case),
+                    soil_of(case), record.rigid_pose.astype(np.float64), record.force,
+                    record.torque, np.asarray(maps[i]), maps.frame_stride,
+                    np.asarray(maps.corner), np.asarray(maps.cell),
+                    None if sample is None else sample[i], float(metadata['dt']),
+                )
+            )  # fmt: skip
+    return found
+
+
+def soil_of(case: dict) -> Soil:
+    """The soil of a run, from its parameters; gravity and friction angle of those that say none are
+    the usual ones."""
+    usual = Soil()
+    return Soil(
+        float(case.get('friction_angle_deg', usual.friction_angle_deg)),
+        float(case.get('bulk_density_kg_m3', usual.density)),
+        float(case.get('gravity_m_s2', usual.gravity)),
+    )
+
+
+@contextlib.contextmanager
+def _saying(folder, case):
+    """Names folder and run in what is missing from a case."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError, IndexError) as error:
+        raise ValueError(
+            f'{folder}: run {case.get("case")} does not say its tool as a soil field needs it '
+            f'({error!r}): give `blade_width_m`, or `diameter_m` and `body_width_m`, or `tool`'
+        ) from error
