@@ -8,7 +8,7 @@ import numpy as np
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field.field import SoilField
 from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import UP
+from learning_to_simulate.soil_field.place import UP, Place
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY, Tool
 
@@ -88,6 +88,12 @@ class SoilStepper:
     def _write(self):
         if self._passage is not None:
             self._passage.update()
+
+    @property
+    def place(self) -> Place:
+        """Of the passage that the tool is on; ValueError before the start."""
+        _ = self.frame
+        return self._passage.place
 
     @property
     def frame(self) -> SoilFrame:

@@ -1,0 +1,149 @@
+"""`LoadedTool`: a tool that is free along, up or in its lean, under weight, forces and actuators.
+
+One law holds for pushed and for loaded tools: the force of the soil in the coming frame is a
+function of the coming pose. So the motion of a mass M follows from backward Euler,
+
+    M ((q' - q)/dt - v)/dt = F_soil(q') + F_ext + M g + k (q_target - q') - c (q' - q)/dt,   (18)
+
+solved for one free coordinate after the other until all hold. The soil unloads within a millimetre
+or two, and each residual grows with its own coordinate, so a bracket holds the root: a tool rests,
+stalls and comes back at any step, however light it is.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from learning_to_simulate.soil_field.place import UP
+from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper, turned
+
+COORDINATES = ('along', 'up', 'lean')
+# Tolerance of a coordinate: m, m, rad; sweeps over all of them.
+TOLERANCE = np.array([1e-7, 1e-7, 1e-6])
+SWEEPS, HALVINGS = 12, 60
+# First widths of a bracket: m, m, rad.
+WIDTH = np.array([1e-5, 1e-5, 1e-4])
+
+
+class LoadedTool:
+    """A tool under a load.
+
+    Args:
+      stepper: started.
+      mass: kg.
+      inertia: kg m2 about the position of the pose, in the plane of travel; needed where the lean
+        is free.
+      free: some of `COORDINATES`; the others follow the given pose.
+      stiffness, damping: [3] of actuators (N/m, N/m, N m/rad and N s/m, ...) that pull free
+        coordinates towards the given pose.
+
+    Attributes:
+      velocity: float64 [3] of `COORDINATES`, m/s and rad/s.
+
+    Raises:
+      ValueError: no free coordinate or an unknown one; a mass, inertia, stiffness or damping that
+        cannot be.
+    """
+
+    def __init__(
+        self, stepper: SoilStepper, mass: float, inertia: float | None = None, free=('up',),
+        stiffness=(0.0, 0.0, 0.0), damping=(0.0, 0.0, 0.0),
+    ):  # fmt: skip
+        if not free or set(free) - set(COORDINATES):
+            raise ValueError(f'free is {free}: some of {COORDINATES} were expected')
+        if not 0 < mass < np.inf:
+            raise ValueError(f'the mass is {mass} kg, must be positive')
+        if 'lean' in free and not (inertia is not None and 0 < inertia < np.inf):
+            raise ValueError(f'the lean is free, so the inertia ({inertia} kg m2) must be positive')
+        self._stepper = stepper
+        self._free = [COORDINATES.index(name) for name in COORDINATES if name in free]
+        self._mass = np.array([mass, mass, inertia or 0.0])
+        self._springs = np.array([stiffness, damping], np.float64)
+        if self._springs.shape != (2, 3) or not (
+            np.isfinite(self._springs).all() and (self._springs >= 0).all()
+        ):
+            raise ValueError(f'stiffness {stiffness} and damping {damping} must be 3 numbers >= 0')
+        self.velocity = np.zeros(3)
+
+    def step(self, pose, force=(0.0, 0.0, 0.0), torque: float = 0.0, dt: float = DT) -> SoilFrame:
+        """Moves the tool by dt s.
+
+        Args:
+          pose: [7]; where coordinates are free, what actuators pull towards.
+          force: [3] N, world, on the tool beside soil, weight and actuators.
+          torque: N m about the axis across, likewise.
+          dt: s.
+
+        Raises:
+          ValueError: see `SoilStepper.step`; the tool and its velocity stay as they were.
+        """
+        stepper, place = self._stepper, self._stepper.place
+        last = self._coordinates(stepper.frame.pose)
+        target = self._coordinates(np.asarray(pose, np.float64))
+        gravity = stepper.terrain.soil.gravity
+        given = np.append(place.axes[:2] @ np.asarray(force, np.float64), torque)
+        given[1] -= self._mass[0] * gravity
+        stiffness, damping = self._springs
+        coming = target.copy()
+        coming[self._free] = (last + dt * self.velocity)[self._free]
+
+        def residual(axis, value):
+            there = coming.copy()
+            there[axis] = value
+            frame = stepper.propose(self._pose(pose, there, target), dt)
+            soil = [*(place.axes[:2] @ frame.force), place.across @ frame.torque]
+            rate = (value - last[axis]) / dt
+            pull = stiffness[axis] * (target[axis] - value) - damping[axis] * rate
+            inertia = self._mass[axis] * (rate - self.velocity[axis]) / dt
+            return inertia - soil[axis] - given[axis] - pull
+
+        for _ in range(SWEEPS if len(self._free) > 1 else 1):
+            before = coming.copy()
+            for axis in self._free:
+                coming[axis] = root(
+                    lambda value, axis=axis: residual(axis, value), coming[axis], WIDTH[axis],
+                    TOLERANCE[axis],
+                )  # fmt: skip
+            if (np.abs(coming - before) <= TOLERANCE).all():
+                break
+        frame = stepper.step(self._pose(pose, coming, target), dt)
+        self.velocity = (coming - last) / dt
+        return frame
+
+    def _coordinates(self, pose):
+        """u, y (m) and lean (rad) of a pose, from the place of the passage."""
+        place = self._stepper.place
+        u, y, _ = place.local(pose[:3])
+        return np.array([u, y, place.turns(pose)[0]])
+
+    def _pose(self, pose, there, target):
+        """A pose with other coordinates."""
+        place, change = self._stepper.place, there - target
+        found = np.array(pose, np.float64)
+        found[:3] += change[0] * place.along + change[1] * UP
+        found[3:] = turned(found[3:], change[2] * place.across)
+        return found
+
+
+def root(function: Callable, start: float, width: float, tolerance: float) -> float:
+    """The root of a growing function near a start: a bracket that doubles from a first width, then
+    regula falsi with bisection (Illinois), to a tolerance."""
+    value = function(start)
+    step = -width if value > 0 else width
+    end, other = start, start
+    while value * (value_end := function(end := end + step)) > 0:
+        other, value, step = end, value_end, 2 * step
+        if abs(step) > 1.0:
+            raise ValueError('no pose holds the load: the soil does not carry it, or it flies away')
+    low, high, at_low, at_high = other, end, value, value_end
+    for _ in range(HALVINGS):
+        if abs(high - low) <= tolerance or at_high == 0:
+            break
+        middle = high - at_high * (high - low) / (at_high - at_low)
+        at_middle = function(middle)
+        if at_middle * at_high < 0:
+            low, at_low = high, at_high
+        else:
+            at_low /= 2  # Illinois: the end that stays counts half
+        high, at_high = middle, at_middle
+    return high
