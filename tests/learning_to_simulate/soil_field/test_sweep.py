@@ -196,6 +196,21 @@ def test_a_ring_does_not_jump_where_it_follows_a_tool_that_goes_back():
     assert steps.max() < 1.2 * 0.01 * 0.06 and area.max() > 0.02
 
 
+def test_bins_that_come_back_into_sight_begin_anew():
+    """A trench of 1 m, and back over it in the air; the terrain that is read has no trench."""
+    there = long_path(1.0, 0.0, 0.01)
+    there[:, 1] = -0.03
+    path = np.concatenate([there, [[1.0, 0.1, 0.0]], there[::-1] + [0.0, 0.13, 0.0]])
+    state = run(path, np.zeros(len(path) - 1))[-1]
+    u = state.origin[0] + sweep.GRID.offsets
+    # At its farthest the ring began at 0.702 - 0.55.
+    fresh = u < 0.1
+    bins = sweep.channels(state, np.zeros(2))
+    assert (bins[:, ~fresh, sweep.CUT] > 0.02).sum() > 100 and u[0] < -0.4
+    np.testing.assert_array_equal(bins[:, fresh, sweep.SINCE], np.float32(sweep.FORGET))
+    assert not bins[:, fresh][..., [sweep.CUT, sweep.AREA_BEFORE]].any()
+
+
 @pytest.mark.parametrize('length', [0.05, 0.7, 3.0])
 def test_a_step_of_any_length_leaves_the_same_trench(length):
     path = np.array([[0.0, -0.03, 0.0], [length, -0.03, 0.0]])
