@@ -58,11 +58,10 @@ class LoadedTool:
         self._stepper = stepper
         self._free = [COORDINATES.index(name) for name in COORDINATES if name in free]
         self._mass = np.array([mass, mass, inertia or 0.0])
+        for name, values in (('stiffness', stiffness), ('damping', damping)):
+            if np.shape(values) != (3,) or not all(0 <= value < np.inf for value in values):
+                raise ValueError(f'{name} is {values}: three numbers of at least 0 were expected')
         self._springs = np.array([stiffness, damping], np.float64)
-        if self._springs.shape != (2, 3) or not (
-            np.isfinite(self._springs).all() and (self._springs >= 0).all()
-        ):
-            raise ValueError(f'stiffness {stiffness} and damping {damping} must be 3 numbers >= 0')
         self.velocity = np.zeros(3)
 
     def step(self, pose, force=(0.0, 0.0, 0.0), torque: float = 0.0, dt: float = DT) -> SoilFrame:

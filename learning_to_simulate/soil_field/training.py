@@ -22,9 +22,10 @@ COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
-def make_field(config: SoilFieldConfig, tool_name: str) -> SoilField:
-    """A field with fresh networks for tools of a name."""
-    return SoilField(config, network.SoilNetworks(TOOLS[tool_name], config.members, config.seed))
+def make_field(config: SoilFieldConfig, tool_name: str, hidden=None) -> SoilField:
+    """A field with fresh networks, of some hidden layers, for tools of a name."""
+    tool = TOOLS[tool_name]
+    return SoilField(config, network.SoilNetworks(tool, config.members, config.seed, hidden))
 
 
 def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:
@@ -130,11 +131,11 @@ def _fit(part, call, scale, name, pools, config, progress):
             weight = (pool.weight[rows] / mean).astype(np.float32)
             drawn.append((inputs, pool.target[rows], weight))
         loss = step(drawn)
-        if number % 50 == 0 or number >= 0.9 * config.num_steps:
+        if number % 50 == 0 or number + 1 > 0.9 * config.num_steps:
             value = float(loss) / config.members
             if not np.isfinite(value):
                 raise ValueError(f'the loss of the {name} is {value} at step {number}')
             bar.set_postfix(loss=f'{value:.3g}')
-            if number >= 0.9 * config.num_steps:
+            if number + 1 > 0.9 * config.num_steps:
                 late.append(value)
     return float(np.mean(late))

@@ -1,0 +1,80 @@
+"""A trained field on disk, and what it flags."""
+
+import json
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field import field as field_lib
+from learning_to_simulate.soil_field import samples
+from tests.learning_to_simulate.soil_field import worlds
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp('field')
+    field_lib.save(str(path), worlds.trained()[0])
+    return path
+
+
+def test_a_loaded_field_says_the_same(folder):
+    field, other = worlds.trained()[0], field_lib.load(str(folder))
+    frames, passage, risen = samples.frames_of(worlds.run(8))
+    assert (field.loads(frames) == other.loads(frames)).all()
+    places = risen[-1][1]
+    assert (field.rise(passage, places) == other.rise(passage, places)).all()
+    points = np.insert(places, 1, -0.01, axis=1)
+    assert (field.displacement(passage, points) == other.displacement(passage, points)).all()
+    assert other.ranges == field.ranges and other.config == field.config
+    assert len(field.loads(frames, 1)) == 1
+
+
+@pytest.mark.parametrize(
+    'damage',
+    [
+        lambda c: c['field'].pop('tool'),
+        lambda c: c['field'].update(tool='spoon'),
+        lambda c: c['field']['ranges'].pop('depth'),
+        lambda c: c['field']['hidden'].update(soil=[24, 25]),
+        lambda c: c['config'].update(members=5),
+    ],
+)
+def test_damaged_folders_are_refused(folder, tmp_path, damage):
+    for name in ('config.json', 'weights.npz'):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    config = json.loads((tmp_path / 'config.json').read_text())
+    damage(config)
+    (tmp_path / 'config.json').write_text(json.dumps(config))
+    with pytest.raises(ValueError, match=str(tmp_path)):
+        field_lib.load(str(tmp_path))
+
+
+def test_weights_that_are_not_finite_are_not_saved(tmp_path):
+    field = worlds.training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    field.networks.load.layers[0][1].assign(field.networks.load.layers[0][1] * np.nan)
+    with pytest.raises(ValueError, match="not finite.*'load/0/bias'"):
+        field_lib.save(str(tmp_path), field)
+    assert not list(tmp_path.iterdir())
+
+
+def test_frames_outside_of_training_are_named():
+    field = worlds.trained()[0]
+    frames, _, _ = samples.frames_of(worlds.run(3))
+    none = np.zeros((len(frames.scalars), 3))
+    assert not field.limits.outside(field.judged(frames, none)).any()
+
+    def reason(turns=none, **changes):
+        scalars = frames.scalars.copy()
+        for name, value in changes.items():
+            scalars[..., field.networks.scalars[name]] = value
+        values = field.judged(frames._replace(scalars=scalars), turns)
+        return field.limits.judge(values).reason
+
+    assert 'yaw 0.1' in reason(none + [0.1, 0, 0]) and 'roll -0.2' in reason(none + [0, -0.2, 0])
+    assert 'aside 0.05' in reason(none + [0, 0, 0.05]) and 'lean 1.2' in reason(lean=1.2)
+    assert 'depth' in reason(height=-0.2) and 'speed 9' in reason(speed=9.0)
+    assert 'friction 0.5' in reason(friction=0.5)
+    # In the air all is free but soil and tool.
+    high = {'height': 0.5, 'area': 0.0}
+    assert not reason(none + 1.0, **high, lean=1.2, speed=9.0)
+    assert 'half_width' in reason(**high, half_width=0.4)

@@ -1,0 +1,107 @@
+"""Tools under a load, against closed forms in soils that are springs."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field.loaded import LoadedTool, root
+from learning_to_simulate.soil_field.place import place_of
+from tests.learning_to_simulate.soil_field.scenes import poses
+
+MASS, G, DT = 20.0, 9.81, 0.004
+
+
+class Springs:
+    """A stepper whose soil pulls u, y and lean back to 0 with a matrix K."""
+
+    def __init__(self, stiffness=((0.0, 0.0, 0.0),) * 3):
+        self.terrain = SimpleNamespace(soil=SimpleNamespace(gravity=G))
+        self.place, self._k = place_of(poses([[0, 0, 0]])[0]), np.asarray(stiffness, float)
+        self.frame = self.propose(poses([[0.0, 0.0, 0.0]])[0], DT)
+
+    def propose(self, pose, dt):
+        u, y, _ = self.place.local(pose[:3])
+        load = -self._k @ [u, y, self.place.turns(pose)[0]]
+        vectors = self.place.vectors
+        return SimpleNamespace(
+            pose=pose, force=vectors([load[0], load[1], 0.0]), torque=vectors([0, 0, load[2]])
+        )
+
+    def step(self, pose, dt):
+        self.frame = self.propose(pose, dt)
+        return self.frame
+
+    @property
+    def coordinates(self):
+        u, y, _ = self.place.local(self.frame.pose[:3])
+        return np.array([u, y, self.place.turns(self.frame.pose)[0]])
+
+
+REST = poses([[0.0, 0.0, 0.0]])[0]
+
+
+def test_nothing_below_it_lets_it_fall():
+    soil = Springs()
+    tool = LoadedTool(soil, MASS)
+    for _ in range(25):
+        tool.step(REST, dt=DT)
+    # Backward Euler: the mean of a step is its end.
+    assert soil.coordinates[1] == pytest.approx(-G * DT**2 * 25 * 26 / 2, abs=1e-6)
+    assert tool.velocity == pytest.approx([0.0, -G * DT * 25, 0.0], abs=1e-3)
+
+
+@pytest.mark.parametrize('dt', [0.001, 0.004, 0.016])
+def test_it_comes_to_rest_where_soil_carries_it(dt):
+    soil = Springs(np.diag([0.0, 2e5, 0.0]))
+    tool = LoadedTool(soil, MASS, damping=(0.0, 2e3, 0.0))
+    for _ in range(int(1.0 / dt)):
+        frame = tool.step(REST, dt=dt)
+    assert soil.coordinates[1] == pytest.approx(-MASS * G / 2e5, abs=2e-7)
+    assert frame.force[1] == pytest.approx(MASS * G, rel=1e-3)
+
+
+def test_coupled_coordinates_solve_the_whole_system():
+    soil_k = np.array([[2e5, 1.8e5, 300.0], [-1e5, 2.2e5, -200.0], [400.0, 100.0, 4e3]])
+    springs, dampers = np.array([2e4, 1e4, 500.0]), np.array([2e3, 1e3, 50.0])
+    soil, inertia, force = Springs(soil_k), 0.4, np.array([30.0, -10.0, 0.0])
+    tool = LoadedTool(soil, MASS, inertia, ('along', 'up', 'lean'), springs, dampers)
+    target = poses([[0.02, 0.01, 0.05]])[0]
+    mass = np.diag([MASS, MASS, inertia])
+    q, v = np.zeros(3), np.zeros(3)
+    outer = np.array([-30.0, -10.0 - MASS * G, 2.0])  # along is -x
+    for _ in range(5):
+        tool.step(target, force, torque=2.0, dt=DT)
+        left = mass / DT**2 + soil_k + np.diag(springs) + np.diag(dampers) / DT
+        right = mass @ (q / DT**2 + v / DT) + outer + springs * [0.02, 0.01, 0.05]
+        new = np.linalg.solve(left, right + dampers / DT * q)
+        v, q = (new - q) / DT, new
+        np.testing.assert_allclose(soil.coordinates, q, atol=2e-6)
+
+
+def test_what_is_not_free_follows_the_pose():
+    soil = Springs(np.diag([1e4, 1e5, 1e3]))
+    tool = LoadedTool(soil, MASS, free=('up',))
+    tool.step(poses([[0.03, 0.2, 0.1]])[0], dt=DT)
+    assert soil.coordinates[[0, 2]] == pytest.approx([0.03, 0.1]) and soil.coordinates[1] < 0
+
+
+@pytest.mark.parametrize(
+    'changes, message',
+    [
+        ({'free': ()}, 'free is'), ({'free': ('sideways',)}, 'free is'), ({'mass': 0.0}, 'mass'),
+        ({'mass': np.inf}, 'mass'), ({'free': ('lean',)}, 'inertia'),
+        ({'stiffness': (1.0, -1.0, 0.0)}, 'stiffness'), ({'damping': (1.0,)}, 'damping'),
+    ],
+)  # fmt: skip
+def test_bad_bodies_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        LoadedTool(Springs(), **({'mass': MASS} | changes))
+
+
+def test_a_root_is_found_across_a_kink_and_none_is_said():
+    found = root(lambda x: x - 3e-3 + (200.0 if x > 1e-3 else 0.0) * (x - 1e-3), 0.5, 1e-5, 1e-9)
+    assert found == pytest.approx((3e-3 + 0.2) / 201.0, abs=1e-8)
+    assert root(lambda x: x, 0.0, 1e-5, 1e-9) == pytest.approx(0.0, abs=1e-8)
+    with pytest.raises(ValueError, match='no pose holds the load'):
+        root(lambda x: 1.0, 0.0, 1e-5, 1e-9)

@@ -1,0 +1,79 @@
+"""Runs of a dataset as a soil field reads them, against the raw runs."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field import runs
+from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from pca_tools import convert
+from tests.pca_tools.synthetic import raw_of, write_raw_folder
+from tests.pca_tools.test_heights import BIN, SPLITS, surface
+
+
+@pytest.mark.parametrize(
+    'case, tool',
+    [
+        ({'body_width_m': 0.457}, Blade(0.457)),
+        ({'blade_width_m': 0.3, 'body_width_m': 0.3}, Blade(0.3)),
+        (
+            {'body_width_m': 0.4, 'tool': {'name': 'bucket', 'width': 0.4, 'edge_radius': 0.004,
+             'outline': [[0, 0.0], [0.2, 0.03], [0.1, 0.35]], 'side_plates': {'thickness': 0.02}}},
+            Blade(0.4, 0.004, 0.35, 1.0, 1.0),
+        ),
+        ({'body_width_m': 0.08, 'diameter_m': 0.15}, Wheel(0.08, 0.075)),
+        (
+            {'body_width_m': 0.1, 'diameter_m': 0.2,
+             'tool': {'radius': 0.1, 'grousers': {'count': 12, 'height': 0.01}}},
+            Wheel(0.1, 0.1, 12, 0.01),
+        ),
+    ],
+)  # fmt: skip
+def test_tools_are_read_from_parameters(case, tool):
+    assert runs.tool_of(case) == tool
+
+
+def test_a_soil_is_that_of_the_parameters():
+    said = {'friction_angle_deg': 30.0, 'bulk_density_kg_m3': 1500.0, 'gravity_m_s2': 1.62}
+    assert runs.soil_of(said) == Soil(30.0, 1500.0, 1.62)
+    assert runs.soil_of({}) == Soil()
+
+
+def raw_folder(folder, change, **parameters):
+    split = {'split': lambda case: SPLITS.get(case, 'train'), 'bin_m': BIN}
+    return write_raw_folder(folder, 'excavation', range(1, 8), change=change, **split, **parameters)
+
+
+def add_torque(case, arrays):
+    arrays['heights'] = surface(case)
+    arrays['torque'] = arrays['force'][:, ::-1].copy()
+
+
+def test_a_dataset_gives_its_raw_runs(tmp_path):
+    raw = raw_folder(tmp_path / 'raw', add_torque, body_width_m=0.5)
+    convert.convert(raw, str(tmp_path / 'data'), modes=4)
+    found = runs.read(str(tmp_path / 'data'), 'test')
+    assert [run.case for run in found] == ['6', '7']
+    for run in found:
+        truth = raw_of(raw, int(run.case))
+        np.testing.assert_allclose(run.pose, truth['pose'], atol=1e-7)
+        for name in ('force', 'torque'):
+            np.testing.assert_array_equal(getattr(run, name), truth[name])
+        np.testing.assert_allclose(run.heights, truth['heights'][::4], atol=6e-5)
+        assert run.particles.shape[0] == len(run.heights) == 6 and run.stride == 4
+        assert run.tool == Blade(0.5) and run.terrain(8).shape == run.heights.shape[1:]
+        assert (run.terrain(8).heights == run.heights[2]).all()
+        np.testing.assert_allclose(run.terrain().cell * run.terrain().shape, [BIN[0], BIN[2]])
+
+
+def test_what_is_missing_is_named(tmp_path):
+    def without_torque(case, arrays):
+        arrays['heights'] = surface(case)
+
+    raw = raw_folder(tmp_path / 'raw', without_torque)
+    convert.convert(raw, str(tmp_path / 'data'), modes=4)
+    with pytest.raises(ValueError, match='run 6 lacks a pose, force or torque'):
+        runs.read(str(tmp_path / 'data'), 'test')
+    raw = raw_folder(tmp_path / 'raw2', add_torque)
+    convert.convert(raw, str(tmp_path / 'data2'), modes=4)
+    with pytest.raises(ValueError, match="run 6 does not say its tool.*'body_width_m'"):
+        runs.read(str(tmp_path / 'data2'), 'test')

@@ -1,0 +1,60 @@
+"""What networks learn from, against the arrays of a run."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field import samples, training
+from learning_to_simulate.soil_field.tools import Soil
+from tests.learning_to_simulate.soil_field import worlds
+
+
+def test_loads_are_in_the_axes_and_units_of_the_field():
+    run = worlds.run(3)._replace(soil=Soil(density=2 * 1730.61, gravity=9.81 / 4))
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    frames, passage, _ = samples.frames_of(run)
+    part = samples.load_part(field.networks, run, frames, passage.place)
+    depth = np.maximum(worlds.TOOL.radius - worlds.path(3)[:, 1], 0.0)
+    kappa = part.inputs[2]
+    assert len(part.target) == len(depth) and (kappa > 0).all()  # never far above the soil
+    np.testing.assert_allclose(part.target[:, :3], 2 * depth[:, None] * worlds.DEPTH, atol=1e-3)
+    np.testing.assert_allclose(part.target[:, 5], 60 * depth, rtol=1e-5, atol=1e-5)
+    size = np.sqrt((part.target[:, :2] ** 2).sum(axis=1).mean())
+    np.testing.assert_allclose(part.weight, 1 / size**2, rtol=1e-5)
+
+
+def test_drawn_places_stand_for_all():
+    rng = np.random.default_rng(0)
+    moves = np.arange(1000) < 130
+    chosen, stands = samples._drawn(rng, moves, 48)
+    assert len(set(chosen)) == 48 and moves[chosen].sum() == 24
+    assert stands[moves[chosen]].sum() == pytest.approx(130) and stands.sum() == pytest.approx(1000)
+    few, stands = samples._drawn(rng, np.arange(1000) < 3, 48)
+    assert stands.sum() == pytest.approx(1000) and np.isin([0, 1, 2], few).all()
+
+
+def test_targets_are_what_the_run_shows():
+    run = worlds.run(2)
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    frames, passage, risen = samples.frames_of(run)
+    t, places, rise = risen[7]
+    cells = np.stack([-(places[:, 0] + passage.state.origin[0]), -places[:, 1]], axis=1)
+    index = np.rint((cells - worlds.CORNER) / worlds.CELL - 0.5).astype(int)
+    now = run.heights[t // run.stride][index[:, 0], index[:, 1]]
+    np.testing.assert_allclose(rise, now, atol=1e-12)  # the bed was level, at 0
+    rng = np.random.default_rng(0)
+    surface = samples.surface_part(field.networks, run, frames, passage, risen, rng)
+    assert surface.target.min() < -0.02 and surface.target.max() == np.float32(worlds.HEAP)
+    soil = samples.soil_part(field.networks, run, rng)
+    moved = np.abs(soil.target).max(axis=1) > 1e-4
+    np.testing.assert_allclose(soil.target[moved], [[0.02, 0.01, 0.0]] * moved.sum(), atol=1e-6)
+    assert moved.any() and not moved.all() and (soil.weight > 0).all()
+
+
+def test_a_walk_sees_the_terrain_as_it_was_recorded():
+    run = worlds.run(4)
+    walk = samples.Walk(run, start=24, set_down=False)
+    assert (walk.passage.terrain.heights == run.heights[6]).all()
+    assert (walk.passage.state.surface == walk.passage.state.profile).all()
+    for _ in range(5):
+        walk.go_on()
+    assert walk.frame_number == 29 and (walk.passage.terrain.heights == run.heights[7]).all()

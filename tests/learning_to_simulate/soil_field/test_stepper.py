@@ -1,0 +1,130 @@
+"""A tool on a terrain, frame by frame."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field.place import place_of
+from learning_to_simulate.soil_field.stepper import SoilStepper, turned
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Wheel
+from tests.learning_to_simulate.soil_field import worlds
+from tests.learning_to_simulate.soil_field.scenes import DT, poses
+
+IN_AIR = [0.0, 0.2, 0.1]
+AWAY = (0.0, 0.0, 1.2)  # from what was cut before
+END = worlds.path(3)[-1]
+
+
+def stepper(terrain=None, **more):
+    if terrain is None:
+        terrain = Terrain.flat((3.0, 4.0), corner=(-2.0, -2.0), floor=-0.5)
+    return SoilStepper(worlds.trained()[0], terrain, worlds.TOOL, **more)
+
+
+def driven(tool, seed=3, start=0.0, **more):
+    """Frames along a path of `worlds`, from u = start."""
+    way = poses(worlds.path(seed) + [start, 0.0, 0.0], **more)
+    return [tool.start(way[0])] + [tool.step(pose) for pose in way[1:]]
+
+
+def test_forces_are_those_of_the_soil_and_turn_with_the_scene():
+    here, there = stepper(), stepper(Terrain.flat((8.0, 8.0), 0.4, corner=(-4.0, -4.0)))
+    found, shift = driven(here), (0.3, 0.4, -0.2)
+    depth = np.maximum(worlds.TOOL.radius - worlds.path(3)[:, 1], 0.0)
+    truth = depth[:, None] * [6000.0, 2000.0, 0.0]
+    force = np.array([frame.force for frame in found])
+    assert np.linalg.norm(force - truth) < 0.25 * np.linalg.norm(truth)
+    assert found[-1].status == 'ok'
+    place = place_of(poses(worlds.path(3), yaw=2.1)[0])
+    for one, other in zip(found, driven(there, yaw=2.1, shift=shift), strict=True):
+        local = [-one.force[0], one.force[1], -one.force[2]]
+        np.testing.assert_allclose(place.vectors(local), other.force, atol=2e-3)
+        local = [-one.torque[0], one.torque[1], -one.torque[2]]
+        np.testing.assert_allclose(place.vectors(local), other.torque, atol=2e-4)
+
+
+def test_a_proposal_changes_nothing_and_a_step_is_what_was_proposed():
+    tool = stepper()
+    driven(tool)
+    before = tool.terrain.heights.copy()
+    pose = poses([END + [0.005, -0.02, 0.0]])[0]
+    one, other = tool.propose(pose), tool.propose(pose)
+    assert (one.force == other.force).all() and (tool.terrain.heights == before).all()
+    copied = tool.clone()
+    assert (tool.step(pose).force == one.force).all()
+    assert (copied.step(pose).force == one.force).all()
+    assert (copied.terrain.heights == tool.terrain.heights).all()
+    assert copied.terrain is not tool.terrain
+
+
+def test_the_next_tool_meets_what_the_last_has_left():
+    terrain = Terrain.flat((3.0, 2.0), corner=(-2.0, -1.0))
+    one, other = stepper(terrain), stepper(terrain)
+    first = np.array([frame.force for frame in driven(one)])
+    assert terrain.heights.min() < -0.01
+    again = np.array([frame.force for frame in driven(other)])
+    aside = np.array([frame.force for frame in driven(stepper(terrain), shift=(0, 0, 0.68))])
+    assert np.linalg.norm(again - first) > 0.1 * np.linalg.norm(first)
+    np.testing.assert_allclose(aside, first, atol=0.02 * np.abs(first).max())
+
+
+def test_what_cannot_be_is_refused_and_leaves_all_as_it_was():
+    tool = stepper()
+    with pytest.raises(ValueError, match='call start'):
+        tool.step(poses([IN_AIR])[0])
+    frame, pose = driven(tool)[-1], poses([END + [0.005, -0.02, 0.0]])[0]
+    state = tool._passage.state
+    for bad, message in [
+        (poses([[2.0, 0.0, 0.1]])[0], 'jumps'), (pose[:6], '7 finite'), (pose * np.nan, '7 finite'),
+        (np.append(pose[:3], pose[3:] * 2), 'length 2'),
+        
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            tool.step(bad)
+    with pytest.raises(ValueError, match='under the floor of the terrain at -0.5 m'):
+        tool.step(poses([END - [0.0, 0.52, 0.0]])[0], dt=1.0)
+    for dt in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match='time'):
+            tool.step(pose, dt)
+    assert tool.frame is frame and tool._passage.state is state
+    with pytest.raises(ValueError, match='knows a blade, not a wheel'):
+        SoilStepper(worlds.trained()[0], tool.terrain, Wheel())
+    with pytest.raises(ValueError, match=r'members is 3, must lie in \[1, 2\]'):
+        stepper(members=3)
+
+
+def test_yaw_in_the_soil_is_flagged_and_free_in_the_air():
+    tool = stepper()
+    driven(tool)
+    place = tool.place
+    frame = tool.step(poses([IN_AIR])[0], dt=0.5)
+    assert not frame.force.any() and frame.now.status == 'ok'
+    turn = poses([IN_AIR], yaw=0.8, shift=AWAY)[0]
+    frame = tool.step(turn, dt=0.5)
+    assert frame.now.status == 'ok' and tool.place is not place
+    np.testing.assert_allclose(tool.place.turns(turn)[1:], 0.0, atol=1e-12)
+    down = poses([[0.0, worlds.TOOL.radius - 0.03, 0.1]], yaw=0.8, shift=AWAY)[0]
+    frame = tool.step(down, dt=0.5)
+    assert frame.force.any()
+    yawed = np.append(down[:3], turned(down[3:], [0.0, 0.2, 0.0]))
+    frame = tool.step(yawed, dt=DT)
+    assert frame.status == 'extrapolating' and 'yaw' in frame.reason
+
+
+def test_stiffness_is_what_the_force_answers():
+    tool = stepper()
+    driven(tool)
+    tool.step(poses([END + [0.01, -0.03, 0.0]])[0], dt=0.1)
+    last = tool.frame
+    found = tool.stiffness(reach=1e-3)
+    ends = []
+    for sign in (1, -1):
+        pose = last.pose.copy()
+        pose[1] += sign * 1e-3
+        frame = tool.propose(pose)
+        ends.append(np.concatenate([frame.force, frame.torque]))
+    np.testing.assert_allclose(found[:, 1], (ends[0] - ends[1]) / 2e-3, rtol=1e-9)
+    lean = tool.place.turns(
+        np.append(last.pose[:3], turned(last.pose[3:], 0.1 * tool.place.across))
+    )
+    assert lean[0] == pytest.approx(tool.place.turns(last.pose)[0] + 0.1)

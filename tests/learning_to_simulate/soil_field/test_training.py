@@ -1,0 +1,53 @@
+"""Training on a soil whose law is known: what is learned holds on a path that was not seen."""
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.soil_field import samples, training
+from tests.learning_to_simulate.soil_field import worlds
+
+
+def test_the_law_of_the_soil_is_learned():
+    field, losses, pools = worlds.trained()
+    assert set(losses) == {'loss_load', 'loss_surface', 'loss_soil'}
+    assert all(len(pool) == 1 for pool in pools.values())
+    run = worlds.run(17)
+    frames, passage, risen = samples.frames_of(run)
+    loads = field.loads(frames).mean(axis=0)
+    truth = samples.loads_of(run, passage.place)
+    assert np.linalg.norm((loads - truth)[:, :2]) < 0.25 * np.linalg.norm(truth[:, :2])
+    assert np.abs(loads[:, [2, 3, 4]]).max() < 1e-3  # even ground pushes to no side
+    rise, still = [], []
+    for t, places, found in risen[2:]:
+        at = samples.sweep.Frame(frames.bins[t : t + 1], frames.scalars[t : t + 1])
+        seen = field.networks.compiled(1).rise(*at, *samples.placed(passage.strips, places))
+        rise.append(((seen.numpy().mean(axis=0)[0] - found) ** 2).mean())
+        still.append((found**2).mean())
+    assert sum(rise) < 0.3 * sum(still)
+
+
+def test_ranges_are_those_of_the_runs():
+    field, _, _ = worlds.trained()
+    low, high = field.ranges['depth']
+    deepest = max((worlds.TOOL.radius - worlds.path(seed)[:, 1]).max() for seed in range(6))
+    assert low < -0.015 and high == pytest.approx(deepest, abs=1e-6)
+    assert field.ranges['half_width'] == pytest.approx([0.15, 0.15])
+    assert field.ranges['friction'][0] == pytest.approx(np.tan(np.radians(37.2348)), abs=1e-6)
+
+
+def test_two_trainings_are_equal_and_bad_ones_refused():
+    def made(seed):
+        config = worlds.SoilFieldConfig('soil_field', members=1, num_steps=4, seed=seed)
+        field = training.make_field(config, 'blade', worlds.SMALL)
+        training.fit(field, training.parts_of(field, [worlds.run(1)]), progress=False)
+        return field.networks.soil.layers[0][0].numpy()
+
+    assert (made(0) == made(0)).all()
+    assert (made(0) != made(1)).any()
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    with pytest.raises(ValueError, match='no runs to learn from'):
+        training.parts_of(field, [])
+    pools = training.parts_of(field, [worlds.run(1)])
+    pools['load'][0].target[:] = np.nan
+    with pytest.raises(ValueError, match='loss of the load is nan at step 0'):
+        training.fit(field, pools, progress=False)
