@@ -260,9 +260,14 @@ def test_soil_that_nothing_has_reached_rests_to_the_last_bit(name):
 
 
 def test_a_passage_begins_without_a_jump():
-    pose = poses([[0.1, -0.03, 0.0]])
-    nets, strip, (frame,) = scene('blade', pose=pose, frames=(0,), set_down=False)
-    assert not ask(nets.displacement, frame, strip, about(frame)[None]).any()
+    """Motion grows over the first 5 mm of way, which no input sees."""
+    nets, strip, (frame,) = scene('blade', frames=(-1,))
+    scalars = np.concatenate([frame.scalars] * 3)
+    scalars[..., sweep.SCALARS.index('way')] = np.array([[0.0], [0.0025], [0.005]])
+    frames = sweep.Frame(np.concatenate([frame.bins] * 3), scalars)
+    moved = ask(nets.displacement, frames, strip, np.stack([about(frame)] * 3))
+    assert not moved[:, 0].any() and np.abs(moved[:, 2]).max() > 0.003
+    np.testing.assert_allclose(moved[:, 1], moved[:, 2] / 2, atol=1e-7)
 
 
 def test_loads_are_in_proportion_to_the_width_where_all_else_is_equal():
