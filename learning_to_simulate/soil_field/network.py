@@ -92,7 +92,7 @@ class SoilNetworks(tf.Module):
     def compiled(self, n_strips: int, members: int | None = None) -> 'Compiled':
         """Functions for frames of a number of strips and some members (None: all), compiled where
         they are first called."""
-        spec = tf.TensorSpec
+        spec, partial = tf.TensorSpec, functools.partial
         n = len(self._grid.offsets)
         frame = [
             spec([None, n_strips, n, len(sweep.CHANNELS)]),
@@ -108,9 +108,9 @@ class SoilNetworks(tf.Module):
             made(self.load_inputs, *frame),
             made(self.surface_inputs, *frame, spec([None, None, 2]), pairs),
             made(self.soil_inputs, *frame, spec([None, None, 3]), pairs),
-            made(lambda *x: self.loads(*x, members), *frame),
-            made(lambda *x: self.rise(*x, members), *frame, spec([None, None, 2]), pairs),
-            made(lambda *x: self.displacement(*x, members), *frame, spec([None, None, 3]), pairs),
+            made(partial(self.loads, members=members), *frame),
+            made(partial(self.rise, members=members), *frame, spec([None, None, 2]), pairs),
+            made(partial(self.displacement, members=members), *frame, spec([None, None, 3]), pairs),
         )
 
     def _scalar(self, scalars, name):

@@ -93,8 +93,9 @@ class Terrain:
         arrays = files.read_npz(path)
         try:
             soil = Soil(*map(float, arrays['soil']))
-            parts = (arrays[name] for name in ('heights', 'cell', 'corner'))
-            return cls(*parts, soil, float(arrays['floor']), bool(arrays['walled']))
+            heights, cell, corner = (arrays[name] for name in ('heights', 'cell', 'corner'))
+            floor, walled = float(arrays['floor']), bool(arrays['walled'])
+            return cls(heights, cell, corner, soil, floor, walled)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f'{path}: is no terrain: {error}') from error
 

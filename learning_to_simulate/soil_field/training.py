@@ -54,8 +54,8 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         values.append(field.judged(frames, np.zeros((len(frames.scalars), len(CONDITIONS)))))
         for name, part in found.items():
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
-    values = np.concatenate(values)
-    lows, highs = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    seen = np.concatenate(values)
+    lows, highs = seen.min(axis=0).tolist(), seen.max(axis=0).tolist()
     for name, low, high in zip(field.judged_names, lows, highs, strict=True):
         if name not in CONDITIONS:
             field.ranges[name] = [low, high]

@@ -30,24 +30,25 @@ def test_ranges_are_those_of_the_runs():
     field, _, _ = worlds.trained()
     low, high = field.ranges['depth']
     deepest = max((worlds.TOOL.radius - worlds.path(seed)[:, 1]).max() for seed in range(6))
-    assert low < -0.015 and high == pytest.approx(deepest, abs=1e-6)
+    assert low == pytest.approx(-0.015, abs=1e-6) and high == pytest.approx(deepest, abs=1e-6)
     assert field.ranges['half_width'] == pytest.approx([0.15, 0.15])
     assert field.ranges['friction'][0] == pytest.approx(np.tan(np.radians(37.2348)), abs=1e-6)
 
 
 def test_two_trainings_are_equal_and_bad_ones_refused():
+    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
+    pools = training.parts_of(field, [worlds.run(1)])
+
     def made(seed):
         config = worlds.SoilFieldConfig('soil_field', members=1, num_steps=4, seed=seed)
         field = training.make_field(config, 'blade', worlds.SMALL)
-        training.fit(field, training.parts_of(field, [worlds.run(1)]), progress=False)
+        training.fit(field, pools, progress=False)
         return field.networks.soil.layers[0][0].numpy()
 
     assert (made(0) == made(0)).all()
     assert (made(0) != made(1)).any()
-    field = training.make_field(worlds.CONFIG, 'blade', worlds.SMALL)
     with pytest.raises(ValueError, match='no runs to learn from'):
         training.parts_of(field, [])
-    pools = training.parts_of(field, [worlds.run(1)])
     pools['load'][0].target[:] = np.nan
     with pytest.raises(ValueError, match='loss of the load is nan at step 0'):
         training.fit(field, pools, progress=False)
