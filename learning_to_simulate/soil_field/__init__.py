@@ -3,5 +3,7 @@
 place, terrain: where a tool works, and on what.
 tools, strips, sweep, passage: a tool, what lies under and beside it, what it has swept.
 inputs, network: three networks that tell load, surface and particles from that.
-runs: what it learns from.
+runs, samples, training: what it learns from, and how.
+field: a trained model and its folder.
+stepper, loaded, tracer: a tool frame by frame, under a load, with particles about it.
 """

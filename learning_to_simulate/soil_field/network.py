@@ -8,6 +8,7 @@ docs/soil_field.md):
               highest terrain about the tool                                                  (10)
   of a strip  with its neighbour on one side: (F_u, F_y, T, F_side) =
               kappa w / J (FORCE, FORCE, TORQUE, FORCE) exp(clip(b, -4, 4)) n / WIDTH         (11)
+              of a wheel F_u, F_side = F_y n and T = F_y R n: it bears what weighs on it
   load        F_u, F_y, T: sums over strips of the mean of both sides; the force across is the sum
               of F_side of the left minus the right sides; torques along and up follow from the
               lever of each strip                                                             (12)
@@ -203,9 +204,10 @@ class SoilNetworks(tf.Module):
         kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
         return seen, sides, kappa
 
-    def load_of(self, seen, sides, kappa, width, members=None):
+    def load_of(self, seen, sides, kappa, width, members=None, borne=None):
         """[M, B, 6] force along, up, across (N) and torque along, up, across (N m) of the field,
-        from `load_inputs` and widths [B]: (11), (12)."""
+        from `load_inputs` and widths [B]: (11), (12). Where it is known, `borne` [B] stands for the
+        force up that the others of a wheel are shares of."""
         b, k = tf.shape(seen)[0], tf.shape(seen)[1]
         count = tf.cast(k, tf.float32)
         both = tf.concat([tf.repeat(seen[:, :, None], 2, axis=2), sides], axis=-1)
@@ -214,7 +216,12 @@ class SoilNetworks(tf.Module):
         gain = tf.exp(tf.clip_by_value(found[..., 4:], -GAIN_LIMIT, GAIN_LIMIT))
         unit = tf.constant([FORCE, FORCE, TORQUE, FORCE])
         share = kappa * width[:, None] / (WIDTH[self.tool.name] * count)
-        found = found[..., :4] * gain * unit * share[None, ..., None, None]
+        shares, found = found, found[..., :4] * gain * unit * share[None, ..., None, None]
+        if self.tool.bears:
+            up = found[..., 1:2]
+            known = up if borne is None else borne[None, :, None, None, None] / count
+            along, _, turn, side = tf.split(known * shares[..., :4], 4, axis=-1)
+            found = tf.concat([along, up, self.tool.RIM * turn, side], axis=-1)
         plane = tf.reduce_mean(found[..., :3], axis=3)  # of strips
         across = tf.reduce_sum(found[..., 0, 3] - found[..., 1, 3], axis=2)
         lever = (tf.range(count) - (count - 1.0) / 2.0) * width[:, None] / count

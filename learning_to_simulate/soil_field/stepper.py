@@ -11,6 +11,7 @@ from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import UP, Place
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY, Tool
+from learning_to_simulate.soil_field.tracer import Tracer
 
 DT = 1.0 / 60.0  # s
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
@@ -82,6 +83,7 @@ class SoilStepper:
         self._units = np.array([force] * 3 + [force * scale] * 3)
         self._passage: Any = None
         self._frame: Any = None
+        self._tracer: Any = None
         self._number = 0
         terrain.add_work(self._write)
 
@@ -110,7 +112,7 @@ class SoilStepper:
         """
         pose = _pose(pose)
         self._write()
-        self._passage, self._number = self._begun(pose), 0
+        self._passage, self._number, self._tracer = self._begun(pose), 0, None
         self._frame = self._seen(self._passage, pose, OK)
         return self._frame
 
@@ -132,10 +134,16 @@ class SoilStepper:
             the tool stays where it was.
         """
         passage, frame = self._proposed(pose, dt)
-        if passage.place is not self._passage.place:
+        is_new = passage.place is not self._passage.place
+        if is_new:
             self._write()
         self._passage, self._frame = passage, frame
         self._number += 1
+        if self._tracer is not None:
+            if is_new:
+                self._tracer = self._traced()
+            else:
+                self._tracer.step(frame.pose, dt)
         return frame
 
     def _proposed(self, pose, dt):
@@ -183,12 +191,26 @@ class SoilStepper:
         force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
         return SoilFrame(pose, force, torque, worse(before, now), now, loads.std(axis=0))
 
+    def particles(self) -> np.ndarray:
+        """float32 [N, 3], m: places of particles about the tool.
+
+        They are followed from the first call on; until then soil is what the terrain looks like.
+        """
+        if self._tracer is None:
+            self._tracer = self._traced()
+        return self._tracer.points()
+
+    def _traced(self):
+        return Tracer(self.field, self.terrain, self.tool, self.frame.pose, self._members)
+
     def clone(self) -> 'SoilStepper':
         """A stepper of its own at the same point, on a terrain of its own."""
         terrain = self.terrain.clone()
         other = SoilStepper(self.field, terrain, self.tool, self._members)
         if self._passage is not None:
             other._passage = self._passage.clone(terrain, other._rise)
+        if self._tracer is not None:
+            other._tracer = self._tracer.clone(terrain)
         other._frame, other._number = self._frame, self._number
         return other
 

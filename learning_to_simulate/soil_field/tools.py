@@ -60,6 +60,7 @@ class Tool:
     name: ClassVar[str]
     columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
     scalars: ClassVar[tuple[str, ...]]  # behind those of `sweep.SCALARS`
+    bears: ClassVar[bool]  # whether its loads are shares of the force up
 
     def __post_init__(self):
         _check_positive(self, 'width', 'radius')
@@ -97,6 +98,7 @@ class Blade(Tool):
 
     name = 'blade'
     columns = 5
+    bears = False
     taught_widths: ClassVar = (0.15, 0.6)
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'ahead')
 
@@ -139,6 +141,7 @@ class Wheel(Tool):
 
     name = 'wheel'
     columns = 1
+    bears = True
     RIM: ClassVar = 0.1  # m of the field
     scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'ahead')
 

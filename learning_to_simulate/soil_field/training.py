@@ -78,11 +78,18 @@ def fit(field: SoilField, pools: dict[str, list], progress=True) -> dict:
       ValueError: a loss that is not finite.
     """
     networks, config = field.networks, field.config
+
+    def load_of(inputs, target):
+        """The shares of a wheel are learned of what it bears, not of what it seems to bear."""
+        return networks.load_of(*inputs, borne=target[:, 1] if networks.tool.bears else None)
+
     components = tf.constant(COMPONENTS[networks.tool.name], tf.float32) / network.FORCE
     scales = {'load': components, 'surface': 1 / network.LENGTH, 'soil': 1 / network.LENGTH}
     calls = {
-        'load': networks.load_of, 'surface': networks.rise_of, 'soil': networks.displacement_of,
-    }  # fmt: skip
+        'load': load_of,
+        'surface': lambda inputs, _: networks.rise_of(*inputs),
+        'soil': lambda inputs, _: networks.displacement_of(*inputs),
+    }
     return {
         f'loss_{name}': _fit(getattr(networks, name), calls[name], scales[name], name, parts,
                              config, progress)
@@ -107,7 +114,7 @@ def _fit(part, call, scale, name, pools, config, progress):
         with tf.GradientTape() as tape:
             total = 0.0
             for inputs, target, weight in drawn:
-                error = (call(*inputs) - target) * scale
+                error = (call(inputs, target) - target) * scale
                 square = error**2
                 if len(target.shape) > 1:
                     square = tf.reduce_sum(square, axis=-1)

@@ -15,6 +15,7 @@ import pytest
 
 from mpm import batch, bodies, packing, raw_run, scenes
 from mpm.experiments import coarse
+from mpm.height_map import shape_of
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
 from tests.mpm import small
@@ -73,6 +74,7 @@ def test_files_are_as_agreed(tmp_path, short):
     count = int(np.prod(small.BLADE.bin.lattice))
     shapes = {
         'positions': (5, count, 3), 'rigid_positions': (5, 20, 3), 'force': (5, 3),
+        'heights': (5, *shape_of(small.BLADE.bin)),
         'torque': (5, 3), 'pose': (5, 7),
     }  # fmt: skip
     starts = []

@@ -142,8 +142,10 @@ class Twin:
                 side = self.read(tables.side, tip, c[j], values, beside)
                 for m in range(2):
                     out = self.mlp(nets.load, m, np.concatenate([own, side]))
-                    out = out[:4] * np.exp(np.clip(out[4], -4, 4)) * [100, 100, 10, 100]
+                    n, out = out, out[:4] * np.exp(np.clip(out[4], -4, 4)) * [100, 100, 10, 100]
                     out *= kappa * width / len(under) / network.WIDTH[self.tool.name]
+                    if self.tool.name == 'wheel':  # friction of what it bears
+                        out = out[1] * np.array([n[0], 1.0, 0.1 * n[2], n[3]])
                     lever = np.cross([0, 0, c[j]], [out[0] / 2, out[1] / 2, 0])
                     total[m, :3] += [out[0] / 2, out[1] / 2, -sign * out[3]]
                     total[m, 3:] += lever + [0, 0, out[2] / 2]

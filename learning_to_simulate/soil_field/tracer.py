@@ -1,0 +1,106 @@
+"""`Tracer`: particles of the soil about a tool, from where somebody first asks for them.
+
+Particles stand on a lattice under the terrain. A network tells how far each has moved since an
+anchor, a passage that began in the middle of the way; when the bins of that are about to move on
+(after 0.3 m ahead, 0.1 m back), particles stay as they are and a new anchor begins, with more of
+the lattice where the tool comes to. The displacement grows from 0 there, so nothing jumps.
+"""
+
+import copy
+
+import numpy as np
+
+from learning_to_simulate.soil_field import strips as strips_lib
+from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.field import SoilField
+from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Tool
+
+SPACING, DEPTH = 0.02, 0.15  # of the lattice and how deep it reaches, m of the field
+
+
+class Tracer:
+    """Particles about a tool.
+
+    Args:
+      field: `SoilField`.
+      terrain: that the tool works on; is not changed.
+      tool: what goes.
+      pose: [7] now.
+      members: networks that answer; None: all.
+      spacing, depth: of the lattice, m of the field.
+    """
+
+    def __init__(
+        self, field: SoilField, terrain: Terrain, tool: Tool, pose,
+        members: int | None = None, spacing: float = SPACING, depth: float = DEPTH,
+    ):  # fmt: skip
+        self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
+        self._spacing = spacing * tool.scale
+        self._layers = max(round(depth / spacing), 1)
+        self._columns = np.zeros((0, 2), np.int64)  # of the lattice that have particles
+        self._rest = np.zeros((0, 3))
+        self._pose = pose
+        self._anchor()
+
+    def _anchor(self):
+        """Begins anew here; particles that are far behind are forgotten."""
+        self._passage = passage = Passage(
+            self._terrain, self._tool, self._pose, set_down=False, even=None
+        )
+        scale, place = passage.scale, passage.place
+        reach = scale * (self._tool.width / passage.scale / 2 + strips_lib.BESIDE)
+        low, high = (scale * v for v in (-sweep.WINDOW, sweep.WINDOW + sweep.GRID.on))
+
+        def is_near(points):
+            local = place.local(points) - [scale * passage.state.tip[0], 0.0, 0.0]
+            return (local[:, 0] >= low) & (local[:, 0] <= high) & (np.abs(local[:, 2]) <= reach)
+
+        # Columns stand on one lattice of the whole terrain, so that old and new ones do not mix.
+        ends = np.array([[u, 0, z] for u in (low, high) for z in (-reach, reach)])
+        ends = place.world(ends + [scale * passage.state.tip[0], 0, 0])[:, [0, 2]]
+        first, last = (np.rint(f(axis=0) / self._spacing).astype(int) for f in (ends.min, ends.max))
+        spans = [np.arange(first[i], last[i] + 1) for i in range(2)]
+        columns = np.stack(np.meshgrid(*spans, indexing='ij'), axis=-1).reshape(-1, 2)
+        x, z = self._spacing * columns.T
+        limits = self._terrain.corner + self._terrain.cell * self._terrain.shape
+        inside = np.all(
+            (np.stack([x, z], 1) >= self._terrain.corner) & (np.stack([x, z], 1) <= limits), axis=1
+        )
+        columns = columns[inside & is_near(np.stack([x, 0 * x, z], axis=1))]
+        known = {tuple(c) for c in self._columns.tolist()}
+        fresh = np.array([c for c in columns.tolist() if tuple(c) not in known], np.int64)
+        fresh = fresh.reshape(-1, 2)
+        self._columns = columns
+        x, z = np.repeat(self._spacing * fresh.T, self._layers, axis=1)
+        below = np.tile(self._spacing * (np.arange(self._layers) + 0.5), len(fresh))
+        added = np.stack([x, self._terrain.at(x, z) - below, z], axis=1)
+        self._rest = np.concatenate([self._rest[is_near(self._rest)], added])
+
+    def step(self, pose, dt: float) -> None:
+        """Follows the tool to a pose [7] that it reaches within dt s."""
+        passage = self._passage
+        origin, coming = passage.state.origin[0], passage.seen(pose)[0]
+        if sweep.follow(origin, coming) != origin:
+            self._rest = self.points().astype(np.float64)
+            self._anchor()
+        self._passage.step(pose, dt)
+        self._pose = pose
+
+    def clone(self, terrain: Terrain) -> 'Tracer':
+        """The same particles, about a tool on a clone of the terrain."""
+        other = copy.copy(self)
+        other._terrain, other._passage = terrain, self._passage.clone(terrain, None)
+        return other
+
+    def points(self) -> np.ndarray:
+        """float32 [N, 3], m, world."""
+        passage, points = self._passage, self._rest.astype(np.float32)
+        local = passage.place.local(self._rest) / passage.scale
+        places = local - [passage.state.origin[0], passage.level, 0.0]
+        moved = self._field.displacement(passage, places, self._members)
+        now = np.flatnonzero(moved.any(axis=1))
+        # Those that rest are as they were, to the last bit.
+        points[now] = passage.place.world(passage.scale * (local[now] + moved[now]))
+        return points
