@@ -15,7 +15,6 @@ from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.network import placed
 from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.runs import Run
-from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY
 
 # A run that moves less than this (root mean square, m of the field) weighs no more than one that
 # does; one that feels less force, N of the field, likewise.
@@ -40,17 +39,10 @@ class Part(NamedTuple):
     weight: np.ndarray
 
 
-def unit_of_force(run: Run) -> float:
-    """N of the world to one N of the field, for a tool of scale 1 times scale cubed."""
-    soil = run.soil.density * run.soil.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
-    return soil * run.tool.scale**3
-
-
 def loads_of(run: Run, place) -> np.ndarray:
     """Measured force and torque [T, 6] along, up, across of the field, N and N m."""
-    unit = unit_of_force(run)
     force, torque = (np.asarray(v, np.float64) @ place.axes.T for v in (run.force, run.torque))
-    return np.concatenate([force / unit, torque / (unit * run.tool.scale)], axis=1)
+    return np.concatenate([force, torque], axis=1) / run.tool.units(run.soil)
 
 
 class Walk:

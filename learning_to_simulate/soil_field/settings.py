@@ -1,4 +1,4 @@
-"""Settings and preset of the soil field."""
+"""Settings of the soil field."""
 
 import dataclasses
 
@@ -35,6 +35,5 @@ class SoilFieldConfig(Settings):
             raise ValueError(f'learning_rate is {self.learning_rate}, must lie in (0, 1)')
 
 
-PRESETS = {'soil_field': SoilFieldConfig('soil_field')}
-"""Rows of `samples` that a step takes, by network; of the load, of strips and sides."""
+# Rows of `samples` that a step takes, by network.
 BATCHES = {'load': 512, 'surface': 3072, 'soil': 3072}

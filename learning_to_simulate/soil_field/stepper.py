@@ -8,9 +8,9 @@ import numpy as np
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field.field import SoilField
 from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import UP, Place
+from learning_to_simulate.soil_field.place import UP, Place, checked_pose
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tools import STANDARD_DENSITY, STANDARD_GRAVITY, Tool
+from learning_to_simulate.soil_field.tools import Tool
 from learning_to_simulate.soil_field.tracer import Tracer
 
 DT = 1.0 / 60.0  # s
@@ -77,10 +77,7 @@ class SoilStepper:
         if members is not None and not 1 <= members <= field.networks.members:
             raise ValueError(f'members is {members}, must lie in [1, {field.networks.members}]')
         self.field, self.terrain, self._members = field, terrain, members
-        soil, scale = terrain.soil, self.tool.scale
-        weight = soil.density * soil.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
-        force = weight * scale**3
-        self._units = np.array([force] * 3 + [force * scale] * 3)
+        self._units = self.tool.units(terrain.soil)
         self._passage: Any = None
         self._frame: Any = None
         self._tracer: Any = None
@@ -111,6 +108,7 @@ class SoilStepper:
           ValueError: a pose that is none, or under the floor of the terrain.
         """
         pose = _pose(pose)
+        self._refuse_floor(pose)
         self._write()
         self._passage, self._number, self._tracer = self._begun(pose), 0, None
         self._frame = self._seen(self._passage, pose, OK)
@@ -157,11 +155,7 @@ class SoilStepper:
                 f'the pose jumps: {speed:.3g} m/s and {turn:.3g} rad/s, at most {FASTEST} and '
                 f'{FASTEST_TURN} are taken; call start() anew'
             )
-        if pose[1] - self.tool.radius < self.terrain.floor:
-            raise ValueError(
-                f'the tool would be at {pose[1] - self.tool.radius:.4g} m, under the floor of the '
-                f'terrain at {self.terrain.floor:.4g} m'
-            )
+        self._refuse_floor(pose)
         passage = copy.copy(self._passage)
         yaw, _, aside = self._turns(passage, pose)
         in_air = not np.any(self._last_load)
@@ -171,6 +165,13 @@ class SoilStepper:
                 return fresh, self._seen(fresh, pose, last.judgement)
         passage.step(pose, dt)
         return passage, self._seen(passage, pose, last.judgement)
+
+    def _refuse_floor(self, pose):
+        if pose[1] - self.tool.radius < self.terrain.floor:
+            raise ValueError(
+                f'the tool would be at {pose[1] - self.tool.radius:.4g} m, under the floor of the '
+                f'terrain at {self.terrain.floor:.4g} m'
+            )
 
     @property
     def _last_load(self):
@@ -248,12 +249,8 @@ def turned(quaternion, rotation) -> np.ndarray:
 
 
 def _pose(pose) -> np.ndarray:
-    pose = np.array(pose, np.float64)
-    if pose.shape != (7,) or not np.isfinite(pose).all():
-        raise ValueError(f'a pose has 7 finite numbers (x, y, z, quaternion w x y z), got {pose}')
-    length = np.linalg.norm(pose[3:])
-    if abs(length - 1.0) > 1e-3:
-        raise ValueError(f'the quaternion {pose[3:]} has length {length:.4g}, 1 was expected')
-    pose[3:] /= length
+    """A pose of its own, its quaternion of length 1, that nobody writes into."""
+    pose = checked_pose(pose).copy()
+    pose[3:] /= np.linalg.norm(pose[3:])
     pose.setflags(write=False)
     return pose

@@ -30,7 +30,7 @@ is how soil unloads. Two cones tell how far soil may have been moved,
 
 Two calls in a row equal one call over the joined path up to (7), which sees straight pieces; moving
 path and terrain together changes nothing. Coordinates: u (m) along the way, y (m) upwards; lengths
-are those of the tool's scale (`tool.Tool`). The C form is lts_sweep.c.
+are those of the tool's scale (`tools.Tool`).
 """
 
 import dataclasses
@@ -55,7 +55,7 @@ RISE = 0.5
 CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
 CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
 MOTIONS = ('along', 'up', 'turn')
-# Scalars of a frame that come from the path; `tool.Tool.scalars` has those of the tool behind them.
+# Scalars of a frame that come from the path; those of `tools.Tool.scalars` follow behind.
 SCALARS = (
     'tip', 'height', 'lean', 'area', 'foremost', 'way', 'speed',
     *(f'{name}_{i}' for i in range(len(MEMORIES)) for name in MOTIONS),

@@ -7,6 +7,7 @@ standard soil, times in the root of scale over g. A blade's scale is 1 as long a
 within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.
 """
 
+import abc
 import dataclasses
 from typing import ClassVar
 
@@ -46,7 +47,7 @@ class Soil:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tool:
+class Tool(abc.ABC):
     """What a field must know of a tool.
 
     Attributes:
@@ -66,18 +67,24 @@ class Tool:
         _check_positive(self, 'width', 'radius')
 
     @property
+    @abc.abstractmethod
     def scale(self) -> float:
         """m of the world to one m of the field."""
-        raise NotImplementedError
 
+    def units(self, soil: Soil) -> np.ndarray:
+        """[6] N (three times) and N m of the world to one of the field."""
+        weight = soil.density * soil.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
+        force = weight * self.scale**3
+        return np.array([force] * 3 + [force * self.scale] * 3)
+
+    @abc.abstractmethod
     def turn(self, step) -> np.ndarray:
         """x of (7) of `sweep` [...], in lengths of the field, of changes [..., 3] of u, y (m of the
         field) and lean (rad)."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def values(self, soil: Soil) -> np.ndarray:
-        """[S'] of `scalars`, in lengths of the field."""
-        raise NotImplementedError
+        """[S'] of `scalars` but the last, in lengths of the field."""
 
 
 @dataclasses.dataclass(frozen=True)

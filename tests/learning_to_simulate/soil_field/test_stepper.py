@@ -75,14 +75,17 @@ def test_what_cannot_be_is_refused_and_leaves_all_as_it_was():
     frame, pose = driven(tool)[-1], poses([END + [0.005, -0.02, 0.0]])[0]
     state = tool._passage.state
     for bad, message in [
-        (poses([[2.0, 0.0, 0.1]])[0], 'jumps'), (pose[:6], '7 finite'), (pose * np.nan, '7 finite'),
-        (np.append(pose[:3], pose[3:] * 2), 'length 2'),
+        (poses([[2.0, 0.0, 0.1]])[0], 'jumps'), (pose[:6], r'\[7\] were'),
+        (pose * np.nan, r'\[7\] were'),
+        (np.append(pose[:3], pose[3:] * 2), 'must have length 1'),
         
     ]:  # fmt: skip
         with pytest.raises(ValueError, match=message):
             tool.step(bad)
     with pytest.raises(ValueError, match='under the floor of the terrain at -0.5 m'):
         tool.step(poses([END - [0.0, 0.52, 0.0]])[0], dt=1.0)
+    with pytest.raises(ValueError, match='under the floor of the terrain at -0.5 m'):
+        tool.start(poses([END - [0.0, 0.52, 0.0]])[0])
     for dt in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match='time'):
             tool.step(pose, dt)
