@@ -57,7 +57,7 @@ class Structure:
         if isinstance(kind, _POINTER):
             return self._pointer(kind, value)
         if issubclass(kind, ctypes.Array):
-            return kind(*(self._made(kind._type_, item) for item in value))
+            return kind(*(self._field(kind._type_, item) for item in value))
         return self._made(kind, value) if isinstance(value, dict) else value
 
     def _pointer(self, kind, value):

@@ -7,11 +7,11 @@ repeats is only the order of a frame's scalars.
 import numpy as np
 
 from learning_to_simulate.live import poses
-from learning_to_simulate.native import c_values, fold, library
+from learning_to_simulate.native import c_values, fold, library, tables
 from learning_to_simulate.swept_field import engine
 from learning_to_simulate.swept_field.calibration import LEAST_SPEED
 from learning_to_simulate.swept_field.network import ACROSS, LOAD_HIDDEN
-from learning_to_simulate.tool import Wheel, blade, inputs, wheel
+from learning_to_simulate.tool import Wheel, blade, wheel
 
 # Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
 _BITS = {
@@ -37,12 +37,12 @@ def values(field, starts=None, subspace=None) -> dict:
     if field.config.hidden_layers < 1:
         raise ValueError('a swept field without hidden layers has no C form')
     tool = field.tool
-    tables, c, limits = tool.tables, library.constants(), field.limits
+    of_tool, c, limits = tool.tables, library.constants(), field.limits
     axes, grid = field.axes, field.grid
     soil, load = (_numpy(net) for net in (field.network.soil, field.network.load))
     w, b = soil[0]
-    n_own = len(tables.own)
-    reach = max(np.abs(row.at).max() for row in tables.own.rows if row.at)
+    n_own = len(of_tool.own)
+    reach = max(np.abs(row.at).max() for row in of_tool.own.rows if row.at)
     result = {
         'abi': c['LTS_ABI'],
         'n_soil': len(field.rest),
@@ -87,11 +87,11 @@ def values(field, starts=None, subspace=None) -> dict:
         'bits': np.array([c[_bit(name)] for name in limits.names]),
         'bound': np.array(field.calibration.get('force', ())),
         'n_seen': n_own,
-        'n_shared': len(tables.shared),
-        'n_force': len(tables.force),
-        'own': _table(tables.own, tool),
-        'shared': _table(tables.shared, tool),
-        'force_inputs': _table(tables.force, tool),
+        'n_shared': len(of_tool.shared),
+        'n_force': len(of_tool.force),
+        'own': _table(of_tool.own, tool),
+        'shared': _table(of_tool.shared, tool),
+        'force_inputs': _table(of_tool.force, tool),
         'below': tool.below,
         'below_ramp': tool.below_ramp,
         'beside': tool.beside,
@@ -196,45 +196,10 @@ def _bit(name):
     return next((bit for bit, names in _BITS.items() if plain in names), 'LTS_OUTSIDE_POSE')
 
 
-def _table(table: inputs.Table, tool) -> dict:
-    """`lts_field_table` of a table."""
-    c, ops, rows = library.constants(), [], []
-    for row in table.rows:
-        if inputs.depth(row.operand) > (limit := c['LTS_FIELD_STACK']):
-            raise ValueError(f'{row.operand!r} needs more than the {limit} values of the C form')
-        for offset in row.at or (0.0,):
-            program = [_op(*step, offset, tool) for step in inputs.program(row.operand)]
-            squash = c[f'LTS_SQUASH_{row.squash.upper()}']
-            rows.append(
-                {'first': len(ops), 'count': len(program), 'squash': squash, 'shift': row.shift,
-                 'scale': row.scale}
-            )  # fmt: skip
-            ops += program
-    return {
-        'n_row': len(rows),
-        'place': -1 if table.place == 'u' else tool.scalars.index(table.place),
-        'unit': tool.scalars.index(table.unit) if table.unit else -1,
-        'rows': rows,
-        'ops': ops,
-    }
-
-
-def _op(kind, value, offset, tool):
-    """`lts_field_op` of one step of `inputs.program`."""
-    if kind != 'name':
-        number = value if kind == 'number' else 0.0
-        return _coded(kind, 0, number)
-    if value.startswith('at.'):
-        return _coded('at', library.constants()[f'LTS_{value[3:].upper()}'], offset)
-    if value in tool.channels:
-        return _coded('here', library.constants()[f'LTS_{value.upper()}'])
-    if value in tool.scalars:
-        return _coded('scalar', tool.scalars.index(value))
-    return _coded('rest', 'uyz'.index(value))
-
-
-def _coded(code, index=0, value=0.0):
-    return {'code': library.constants()[f'LTS_OP_{code.upper()}'], 'index': index, 'value': value}
+def _table(table, tool):
+    """`lts_table` of a table."""
+    channels = {name: library.constants()[f'LTS_{name.upper()}'] for name in tool.channels}
+    return tables.values(table, tool.scalars, channels)
 
 
 def _numpy(net):

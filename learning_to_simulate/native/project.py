@@ -27,13 +27,18 @@ _FIELD_TEMPLATES = {
     'cmake/README_field.md.in': 'README.md',
     'examples/field.cpp.in': 'examples/example.cpp',
 }
-# Sources of both kinds of models; the others belong to one, by the beginning of their names.
-_SHARED = ('lts_common', 'lts_kernels', 'lts_model.')
+# Sources of all kinds of models; the others belong to one, by the beginning of their names.
+_SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')
+
+
+def is_soil(values: dict) -> bool:
+    """Whether values are those of a soil field, `soil_data.values`."""
+    return 'n_column' in values
 
 
 def is_field(values: dict) -> bool:
     """Whether values are those of a swept field, `field_data.values`."""
-    return 'n_member' in values
+    return 'n_member' in values and not is_soil(values)
 
 
 def is_wheel(values: dict) -> bool:
@@ -71,8 +76,10 @@ def write_sources(folder: str, name: str, values: dict) -> None:
       name: of `symbol`.
       values: of `model_data.values` or `field_data.values`.
     """
+    kind = 'lts_soil' * is_soil(values) + 'lts_field' * is_field(values)
     for part in sorted(os.listdir(os.path.join(library.SOURCES, 'src'))):
-        if part.startswith(_SHARED) or part.startswith('lts_field') == is_field(values):
+        own = next((name for name in ('lts_soil', 'lts_field') if part.startswith(name)), '')
+        if part.startswith(_SHARED) or own == kind:
             copy(f'src/{part}', folder)
     with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
         file.write(model_source(name, values))

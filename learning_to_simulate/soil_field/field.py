@@ -25,6 +25,8 @@ CONDITIONS = {'yaw': (-0.035, 0.035), 'roll': (-0.035, 0.035), 'aside': (-0.02, 
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
 _SCALARS = ('lean', 'area', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
+# Bins so far from the tool tell of the ground under it and about it, m of the field.
+HERE, NEAR = 0.05, 0.25
 
 
 @dataclasses.dataclass
@@ -56,6 +58,12 @@ class SoilField:
         extra = np.where([n in CONDITIONS for n in names], 0.0, MARGIN * (high - low)) + 1e-6
         return Ranges(names, low, high, np.stack([low - extra, high + extra]))
 
+    @property
+    def middle(self) -> np.ndarray:
+        """[N] of the ranges of `judged`."""
+        ranges = self.ranges | CONDITIONS
+        return np.array([np.mean(ranges.get(name, (0, 0))) for name in self.judged_names])
+
     def judged(self, frames: sweep.Frame, turns) -> np.ndarray:
         """[T, N] numbers that say whether frames are like those of training, see `judged_names`.
 
@@ -69,8 +77,8 @@ class SoilField:
         )
         surface = frames.bins[..., sweep.SURFACE]
         places = sweep.GRID.offsets - tip[:, None]
-        here = np.abs(places)[:, None] < 0.05
-        near = np.abs(places)[:, None] < 0.25
+        here = np.abs(places)[:, None] < HERE
+        near = np.abs(places)[:, None] < NEAR
         under = surface.mean(axis=1, keepdims=True)
         level = np.where(here, under, 0.0).sum(axis=(1, 2)) / here.sum(axis=(1, 2))
         found = [
@@ -79,7 +87,7 @@ class SoilField:
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
         ]
-        names = (*_SCALARS, *self.networks.tool.scalars[:-1])
+        names = self.judged_names[: named(self.networks.tool)]
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
         values = np.stack(own + found, axis=1).astype(np.float64)
         lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
@@ -90,9 +98,7 @@ class SoilField:
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
         values = np.concatenate([values, np.asarray(turns, np.float64)], axis=1)
-        middle = np.array([np.mean((self.ranges | CONDITIONS).get(n, (0, 0)))
-                           for n in self.judged_names])  # fmt: skip
-        return np.where(free & ~touches[:, None], middle, values)
+        return np.where(free & ~touches[:, None], self.middle, values)
 
     def rise(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far the surface has risen [K] at places [K, 2] of a passage, m of the field."""
@@ -111,6 +117,11 @@ class SoilField:
         call = self.networks.compiled(len(passage.strips.centres), members).displacement
         frame = map(tf.constant, passage.frame)
         return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
+
+
+def named(tool) -> int:
+    """How many of the numbers that are judged are scalars of a frame; they come first."""
+    return len(_SCALARS) + len(tool.scalars) - 1
 
 
 def save(path: str, field: SoilField) -> None:

@@ -16,7 +16,7 @@ AHEAD = 0.7  # m of the field, farther walls do not matter
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
-_SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
+SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
 class Passage:
@@ -67,7 +67,7 @@ class Passage:
         self.level = float(self.state.surface.mean())
         if set_down:
             surface, above = self.state.surface, first.copy()
-            above[:, 1] = max(first[0, 1], surface.max() + self._radius[0] + _SET_DOWN)
+            above[:, 1] = max(first[0, 1], surface.max() + self._radius[0] + SET_DOWN)
             self.state = sweep.start(above, lambda u: surface, grid)
             self._advance(first, 0.0, 1.0)
         # Of cells in sight, by their number: heights before the tool, and as it left them, m.
@@ -127,11 +127,7 @@ class Passage:
         coming = self.seen(pose)
         change = coming - self._pose
         change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
-        if abs(change[0]) > MAX_STEP:
-            raise ValueError(
-                f'the tool goes {self.scale * change[0]:.4g} m within one frame, at most '
-                f'{self.scale * MAX_STEP:.4g} m can be followed: give poses between'
-            )
+        refuse_far(self.scale, change[0])
         origin, to = self.state.origin[0], sweep.follow(self.state.origin[0], coming[0], self._grid)
         if to != origin:
             self.update()  # the last chance of cells that the bins leave
@@ -212,3 +208,12 @@ class Passage:
         own = np.broadcast_to(own, (len(level), len(own)))
         bins = sweep.channels(s, level, self._grid)
         return sweep.Frame(bins[None], np.concatenate([of_path, own], axis=1)[None])
+
+
+def refuse_far(scale: float, along: float) -> None:
+    """Raises ValueError for a step along the way, m of the field, that is too long for a frame."""
+    if abs(along) > MAX_STEP:
+        raise ValueError(
+            f'the tool goes {scale * along:.4g} m within one frame, at most '
+            f'{scale * MAX_STEP:.4g} m can be followed: give poses between'
+        )

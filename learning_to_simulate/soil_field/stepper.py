@@ -1,53 +1,20 @@
 """`SoilStepper`: a tool on a terrain, frame by frame; its force, the terrain, particles."""
 
 import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
+from learning_to_simulate.native import soil_engine
+from learning_to_simulate.native.engines import BEST
+from learning_to_simulate.soil_field.engine import SoilFrame
 from learning_to_simulate.soil_field.field import SoilField
-from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import UP, Place, checked_pose
+from learning_to_simulate.soil_field.place import UP, Place
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 from learning_to_simulate.soil_field.tracer import Tracer
 
 DT = 1.0 / 60.0  # s
-# A pose that is farther than this from the one before is a jump, m/s and rad/s.
-FASTEST, FASTEST_TURN = 3.0, 20.0
-# In the air a tool that leaves the plane of its passage by more begins a new one: rad, m of the
-# field.
-TURNED, MOVED = 0.01, 0.005
-
-
-class SoilFrame(NamedTuple):
-    """One frame.
-
-    Attributes:
-      pose: float64 [7] of the tool, position (m) and unit quaternion (w, x, y, z).
-      force: float64 [3] of the soil on the tool, N, world.
-      torque: float64 [3], N m, about the position of the pose, world.
-      judgement: the worst since the start; `now`: of this frame alone.
-      spread: float64 [6], standard deviation over members of force and torque, along, up, across.
-    """
-
-    pose: np.ndarray
-    force: np.ndarray
-    torque: np.ndarray
-    judgement: Judgement
-    now: Judgement
-    spread: np.ndarray
-
-    @property
-    def status(self) -> RolloutStatus:
-        """The worst status since the start."""
-        return self.judgement.status
-
-    @property
-    def reason(self) -> str:
-        """Value and limits behind the status, in words; '' where it is OK."""
-        return self.judgement.reason
 
 
 class SoilStepper:
@@ -61,14 +28,16 @@ class SoilStepper:
       terrain: is changed.
       tool: of the kind of the field; None for the usual one.
       members: networks that answer; None: all.
+      engine: 'best' takes C where a compiler is at hand, 'c' and 'tensorflow' the one.
 
     Raises:
-      ValueError: a tool of another kind; fewer members.
+      ValueError: a tool of another kind; fewer members; an unknown engine.
+      native.library.NoCompiler: with 'c', where there is no compiler.
     """
 
     def __init__(
         self, field: SoilField, terrain: Terrain, tool: Tool | None = None,
-        members: int | None = None,
+        members: int | None = None, engine: str = BEST,
     ):  # fmt: skip
         kind = field.networks.tool
         self.tool = kind() if tool is None else tool
@@ -76,23 +45,25 @@ class SoilStepper:
             raise ValueError(f'the model knows a {kind.name}, not a {self.tool.name}')
         if members is not None and not 1 <= members <= field.networks.members:
             raise ValueError(f'members is {members}, must lie in [1, {field.networks.members}]')
-        self.field, self.terrain, self._members = field, terrain, members
-        self._units = self.tool.units(terrain.soil)
-        self._passage: Any = None
+        self.field, self.terrain = field, terrain
+        self._engine = soil_engine.of(field, terrain, self.tool, members, engine)
         self._frame: Any = None
         self._tracer: Any = None
-        self._number = 0
         terrain.add_work(self._write)
 
     def _write(self):
-        if self._passage is not None:
-            self._passage.update()
+        self._engine.write()
+
+    @property
+    def engine(self) -> str:
+        """What computes the frames, in words."""
+        return self._engine.name
 
     @property
     def place(self) -> Place:
         """Of the passage that the tool is on; ValueError before the start."""
         _ = self.frame
-        return self._passage.place
+        return self._engine.place
 
     @property
     def frame(self) -> SoilFrame:
@@ -107,22 +78,13 @@ class SoilStepper:
         Raises:
           ValueError: a pose that is none, or under the floor of the terrain.
         """
-        pose = _pose(pose)
-        self._refuse_floor(pose)
-        self._write()
-        self._passage, self._number, self._tracer = self._begun(pose), 0, None
-        self._frame = self._seen(self._passage, pose, OK)
+        self._frame, self._tracer = self._engine.start(pose), None
         return self._frame
-
-    def _begun(self, pose):
-        return Passage(self.terrain, self.tool, pose, rise=self._rise)
-
-    def _rise(self, passage, places):
-        return self.field.rise(passage, places, self._members)
 
     def propose(self, pose, dt: float = DT) -> SoilFrame:
         """The frame in which the tool would reach a pose within dt s; nothing changes."""
-        return self._proposed(pose, dt)[1]
+        _ = self.frame
+        return self._engine.propose(pose, dt)
 
     def step(self, pose, dt: float = DT) -> SoilFrame:
         """Moves the tool in a straight line to a pose [7] within dt s.
@@ -131,66 +93,15 @@ class SoilStepper:
           ValueError: a pose that is none, jumps, or is under the floor; a time that does not pass;
             the tool stays where it was.
         """
-        passage, frame = self._proposed(pose, dt)
-        is_new = passage.place is not self._passage.place
-        if is_new:
-            self._write()
-        self._passage, self._frame = passage, frame
-        self._number += 1
-        if self._tracer is not None:
-            if is_new:
+        _ = self.frame
+        place = None if self._tracer is None else self._engine.place
+        self._frame = frame = self._engine.step(pose, dt)
+        if place is not None:
+            if self._engine.place is not place:
                 self._tracer = self._traced()
             else:
                 self._tracer.step(frame.pose, dt)
         return frame
-
-    def _proposed(self, pose, dt):
-        last, pose = self.frame, _pose(pose)
-        if not 0 < dt < np.inf:
-            raise ValueError(f'dt is {dt} s: time must go on')
-        speed = np.linalg.norm(pose[:3] - last.pose[:3]) / dt
-        turn = 2 * np.arccos(min(abs(float(pose[3:] @ last.pose[3:])), 1.0)) / dt
-        if speed > FASTEST or turn > FASTEST_TURN:
-            raise ValueError(
-                f'the pose jumps: {speed:.3g} m/s and {turn:.3g} rad/s, at most {FASTEST} and '
-                f'{FASTEST_TURN} are taken; call start() anew'
-            )
-        self._refuse_floor(pose)
-        passage = copy.copy(self._passage)
-        yaw, _, aside = self._turns(passage, pose)
-        in_air = not np.any(self._last_load)
-        if in_air and (abs(yaw) > TURNED or abs(aside) > MOVED):
-            fresh = self._begun(pose)
-            if not np.any(self.field.loads(fresh.frame, 1)):
-                return fresh, self._seen(fresh, pose, last.judgement)
-        passage.step(pose, dt)
-        return passage, self._seen(passage, pose, last.judgement)
-
-    def _refuse_floor(self, pose):
-        if pose[1] - self.tool.radius < self.terrain.floor:
-            raise ValueError(
-                f'the tool would be at {pose[1] - self.tool.radius:.4g} m, under the floor of the '
-                f'terrain at {self.terrain.floor:.4g} m'
-            )
-
-    @property
-    def _last_load(self):
-        return np.concatenate([self._frame.force, self._frame.torque])
-
-    def _turns(self, passage, pose):
-        _, yaw, roll = passage.place.turns(pose)
-        return np.array([yaw, roll, passage.place.local(pose[:3])[2] / passage.scale])
-
-    def _seen(self, passage, pose, before):
-        """The frame of a passage at a pose."""
-        frame = passage.frame
-        loads = self.field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
-        mean = loads.mean(axis=0)
-        turns = self._turns(passage, pose)
-        values = self.field.judged(frame, turns[None])
-        now = self.field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
-        force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
-        return SoilFrame(pose, force, torque, worse(before, now), now, loads.std(axis=0))
 
     def particles(self) -> np.ndarray:
         """float32 [N, 3], m: places of particles about the tool.
@@ -202,17 +113,16 @@ class SoilStepper:
         return self._tracer.points()
 
     def _traced(self):
-        return Tracer(self.field, self.terrain, self.tool, self.frame.pose, self._members)
+        return Tracer(self._engine, self.terrain, self.tool, self.frame.pose)
 
     def clone(self) -> 'SoilStepper':
         """A stepper of its own at the same point, on a terrain of its own."""
-        terrain = self.terrain.clone()
-        other = SoilStepper(self.field, terrain, self.tool, self._members)
-        if self._passage is not None:
-            other._passage = self._passage.clone(terrain, other._rise)
+        other = copy.copy(self)
+        other.terrain = self.terrain.clone()
+        other._engine = self._engine.clone(other.terrain)
         if self._tracer is not None:
-            other._tracer = self._tracer.clone(terrain)
-        other._frame, other._number = self._frame, self._number
+            other._tracer = self._tracer.clone(other._engine, other.terrain)
+        other.terrain.add_work(other._write)
         return other
 
     def stiffness(self, dt: float = DT, reach: float = 1e-4) -> np.ndarray:
@@ -223,7 +133,7 @@ class SoilStepper:
           dt: duration of the coming frame, s.
           reach: m, and rad times 0.1 m, of the differences.
         """
-        place = self._passage.place
+        place = self.place
         pose, columns = self.frame.pose, []
         for way in (place.along, UP, None):
             ends = []
@@ -246,11 +156,3 @@ def turned(quaternion, rotation) -> np.ndarray:
     w, v = np.cos(angle / 2), np.sin(angle / 2) * axis
     w0, v0 = quaternion[0], np.asarray(quaternion[1:])
     return np.append(w * w0 - v @ v0, w * v0 + w0 * v + np.cross(v, v0))
-
-
-def _pose(pose) -> np.ndarray:
-    """A pose of its own, its quaternion of length 1, that nobody writes into."""
-    pose = checked_pose(pose).copy()
-    pose[3:] /= np.linalg.norm(pose[3:])
-    pose.setflags(write=False)
-    return pose

@@ -15,7 +15,7 @@ from learning_to_simulate.soil_field.tools import Tool
 
 N_BESIDE, BESIDE_WIDTH = 3, 0.1  # strips on either side, m of the field
 BESIDE = N_BESIDE * BESIDE_WIDTH  # soil farther beside the tool has not moved, m of the field
-_ACROSS = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])  # where a strip is read, in its widths
+ACROSS = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])  # where a strip is read, in its widths
 
 
 class Strips(NamedTuple):
@@ -61,7 +61,7 @@ def strips_of(tool: Tool, even: bool = False) -> Strips:
 def heights(terrain: Terrain, place: Place, scale: float, strips: Strips, u) -> np.ndarray:
     """Heights [J, k] of strips at places u [J, k] along the way, all in m of the field, from a
     terrain in m of the world."""
-    across = strips.centres[:, None] + strips.widths[:, None] * _ACROSS
+    across = strips.centres[:, None] + strips.widths[:, None] * ACROSS
     along, over = scale * np.asarray(u)[..., None], scale * across[:, None, :]
     x, z = (place.origin[i] + place.along[i] * along + place.across[i] * over for i in (0, 2))
     return terrain.at(x, z).mean(axis=-1) / scale

@@ -28,6 +28,7 @@ class Terrain:
     def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
         self._heights = np.array(heights, np.float64, order='C')  # `write` needs a flat view
         self._works: list = []  # weak references to what changes heights when they are asked for
+        self.works_in_python = False  # whether some of that is unknown to the C library
         self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
         self.corner = np.asarray(corner, np.float64)
         self.soil = Soil() if soil is None else soil

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 STANDARD_DENSITY, STANDARD_GRAVITY = 1730.61, 9.81
+LEAN = 0.1  # m of the field that a blade turns by with a change of lean of 1 rad
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Blade(Tool):
 
     def turn(self, step):
         """See `Tool`: 0.1 m times the change of lean."""
-        return 0.1 * step[..., 2]
+        return LEAN * step[..., 2]
 
     def values(self, soil):
         s = self.scale

@@ -12,8 +12,6 @@ import numpy as np
 
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.field import SoilField
-from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Tool
 
@@ -24,19 +22,18 @@ class Tracer:
     """Particles about a tool.
 
     Args:
-      field: `SoilField`.
+      engine: of the tool.
       terrain: that the tool works on; is not changed.
       tool: what goes.
       pose: [7] now.
-      members: networks that answer; None: all.
       spacing, depth: of the lattice, m of the field.
     """
 
     def __init__(
-        self, field: SoilField, terrain: Terrain, tool: Tool, pose,
-        members: int | None = None, spacing: float = SPACING, depth: float = DEPTH,
+        self, engine, terrain: Terrain, tool: Tool, pose, spacing: float = SPACING,
+        depth: float = DEPTH,
     ):  # fmt: skip
-        self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
+        self._engine, self._terrain, self._tool = engine, terrain, tool
         self._spacing = spacing * tool.scale
         self._layers = max(round(depth / spacing), 1)
         self._columns = np.zeros((0, 2), np.int64)  # of the lattice that have particles
@@ -46,20 +43,18 @@ class Tracer:
 
     def _anchor(self):
         """Begins anew here; particles that are far behind are forgotten."""
-        self._passage = passage = Passage(
-            self._terrain, self._tool, self._pose, set_down=False, even=None
-        )
-        scale, place = passage.scale, passage.place
-        reach = scale * (self._tool.width / passage.scale / 2 + strips_lib.BESIDE)
+        self._anchored = self._engine.anchor(self._pose)
+        scale, place = self._tool.scale, self._anchored.place
+        reach = self._tool.width / 2 + scale * strips_lib.BESIDE
         low, high = (scale * v for v in (-sweep.WINDOW, sweep.WINDOW + sweep.GRID.on))
 
-        def is_near(points):
-            local = place.local(points) - [scale * passage.state.tip[0], 0.0, 0.0]
+        def is_near(points):  # the tool stands at the origin of the place
+            local = place.local(points)
             return (local[:, 0] >= low) & (local[:, 0] <= high) & (np.abs(local[:, 2]) <= reach)
 
         # Columns stand on one lattice of the whole terrain, so that old and new ones do not mix.
         ends = np.array([[u, 0, z] for u in (low, high) for z in (-reach, reach)])
-        ends = place.world(ends + [scale * passage.state.tip[0], 0, 0])[:, [0, 2]]
+        ends = place.world(ends)[:, [0, 2]]
         first, last = (np.rint(f(axis=0) / self._spacing).astype(int) for f in (ends.min, ends.max))
         spans = [np.arange(first[i], last[i] + 1) for i in range(2)]
         columns = np.stack(np.meshgrid(*spans, indexing='ij'), axis=-1).reshape(-1, 2)
@@ -80,27 +75,19 @@ class Tracer:
 
     def step(self, pose, dt: float) -> None:
         """Follows the tool to a pose [7] that it reaches within dt s."""
-        passage = self._passage
-        origin, coming = passage.state.origin[0], passage.seen(pose)[0]
-        if sweep.follow(origin, coming) != origin:
+        if self._anchored.leaves(pose):
             self._rest = self.points().astype(np.float64)
             self._anchor()
-        self._passage.step(pose, dt)
+        self._anchored.follow(pose, dt)
         self._pose = pose
 
-    def clone(self, terrain: Terrain) -> 'Tracer':
-        """The same particles, about a tool on a clone of the terrain."""
+    def clone(self, engine, terrain: Terrain) -> 'Tracer':
+        """The same particles, about a tool on a clone of the terrain with an engine of its own."""
         other = copy.copy(self)
-        other._terrain, other._passage = terrain, self._passage.clone(terrain, None)
+        other._engine, other._terrain = engine, terrain
+        other._anchored = self._anchored.clone(terrain)
         return other
 
     def points(self) -> np.ndarray:
         """float32 [N, 3], m, world."""
-        passage, points = self._passage, self._rest.astype(np.float32)
-        local = passage.place.local(self._rest) / passage.scale
-        places = local - [passage.state.origin[0], passage.level, 0.0]
-        moved = self._field.displacement(passage, places, self._members)
-        now = np.flatnonzero(moved.any(axis=1))
-        # Those that rest are as they were, to the last bit.
-        points[now] = passage.place.world(passage.scale * (local[now] + moved[now]))
-        return points
+        return self._anchored.displaced(self._rest)

@@ -106,7 +106,7 @@ int lts_field_take_bed(lts_field *soil, const lts_field_bed *bed, const float **
 
 /* lts_field_table.c: inputs of a table that looks at the tool; own inputs [n][ld] of particles; a channel at u
  * from the tool's first place, m. */
-void lts_field_read(const lts_field *soil, const lts_field_table *table, float *out);
+void lts_field_read(const lts_field *soil, const lts_table *table, float *out);
 void lts_field_read_particles(const lts_field *soil, const int32_t *which, int n, float *out, int ld);
 float lts_field_channel_at(const lts_field *soil, int channel, float u);
 

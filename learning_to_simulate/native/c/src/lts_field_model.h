@@ -5,12 +5,11 @@
 
 #include "lts_field.h"
 #include "lts_model.h"
+#include "lts_table.h"
 
 #define LTS_FIELD_SCALES 4  /* memories of the velocity, at most */
 #define LTS_FIELD_CONTEXT 8 /* values of a context, at most */
 #define LTS_FIELD_CONDITIONS 7 /* that no network sees, see `swept_field/calibration.py` */
-
-#define LTS_FIELD_STACK 8   /* values that an operand needs at once, at most */
 
 /* Channels of a frame's bins: of both tools, of a blade, of a wheel. */
 enum {
@@ -19,31 +18,6 @@ enum {
   LTS_FIRST_CUT = 6, LTS_SLID = 7, LTS_SHEAR = 8, LTS_PEAK = 9
 };
 #define LTS_CHANNELS 10
-
-/* Inputs as tables, see `tool/inputs.py`. First what puts a value on the stack: a scalar of the frame, a number,
- * u, y or z of a particle, a channel at that u or at an offset; then what takes two; then what takes one. */
-enum {
-  LTS_OP_SCALAR = 0, LTS_OP_NUMBER = 1, LTS_OP_REST = 2, LTS_OP_HERE = 3, LTS_OP_AT = 4,
-  LTS_OP_ADD = 5, LTS_OP_SUB = 6, LTS_OP_MUL = 7, LTS_OP_DIV = 8, LTS_OP_MAX = 9,
-  LTS_OP_SQUARE = 10, LTS_OP_ABS = 11, LTS_OP_RELU = 12, LTS_OP_SQRT = 13, LTS_OP_LOG = 14, LTS_OP_LOG1P = 15
-};
-enum {
-  LTS_SQUASH_PLAIN = 0, LTS_SQUASH_TANH = 1, LTS_SQUASH_RELU = 2, LTS_SQUASH_RELU2 = 3, LTS_SQUASH_BELL = 4,
-  LTS_SQUASH_FADE = 5, LTS_SQUASH_LOG = 6, LTS_SQUASH_LOG1P = 7
-};
-typedef struct {
-  int32_t code, index;
-  float value; /* a number, or an offset: m, or in the unit of the table */
-} lts_field_op;
-typedef struct {
-  int32_t first, count, squash; /* operations of the operand */
-  float shift, scale;
-} lts_field_row;
-typedef struct {
-  int32_t n_row, place, unit, unused; /* scalars: where offsets are counted from, and their unit; -1: u, m */
-  const lts_field_row *rows;
-  const lts_field_op *ops;
-} lts_field_table;
 
 /* Where a recorded wheel began. */
 typedef struct {
@@ -78,7 +52,7 @@ struct lts_field_model {
   const float *bed_mean;       /* [N][3] m */
   const float *bed_components; /* [N][n_mode] */
   /* Inputs: of a particle, of all particles of a frame, of the load. */
-  lts_field_table own, shared, force_inputs;
+  lts_table own, shared, force_inputs;
   /* Shares of motion and contact; contact: [n] m about the tool. */
   int32_t n_contact, unused_contact;
   const float *contact;

@@ -13,7 +13,7 @@ typedef struct {
 } place;
 typedef struct {
   const lts_field *soil;
-  const lts_field_table *table;
+  const lts_table *table;
   int n, is_particles;
   place here[LANES]; /* of particles, in bins */
   float rest[3][LANES], seen[LTS_CHANNELS][LANES];
@@ -69,11 +69,11 @@ static const float *seen_here(reading *r, int channel) {
   for (int i = 0; i < n; ++i) x[i] = (expression)
 
 /* The operand of a row, into the lowest [LANES] of a stack. */
-static void operand_of(reading *r, const lts_field_row *row, float stack[LTS_FIELD_STACK][LANES]) {
+static void operand_of(reading *r, const lts_row *row, float stack[LTS_STACK][LANES]) {
   const int n = r->n;
   int top = -1;
   for (int k = 0; k < row->count; ++k) {
-    const lts_field_op *op = &r->table->ops[row->first + k];
+    const lts_op *op = &r->table->ops[row->first + k];
     const int takes_two = op->code >= LTS_OP_ADD && op->code <= LTS_OP_MAX;
     top += op->code < LTS_OP_ADD ? 1 : takes_two ? -1 : 0;
     float *x = stack[top];
@@ -121,7 +121,7 @@ static void exp_minus(const reading *r, float *x) {
   EACH((1.0f - x[i]) / (1.0f + x[i]));
 }
 
-static void squash(const reading *r, const lts_field_row *row, float *x) {
+static void squash(const reading *r, const lts_row *row, float *x) {
   const int n = r->n;
   if (row->shift != 0.0f) EACH(x[i] - row->shift);
   if (row->scale != 1.0f) EACH(x[i] / row->scale);
@@ -141,16 +141,16 @@ static void squash(const reading *r, const lts_field_row *row, float *x) {
 }
 
 static void read_rows(reading *r, float *out, int ld) {
-  float stack[LTS_FIELD_STACK][LANES];
+  float stack[LTS_STACK][LANES];
   for (int column = 0; column < r->table->n_row; ++column) {
-    const lts_field_row *row = &r->table->rows[column];
+    const lts_row *row = &r->table->rows[column];
     operand_of(r, row, stack);
     squash(r, row, stack[0]);
     for (int i = 0; i < r->n; ++i) out[i * ld + column] = stack[0][i];
   }
 }
 
-void lts_field_read(const lts_field *soil, const lts_field_table *table, float *out) {
+void lts_field_read(const lts_field *soil, const lts_table *table, float *out) {
   reading r;
   r.soil = soil;
   r.table = table;

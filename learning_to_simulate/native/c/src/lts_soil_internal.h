@@ -1,0 +1,140 @@
+/* An instance of a soil field: two passages, one of which is the tool's and the other a trial, and the work space. */
+#ifndef LTS_SOIL_INTERNAL_H
+#define LTS_SOIL_INTERNAL_H
+
+#include "lts_common.h"
+#include "lts_kernels.h"
+#include "lts_soil_model.h"
+
+#define LTS_SOIL_MAGIC 0x4c545331u
+#define LTS_SOIL_LANES 48 /* places that go through a network at once: they stay in the first cache */
+
+/* The vertical plane of a passage: origin, and level unit vectors, x and z of each; m. Twin of `place.py`. */
+typedef struct {
+  double origin[2], along[2], across[2];
+} lts_place;
+
+/* What a passage is beside its bins; lengths of the field. Twin of `sweep.Sweep`, of whose columns all share
+ * their path, and of `passage.py`. */
+typedef struct {
+  lts_place place;
+  double level, origin, pose[3]; /* pose: u and height of the circle's centre, lean */
+  double memory[LTS_SOIL_MEMORIES][3], travelled, way, speed;
+  double foremost[LTS_SOIL_STRIPS];
+  int32_t n_strip, looks; /* looks: whether to see if the terrain goes on being even */
+  int32_t cells, stale;   /* which of the instance's cells are in sight; whether their heights are old */
+} lts_way;
+
+typedef struct {
+  lts_way s;
+  double *surface, *profile, *last, *area_before; /* [strips][n_bin] */
+} lts_passage;
+
+/* Cells in sight, ascending: their numbers in the flat map, heights before the tool and as it left them (m), u and
+ * distance across of their middles (m of the field). */
+typedef struct {
+  int32_t n;
+  int32_t *number;
+  double *before, *left, *u, *across;
+} lts_cells;
+
+/* Places on their way through a network. */
+typedef struct {
+  int n;
+  float u[LTS_SOIL_LANES], y[LTS_SOIL_LANES], z[LTS_SOIL_LANES];
+  /* Lower strip and share of the next one: here, farther from the middle, nearer to it. */
+  int32_t strip[3][LTS_SOIL_LANES];
+  float share[3][LTS_SOIL_LANES];
+  float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
+  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], gate[LTS_SOIL_LANES];
+  size_t which[LTS_SOIL_LANES];
+} lts_places;
+
+struct lts_soil {
+  uint32_t magic;
+  int32_t kernel, members, most_cells;
+  const lts_soil_model *model;
+  const lts_kernels *run;
+  lts_terrain *terrain;
+  lts_soil *next; /* on the terrain */
+  lts_soil_tool tool;
+  double scale, width, radius, time, units[6]; /* width and radius in lengths of the field; time: s of the field */
+  float own[LTS_SOIL_SCALARS];                 /* scalars of the tool */
+  double centres[LTS_SOIL_STRIPS], widths[LTS_SOIL_STRIPS];
+  /* State. */
+  int32_t started, writes, now, frame; /* writes: whether the tool moves the terrain */
+  lts_pose pose;
+  lts_soil_result result;
+  lts_passage passage[2];
+  lts_cells cells[2];
+  /* Work space: the frame of a passage as the networks see it, */
+  const lts_passage *seen; /* null: of none */
+  int32_t sees_all, unused;
+  float *bins[LTS_SOIL_CHANNELS]; /* [strips][n_bin] */
+  float scalars[LTS_SOIL_STRIPS][LTS_SOIL_SCALARS];
+  int32_t *near; /* [cells], of those about the tool */
+  float *risen;  /* [cells] */
+  double *under, *fresh, *first, *second; /* [n_bin], [strips][n_bin], [n_bin], [n_bin] */
+  /* places, and rows on their way through a network. */
+  lts_places *places;
+  int32_t widest, unused_widest; /* of all layers */
+  float *inputs, *sides, *a, *b, *bias, *out, *loads; /* loads [M][6] */
+};
+
+#define LTS_SOIL_ROW(soil, strip) ((size_t)(strip) * (size_t)(soil)->model->n_bin)
+
+/* lts_soil_state.c. */
+int lts_soil_check(const lts_soil *soil);
+int lts_soil_check_started(const lts_soil *soil);
+
+/* lts_soil_place.c. */
+int lts_soil_unit_pose(const lts_pose *pose, lts_pose *out);
+int lts_place_of(const lts_pose *pose, lts_place *out);
+void lts_place_local(const lts_place *place, const double point[3], double out[3]);
+void lts_place_vector(const lts_place *place, const double vector[3], double out[3]);
+/* Lean, yaw and roll, rad. */
+void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
+
+/* lts_soil_terrain.c: the height at a place of the world, bilinear; the distance to the wall; the mean height of a
+ * strip at u; whether a terrain can be one. */
+int lts_terrain_usable(const lts_terrain *terrain);
+double lts_terrain_at(const lts_terrain *terrain, double x, double z);
+double lts_terrain_ahead(const lts_terrain *terrain, const lts_place *place, double u);
+double lts_soil_read(const lts_soil *soil, const lts_place *place, int n_strip, int strip, double u);
+/* The strip below a place across and the share of the next one. */
+int lts_soil_strip_at(const lts_soil *soil, int n_strip, double across, double *share);
+/* The cells of a passage after its bins have moved; those that were seen before keep what is known. */
+void lts_soil_look_around(lts_soil *soil, lts_passage *p);
+/* Writes the heights about the tool into the terrain, where they are old. */
+void lts_soil_write(lts_soil *soil);
+
+/* lts_soil_sweep.c. */
+double lts_soil_offset(const lts_soil_model *model, int bin);
+double lts_soil_followed(const lts_soil_model *model, double origin, double tip);
+double lts_soil_turn(const lts_soil *soil, const double change[3]);
+void lts_soil_sweep_start(lts_soil *soil, lts_passage *p);
+void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift);
+void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], double turn, double dt);
+/* Scalars and channels of a passage: about the tool, or all of them. */
+void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
+
+/* lts_soil_passage.c: begins, goes on, copies. */
+int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down);
+int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
+void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);
+
+/* lts_soil_table.c: inputs [n][ld] of places. offsets count from `base`; `other` are neighbours of strips, or null. */
+void lts_soil_inputs(const lts_soil *soil, const lts_table *table, const lts_places *places,
+                     int n_strip, const float *base, const int32_t *other, float *out, int ld);
+/* A channel at u of one strip, or between two. */
+float lts_soil_channel_at(const lts_soil *soil, int channel, int n_strip, int strip, float share, float u);
+
+/* lts_soil_load.c: loads [members][6] of a passage; whether any is not 0. */
+int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float *out);
+
+/* lts_soil_places.c: rise [n], or displacement [n][3], of a passage at places: u from the origin, height over the
+ * level (of particles), across; m of the field. */
+void lts_soil_find(lts_soil *soil, const lts_passage *p, int is_surface, size_t n,
+                   void (*place)(const void *, size_t, double[3]), const void *of, float *out);
+
+#endif

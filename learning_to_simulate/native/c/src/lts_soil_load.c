@@ -1,0 +1,119 @@
+/* What the tool feels: the networks of the load. Twin of `load_inputs` and `load_of` of `soil_field/network.py`. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_soil_internal.h"
+
+/* kappa of a strip: (10). */
+static float contact(const lts_soil *soil, int strip) {
+  const lts_soil_model *m = soil->model;
+  const float *s = soil->scalars[strip];
+  float highest = -HUGE_VALF;
+  for (int i = 0; i < m->n_around; ++i) {
+    const float u = s[LTS_SOIL_TIP] + m->around[i];
+    const float height = lts_soil_channel_at(soil, LTS_SOIL_SURFACE, 1, strip, 0.0f, u);
+    highest = height > highest ? height : highest;
+  }
+  const float heap = m->heap * sqrtf(s[LTS_SOIL_AREA] > 0.0f ? s[LTS_SOIL_AREA] : 0.0f);
+  const float clearance = s[LTS_SOIL_HEIGHT] - s[m->radius] - highest;
+  const float kappa = (heap + m->above - clearance) / m->ramp;
+  return kappa > 0.0f ? (kappa < 1.0f ? kappa : 1.0f) : 0.0f;
+}
+
+/* Loads of one strip by its outputs towards one side: along, up, turn, and towards that side; (11). */
+static void strip_load(const lts_soil_model *m, const float *out, double share, double load[4]) {
+  const float limit = m->gain_limit;
+  const float clipped = out[4] > limit ? limit : out[4] < -limit ? -limit : out[4];
+  const double gain = exp((double)clipped);
+  const double unit[4] = {m->force, m->force, m->torque, m->force};
+  for (int i = 0; i < 4; ++i) load[i] = out[i] * gain * unit[i] * share;
+  if (m->kind != LTS_SOIL_WHEEL) return;
+  load[0] = load[1] * out[0]; /* a wheel bears what weighs on it */
+  load[2] = m->rim * load[1] * out[2];
+  load[3] = load[1] * out[3];
+}
+
+/* Sums over strips of the outputs [K][n_side] rows of one member: (12). */
+static void sum_loads(const lts_soil *soil, const float *rows, int count, int n_side, const float *kappa,
+                      float *out) {
+  const lts_soil_model *m = soil->model;
+  const double width = 2.0 * soil->scalars[0][LTS_SOIL_OWN];
+  double sums[6] = {0.0};
+  for (int k = 0; k < count; ++k) {
+    double side[2][4];
+    const double share = kappa[k] * width / (m->full_width * (double)count);
+    for (int i = 0; i < n_side; ++i) {
+      strip_load(m, rows + (k * n_side + i) * LTS_PANEL, share, side[i]);
+    }
+    if (n_side == 1) memcpy(side[1], side[0], sizeof side[0]);
+    const double along = 0.5 * (side[0][0] + side[1][0]), up = 0.5 * (side[0][1] + side[1][1]);
+    const double lever = (k - (count - 1.0) / 2.0) * width / count;
+    sums[0] += along;
+    sums[1] += up;
+    sums[2] += side[0][3] - side[1][3];
+    sums[3] -= lever * up;
+    sums[4] += lever * along;
+    sums[5] += 0.5 * (side[0][2] + side[1][2]);
+  }
+  for (int i = 0; i < 6; ++i) out[i] = (float)sums[i];
+}
+
+int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float *out) {
+  const lts_soil_model *m = soil->model;
+  const lts_kernels *run = soil->run;
+  const int several = p->s.n_strip > 1, n_side = several ? 2 : 1;
+  const int count = several ? m->n_column : 1, under = several ? m->n_beside : 0;
+  const int rows = count * n_side, width = m->load_own.columns / m->n_member;
+  lts_places *at = soil->places;
+  float kappa[LTS_SOIL_STRIPS], base[2 * LTS_SOIL_STRIPS];
+  int32_t other[2 * LTS_SOIL_STRIPS];
+  int touches = 0;
+  lts_soil_make_frame(soil, p, 0);
+  for (int k = 0; k < count; ++k) {
+    kappa[k] = contact(soil, under + k);
+    touches |= kappa[k] > 0.0f;
+  }
+  memset(out, 0, 6 * (size_t)members * sizeof *out);
+  if (!touches) return 0;
+  /* A strip has a row with its left and one with its right neighbour; one that stands alone is its own. */
+  const int ld = LTS_PADDED(m->load.n_row), ld_side = LTS_PADDED(m->side.n_row);
+  for (int pass = 0; pass < 2; ++pass) {
+    at->n = pass ? rows : count;
+    for (int i = 0; i < at->n; ++i) {
+      const int k = pass ? i / n_side : i;
+      at->strip[0][i] = under + k;
+      at->share[0][i] = 0.0f;
+      at->area[i] = soil->scalars[under + k][LTS_SOIL_AREA];
+      at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
+      other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
+      base[i] = soil->scalars[0][LTS_SOIL_TIP];
+    }
+    lts_soil_inputs(soil, pass ? &m->side : &m->load, at, p->s.n_strip, base, pass ? other : NULL,
+                    pass ? soil->sides : soil->inputs, pass ? ld_side : ld);
+  }
+  lts_dense own = m->load_own, side = m->load_side;
+  own.columns = side.columns = members * width;
+  run->dense(&own, soil->inputs, ld, count, soil->bias, own.columns, LTS_NORMED, NULL, NULL);
+  for (int k = 0; k < count; ++k) { /* what a strip is to itself, as the bias of its sides */
+    side.b = soil->bias + k * own.columns;
+    run->dense(&side, soil->sides + k * n_side * ld_side, ld_side, n_side,
+               soil->a + k * n_side * own.columns, own.columns, LTS_SILU, NULL, NULL);
+  }
+  for (int member = 0; member < members; ++member) {
+    const lts_dense *layers = m->after.layers + member * m->after.n_layer;
+    const float *x = soil->a + member * width;
+    float *y = soil->b, *other_y = soil->b + rows * soil->widest;
+    int ldx = own.columns;
+    for (int i = 0; i < m->after.n_layer; ++i) {
+      const int last = i + 1 == m->after.n_layer;
+      float *to = last ? soil->out : y;
+      run->dense(&layers[i], x, ldx, rows, to, layers[i].columns, last ? LTS_NORMED : LTS_SILU, NULL,
+                 NULL);
+      x = to;
+      ldx = layers[i].columns;
+      y = y == soil->b ? other_y : soil->b;
+    }
+    sum_loads(soil, soil->out, count, n_side, kappa, out + 6 * member);
+  }
+  return touches;
+}

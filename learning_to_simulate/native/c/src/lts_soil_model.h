@@ -1,0 +1,76 @@
+/* What a generated file of a soil field fills in. Letters and constants are those of `soil_field`: sweep.py,
+ * strips.py, passage.py, network.py. */
+#ifndef LTS_SOIL_MODEL_H
+#define LTS_SOIL_MODEL_H
+
+#include "lts_model.h"
+#include "lts_soil.h"
+#include "lts_table.h"
+
+#define LTS_SOIL_MEMORIES 4
+#define LTS_SOIL_STRIPS 16  /* at most */
+#define LTS_SOIL_SCALARS 40 /* of a frame, at most */
+#define LTS_SOIL_AROUND 8   /* places about the tool at which the highest terrain is looked for, at most */
+
+/* Channels of the bins of a frame; the last one, of the load only, is the ground of a neighbour: its surface
+ * without its cut. */
+enum {
+  LTS_SOIL_CUT = 0, LTS_SOIL_SURFACE = 1, LTS_SOIL_SINCE = 2, LTS_SOIL_AREA_BEFORE = 3, LTS_SOIL_INFLUENCE = 4,
+  LTS_SOIL_DISTURBED = 5, LTS_SOIL_BESIDE = 6
+};
+#define LTS_SOIL_CHANNELS 6
+
+/* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][3], those of the tool, and the
+ * distance to the wall. */
+enum {
+  LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
+  LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 19
+};
+
+/* Layers of M networks, each from the first to the last. */
+typedef struct {
+  int32_t n_layer, unused;
+  const lts_dense *layers; /* [M][n_layer] */
+} lts_soil_network;
+
+struct lts_soil_model {
+  int32_t abi, kind, n_member, unused;
+  const char *digest, *judged_names;
+  /* Bins: their spacing, how many lie behind the origin, where the tool stays about it, and by how many bins that
+   * follows. */
+  int32_t n_bin, n_behind, chunk, n_channel;
+  double spacing, back, on;
+  /* Sweep. */
+  double window, forget, memories[4], touch, reach, rise;
+  /* Strips: under a tool, and on either side. */
+  int32_t n_column, n_beside;
+  double beside_width, across[5]; /* across: where a strip is read, in its widths */
+  /* Tool and soil, see `tools.py`. */
+  double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
+  /* Passage. */
+  double ahead, even, max_step, set_down;
+  /* Stepper. */
+  double fastest, fastest_turn, turned, moved;
+  /* Inputs. n_scalar: of a frame; n_own: of those of a tool without the distance to the wall, of which `radius` is one
+   * and the half width the first; see_reach: m about the tool that the load and the status look at. */
+  int32_t n_scalar, n_own, radius, n_around;
+  double see_reach;
+  lts_table load, side, here, particle, tool;
+  /* Load, (10) to (12). */
+  float around[8];
+  float heap, above, ramp, force, torque, full_width, gain_limit, unused_limit;
+  /* Surface and particles, (13) to (15). */
+  float stir, beside, beside_ramp, below, below_ramp, across_ramp, length, neighbour;
+  /* Networks. The first layer of the load is done in two parts, own inputs of a strip and those of a neighbour,
+   * all members side by side; `load` has the layers behind it. */
+  lts_dense load_own, load_side;
+  lts_soil_network after, surface, soil;
+  /* Status: limits [4][n_judged], the least and the most that is well, then the range of training; middle
+   * [n_judged] of that; the bit of each; how near to the tool bins are judged, m. */
+  int32_t n_judged, n_named; /* n_named: those that are scalars of a frame */
+  const double *limits, *middle;
+  const int32_t *bits;
+  double judged_here, judged_near;
+};
+
+#endif

@@ -1,0 +1,133 @@
+/* One tool on its way over a terrain, from where it was set down. Twin of `soil_field/passage.py`. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_soil_internal.h"
+
+static int n_all(const lts_soil *soil) {
+  return soil->model->n_column > 1 ? soil->model->n_column + 2 * soil->model->n_beside : 1;
+}
+
+/* u, height and lean of a pose, in lengths of the field. */
+static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_pose *pose, double out[3]) {
+  double local[3], turns[3];
+  lts_place_local(place, pose->position, local);
+  lts_place_turns(place, pose, turns);
+  out[0] = local[0] / soil->scale;
+  out[1] = local[1] / soil->scale;
+  out[2] = turns[0];
+}
+
+/* Whether all strips are equal at a place. */
+static int is_even(const lts_soil *soil, const lts_place *place, double u) {
+  const int n = n_all(soil);
+  double low = HUGE_VAL, high = -HUGE_VAL;
+  for (int j = 0; j < n; ++j) {
+    const double height = lts_soil_read(soil, place, n, j, u);
+    if (!isfinite(height)) return 0;
+    low = height < low ? height : low;
+    high = height > high ? height : high;
+  }
+  return high - low <= soil->model->even;
+}
+
+void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from) {
+  const size_t n = LTS_SOIL_ROW(soil, from->s.n_strip) * sizeof(double);
+  to->s = from->s;
+  memcpy(to->surface, from->surface, n);
+  memcpy(to->profile, from->profile, n);
+  memcpy(to->last, from->last, n);
+  memcpy(to->area_before, from->area_before, n);
+}
+
+int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down) {
+  const lts_soil_model *m = soil->model;
+  lts_way *w = &p->s;
+  const int cells = w->cells;
+  memset(w, 0, sizeof *w);
+  w->cells = cells;
+  if (!lts_place_of(pose, &w->place)) return LTS_ERROR_VALUE;
+  lts_terrain_update(soil->terrain);
+  double first[3], sum = 0.0, highest = -HUGE_VAL;
+  seen_pose(soil, &w->place, pose, first);
+  memcpy(w->pose, first, sizeof first);
+  w->origin = first[0];
+  w->looks = m->n_column > 1;
+  for (int k = 0; w->looks && k < m->n_bin; ++k) {
+    w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
+  }
+  w->n_strip = w->looks ? 1 : n_all(soil);
+  for (int j = 0; j < w->n_strip; ++j) {
+    for (int k = 0; k < m->n_bin; ++k) {
+      const double u = w->origin + lts_soil_offset(m, k);
+      const double height = lts_soil_read(soil, &w->place, w->n_strip, j, u);
+      if (!isfinite(height)) return LTS_ERROR_VALUE;
+      p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
+      sum += height;
+      highest = height > highest ? height : highest;
+    }
+  }
+  w->level = sum / (w->n_strip * m->n_bin);
+  if (set_down) w->pose[1] = fmax(first[1], highest + soil->radius + m->set_down);
+  lts_soil_sweep_start(soil, p);
+  if (set_down) lts_soil_advance(soil, p, first, 0.0, 1.0);
+  return LTS_OK;
+}
+
+/* From one strip to all of them, where even terrain ends. */
+static void take_all_strips(const lts_soil *soil, lts_passage *p) {
+  double *of[4] = {p->surface, p->profile, p->last, p->area_before};
+  const int n = n_all(soil);
+  for (int j = 1; j < n; ++j) {
+    for (int i = 0; i < 4; ++i) {
+      memcpy(of[i] + LTS_SOIL_ROW(soil, j), of[i], LTS_SOIL_ROW(soil, 1) * sizeof **of);
+    }
+    p->s.foremost[j] = p->s.foremost[0];
+  }
+  p->s.n_strip = n;
+  p->s.looks = 0;
+}
+
+/* Moves the bins to an origin, with what the terrain is there now. */
+static int follow(lts_soil *soil, lts_passage *p, double to) {
+  const lts_soil_model *m = soil->model;
+  const int shift = (int)rint((to - p->s.origin) / m->spacing), n = m->n_bin;
+  const int first = shift > 0 ? (shift < n ? n - shift : 0) : 0;
+  const int last = shift > 0 ? n : (-shift < n ? -shift : n);
+  /* The last chance of cells that the bins leave. */
+  lts_terrain_update(soil->terrain);
+  p->s.stale = 0;
+  int goes_on = p->s.looks;
+  for (int k = first; goes_on && k < last; ++k) {
+    goes_on = is_even(soil, &p->s.place, to + lts_soil_offset(m, k));
+  }
+  const int n_strip = p->s.looks && !goes_on ? n_all(soil) : p->s.n_strip;
+  for (int j = 0; j < n_strip; ++j) {
+    for (int k = first; k < last; ++k) {
+      const double height = lts_soil_read(soil, &p->s.place, n_strip, j, to + lts_soil_offset(m, k));
+      if (!isfinite(height)) return LTS_ERROR_VALUE;
+      soil->fresh[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
+    }
+  }
+  if (n_strip != p->s.n_strip) take_all_strips(soil, p);
+  lts_soil_shift(soil, p, to, shift);
+  return LTS_OK;
+}
+
+int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt) {
+  const lts_soil_model *m = soil->model;
+  const double turn = 2.0 * 3.14159265358979323846;
+  double coming[3], change[3];
+  seen_pose(soil, &p->s.place, pose, coming);
+  for (int i = 0; i < 3; ++i) change[i] = coming[i] - p->s.pose[i];
+  change[2] -= turn * floor((change[2] + turn / 2.0) / turn);
+  if (!(fabs(change[0]) <= m->max_step)) return LTS_ERROR_JUMP;
+  const double to = lts_soil_followed(m, p->s.origin, coming[0]);
+  const int moves_on = to != p->s.origin;
+  if (moves_on) LTS_TRY(follow(soil, p, to));
+  soil->seen = NULL;
+  lts_soil_advance(soil, p, coming, lts_soil_turn(soil, change), dt / soil->time);
+  if (moves_on && soil->writes) lts_soil_look_around(soil, p);
+  p->s.stale = 1;
+  return LTS_OK;
+}

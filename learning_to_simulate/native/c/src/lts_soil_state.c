@@ -1,0 +1,234 @@
+/* Memory of an instance, its tool, and the terrain that it is on. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_soil_internal.h"
+
+static int is_usable(const lts_soil_model *m) { return m && m->abi == LTS_ABI; }
+
+int lts_soil_describe(const lts_soil_model *m, lts_soil_description *out) {
+  if (!m || !out) return LTS_ERROR_NULL;
+  if (!is_usable(m)) return LTS_ERROR_MODEL;
+  const lts_soil_description d = {m->abi,    m->kind,     m->n_member, m->n_bin,  LTS_SOIL_CHANNELS,
+                                  m->n_scalar, m->n_judged, 0,           m->digest, m->judged_names};
+  *out = d;
+  return LTS_OK;
+}
+
+static int is_positive(double value) { return value > 0.0 && isfinite(value); }
+
+static int is_tool(const lts_soil_model *m, const lts_soil_tool *t) {
+  if (!t || !is_positive(t->width) || !is_positive(t->radius)) return 0;
+  if (m->kind == LTS_SOIL_WHEEL) {
+    return t->lugs >= 0.0 && isfinite(t->lugs) && t->lug_height >= 0.0 && isfinite(t->lug_height);
+  }
+  return is_positive(t->length) && (t->bucket == 0.0 || t->bucket == 1.0) &&
+         (t->plates == 0.0 || t->plates == 1.0);
+}
+
+static double scale_of(const lts_soil_model *m, const lts_soil_tool *t) {
+  if (m->kind == LTS_SOIL_WHEEL) return t->radius / m->rim;
+  return t->width / fmin(fmax(t->width, m->taught_widths[0]), m->taught_widths[1]);
+}
+
+/* Cells whose middles lie in the rectangle that bins span: all of each lies within half a diagonal of it. */
+static double most_cells(const lts_soil_model *m, const lts_soil_tool *tool, const lts_terrain *t) {
+  const double scale = scale_of(m, tool), more = hypot(t->cell[0], t->cell[1]);
+  const double along = scale * (m->n_bin - 1) * m->spacing + more;
+  const double across = tool->width + 2.0 * scale * m->n_beside * m->beside_width + more;
+  const double all = (double)t->n[0] * t->n[1];
+  return fmin(floor(along * across / (t->cell[0] * t->cell[1])) + 1.0, all);
+}
+
+static int widest(const lts_soil_model *m) {
+  const lts_soil_network *nets[3] = {&m->after, &m->surface, &m->soil};
+  int most = 0;
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < nets[i]->n_layer; ++k) {
+      const int columns = nets[i]->layers[k].columns;
+      most = columns > most ? columns : most;
+    }
+  }
+  return most;
+}
+
+static size_t lay_out(const lts_soil_model *m, size_t cells, char *base, lts_soil *soil) {
+  const size_t bins = (size_t)m->n_bin, lanes = LTS_SOIL_LANES, wide = (size_t)widest(m);
+  const size_t strips = m->n_column > 1 ? (size_t)(m->n_column + 2 * m->n_beside) : 1;
+  const size_t rows = 2 * (size_t)m->n_column, members = (size_t)m->n_member;
+  const size_t own = (size_t)m->load_own.columns, ld_side = (size_t)LTS_PADDED(m->side.n_row);
+  size_t ld = (size_t)LTS_PADDED(m->load.n_row);
+  if ((size_t)LTS_PADDED(m->soil.layers[0].rows) > ld) ld = (size_t)LTS_PADDED(m->soil.layers[0].rows);
+  if ((size_t)LTS_PADDED(m->surface.layers[0].rows) > ld) {
+    ld = (size_t)LTS_PADDED(m->surface.layers[0].rows);
+  }
+  const size_t a = rows * own > lanes * wide ? rows * own : lanes * wide;
+  const size_t b = 2 * rows * wide > lanes * wide ? 2 * rows * wide : lanes * wide;
+  size_t at = lts_aligned(sizeof(lts_soil), LTS_ALIGNMENT);
+#define TAKE(field, type, count)                             \
+  if (base) soil->field = (type *)(void *)(base + at);       \
+  at += lts_aligned((count) * sizeof(type), LTS_ALIGNMENT);
+  for (int i = 0; i < 2; ++i) {
+    TAKE(passage[i].surface, double, strips * bins)
+    TAKE(passage[i].profile, double, strips * bins)
+    TAKE(passage[i].last, double, strips * bins)
+    TAKE(passage[i].area_before, double, strips * bins)
+    TAKE(cells[i].number, int32_t, cells)
+    TAKE(cells[i].before, double, cells)
+    TAKE(cells[i].left, double, cells)
+    TAKE(cells[i].u, double, cells)
+    TAKE(cells[i].across, double, cells)
+  }
+  for (int i = 0; i < LTS_SOIL_CHANNELS; ++i) {
+    TAKE(bins[i], float, strips * bins + 1)
+  }
+  TAKE(near, int32_t, cells)
+  TAKE(risen, float, cells)
+  TAKE(under, double, bins)
+  TAKE(fresh, double, strips * bins)
+  TAKE(first, double, bins)
+  TAKE(second, double, bins)
+  TAKE(places, lts_places, 1)
+  TAKE(inputs, float, lanes * ld)
+  TAKE(sides, float, rows * ld_side)
+  TAKE(a, float, a)
+  TAKE(b, float, b)
+  TAKE(bias, float, (size_t)m->n_column * own)
+  TAKE(out, float, lanes * LTS_PANEL)
+  TAKE(loads, float, 6 * members)
+#undef TAKE
+  return at;
+}
+
+size_t lts_soil_size(const lts_soil_model *m, const lts_soil_tool *tool, const lts_terrain *terrain) {
+  if (!is_usable(m) || !is_tool(m, tool) || !lts_terrain_usable(terrain)) return 0;
+  return lay_out(m, (size_t)most_cells(m, tool, terrain), NULL, NULL) + LTS_ALIGNMENT - 1;
+}
+
+/* Scale, units, scalars and strips of the tool: `tools.py` and `strips.py`. */
+static void fit_tool(lts_soil *soil) {
+  const lts_soil_model *m = soil->model;
+  const lts_soil_tool *t = &soil->tool;
+  const lts_terrain *ground = soil->terrain;
+  const double s = soil->scale = scale_of(m, t), degree = 3.14159265358979323846 / 180.0;
+  const double friction = tan(ground->friction_angle_deg * degree);
+  const double weight = ground->density * ground->gravity / (m->standard_density * m->standard_gravity);
+  const double blade[] = {t->width / 2.0 / s, friction, t->radius / s, t->length / s, t->bucket, t->plates};
+  const double wheel[] = {t->width / 2.0 / s, friction, m->rim, t->lugs, t->lug_height / s};
+  for (int i = 0; i < m->n_own; ++i) {
+    soil->own[i] = (float)(m->kind == LTS_SOIL_WHEEL ? wheel : blade)[i];
+  }
+  for (int i = 0; i < 6; ++i) soil->units[i] = weight * s * s * s * (i < 3 ? 1.0 : s);
+  soil->width = t->width / s;
+  soil->radius = fmax(t->radius / s, m->spacing / 2.0); /* a sharper edge would fall between the bins */
+  soil->time = sqrt(m->standard_gravity / ground->gravity * s);
+  for (int i = 0; i < m->n_column; ++i) {
+    soil->centres[m->n_beside + i] = (i - (m->n_column - 1.0) / 2.0) * soil->width / m->n_column;
+    soil->widths[m->n_beside + i] = soil->width / m->n_column;
+  }
+  for (int i = 0; i < m->n_beside; ++i) {
+    const int left = m->n_beside - 1 - i, right = m->n_beside + m->n_column + i;
+    soil->centres[right] = soil->width / 2.0 + m->beside_width * (i + 0.5);
+    soil->centres[left] = -soil->centres[right];
+    soil->widths[left] = soil->widths[right] = m->beside_width;
+  }
+}
+
+int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrain *terrain, void *memory,
+                  size_t size, int kernel, lts_soil **out) {
+  if (!m || !tool || !terrain || !memory || !out) return LTS_ERROR_NULL;
+  if (!is_usable(m)) return LTS_ERROR_MODEL;
+  const size_t needed = lts_soil_size(m, tool, terrain);
+  if (!needed) return LTS_ERROR_VALUE;
+  if (size < needed) return LTS_ERROR_MEMORY;
+  int found = 0;
+  const lts_kernels *run = lts_find_kernels(kernel, &found);
+  if (!run) return LTS_ERROR_VALUE;
+  char *base = (char *)memory;
+  base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
+  const double cells = most_cells(m, tool, terrain);
+  memset(base, 0, lay_out(m, (size_t)cells, NULL, NULL));
+  lts_soil *soil = (lts_soil *)(void *)base;
+  lay_out(m, (size_t)cells, base, soil);
+  soil->model = m;
+  soil->run = run;
+  soil->terrain = terrain;
+  soil->tool = *tool;
+  soil->kernel = found;
+  soil->members = m->n_member;
+  soil->most_cells = (int32_t)cells;
+  soil->widest = widest(m);
+  fit_tool(soil);
+  soil->magic = LTS_SOIL_MAGIC;
+  lts_soil **end = &terrain->first;
+  while (*end) end = &(*end)->next;
+  *end = soil;
+  *out = soil;
+  return LTS_OK;
+}
+
+int lts_soil_check(const lts_soil *soil) {
+  if (!soil) return LTS_ERROR_NULL;
+  if ((uintptr_t)soil % LTS_ALIGNMENT || soil->magic != LTS_SOIL_MAGIC) return LTS_ERROR_MEMORY;
+  return LTS_OK;
+}
+
+int lts_soil_check_started(const lts_soil *soil) {
+  LTS_TRY(lts_soil_check(soil));
+  return soil->started ? LTS_OK : LTS_ERROR_CALL;
+}
+
+int lts_soil_close(lts_soil *soil) {
+  LTS_TRY(lts_soil_check(soil));
+  lts_soil_write(soil);
+  lts_soil **at = &soil->terrain->first;
+  while (*at && *at != soil) at = &(*at)->next;
+  if (*at) *at = soil->next;
+  soil->magic = 0;
+  return LTS_OK;
+}
+
+int lts_soil_kernel(const lts_soil *soil) {
+  LTS_TRY(lts_soil_check(soil));
+  return soil->kernel;
+}
+
+int lts_soil_members(lts_soil *soil, int members) {
+  LTS_TRY(lts_soil_check(soil));
+  if (members < 1 || members > soil->model->n_member) return LTS_ERROR_VALUE;
+  soil->members = members;
+  return LTS_OK;
+}
+
+int lts_soil_clone(lts_soil *to, const lts_soil *from) {
+  LTS_TRY(lts_soil_check(to));
+  LTS_TRY(lts_soil_check(from));
+  const lts_terrain *one = to->terrain, *other = from->terrain;
+  if (strcmp(to->model->digest, from->model->digest)) return LTS_ERROR_STATE;
+  if (memcmp(&to->tool, &from->tool, sizeof to->tool) || one == other ||
+      memcmp(one->n, other->n, sizeof one->n) || memcmp(one->cell, other->cell, sizeof one->cell) ||
+      memcmp(one->corner, other->corner, sizeof one->corner)) {
+    return LTS_ERROR_VALUE;
+  }
+  const lts_passage *p = &from->passage[from->now];
+  const lts_cells *c = &from->cells[p->s.cells];
+  const size_t n = (size_t)c->n;
+  to->members = from->members;
+  to->started = from->started;
+  to->writes = from->writes;
+  to->frame = from->frame;
+  to->pose = from->pose;
+  to->result = from->result;
+  to->seen = NULL;
+  to->now = 0;
+  if (!from->started) return LTS_OK;
+  lts_soil_copy(to, &to->passage[0], p);
+  to->passage[0].s.cells = 0;
+  to->cells[0].n = c->n;
+  memcpy(to->cells[0].number, c->number, n * sizeof *c->number);
+  memcpy(to->cells[0].before, c->before, n * sizeof *c->before);
+  memcpy(to->cells[0].left, c->left, n * sizeof *c->left);
+  memcpy(to->cells[0].u, c->u, n * sizeof *c->u);
+  memcpy(to->cells[0].across, c->across, n * sizeof *c->across);
+  return LTS_OK;
+}

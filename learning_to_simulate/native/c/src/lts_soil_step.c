@@ -1,0 +1,388 @@
+/* A tool on a terrain, frame by frame: forces, how far they can be trusted, and what is refused. Twin of
+ * `soil_field/stepper.py` and of `SoilField.judged`. */
+#include <math.h>
+#include <string.h>
+
+#include "lts_soil_internal.h"
+
+/* ---- status ---- */
+
+/* Depth of the tool, and how low, high and uneven the ground about it is; whether the tool may touch it. */
+static int find_ground(const lts_soil *soil, const lts_passage *p, double area, double found[4]) {
+  const lts_soil_model *m = soil->model;
+  const int n_strip = p->s.n_strip;
+  const float *surface = soil->bins[LTS_SOIL_SURFACE], *cut = soil->bins[LTS_SOIL_CUT], *s = soil->scalars[0];
+  const double tip = s[LTS_SOIL_TIP], bottom = (double)s[LTS_SOIL_HEIGHT] - (double)s[m->radius];
+  const double middle = tip / m->spacing + m->n_behind, reach = m->judged_near / m->spacing;
+  const int begin = (int)fmax(middle - reach - 1.0, 0.0);
+  const int end = (int)fmin(middle + reach + 2.0, (double)m->n_bin);
+  double sum = 0.0;
+  float least = HUGE_VALF, most = -HUGE_VALF, uneven = 0.0f, lowest = HUGE_VALF;
+  int n_here = 0;
+  for (int k = begin; k < end; ++k) {
+    const double away = fabs(lts_soil_offset(m, k) - tip);
+    if (!(away < m->judged_near)) continue;
+    float total = 0.0f;
+    for (int j = 0; j < n_strip; ++j) total += surface[LTS_SOIL_ROW(soil, j) + (size_t)k];
+    const float under = total / (float)n_strip;
+    const int is_here = away < m->judged_here;
+    if (is_here) sum += under;
+    n_here += is_here;
+    for (int j = 0; j < n_strip; ++j) {
+      const size_t i = LTS_SOIL_ROW(soil, j) + (size_t)k;
+      const float off = fabsf(surface[i] - under);
+      least = surface[i] < least ? surface[i] : least;
+      most = surface[i] > most ? surface[i] : most;
+      uneven = off > uneven ? off : uneven;
+      if (is_here && surface[i] - cut[i] < lowest) lowest = surface[i] - cut[i];
+    }
+  }
+  const double level = sum / n_here;
+  found[0] = level - bottom;
+  found[1] = least - level;
+  found[2] = most - level;
+  found[3] = uneven;
+  return bottom < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
+}
+
+/* Scalars, ground and turns [n_judged]; in the air all is free but what the tool is. */
+static void find_judged(const lts_soil *soil, const lts_passage *p, const double turns[3], double *values) {
+  const lts_soil_model *m = soil->model;
+  const int path[3] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_SPEED};
+  for (int i = 0; i < m->n_named; ++i) {
+    const int column = i < 3 ? path[i] : LTS_SOIL_OWN + i - 3;
+    float most = soil->scalars[0][column];
+    for (int j = 1; j < p->s.n_strip; ++j) {
+      if (soil->scalars[j][column] > most) most = soil->scalars[j][column];
+    }
+    values[i] = most;
+  }
+  memcpy(values + m->n_named + 4, turns, 3 * sizeof *turns);
+  if (find_ground(soil, p, values[1], values + m->n_named)) return;
+  for (int i = 0; i < m->n_judged; ++i) {
+    if (i < 3 || i >= m->n_named) values[i] = m->middle[i];
+  }
+}
+
+/* Bits of all that is outside, and the first of them; or of what is not finite. */
+static int judge(const lts_soil *soil, const lts_passage *p, const double turns[3], int is_finite,
+                 int frame, lts_judgement *found) {
+  const lts_soil_model *m = soil->model;
+  const int n = m->n_judged;
+  const lts_judgement well = {LTS_OK, -1, -1, -1, 0.0, 0.0, 0.0};
+  double values[LTS_SOIL_SCALARS];
+  *found = well;
+  if (!is_finite) {
+    const lts_judgement none = {LTS_NON_FINITE, frame, -1, -1, NAN, -HUGE_VAL, HUGE_VAL};
+    *found = none;
+    return LTS_NON_FINITE;
+  }
+  find_judged(soil, p, turns, values);
+  for (int i = 0; i < n; ++i) {
+    const double *limits = m->limits + i;
+    if (values[i] >= limits[0] && values[i] <= limits[n]) continue;
+    if (found->status) {
+      found->status |= m->bits[i];
+      continue;
+    }
+    const lts_judgement first = {m->bits[i], frame, -1, i, values[i], limits[2 * n], limits[3 * n]};
+    *found = first;
+  }
+  return found->status;
+}
+
+static int rank(const lts_judgement *j) { return j->status & LTS_NON_FINITE ? 2 : j->status != 0; }
+
+int lts_soil_reason(const lts_soil *soil, const lts_judgement *judgement, char *text, size_t size) {
+  LTS_TRY(lts_soil_check(soil));
+  if (!judgement || !text) return LTS_ERROR_NULL;
+  if (judgement->axis >= soil->model->n_judged) return LTS_ERROR_VALUE;
+  char name[LTS_LONGEST_NAME] = "a prediction";
+  if (judgement->axis >= 0) lts_name_of(soil->model->judged_names, judgement->axis, name, sizeof name);
+  lts_say(judgement, name, text, size);
+  return judgement->status;
+}
+
+/* ---- frames ---- */
+
+/* The frame of a passage whose tool is at a pose. */
+static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, const lts_judgement *before,
+                   int passage, lts_soil_result *out) {
+  const int members = soil->members;
+  double mean[6], local[3], turns[3];
+  lts_soil_find_loads(soil, p, members, soil->loads);
+  int is_finite = 1;
+  for (int i = 0; i < 6; ++i) {
+    double sum = 0.0, square = 0.0;
+    for (int k = 0; k < members; ++k) sum += soil->loads[6 * k + i] * soil->units[i];
+    mean[i] = sum / members;
+    for (int k = 0; k < members; ++k) {
+      const double away = soil->loads[6 * k + i] * soil->units[i] - mean[i];
+      square += away * away;
+    }
+    out->spread[i] = sqrt(square / members);
+    is_finite &= isfinite(mean[i]) != 0;
+  }
+  lts_place_vector(&p->s.place, mean, out->force);
+  lts_place_vector(&p->s.place, mean + 3, out->torque);
+  lts_place_turns(&p->s.place, pose, turns);
+  lts_place_local(&p->s.place, pose->position, local);
+  const double judged[3] = {turns[1], turns[2], local[2] / soil->scale};
+  judge(soil, p, judged, is_finite, soil->frame, &out->now);
+  out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
+  out->status = out->worst.status;
+  out->frame = soil->frame;
+  out->passage = passage;
+  out->unused = 0;
+  out->pose = *pose;
+}
+
+static int is_under_floor(const lts_soil *soil, const lts_pose *pose) {
+  return !(pose->position[1] - soil->tool.radius >= soil->terrain->floor);
+}
+
+/* Begins a passage in the other place, with the cells that are not in use. */
+static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, int writes, lts_passage **out) {
+  lts_passage *p = &soil->passage[!soil->now];
+  soil->seen = NULL;
+  p->s.cells = soil->passage[soil->now].s.cells;
+  LTS_TRY(lts_soil_begin(soil, p, pose, set_down));
+  p->s.stale = set_down;
+  *out = p;
+  if (!writes) return LTS_OK;
+  /* Of cells that are in sight it knows nothing yet. */
+  lts_cells *kept = &soil->cells[p->s.cells];
+  const int32_t n = kept->n;
+  kept->n = 0;
+  lts_soil_look_around(soil, p);
+  kept->n = n;
+  return LTS_OK;
+}
+
+static int start(lts_soil *soil, const lts_pose *pose, int set_down, lts_pose *unit) {
+  LTS_TRY(lts_soil_check(soil));
+  if (!pose) return LTS_ERROR_NULL;
+  lts_passage *p;
+  if (!lts_soil_unit_pose(pose, unit)) return LTS_ERROR_VALUE;
+  if (set_down && is_under_floor(soil, unit)) return LTS_ERROR_PLACE;
+  LTS_TRY(begin_other(soil, unit, set_down, set_down, &p));
+  soil->now = !soil->now;
+  soil->started = 1;
+  soil->writes = set_down;
+  soil->frame = 0;
+  soil->pose = *unit;
+  return LTS_OK;
+}
+
+int lts_soil_start(lts_soil *soil, const lts_pose *pose, lts_soil_result *result) {
+  lts_pose unit;
+  LTS_TRY(start(soil, pose, 1, &unit));
+  answer(soil, &soil->passage[soil->now], &unit, NULL, 0, &soil->result);
+  if (result) *result = soil->result;
+  return soil->result.status;
+}
+
+/* Whether the tool may go to a pose; `unit` is the pose with a quaternion of length 1. */
+static int check_step(const lts_soil *soil, const lts_pose *pose, double dt, lts_pose *unit) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!pose) return LTS_ERROR_NULL;
+  if (!soil->writes) return LTS_ERROR_CALL; /* an anchor has no loads */
+  const lts_soil_model *m = soil->model;
+  if (!lts_soil_unit_pose(pose, unit) || !(dt > 0.0 && isfinite(dt))) return LTS_ERROR_VALUE;
+  const double *a = unit->position, *b = soil->pose.position;
+  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+  double cosine = 0.0;
+  for (int i = 0; i < 4; ++i) cosine += unit->rotation[i] * soil->pose.rotation[i];
+  const double turn = 2.0 * acos(fmin(fabs(cosine), 1.0));
+  if (!(sqrt(x * x + y * y + z * z) / dt <= m->fastest && turn / dt <= m->fastest_turn)) {
+    return LTS_ERROR_JUMP;
+  }
+  return is_under_floor(soil, unit) ? LTS_ERROR_PLACE : LTS_OK;
+}
+
+/* Whether a tool is in the air and has left the plane of its passage. */
+static int is_away(const lts_soil *soil, const lts_pose *pose) {
+  const lts_place *place = &soil->passage[soil->now].s.place;
+  const lts_soil_result *last = &soil->result;
+  double turns[3], local[3];
+  for (int i = 0; i < 3; ++i) {
+    if (last->force[i] != 0.0 || last->torque[i] != 0.0) return 0;
+  }
+  lts_place_turns(place, pose, turns);
+  lts_place_local(place, pose->position, local);
+  return fabs(turns[1]) > soil->model->turned || fabs(local[2] / soil->scale) > soil->model->moved;
+}
+
+/* There a tool begins a new passage, where that is in the air too. Says whether it does. */
+static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh) {
+  if (!is_away(soil, pose)) return 0;
+  LTS_TRY(begin_other(soil, pose, 1, 1, fresh));
+  return !lts_soil_find_loads(soil, *fresh, 1, soil->loads);
+}
+
+int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_result *result) {
+  lts_pose unit;
+  lts_passage *p = NULL;
+  LTS_TRY(check_step(soil, pose, dt, &unit));
+  const int away = turns_away(soil, &unit, &p);
+  LTS_TRY(away);
+  if (away) {
+    soil->now = !soil->now;
+  } else {
+    p = &soil->passage[soil->now];
+    LTS_TRY(lts_soil_go(soil, p, &unit, dt));
+  }
+  const lts_judgement before = soil->result.worst;
+  answer(soil, p, &unit, &before, soil->result.passage + away, &soil->result);
+  soil->pose = unit;
+  if (soil->frame < INT32_MAX) ++soil->frame;
+  if (result) *result = soil->result;
+  return soil->result.status;
+}
+
+int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_result *result) {
+  lts_pose unit;
+  lts_passage *p = NULL;
+  LTS_TRY(check_step(soil, pose, dt, &unit));
+  const int away = turns_away(soil, &unit, &p);
+  LTS_TRY(away);
+  if (!away) {
+    p = &soil->passage[!soil->now];
+    lts_soil_copy(soil, p, &soil->passage[soil->now]);
+    LTS_TRY(lts_soil_go(soil, p, &unit, dt));
+  }
+  lts_soil_result found;
+  answer(soil, p, &unit, &soil->result.worst, soil->result.passage + away, &found);
+  soil->seen = NULL; /* the next trial takes the same place */
+  if (result) *result = found;
+  return found.status;
+}
+
+int lts_soil_newest(const lts_soil *soil, lts_soil_result *result) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!result) return LTS_ERROR_NULL;
+  if (!soil->writes) return LTS_ERROR_CALL;
+  *result = soil->result;
+  return result->status;
+}
+
+int lts_soil_place(const lts_soil *soil, double *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!out) return LTS_ERROR_NULL;
+  const lts_place *place = &soil->passage[soil->now].s.place;
+  const double *of[3] = {place->origin, place->along, place->across};
+  for (int i = 0; i < 3; ++i) {
+    out[3 * i] = of[i][0];
+    out[3 * i + 1] = 0.0;
+    out[3 * i + 2] = of[i][1];
+  }
+  return LTS_OK;
+}
+
+/* ---- particles ---- */
+
+int lts_soil_anchor(lts_soil *soil, const lts_pose *pose) {
+  lts_pose unit;
+  return start(soil, pose, 0, &unit);
+}
+
+int lts_soil_reads(const lts_soil *soil, const lts_pose *pose) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!pose) return LTS_ERROR_NULL;
+  lts_pose unit;
+  if (!lts_soil_unit_pose(pose, &unit)) return LTS_ERROR_VALUE;
+  const lts_way *way = &soil->passage[soil->now].s;
+  double local[3];
+  lts_place_local(&way->place, unit.position, local);
+  if (soil->writes && is_away(soil, &unit)) return 1;
+  return lts_soil_followed(soil->model, way->origin, local[0] / soil->scale) != way->origin;
+}
+
+int lts_soil_follow(lts_soil *soil, const lts_pose *pose, double dt) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!pose) return LTS_ERROR_NULL;
+  lts_pose unit;
+  if (soil->writes) return LTS_ERROR_CALL;
+  if (!lts_soil_unit_pose(pose, &unit) || !(dt > 0.0 && isfinite(dt))) return LTS_ERROR_VALUE;
+  LTS_TRY(lts_soil_go(soil, &soil->passage[soil->now], &unit, dt));
+  soil->pose = unit;
+  return LTS_OK;
+}
+
+typedef struct {
+  const lts_soil *soil;
+  const double *points;
+} world_points;
+
+static void place_of_point(const void *of, size_t i, double out[3]) {
+  const world_points *w = of;
+  const lts_passage *p = &w->soil->passage[w->soil->now];
+  const double scale = w->soil->scale;
+  lts_place_local(&p->s.place, w->points + 3 * i, out);
+  out[0] = out[0] / scale - p->s.origin;
+  out[1] = out[1] / scale - p->s.level;
+  out[2] /= scale;
+}
+
+#define AT_ONCE 1024
+
+int lts_soil_displacement(lts_soil *soil, const double *points, size_t n, double *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (n && (!points || !out)) return LTS_ERROR_NULL;
+  const lts_passage *p = &soil->passage[soil->now];
+  float moved[3 * AT_ONCE];
+  for (size_t done = 0; done < n; done += AT_ONCE) {
+    const size_t now = n - done < AT_ONCE ? n - done : AT_ONCE;
+    const world_points of = {soil, points + 3 * done};
+    lts_soil_find(soil, p, 0, now, place_of_point, &of, moved);
+    for (size_t i = 0; i < now; ++i) {
+      const double *from = of.points + 3 * i;
+      double *to = out + 3 * (done + i), local[3], world[3];
+      const float *d = moved + 3 * i;
+      memmove(to, from, 3 * sizeof *to);
+      if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f) continue;
+      for (int k = 0; k < 3; ++k) local[k] = soil->scale * d[k];
+      lts_place_vector(&p->s.place, local, world);
+      for (int k = 0; k < 3; ++k) to[k] += world[k];
+    }
+  }
+  return LTS_OK;
+}
+
+/* ---- what networks see and say ---- */
+
+int lts_soil_see(lts_soil *soil, float *bins, float *scalars) {
+  LTS_TRY(lts_soil_check_started(soil));
+  const lts_soil_model *m = soil->model;
+  const lts_passage *p = &soil->passage[soil->now];
+  lts_soil_make_frame(soil, p, 1);
+  const size_t n = LTS_SOIL_ROW(soil, p->s.n_strip);
+  for (size_t k = 0; bins && k < n; ++k) {
+    for (int c = 0; c < LTS_SOIL_CHANNELS; ++c) *bins++ = soil->bins[c][k];
+  }
+  for (int j = 0; scalars && j < p->s.n_strip; ++j) {
+    memcpy(scalars + j * m->n_scalar, soil->scalars[j], (size_t)m->n_scalar * sizeof *scalars);
+  }
+  return p->s.n_strip;
+}
+
+int lts_soil_loads(lts_soil *soil, float *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!out) return LTS_ERROR_NULL;
+  lts_soil_find_loads(soil, &soil->passage[soil->now], soil->members, out);
+  return LTS_OK;
+}
+
+static void place_across(const void *of, size_t i, double out[3]) {
+  const double *place = (const double *)of + 2 * i;
+  out[0] = place[0];
+  out[1] = 0.0;
+  out[2] = place[1];
+}
+
+int lts_soil_rise(lts_soil *soil, const double *places, size_t n, float *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (n && (!places || !out)) return LTS_ERROR_NULL;
+  lts_soil_find(soil, &soil->passage[soil->now], 1, n, place_across, places, out);
+  return LTS_OK;
+}

@@ -1,0 +1,235 @@
+/* What a tool has swept, and how the networks see it. Twin of `soil_field/sweep.py`, for strips that share their
+ * path; numbers of docs/soil_field.md. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lts_soil_internal.h"
+
+double lts_soil_offset(const lts_soil_model *m, int bin) { return m->spacing * (bin - m->n_behind); }
+
+/* Where the bins' origin goes when the tool goes to u = tip: by whole chunks, and no farther than needed. */
+double lts_soil_followed(const lts_soil_model *m, double origin, double tip) {
+  const double chunk = m->chunk * m->spacing, offset = tip - origin;
+  const double on = fmax(ceil((offset - m->on) / chunk), 0.0);
+  const double back = fmax(ceil((-m->back - offset) / chunk), 0.0);
+  return origin + chunk * (on - back);
+}
+
+/* x of (7): of a blade a length times its change of lean, of a wheel the slip of its rim. */
+double lts_soil_turn(const lts_soil *soil, const double change[3]) {
+  const lts_soil_model *m = soil->model;
+  return m->kind == LTS_SOIL_WHEEL ? -m->rim * change[2] - change[0] : m->lean_length * change[2];
+}
+
+/* The state before any motion, on surfaces that are there, at the pose and origin that are there. */
+void lts_soil_sweep_start(lts_soil *soil, lts_passage *p) {
+  const size_t n = LTS_SOIL_ROW(soil, p->s.n_strip);
+  memcpy(p->profile, p->surface, n * sizeof *p->profile);
+  for (size_t k = 0; k < n; ++k) {
+    p->last[k] = -soil->model->forget;
+    p->area_before[k] = 0.0;
+  }
+  memset(p->s.memory, 0, sizeof p->s.memory);
+  p->s.travelled = p->s.way = p->s.speed = 0.0;
+  for (int j = 0; j < p->s.n_strip; ++j) p->s.foremost[j] = p->s.pose[0];
+}
+
+/* Moves the bins; the heights of new ones are those of `fresh`. */
+void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
+  const int n = soil->model->n_bin, kept = shift > -n && shift < n ? n - abs(shift) : 0;
+  const size_t from = shift > 0 ? (size_t)shift : 0, to = shift < 0 ? (size_t)-shift : 0;
+  const int first = shift > 0 ? kept : 0; /* of the new bins */
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    const size_t row = LTS_SOIL_ROW(soil, j);
+    double *of[4] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row};
+    for (int i = 0; kept && i < 4; ++i) {
+      memmove(of[i] + to, of[i] + from, (size_t)kept * sizeof **of);
+    }
+    for (int k = first; k < first + n - kept; ++k) {
+      of[0][k] = of[1][k] = soil->fresh[row + (size_t)k];
+      of[2][k] = p->s.travelled - soil->model->forget;
+      of[3][k] = 0.0;
+    }
+  }
+  p->s.origin = origin;
+}
+
+/* (4), of one strip. Eight sums, because one would wait for itself. */
+static double area(const lts_soil *soil, const lts_passage *p, int strip) {
+  const lts_soil_model *m = soil->model;
+  const double *s = p->surface + LTS_SOIL_ROW(soil, strip), *q = p->profile + LTS_SOIL_ROW(soil, strip);
+  const double from = p->s.pose[0] - p->s.origin, reach = m->window / m->spacing, du = m->spacing;
+  const double middle = from / m->spacing + m->n_behind;
+  const int low = (int)fmax(middle - reach + 1.0, 0.0);
+  const int high = (int)fmin(middle + reach - 1.0, m->n_bin - 1.0);
+  double sums[8] = {0.0}, sum = 0.0;
+  /* Within all bins count in full; those about the ends by their share. */
+  int k = low + 1;
+  for (; k + 8 <= high; k += 8) {
+    for (int i = 0; i < 8; ++i) sums[i] += s[k + i] - q[k + i];
+  }
+  for (; k < high; ++k) sum += s[k] - q[k];
+  for (int i = 0; i < 8; ++i) sum += sums[i];
+  const int ends[2][2] = {{low - 2, low}, {high > low ? high : low + 1, high + 3}};
+  for (int end = 0; end < 2; ++end) {
+    for (k = ends[end][0] > 0 ? ends[end][0] : 0; k <= ends[end][1] && k < m->n_bin; ++k) {
+      const double away = fabs(p->s.origin + lts_soil_offset(m, k) - p->s.pose[0]);
+      const double share = (m->window - away) / du + 0.5;
+      sum += (share > 0.0 ? (share < 1.0 ? share : 1.0) : 0.0) * (s[k] - q[k]);
+    }
+  }
+  return du * sum;
+}
+
+/* Lowest height at `u` of a circle that goes straight between two centres; infinite where it has not been: (1). */
+static double underside(double u, const double before[2], const double after[2], double radius) {
+  const double *centres[2] = {before, after};
+  double height = HUGE_VAL;
+  for (int end = 0; end < 2; ++end) {
+    const double depth = radius - fabs(u - centres[end][0]);
+    const double square = depth * (2.0 * radius - depth);
+    if (!(square >= 0.0)) continue;
+    const double circle = centres[end][1] - sqrt(square);
+    height = circle < height ? circle : height;
+  }
+  const double step[2] = {after[0] - before[0], after[1] - before[1]}, width = fabs(step[0]);
+  if (!(width > 0.0)) return height;
+  /* The tangent: the way moved by the radius along its normal that looks down. */
+  const double length = hypot(step[0], step[1]), sign = step[0] < 0.0 ? -1.0 : 1.0;
+  const double along = (u - (before[0] + radius * (sign * step[1] / length))) * sign;
+  if (!(along >= 0.0 && along <= width)) return height;
+  const double left = before[1] + radius * (-sign * step[0] / length);
+  const double tangent = left + along / width * step[1];
+  return tangent < height ? tangent : height;
+}
+
+void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], double turn, double dt) {
+  const lts_soil_model *m = soil->model;
+  lts_way *w = &p->s;
+  const double step[2] = {pose[0] - w->pose[0], pose[1] - w->pose[1]};
+  const double length = hypot(step[0], step[1]), ds = length + fabs(turn);
+  /* Bins that the circle may have passed. */
+  const double least = fmin(w->pose[0], pose[0]) - soil->radius - w->origin;
+  const double most = fmax(w->pose[0], pose[0]) + soil->radius - w->origin;
+  const int begin = (int)fmax(floor(least / m->spacing) + m->n_behind, 0.0);
+  const int end = (int)fmin(ceil(most / m->spacing) + m->n_behind + 1.0, (double)m->n_bin);
+  for (int k = begin; k < end; ++k) {
+    soil->under[k] = underside(w->origin + lts_soil_offset(m, k), w->pose, pose, soil->radius);
+  }
+  w->travelled += length;
+  for (int j = 0; j < w->n_strip; ++j) {
+    const size_t row = LTS_SOIL_ROW(soil, j);
+    double *surface = p->surface + row, *profile = p->profile + row, before = -1.0;
+    int passed = 0;
+    for (int k = begin; k < end; ++k) {
+      const double height = soil->under[k];
+      if (!(height < surface[k])) continue;
+      passed = 1;
+      p->last[row + (size_t)k] = w->travelled; /* (5) */
+      if (!(profile[k] < surface[k])) {
+        /* (6): the area before this frame, so that what is cut together has one value. */
+        if (before < 0.0) before = area(soil, p, j);
+        p->area_before[row + (size_t)k] = before;
+      }
+    }
+    /* (2), after all areas before. */
+    for (int k = begin; passed && k < end; ++k) {
+      if (soil->under[k] < profile[k]) profile[k] = soil->under[k];
+    }
+    /* In the soil the tool makes itself a new foremost place. */
+    if (passed && pose[0] > w->foremost[j]) w->foremost[j] = pose[0];
+    w->foremost[j] = fmin(w->foremost[j], pose[0] + m->window);
+  }
+  const double motion[3] = {step[0], step[1], turn}, share = fmax(ds, 1e-30);
+  for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) { /* (7) */
+    const double fade = exp(-ds / m->memories[i]);
+    for (int k = 0; k < 3; ++k) {
+      w->memory[i][k] = fade * w->memory[i][k] + (1.0 - fade) * (motion[k] / share);
+    }
+  }
+  memcpy(w->pose, pose, sizeof w->pose);
+  w->way += ds;
+  w->speed = ds / dt;
+}
+
+/* The largest of all values, each lowered by `fall` per bin of distance; in place. */
+static void cone(double *values, int n, double fall) {
+  for (int k = 1; k < n; ++k) {
+    const double other = values[k - 1] - fall;
+    values[k] = other > values[k] ? other : values[k];
+  }
+  for (int k = n - 2; k >= 0; --k) {
+    const double other = values[k + 1] - fall;
+    values[k] = other > values[k] ? other : values[k];
+  }
+}
+
+static void see_reach(lts_soil *soil, const double *surface, const double *profile, size_t row) {
+  const lts_soil_model *m = soil->model;
+  double *touched = soil->first, *depth = soil->second;
+  for (int k = 0; k < m->n_bin; ++k) {
+    depth[k] = surface[k] - profile[k];
+    touched[k] = depth[k] / m->touch < 1.0 ? depth[k] / m->touch : 1.0;
+  }
+  cone(touched, m->n_bin, m->spacing / m->reach);
+  cone(depth, m->n_bin, m->rise * m->spacing);
+  for (int k = 0; k < m->n_bin; ++k) {
+    const double influence = 3.0 * touched[k]; /* (8) */
+    soil->bins[LTS_SOIL_INFLUENCE][row + (size_t)k] =
+        (float)(influence > 0.0 ? (influence < 1.0 ? influence : 1.0) : 0.0);
+    soil->bins[LTS_SOIL_DISTURBED][row + (size_t)k] = (float)depth[k]; /* (9) */
+  }
+}
+
+static void see_scalars(lts_soil *soil, const lts_passage *p) {
+  const lts_soil_model *m = soil->model;
+  const lts_way *w = &p->s;
+  const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * w->pose[0]);
+  for (int j = 0; j < w->n_strip; ++j) {
+    float *s = soil->scalars[j];
+    s[LTS_SOIL_TIP] = (float)(w->pose[0] - w->origin);
+    s[LTS_SOIL_HEIGHT] = (float)(w->pose[1] - w->level);
+    s[LTS_SOIL_LEAN] = (float)w->pose[2];
+    s[LTS_SOIL_AREA] = (float)area(soil, p, j);
+    /* Farther behind, as of a tool that goes on in the air, it tells nothing of what is near. */
+    s[LTS_SOIL_FOREMOST] = (float)(fmax(w->foremost[j], w->pose[0] - m->window) - w->origin);
+    s[LTS_SOIL_WAY] = (float)w->way;
+    s[LTS_SOIL_SPEED] = (float)w->speed;
+    for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) {
+      for (int k = 0; k < 3; ++k) s[LTS_SOIL_MEMORY + 3 * i + k] = (float)w->memory[i][k];
+    }
+    memcpy(s + LTS_SOIL_OWN, soil->own, (size_t)m->n_own * sizeof *s);
+    s[LTS_SOIL_OWN + m->n_own] = (float)fmin(ahead / soil->scale, m->ahead);
+  }
+}
+
+void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all) {
+  const lts_soil_model *m = soil->model;
+  const int is_seen = soil->seen == p;
+  if (is_seen && (soil->sees_all || !all)) return;
+  if (!is_seen) see_scalars(soil, p);
+  const double middle = (p->s.pose[0] - p->s.origin) / m->spacing + m->n_behind;
+  const double reach = m->see_reach / m->spacing;
+  const int low = all ? 0 : (int)fmax(middle - reach, 0.0);
+  const int high = all ? m->n_bin : (int)fmin(middle + reach + 2.0, (double)m->n_bin);
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    const size_t row = LTS_SOIL_ROW(soil, j);
+    const double *surface = p->surface + row, *profile = p->profile + row, *last = p->last + row;
+    float *cut = soil->bins[LTS_SOIL_CUT] + row, *up = soil->bins[LTS_SOIL_SURFACE] + row,
+          *since = soil->bins[LTS_SOIL_SINCE] + row;
+    for (int k = low; k < high; ++k) {
+      const double way = p->s.travelled - last[k];
+      cut[k] = (float)(surface[k] - profile[k]); /* (3) */
+      up[k] = (float)(surface[k] - p->s.level);
+      since[k] = (float)(way < m->forget ? way : m->forget);
+    }
+    if (!all) continue;
+    for (int k = 0; k < m->n_bin; ++k) {
+      soil->bins[LTS_SOIL_AREA_BEFORE][row + (size_t)k] = (float)p->area_before[row + (size_t)k];
+    }
+    see_reach(soil, surface, profile, row);
+  }
+  soil->seen = p;
+  soil->sees_all = all;
+}

@@ -1,0 +1,144 @@
+"""A trained soil field as the values of `struct lts_soil_model`.
+
+All constants come from the modules of the method, and the tables of inputs go along as data: what C
+repeats is the order of a frame's scalars.
+"""
+
+import numpy as np
+
+from learning_to_simulate.native import c_values, fold, library, tables
+from learning_to_simulate.soil_field import engine, network, passage, strips, sweep, tools
+from learning_to_simulate.soil_field import field as soil_field
+
+# Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
+_BITS = {
+    'LTS_OUTSIDE_CONTEXT': (
+        'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height',
+    ),
+    'LTS_OUTSIDE_START': ('bed_low', 'bed_high', 'uneven'),
+    'LTS_OUTSIDE_SPEED': ('speed',),
+}  # fmt: skip
+
+
+def values(field) -> dict:
+    """The fields of `lts_soil_model`.
+
+    Args:
+      field: `SoilField`.
+
+    Raises:
+      ValueError: a network or inputs that the C code cannot run.
+    """
+    networks, c, grid = field.networks, library.constants(), sweep.GRID
+    tool, limits, tabled = networks.tool, field.limits, networks.tables
+    if not all(networks.hidden.values()):
+        raise ValueError('a soil field whose networks have no hidden layers has no C form')
+    scalars = [*sweep.SCALARS, *tool.scalars]
+    kind = c['LTS_SOIL_WHEEL'] if tool.bears else c['LTS_SOIL_BLADE']
+    layers = {name: _numpy(getattr(networks, name)) for name in network.HIDDEN}
+    w, b = layers['load'][0]
+    n_own = len(tabled.load)
+    result = {
+        'abi': c['LTS_ABI'],
+        'kind': kind,
+        'n_member': networks.members,
+        'judged_names': ','.join(limits.names),
+        'n_bin': len(grid.offsets),
+        'n_behind': int(np.argmin(np.abs(grid.offsets))),
+        'chunk': grid.chunk,
+        'spacing': grid.spacing,
+        'back': grid.back,
+        'on': grid.on,
+        'window': sweep.WINDOW,
+        'forget': sweep.FORGET,
+        'memories': sweep.MEMORIES,
+        'touch': sweep.TOUCH,
+        'reach': sweep.REACH,
+        'rise': sweep.RISE,
+        'n_column': tool.columns,
+        'n_beside': strips.N_BESIDE,
+        'beside_width': strips.BESIDE_WIDTH,
+        'across': strips.ACROSS,
+        'taught_widths': tools.Blade.taught_widths,
+        'rim': tools.Wheel.RIM,
+        'lean_length': tools.LEAN,
+        'standard_density': tools.STANDARD_DENSITY,
+        'standard_gravity': tools.STANDARD_GRAVITY,
+        'ahead': passage.AHEAD,
+        'even': passage.EVEN,
+        'max_step': passage.MAX_STEP,
+        'set_down': passage.SET_DOWN,
+        'fastest': engine.FASTEST,
+        'fastest_turn': engine.FASTEST_TURN,
+        'turned': engine.TURNED,
+        'moved': engine.MOVED,
+        'n_scalar': len(scalars),
+        'n_own': len(tool.scalars) - 1,
+        'radius': scalars.index('radius'),
+        'n_around': len(network.AROUND_TOOL),
+        'see_reach': max(soil_field.NEAR, _farthest(tabled.load, tabled.side), *network.AROUND_TOOL)
+        + 2 * grid.spacing,
+        'around': np.pad(network.AROUND_TOOL, (0, 8 - len(network.AROUND_TOOL))),
+        'heap': network.HEAP,
+        'above': network.ABOVE,
+        'ramp': network.RAMP,
+        'force': network.FORCE,
+        'torque': network.TORQUE,
+        'full_width': network.WIDTH[tool.name],
+        'gain_limit': network.GAIN_LIMIT,
+        'stir': network.STIR,
+        'beside': strips.BESIDE,
+        'beside_ramp': network.BESIDE_RAMP,
+        'below': network.BELOW,
+        'below_ramp': network.BELOW_RAMP,
+        'across_ramp': network.ACROSS,
+        'length': network.LENGTH,
+        'neighbour': network.NEIGHBOUR,
+        'load_own': fold.dense(*fold.side_by_side(list(zip(w[:, :n_own], b, strict=True)))),
+        'load_side': fold.dense(*fold.side_by_side([(x, 0 * b[0]) for x in w[:, n_own:]])),
+        'after': _network(layers['load'][1:]),
+        'surface': _network(layers['surface']),
+        'soil': _network(layers['soil']),
+        'n_judged': len(limits.names),
+        'n_named': soil_field.named(tool),
+        'limits': np.stack([*limits.limits, limits.low, limits.high]),
+        'middle': field.middle,
+        'bits': np.array([c[_bit(name)] for name in limits.names]),
+        'judged_here': soil_field.HERE,
+        'judged_near': soil_field.NEAR,
+    }
+    channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}
+    for name, table in tabled._asdict().items():
+        result[name] = tables.values(table, scalars, channels)
+    _check(result, c)
+    return result | {'digest': c_values.digest(result)}
+
+
+def _check(result, c):
+    """Refuses what does not fit into the arrays of the C form."""
+    strips_of_all = result['n_column'] + 2 * result['n_beside']
+    if result['n_scalar'] > c['LTS_SOIL_SCALARS'] or result['n_judged'] > c['LTS_SOIL_SCALARS']:
+        raise ValueError(f'{result["n_scalar"]} scalars, the C form has {c["LTS_SOIL_SCALARS"]}')
+    if strips_of_all > c['LTS_SOIL_STRIPS']:
+        raise ValueError(f'{strips_of_all} strips, the C form has {c["LTS_SOIL_STRIPS"]}')
+
+
+def _farthest(*tables_of_load):
+    """The largest offset of tables, m."""
+    return max(np.abs(row.at).max() for table in tables_of_load for row in table.rows if row.at)
+
+
+def _bit(name):
+    """The status of a number that is outside its range."""
+    return next((bit for bit, names in _BITS.items() if name in names), 'LTS_OUTSIDE_POSE')
+
+
+def _numpy(net):
+    """[(w [M, in, out], b [M, out])] of all layers, float64."""
+    return [tuple(np.asarray(v, np.float64) for v in (w, b[:, 0])) for w, b in net.layers]
+
+
+def _network(layers):
+    """`lts_soil_network` of some layers, member by member."""
+    found = [fold.dense(w[m], b[m]) for m in range(len(layers[0][0])) for w, b in layers]
+    return {'n_layer': len(layers), 'layers': found}

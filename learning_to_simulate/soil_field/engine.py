@@ -1,0 +1,227 @@
+"""Frames of a tool on a terrain: what they hold, what is refused, and the engine in Python.
+
+`TfEngine` is the reference; `native.soil_engine.CEngine` is its twin in C.
+"""
+
+import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
+from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.passage import Passage
+from learning_to_simulate.soil_field.place import Place, checked_pose
+
+# A pose that is farther than this from the one before is a jump, m/s and rad/s.
+FASTEST, FASTEST_TURN = 3.0, 20.0
+# In the air a tool that leaves the plane of its passage by more begins a new one: rad, m of the
+# field.
+TURNED, MOVED = 0.01, 0.005
+
+
+class SoilFrame(NamedTuple):
+    """One frame.
+
+    Attributes:
+      pose: float64 [7] of the tool, position (m) and unit quaternion (w, x, y, z).
+      force: float64 [3] of the soil on the tool, N, world.
+      torque: float64 [3], N m, about the position of the pose, world.
+      judgement: the worst since the start; `now`: of this frame alone.
+      spread: float64 [6], standard deviation over members of force and torque, along, up, across.
+    """
+
+    pose: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+    judgement: Judgement
+    now: Judgement
+    spread: np.ndarray
+
+    @property
+    def status(self) -> RolloutStatus:
+        """The worst status since the start."""
+        return self.judgement.status
+
+    @property
+    def reason(self) -> str:
+        """Value and limits behind the status, in words; '' where it is OK."""
+        return self.judgement.reason
+
+
+def unit_pose(pose) -> np.ndarray:
+    """A pose of its own, its quaternion of length 1, that nobody writes into.
+
+    Raises:
+      ValueError: see `checked_pose`.
+    """
+    pose = checked_pose(pose).copy()
+    pose[3:] /= np.linalg.norm(pose[3:])
+    pose.setflags(write=False)
+    return pose
+
+
+def refuse_floor(pose, tool, terrain) -> None:
+    """Raises ValueError for a pose of a tool under the floor of its terrain."""
+    if pose[1] - tool.radius < terrain.floor:
+        raise ValueError(
+            f'the tool would be at {pose[1] - tool.radius:.4g} m, under the floor of the '
+            f'terrain at {terrain.floor:.4g} m'
+        )
+
+
+def refuse_step(pose, last, dt, tool, terrain) -> None:
+    """Raises ValueError for a step from a pose to another that no tool makes within dt s."""
+    if not 0 < dt < np.inf:
+        raise ValueError(f'dt is {dt} s: time must go on')
+    speed = np.linalg.norm(pose[:3] - last[:3]) / dt
+    turn = 2 * np.arccos(min(abs(float(pose[3:] @ last[3:])), 1.0)) / dt
+    if speed > FASTEST or turn > FASTEST_TURN:
+        raise ValueError(
+            f'the pose jumps: {speed:.3g} m/s and {turn:.3g} rad/s, at most {FASTEST} and '
+            f'{FASTEST_TURN} are taken; call start() anew'
+        )
+    refuse_floor(pose, tool, terrain)
+
+
+class TfEngine:
+    """Frames by numpy and TensorFlow.
+
+    Args:
+      field, terrain, tool, members: of `SoilStepper`.
+      why: what keeps this machine from C, for `name`; '' where nobody asked.
+
+    Attributes:
+      name: what computes the frames.
+    """
+
+    def __init__(self, field, terrain, tool, members, why: str = ''):
+        self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
+        self.name = f'TensorFlow ({why})' if why else 'TensorFlow'
+        self._units = tool.units(terrain.soil)
+        self._passage: Any = None
+        self._frame: Any = None
+        self._number = 0
+        terrain.works_in_python = True
+
+    @property
+    def place(self) -> Place:
+        """Of the passage that the tool is on."""
+        return self._passage.place
+
+    def write(self) -> None:
+        """Writes what the tool has done into its terrain."""
+        if self._passage is not None:
+            self._passage.update()
+
+    def start(self, pose) -> SoilFrame:
+        """See `SoilStepper`; so are the others."""
+        pose = unit_pose(pose)
+        refuse_floor(pose, self._tool, self._terrain)
+        self.write()
+        self._passage, self._number = self._begun(pose), 0
+        self._frame = self._seen(self._passage, pose, OK)
+        return self._frame
+
+    def _begun(self, pose):
+        return Passage(self._terrain, self._tool, pose, rise=self._rise)
+
+    def _rise(self, passage, places):
+        return self._field.rise(passage, places, self._members)
+
+    def propose(self, pose, dt: float) -> SoilFrame:
+        return self._proposed(pose, dt)[1]
+
+    def step(self, pose, dt: float) -> SoilFrame:
+        passage, frame = self._proposed(pose, dt)
+        if passage.place is not self._passage.place:
+            self.write()
+        self._passage, self._frame = passage, frame
+        self._number += 1
+        return frame
+
+    def _proposed(self, pose, dt):
+        last, pose = self._frame, unit_pose(pose)
+        refuse_step(pose, last.pose, dt, self._tool, self._terrain)
+        passage = copy.copy(self._passage)
+        yaw, _, aside = self._turns(passage, pose)
+        in_air = not (last.force.any() or last.torque.any())
+        if in_air and (abs(yaw) > TURNED or abs(aside) > MOVED):
+            fresh = self._begun(pose)
+            if not np.any(self._field.loads(fresh.frame, 1)):
+                return fresh, self._seen(fresh, pose, last.judgement)
+        passage.step(pose, dt)
+        return passage, self._seen(passage, pose, last.judgement)
+
+    def _turns(self, passage, pose):
+        _, yaw, roll = passage.place.turns(pose)
+        return np.array([yaw, roll, passage.place.local(pose[:3])[2] / passage.scale])
+
+    def _seen(self, passage, pose, before):
+        """The frame of a passage at a pose."""
+        frame = passage.frame
+        loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
+        mean = loads.mean(axis=0)
+        turns = self._turns(passage, pose)
+        values = self._field.judged(frame, turns[None])
+        now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
+        force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
+        return SoilFrame(pose, force, torque, worse(before, now), now, loads.std(axis=0))
+
+    def clone(self, terrain) -> 'TfEngine':
+        """The same at the same point, on a clone of the terrain."""
+        other = copy.copy(self)
+        other._terrain = terrain
+        terrain.works_in_python = True
+        if self._passage is not None:
+            other._passage = self._passage.clone(terrain, other._rise)
+        return other
+
+    def anchor(self, pose) -> 'TfAnchor':
+        """From where particles are followed."""
+        return TfAnchor(self._field, self._terrain, self._tool, pose, self._members)
+
+
+class TfAnchor:
+    """A passage that begins where a tool stands, in soil that it has not moved, and leaves the
+    terrain alone; how far particles have moved since.
+
+    Args:
+      field, terrain, tool, members: of `SoilStepper`.
+      pose: [7].
+    """
+
+    def __init__(self, field, terrain, tool, pose, members):
+        self._field, self._members = field, members
+        self._passage = Passage(terrain, tool, pose, set_down=False, even=None)
+
+    @property
+    def place(self) -> Place:
+        """Of the passage."""
+        return self._passage.place
+
+    def leaves(self, pose) -> bool:
+        """Whether the bins move on where the tool goes to a pose [7]."""
+        origin = self._passage.state.origin[0]
+        return sweep.follow(origin, self._passage.seen(pose)[0]) != origin
+
+    def follow(self, pose, dt: float) -> None:
+        """Follows the tool to a pose [7] that it reaches within dt s."""
+        self._passage.step(pose, dt)
+
+    def displaced(self, rest) -> np.ndarray:
+        """float32 [P, 3], m, world: where particles are now that were at rest [P, 3]."""
+        passage, points = self._passage, rest.astype(np.float32)
+        local = passage.place.local(rest) / passage.scale
+        places = local - [passage.state.origin[0], passage.level, 0.0]
+        moved = self._field.displacement(passage, places, self._members)
+        now = np.flatnonzero(moved.any(axis=1))
+        # Those that rest are as they were, to the last bit.
+        points[now] = passage.place.world(passage.scale * (local[now] + moved[now]))
+        return points
+
+    def clone(self, terrain) -> 'TfAnchor':
+        """The same on a clone of the terrain."""
+        other = copy.copy(self)
+        other._passage = self._passage.clone(terrain, None)
+        return other

@@ -1,0 +1,393 @@
+"""The soil field in C against its twin in Python: every function, whole paths, words and refusals."""
+
+import ctypes
+import functools
+import types
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.native import library, soil_data, soil_engine
+from learning_to_simulate.native.binding import KERNELS
+from learning_to_simulate.soil_field import training
+from learning_to_simulate.soil_field.loaded import LoadedTool
+from learning_to_simulate.soil_field.settings import SoilFieldConfig
+from learning_to_simulate.soil_field.stepper import SoilStepper, turned
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
+from tests.learning_to_simulate.native.worlds import needs_c
+from tests.learning_to_simulate.soil_field.scenes import hills, poses
+
+pytestmark = needs_c
+SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
+BLADE = Blade(0.3, bucket=1.0)
+WHEEL = Wheel(0.1, 0.08, 12, 0.008)
+TOOLS = {'blade': BLADE, 'wheel': WHEEL}
+DT = 0.1
+
+
+@functools.cache
+def field(name='blade'):
+    """A field with networks that nobody has trained but that all inputs move; not to be changed."""
+    made = training.make_field(SoilFieldConfig('soil_field', members=3, seed=4), name, SMALL)
+    rng = np.random.default_rng(7)
+    for net in (made.networks.load, made.networks.surface, made.networks.soil):
+        for _, bias in net.layers:
+            bias.assign(rng.normal(0, 0.3, bias.shape))
+    made.ranges.update({n: [-9.0, 99.0] for n in made.judged_names})
+    return made
+
+
+def ranged(name='blade', **ranges):
+    """The same with other ranges."""
+    made = field(name)
+    return type(made)(made.config, made.networks, made.ranges | ranges)
+
+
+def flat(height=0.0, **more):
+    return Terrain.flat((4.0, 2.4), height, corner=(-2.6, -1.2), floor=height - 0.6, **more)
+
+
+def both(terrain, tool=BLADE, made=None, **more):
+    """Steppers by C and by TensorFlow, each on a terrain of its own."""
+    made = made or field(tool.name)
+    return [
+        SoilStepper(made, ground, tool, engine=engine, **more)
+        for ground, engine in ((terrain, 'c'), (terrain.clone(), 'tensorflow'))
+    ]
+
+
+def path(count=60, end=0.9, depth=0.04, start=0.0):
+    """Down, along, and up a bit [T, 3]: u, height of the edge and lean."""
+    t = np.linspace(0.0, 1.0, count)
+    dip = np.clip(np.minimum(t / 0.2, (1.05 - t) / 0.2), 0.0, 1.0)
+    return np.stack(
+        [start + end * t, 0.03 - (depth + 0.03) * dip, 0.2 + 0.1 * np.sin(9 * t)], axis=1
+    )
+
+
+def assert_frame(c, tf):
+    size = max(np.abs(tf.force).max(), 1e-3)
+    for name in ('force', 'torque', 'spread'):
+        np.testing.assert_allclose(getattr(c, name), getattr(tf, name), atol=2e-5 * size)
+    np.testing.assert_allclose(c.pose, tf.pose, rtol=1e-15)
+    assert c.now == tf.now and c.judgement == tf.judgement
+    assert c.status == tf.status and c.reason == tf.reason
+
+
+def assert_ground(c, tf):
+    np.testing.assert_allclose(c.terrain.heights, tf.terrain.heights, atol=2e-7)
+    assert np.ptp(tf.terrain.heights) > 1e-3
+
+
+def drive(pair, way, dt=DT, **more):
+    """Both along a way, frame by frame; their last frames."""
+    c, tf = pair
+    way = poses(way, **more) if way.shape[1] == 3 else way
+    if tf._frame is None:
+        assert_frame(c.start(way[0]), tf.start(way[0]))
+        way = way[1:]
+    felt = 0
+    for pose in way:
+        frames = c.step(pose, dt), tf.step(pose, dt)
+        assert_frame(*frames)
+        felt += bool(frames[1].force.any())
+    assert felt
+    return frames
+
+
+def test_frames_as_the_networks_see_them_and_what_these_say():
+    made = field()
+    for terrain, n_strip in ((flat(), 1), (hills(), 11)):
+        c, tf = both(terrain)
+        drive((c, tf), path(30, 0.4))
+        passage = tf._engine._passage
+        bins = np.empty((n_strip, 261, 6), np.float32)
+        scalars = np.empty((n_strip, passage.frame.scalars.shape[-1]), np.float32)
+        assert c._engine.call('see', bins, scalars) == n_strip
+        np.testing.assert_allclose(bins, passage.frame.bins[0], atol=1e-6)
+        np.testing.assert_allclose(scalars, passage.frame.scalars[0], atol=1e-6)
+        loads = np.empty((3, 6), np.float32)
+        c._engine.call('loads', loads)
+        wanted = made.loads(passage.frame)[:, 0]
+        np.testing.assert_allclose(loads, wanted, atol=1e-5 * np.abs(wanted).max())
+        rng = np.random.default_rng(1)
+        places = rng.uniform([-0.5, -0.5], [0.6, 0.5], (500, 2))
+        risen = np.empty(len(places), np.float32)
+        c._engine.call('rise', places, len(places), risen)
+        wanted = made.rise(passage, places)
+        assert 0.1 < np.mean(wanted == 0) < 0.9
+        np.testing.assert_allclose(risen, wanted, atol=1e-6)
+        assert np.mean((risen == 0) == (wanted == 0)) > 0.99  # at the edge by round-off
+        np.testing.assert_allclose(np.concatenate(c.place), np.concatenate(tf.place), atol=1e-15)
+
+
+@pytest.mark.parametrize('yaw', [0.0, 0.7])
+@pytest.mark.parametrize('ground', [flat, hills])
+@pytest.mark.parametrize('tool', TOOLS.values(), ids=TOOLS)
+def test_a_long_way_there_and_back(tool, ground, yaw):
+    way = path(110, 1.5)
+    way = np.concatenate([way, way[::-1]])
+    way[:, 1] += tool.radius
+    way[:, 2] *= np.linspace(1.0, -20.0, len(way)) if tool is WHEEL else 1.0
+    pair = both(ground(), tool)
+    drive(pair, way, yaw=yaw)
+    assert_ground(*pair)
+    # Lifted, turned, set down beside the cut, and on to uneven ground.
+    air = poses([[0.1, 0.3, 0.1]], yaw=yaw)[0]
+    for pose in (air, poses([[0.15, 0.32, 0.1]], yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2))[0]):
+        frames = [one.step(pose, dt=0.4) for one in pair]
+        assert_frame(*frames)
+        assert not frames[0].force.any()
+    assert pair[0].place.along == pytest.approx(pair[1].place.along, abs=1e-12)
+    assert abs(pair[0].place.along @ air[:3]) >= 0 and pair[0].terrain.heights.any()
+    beside = path(50, 0.6) + [0.1, tool.radius, 0.0]
+    drive(pair, beside, yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2), dt=0.2)
+    assert_ground(*pair)
+
+
+def test_even_ground_that_ends_takes_all_strips():
+    terrain = flat()
+    terrain.heights[:60, 70:] += 0.05  # from x = -1.4 on, beside the way
+    pair = both(terrain)
+    drive(pair, path(60, 0.4))
+    assert len(pair[1]._engine._passage.strips.centres) == 1
+    drive(pair, path(90, 1.2, start=0.4)[20:])
+    assert len(pair[1]._engine._passage.strips.centres) == 11
+    assert_ground(*pair)
+
+
+@pytest.mark.parametrize('engines', [('c', 'c'), ('c', 'tensorflow'), ('tensorflow', 'c')])
+def test_several_tools_on_one_terrain_each_meet_what_the_others_left(engines):
+    """Two side by side and one across, in turn: as in Python, also where one of them is in it."""
+    ways = [
+        poses(path(70, 0.9)), poses(path(70, 0.9), shift=(0.0, 0.0, 0.28)),
+        poses(path(70, 1.0), yaw=1.4, shift=(-0.3, 0.0, 0.5)),
+    ]  # fmt: skip
+    results = []
+    for kinds in ((*engines, 'c'), ('tensorflow',) * 3):
+        terrain = hills(size=(2.4, 2.4))
+        tools = [SoilStepper(field(), terrain, BLADE, engine=kind) for kind in kinds]
+        frames = [[tool.start(way[0]) for tool, way in zip(tools, ways, strict=True)]]
+        for t in range(1, 70):
+            frames.append([tool.step(way[t], DT) for tool, way in zip(tools, ways, strict=True)])
+        heights = terrain.heights.copy()
+        results.append(([np.concatenate([f.force for f in row]) for row in frames], heights))
+    (force, heights), (wanted, ground) = results
+    np.testing.assert_allclose(force, wanted, atol=2e-5 * np.abs(wanted).max())
+    np.testing.assert_allclose(heights, ground, atol=1e-6)
+
+
+def test_other_soils_sizes_members_and_walls():
+    soil = Soil(31.0, 1500.0, 1.62)
+    for tool in (Blade(1.2, 0.03, 0.6), Blade(0.1, 0.005, 0.2), Wheel(0.3, 0.3)):
+        s = tool.scale
+        terrain = Terrain(hills().heights[::2] * s, [0.04 * s, 0.02 * s], [-1.1 * s, -0.6 * s],
+                          soil, walled=True)  # fmt: skip
+        pair = both(terrain, tool, members=2)
+        way = path(40, 0.5) * [s, s, 1.0]
+        way[:, 1] += tool.radius
+        drive(pair, way, dt=0.1)
+        assert_ground(*pair)
+
+
+def test_every_kernel_gives_the_same():
+    wanted = both(hills())[1]
+    way = poses(path(25, 0.4))
+    wanted.start(way[0])
+    for pose in way[1:]:
+        last = wanted.step(pose, DT)
+    for kernel in KERNELS:
+        terrain = hills()
+        try:
+            loaded = soil_engine.Library(soil_data.values(field()), kernel)
+            c = soil_engine.CEngine(loaded, terrain, BLADE)
+        except ValueError:
+            continue
+        assert kernel in c.name
+        c.start(way[0])
+        for pose in way[1:]:
+            frame = c.step(pose, DT)
+        assert_frame(frame, last)
+        c.write()
+        np.testing.assert_allclose(terrain.heights, wanted.terrain.heights, atol=2e-7)
+
+
+@pytest.mark.parametrize('ground', [flat, hills])
+def test_particles(ground):
+    pair = c, tf = both(ground())
+    drive(pair, path(20, 0.1))
+    first = tf.particles()
+    np.testing.assert_allclose(c.particles(), first, atol=1e-6)
+    way = poses(path(70, 0.8, start=0.1)[15:])
+    for pose in way:
+        for one in pair:
+            one.step(pose, DT)
+    points = tf.particles()
+    np.testing.assert_allclose(c.particles(), points, atol=2e-6)
+    assert len(points) > 2000
+    np.testing.assert_array_equal(c.clone().particles(), c.particles())
+    # Also beyond the bins in one step.
+    for one in pair:
+        one.step(poses([[1.3, 0.0, 0.1]])[0], dt=0.5)
+    np.testing.assert_allclose(c.particles(), tf.particles(), atol=2e-6)
+
+
+def test_a_proposal_changes_nothing_and_clones_go_on_to_the_same_bits():
+    c, tf = pair = both(hills())
+    way = poses(path(60, 0.9))
+    drive(pair, way[:40])
+    heights = c.terrain.heights.copy()
+    far = [(pose, 1.0) for pose in way[40:60:3]] + [(poses([[0.4, 0.4, 0.0]], yaw=0.2)[0], 0.5)]
+    for pose, dt in far:
+        one, other = c.propose(pose, dt), c.propose(pose, dt)
+        assert (one.force == other.force).all() and one.judgement == other.judgement
+        assert_frame(one, tf.propose(pose, dt))
+    np.testing.assert_array_equal(c.terrain.heights, heights)
+    copied = c.clone()
+    assert copied.terrain is not c.terrain and copied.engine == c.engine
+    for pose in way[40:]:
+        proposed = c.propose(pose, DT)
+        frame = c.step(pose, DT)
+        np.testing.assert_array_equal(frame.force, proposed.force)
+        np.testing.assert_array_equal(copied.step(pose, DT).force, frame.force)
+        assert_frame(frame, tf.step(pose, DT))
+    np.testing.assert_array_equal(copied.terrain.heights, c.terrain.heights)
+    assert_ground(c, tf)
+    np.testing.assert_allclose(
+        c.stiffness(reach=1e-3), tf.stiffness(reach=1e-3), atol=1e-3 * np.abs(tf.stiffness()).max()
+    )
+
+
+def test_under_a_load():
+    ends = []
+    for tool in both(flat()):
+        tool.start(poses([[0.0, 0.02, 0.1]])[0])
+        body = LoadedTool(tool, 30.0, stiffness=(0.0, 4e4, 0.0), damping=(0.0, 900.0, 0.0))
+        for u in np.linspace(0.0, 0.15, 16):
+            frame = body.step(poses([[u, 0.0, 0.1]])[0], dt=0.01)
+        ends.append(np.append(frame.pose, body.velocity))
+    np.testing.assert_allclose(*ends, atol=1e-5)
+
+
+def test_flags_word_for_word():
+    place = dict(yaw=0.0, shift=(0.0, 0.0, 0.0))
+    for name, value, message in (
+        ('lean', [5.0, 6.0], 'lean'), ('area', [3.0, 4.0], 'area'), ('speed', [5.0, 6.0], 'speed'),
+        ('half_width', [0.5, 0.6], 'half_width'), ('depth', [0.5, 0.6], 'depth'),
+        ('bed_low', [0.5, 0.6], 'bed_low'), ('bed_high', [0.5, 0.6], 'bed_high'),
+        ('uneven', [0.5, 0.6], 'uneven'),
+    ):  # fmt: skip
+        pair = both(hills(), made=ranged(**{name: value}))
+        frame, _ = drive(pair, path(20, 0.2), **place)
+        assert frame.reason.startswith(f'{message} ') and frame.status == 'extrapolating'
+    for turn, name in (([0, 0.1, 0], 'yaw'), ([0.06, 0, 0], 'roll'), (None, 'aside')):
+        pair = both(hills())
+        frame, _ = drive(pair, path(15, 0.2))
+        pose = np.array(frame.pose)
+        if turn is None:
+            pose[2] += 0.03
+        else:
+            pose[3:] = turned(pose[3:], turn)
+        frames = [one.step(pose, dt=0.1) for one in pair]
+        assert_frame(*frames)
+        assert frames[0].reason.startswith(f'{name} ')
+        # The worst stays, the newest is well again.
+        frames = [one.step(frame.pose, dt=0.1) for one in pair]
+        assert_frame(*frames)
+        assert frames[0].now.status == 'ok' and frames[0].status == 'extrapolating'
+
+
+def test_what_is_not_finite_is_said():
+    made = training.make_field(SoilFieldConfig('soil_field', members=2), 'blade', SMALL)
+    made.ranges.update(field().ranges)
+    made.networks.load.layers[-1][1].assign(np.full((2, 1, 5), np.nan))
+    c, tf = both(flat(), made=made)
+    for one in (c, tf):
+        one.start(poses([[0.0, 0.0, 0.1]])[0])
+    assert c.frame.judgement == tf.frame.judgement and c.frame.status == 'non_finite'
+
+
+def test_refusals_have_the_words_of_python_and_change_nothing():
+    c, tf = pair = both(flat())
+    for one in pair:
+        with pytest.raises(ValueError, match='call start'):
+            one.step(poses([[0.0, 0.1, 0.0]])[0])
+    drive(pair, path(30, 0.4))
+    frame, good = c.frame, np.array(c.frame.pose)
+    quarter = np.append(good[:3], turned(good[3:], [0.0, 0.0, 1.5]))
+    bad = [
+        (good + [2, 0, 0, 0, 0, 0, 0], DT), (quarter, 0.02), (good[:6], DT), (good * np.nan, DT),
+        (np.append(good[:3], 2 * good[3:]), DT), (good - [0, 0.9, 0, 0, 0, 0, 0], 1.0), (good, 0.0),
+        (good, -1.0), (good, np.nan), (good - [0.5, 0, 0, 0, 0, 0, 0], 1.0), (None, DT), ('x', DT),
+    ]  # fmt: skip
+    for pose, dt in bad:
+        for name in ('step', 'propose'):
+            texts = []
+            for one in pair:
+                with pytest.raises((ValueError, TypeError)) as caught:
+                    getattr(one, name)(pose, dt)
+                texts.append(str(caught.value))
+            assert texts[0] == texts[1], texts
+    on_side = np.append(good[:3], turned(good[3:], [np.pi / 2, 0.0, 0.0]))
+    for pose in (good[:6], good * np.nan, good - [0, 0.9, 0, 0, 0, 0, 0], on_side):
+        texts = []
+        for one in pair:
+            with pytest.raises(ValueError) as caught:
+                one.start(pose)
+            texts.append(str(caught.value))
+        assert texts[0] == texts[1]
+    assert c.frame is frame
+    drive(pair, path(60, 0.8)[32:])
+    c.terrain.heights[:] = np.nan
+    with pytest.raises(ValueError, match='not finite'):
+        c.start(good)
+
+
+def test_who_gets_which_engine(monkeypatch):
+    assert SoilStepper(field(), flat()).engine.startswith('C (')
+    assert SoilStepper(field(), flat(), engine='tensorflow').engine == 'TensorFlow'
+    with pytest.raises(ValueError, match='engine is'):
+        SoilStepper(field(), flat(), engine='fortran')
+
+    def none():
+        raise library.NoCompiler('no C compiler: none')
+
+    monkeypatch.setattr(library, 'load', none)
+    assert SoilStepper(field(), flat()).engine == 'TensorFlow (no C compiler: none)'
+    with pytest.raises(library.NoCompiler):
+        SoilStepper(field(), flat(), engine='c')
+
+
+def test_a_tool_that_goes_leaves_its_cut_and_the_terrain():
+    terrain = flat()
+    tool = SoilStepper(field(), terrain, BLADE, engine='c')
+    tool.start(poses([[0.0, 0.0, 0.1]])[0])
+    for pose in poses(path(20, 0.2))[10:]:
+        tool.step(pose, DT)
+    ground = soil_engine.ground_of(terrain)
+    assert ground.first and not np.ptp(terrain._heights)
+    del tool
+    assert not ground.first and np.ptp(terrain._heights) > 1e-3
+
+
+def test_tools_and_terrains_that_cannot_be_are_refused():
+    loaded = soil_engine.Library(soil_data.values(field()))
+    good = types.SimpleNamespace(width=0.3, radius=0.01, length=0.2)
+    soil_engine.CEngine(loaded, flat(), good)
+    for change in ({'width': 0.0}, {'radius': np.nan}, {'length': -1.0}, {'bucket': 0.5}):
+        with pytest.raises(ValueError, match='range'):
+            bad = types.SimpleNamespace(**(vars(good) | change))
+            soil_engine.CEngine(loaded, flat(), bad)
+    terrain = flat()
+    ground = soil_engine.ground_of(terrain)
+    for name, value in (('gravity', 0.0), ('density', np.nan), ('friction_angle_deg', 90.0)):
+        kept = getattr(ground, name)
+        setattr(ground, name, value)
+        with pytest.raises(ValueError, match='range'):
+            soil_engine.CEngine(loaded, terrain, good)
+        setattr(ground, name, kept)
+    assert loaded.c.lts_soil_describe(None, None) == library.constants()['LTS_ERROR_NULL']
+    found = library.structures()['lts_soil_description']()
+    assert loaded.c.lts_soil_describe(loaded.model, ctypes.addressof(found)) == 0
+    assert found.judged_names.decode().split(',') == list(field().judged_names)
