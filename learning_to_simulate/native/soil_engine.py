@@ -9,7 +9,7 @@ import weakref
 import numpy as np
 
 from learning_to_simulate.native import c_values, library, soil_data
-from learning_to_simulate.native.engines import BEST, C, TENSORFLOW
+from learning_to_simulate.native.engines import BEST, TENSORFLOW, C
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 from learning_to_simulate.soil_field import engine, passage
 from learning_to_simulate.soil_field.place import Place, place_of

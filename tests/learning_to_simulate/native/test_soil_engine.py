@@ -1,4 +1,4 @@
-"""The soil field in C against its twin in Python: every function, whole paths, words and refusals."""
+"""The soil field in C against its twin in Python: all functions, whole paths, words, refusals."""
 
 import ctypes
 import functools

@@ -73,7 +73,7 @@ def test_what_cannot_be_is_refused_and_leaves_all_as_it_was():
     with pytest.raises(ValueError, match='call start'):
         tool.step(poses([IN_AIR])[0])
     frame, pose = driven(tool)[-1], poses([END + [0.005, -0.02, 0.0]])[0]
-    state = tool._passage.state
+    heights, again = tool.terrain.heights.copy(), tool.clone()
     for bad, message in [
         (poses([[2.0, 0.0, 0.1]])[0], 'jumps'), (pose[:6], r'\[7\] were'),
         (pose * np.nan, r'\[7\] were'),
@@ -89,7 +89,8 @@ def test_what_cannot_be_is_refused_and_leaves_all_as_it_was():
     for dt in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match='time'):
             tool.step(pose, dt)
-    assert tool.frame is frame and tool._passage.state is state
+    assert tool.frame is frame and (tool.terrain.heights == heights).all()
+    assert (tool.step(frame.pose).force == again.step(frame.pose).force).all()
     with pytest.raises(ValueError, match='knows a blade, not a wheel'):
         SoilStepper(worlds.trained()[0], tool.terrain, Wheel())
     with pytest.raises(ValueError, match=r'members is 3, must lie in \[1, 2\]'):
