@@ -4,8 +4,8 @@ A frame holds J strips with n bins each (`strips`, `sweep`). With f, n, b output
 and A of the sweep, w the width of the tool and s the terrain before it (numbers of
 docs/soil_field.md):
 
-  contact     kappa = clip((HEAP sqrt(A) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), s_max the
-              highest terrain about the tool                                                  (10)
+  contact     kappa = clip((HEAP sqrt(max(A, C)) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), C
+              what is carried (`passage`), s_max the highest terrain about the tool           (10)
   of a strip  with its neighbour on one side: (F_u, F_y, T, F_side) =
               kappa w / J (FORCE, FORCE, TORQUE, FORCE) exp(clip(b, -4, 4)) n / WIDTH         (11)
               of a wheel F_u, F_side = F_y n and T = F_y R n: it bears what weighs on it
@@ -50,6 +50,11 @@ NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
 HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (128, 128, 128)}
 
 
+def names_of(tool) -> tuple[str, ...]:
+    """Scalars of a frame of a class of tools."""
+    return (*sweep.SCALARS, *tool.scalars, *sweep.OF_PASSAGE)
+
+
 class Compiled(NamedTuple):
     """Methods of `SoilNetworks` of these names, as functions of tensors."""
 
@@ -76,7 +81,7 @@ class SoilNetworks(tf.Module):
         super().__init__(name='soil_field')
         hidden = HIDDEN if hidden is None else hidden
         self.tool, self.members, self.hidden, self._grid = tool, members, hidden, grid
-        self.scalars = {n: i for i, n in enumerate((*sweep.SCALARS, *tool.scalars))}
+        self.scalars = {n: i for i, n in enumerate(names_of(tool))}
         self._first, self._spacing = float(grid.offsets[0]), grid.spacing
         t = self.tables = TABLES[tool.name]
         self.sizes = {
@@ -199,7 +204,7 @@ class SoilNetworks(tf.Module):
         )
         place = tip[..., None] + tf.constant(AROUND_TOOL, tf.float32)
         highest = tf.reduce_max(self._at(bins, ['surface'], strips, none, place)['surface'], -1)
-        heap = HEAP * tf.sqrt(tf.maximum(values['area'], 0.0))
+        heap = HEAP * tf.sqrt(tf.maximum(tf.maximum(values['area'], values['carried']), 0.0))
         clearance = values['height'] - values['radius'] - highest
         kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
         return seen, sides, kappa
