@@ -27,11 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.ensemble import Members, column
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.inputs import TABLES
-from learning_to_simulate.swept_field.network import _FUNCTIONS, _SQUASHES, Members
-from learning_to_simulate.tool import inputs
 
 FORCE, TORQUE = 100.0, 10.0  # N, N m of the field, for a tool of this width, m
 WIDTH = {'blade': 0.4, 'wheel': 0.1}
@@ -157,9 +156,7 @@ class SoilNetworks(tf.Module):
         columns = []
         for row in table.rows:
             there = {f'at.{name}': value for name, value in at.get(row.at, {}).items()}
-            value = inputs.evaluate(row.operand, values | there, _FUNCTIONS)
-            value = value - row.shift if row.shift else value
-            columns.append(_SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value))
+            columns.append(column(row, values | there))
         shape = tf.shape(next(iter(values.values())))[:2]
         return tf.concat(
             [tf.broadcast_to(c, [*tf.unstack(shape), tf.shape(c)[-1]]) for c in columns], axis=-1
