@@ -7,7 +7,7 @@ repeats is the order of a frame's scalars.
 import numpy as np
 
 from learning_to_simulate.native import c_values, fold, library, tables
-from learning_to_simulate.soil_field import engine, network, passage, strips, sweep, tools
+from learning_to_simulate.soil_field import engine, network, passage, strips, sweep, terrain, tools
 from learning_to_simulate.soil_field import field as soil_field
 
 # Status of what leaves its range, by its name; of all other numbers it is LTS_OUTSIDE_POSE.
@@ -33,7 +33,7 @@ def values(field) -> dict:
     tool, limits, tabled = networks.tool, field.limits, networks.tables
     if not all(networks.hidden.values()):
         raise ValueError('a soil field whose networks have no hidden layers has no C form')
-    scalars = [*sweep.SCALARS, *tool.scalars]
+    scalars = network.names_of(tool)
     kind = c['LTS_SOIL_WHEEL'] if tool.bears else c['LTS_SOIL_BLADE']
     layers = {name: _numpy(getattr(networks, name)) for name in network.HIDDEN}
     w, b = layers['load'][0]
@@ -68,12 +68,15 @@ def values(field) -> dict:
         'even': passage.EVEN,
         'max_step': passage.MAX_STEP,
         'set_down': passage.SET_DOWN,
+        'factor': passage.FACTOR,
+        'slides': terrain.SLIDES,
+        'slope_tolerance': terrain.SLOPE_TOLERANCE,
         'fastest': engine.FASTEST,
         'fastest_turn': engine.FASTEST_TURN,
         'turned': engine.TURNED,
         'moved': engine.MOVED,
         'n_scalar': len(scalars),
-        'n_own': len(tool.scalars) - 1,
+        'n_own': len(tool.scalars),
         'radius': scalars.index('radius'),
         'n_around': len(network.AROUND_TOOL),
         'see_reach': max(soil_field.NEAR, _farthest(tabled.load, tabled.side), *network.AROUND_TOOL)

@@ -99,7 +99,9 @@ class _Instance:
     def settle(self, pose=None):
         """Lets tools that the library does not know write what they have done, before a step to the
         address of a pose reads heights; None: anyway."""
-        if self.terrain.works_in_python and (pose is None or self.call('reads', pose) > 0):
+        if self.terrain.works_in_python and (
+            pose is None or self.terrain.is_crowded(self) or self.call('reads', pose)
+        ):
             _ = self.terrain.heights
 
     def call(self, name, *values):
@@ -157,6 +159,7 @@ class CEngine(_Instance):
         self._last = None  # pose
         self._passage, self._place = -1, None
         self._of = {name: getattr(loaded.c, f'lts_soil_{name}') for name in ('step', 'propose')}
+        terrain.add_work(self)
 
     @property
     def place(self) -> Place:
@@ -165,9 +168,18 @@ class CEngine(_Instance):
             self._place = super().place
         return self._place
 
-    def write(self) -> None:
+    def update(self) -> None:
         """Writes what all tools of the library have done into the terrain."""
         self.loaded.c.lts_terrain_update(ctypes.addressof(self._ground))
+
+    @property
+    def footprint(self):
+        """See `Terrain.add_work`."""
+        if self._last is None:
+            return None
+        found = np.empty(3)
+        self.call('footprint', found)
+        return found[:2], found[2]
 
     def start(self, pose):
         """See `SoilStepper`; so are the others."""

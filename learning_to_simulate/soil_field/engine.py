@@ -11,7 +11,7 @@ import numpy as np
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import Place, checked_pose
+from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -103,22 +103,36 @@ class TfEngine:
         self._frame: Any = None
         self._number = 0
         terrain.works_in_python = True
+        terrain.add_work(self)
 
     @property
     def place(self) -> Place:
         """Of the passage that the tool is on."""
         return self._passage.place
 
-    def write(self) -> None:
-        """Writes what the tool has done into its terrain."""
+    def update(self) -> None:
+        """Writes what the tool has done into its terrain; see `Terrain.add_work`."""
         if self._passage is not None:
             self._passage.update()
+
+    @property
+    def footprint(self):
+        """See `Terrain.add_work`."""
+        return None if self._passage is None else self._passage.footprint
+
+    def _finish(self):
+        """Ends the passage: its soil comes to rest."""
+        self.update()
+        if self._passage is not None:
+            self._terrain.settle(self._passage.surroundings()[0])
+            self._passage = None
 
     def start(self, pose) -> SoilFrame:
         """See `SoilStepper`; so are the others."""
         pose = unit_pose(pose)
         refuse_floor(pose, self._tool, self._terrain)
-        self.write()
+        place_of(pose)  # refuses what would leave the tool without a passage
+        self._finish()
         self._passage, self._number = self._begun(pose), 0
         self._frame = self._seen(self._passage, pose, OK)
         return self._frame
@@ -135,14 +149,19 @@ class TfEngine:
     def step(self, pose, dt: float) -> SoilFrame:
         passage, frame = self._proposed(pose, dt)
         if passage.place is not self._passage.place:
-            self.write()
+            self._finish()
         self._passage, self._frame = passage, frame
+        if len(passage.gone):
+            self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
         self._number += 1
         return frame
 
     def _proposed(self, pose, dt):
         last, pose = self._frame, unit_pose(pose)
         refuse_step(pose, last.pose, dt, self._tool, self._terrain)
+        if self._terrain.is_crowded(self):
+            _ = self._terrain.heights  # as other tools have left them by now
+        self._passage.meet()
         passage = copy.copy(self._passage)
         yaw, _, aside = self._turns(passage, pose)
         in_air = not (last.force.any() or last.torque.any())
@@ -173,6 +192,7 @@ class TfEngine:
         other = copy.copy(self)
         other._terrain = terrain
         terrain.works_in_python = True
+        terrain.add_work(other)
         if self._passage is not None:
             other._passage = self._passage.clone(terrain, other._rise)
         return other

@@ -23,7 +23,7 @@ MARGIN = 0.05
 # Yaw and roll, rad; distance of the tool from the plane of its passage, m of the field.
 CONDITIONS = {'yaw': (-0.035, 0.035), 'roll': (-0.035, 0.035), 'aside': (-0.02, 0.02)}
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
-_SCALARS = ('lean', 'area', 'speed')
+_SCALARS = ('lean', 'area', 'carried', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
 # Bins so far from the tool tell of the ground under it and about it, m of the field.
 HERE, NEAR = 0.05, 0.25
@@ -48,7 +48,7 @@ class SoilField:
     @property
     def judged_names(self) -> tuple[str, ...]:
         """Names of the columns of `judged`."""
-        return (*_SCALARS, *self.networks.tool.scalars[:-1], *_OF_BINS, *CONDITIONS)
+        return (*_SCALARS, *self.networks.tool.scalars, *_OF_BINS, *CONDITIONS)
 
     @property
     def limits(self) -> Ranges:
@@ -93,7 +93,7 @@ class SoilField:
         lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
         # In the air all is free but what the tool is.
         touches = height - radius < np.maximum(lowest, level) + network.ABOVE + (
-            network.HEAP * np.sqrt(np.maximum(values[:, 1], 0.0))
+            network.HEAP * np.sqrt(np.maximum(values[:, 1:3].max(axis=1), 0.0))
         )
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
@@ -121,7 +121,7 @@ class SoilField:
 
 def named(tool) -> int:
     """How many of the numbers that are judged are scalars of a frame; they come first."""
-    return len(_SCALARS) + len(tool.scalars) - 1
+    return len(_SCALARS) + len(tool.scalars)
 
 
 def save(path: str, field: SoilField) -> None:

@@ -49,10 +49,6 @@ class SoilStepper:
         self._engine = soil_engine.of(field, terrain, self.tool, members, engine)
         self._frame: Any = None
         self._tracer: Any = None
-        terrain.add_work(self._write)
-
-    def _write(self):
-        self._engine.write()
 
     @property
     def engine(self) -> str:
@@ -122,7 +118,6 @@ class SoilStepper:
         other._engine = self._engine.clone(other.terrain)
         if self._tracer is not None:
             other._tracer = self._tracer.clone(other._engine, other.terrain)
-        other.terrain.add_work(other._write)
         return other
 
     def stiffness(self, dt: float = DT, reach: float = 1e-4) -> np.ndarray:

@@ -134,15 +134,14 @@ def test_a_long_way_there_and_back(tool, ground, yaw):
     drive(pair, way, yaw=yaw)
     assert_ground(*pair)
     # Lifted, turned, set down beside the cut, and on to uneven ground.
-    air = poses([[0.1, 0.3, 0.1]], yaw=yaw)[0]
-    for pose in (air, poses([[0.15, 0.32, 0.1]], yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2))[0]):
+    air = poses([[0.1, 0.9, 0.1]], yaw=yaw)[0]
+    for pose in (air, poses([[0.15, 0.95, 0.1]], yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2))[0]):
         frames = [one.step(pose, dt=0.4) for one in pair]
         assert_frame(*frames)
         assert not frames[0].force.any()
     assert pair[0].place.along == pytest.approx(pair[1].place.along, abs=1e-12)
-    assert abs(pair[0].place.along @ air[:3]) >= 0 and pair[0].terrain.heights.any()
     beside = path(50, 0.6) + [0.1, tool.radius, 0.0]
-    drive(pair, beside, yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2), dt=0.2)
+    drive(pair, beside, yaw=yaw + 0.5, shift=(0.0, 0.0, 0.2), dt=0.5)
     assert_ground(*pair)
 
 
@@ -209,7 +208,7 @@ def test_every_kernel_gives_the_same():
         for pose in way[1:]:
             frame = c.step(pose, DT)
         assert_frame(frame, last)
-        c.write()
+        c.update()
         np.testing.assert_allclose(terrain.heights, wanted.terrain.heights, atol=2e-7)
 
 

@@ -115,6 +115,9 @@ LTS_API int lts_soil_reads(const lts_soil *soil, const lts_pose *pose);
 /* Origin (y is 0), along and across [3][3] of the plane in which the tool goes. */
 LTS_API int lts_soil_place(const lts_soil *soil, double *out);
 
+/* Centre x, z and radius (m) [3] of what the tool has in sight, where it changes the terrain. */
+LTS_API int lts_soil_footprint(const lts_soil *soil, double *out);
+
 /* Writes what tools have done into the heights; heights are as all tools have left them then. */
 LTS_API int lts_terrain_update(lts_terrain *terrain);
 

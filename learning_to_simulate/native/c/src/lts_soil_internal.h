@@ -20,9 +20,13 @@ typedef struct {
   lts_place place;
   double level, origin, pose[3]; /* pose: u and height of the circle's centre, lean */
   double memory[LTS_SOIL_MEMORIES][3], travelled, way, speed;
-  double foremost[LTS_SOIL_STRIPS];
+  double foremost[LTS_SOIL_STRIPS], dropped[LTS_SOIL_STRIPS];
+  /* Of (19): m3 of the field that cells out of sight have risen, m2 that were cut there; what the soil carried falls
+   * short of all that was cut, before a chunk left, and the way then. */
+  double left_behind, dropped_there, owed, owed_at;
   int32_t n_strip, looks; /* looks: whether to see if the terrain goes on being even */
   int32_t cells, stale;   /* which of the instance's cells are in sight; whether their heights are old */
+  int32_t n_gone, unused; /* cells that the bins have left in the last step */
 } lts_way;
 
 typedef struct {
@@ -46,7 +50,7 @@ typedef struct {
   int32_t strip[3][LTS_SOIL_LANES];
   float share[3][LTS_SOIL_LANES];
   float here[LTS_SOIL_CHANNELS][LTS_SOIL_LANES];
-  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], gate[LTS_SOIL_LANES];
+  float area[LTS_SOIL_LANES], foremost[LTS_SOIL_LANES], carried[LTS_SOIL_LANES], gate[LTS_SOIL_LANES];
   size_t which[LTS_SOIL_LANES];
 } lts_places;
 
@@ -72,8 +76,10 @@ struct lts_soil {
   int32_t sees_all, unused;
   float *bins[LTS_SOIL_CHANNELS]; /* [strips][n_bin] */
   float scalars[LTS_SOIL_STRIPS][LTS_SOIL_SCALARS];
-  int32_t *near; /* [cells], of those about the tool */
+  int32_t *gone; /* [cells] numbers of cells that are out of sight */
   float *risen;  /* [cells] */
+  double *box;   /* about the cells in sight: what others have changed there */
+  unsigned char *kept; /* [cells of the terrain] 1 of those that stay as they are, while soil slides */
   double *under, *fresh, *first, *second; /* [n_bin], [strips][n_bin], [n_bin], [n_bin] */
   /* places, and rows on their way through a network. */
   lts_places *places;
@@ -100,25 +106,40 @@ void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]
 int lts_terrain_usable(const lts_terrain *terrain);
 double lts_terrain_at(const lts_terrain *terrain, double x, double z);
 double lts_terrain_ahead(const lts_terrain *terrain, const lts_place *place, double u);
-double lts_soil_read(const lts_soil *soil, const lts_place *place, int n_strip, int strip, double u);
+double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
+                     int strip, double u);
 /* The strip below a place across and the share of the next one. */
 int lts_soil_strip_at(const lts_soil *soil, int n_strip, double across, double *share);
 /* The cells of a passage after its bins have moved; those that were seen before keep what is known. */
 void lts_soil_look_around(lts_soil *soil, lts_passage *p);
-/* Writes the heights about the tool into the terrain, where they are old. */
+/* Takes in what others have changed in sight: the terrain before the tool counts as changed by so much, and so do
+ * the bins. */
+void lts_soil_meet(lts_soil *soil, lts_passage *p);
+/* Writes the heights in sight into the terrain, where they are old. */
 void lts_soil_write(lts_soil *soil);
+/* Lets soil slide about n cells; those in sight of a passage stay as they are (null: all move). */
+void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_passage *kept);
+/* Centre x, z and radius of what a tool has in sight, m. */
+void lts_soil_sight(const lts_soil *soil, double out[3]);
+/* Writes of all tools where another has in sight what this one has. */
+void lts_soil_meet_others(lts_soil *soil);
 
 /* lts_soil_sweep.c. */
 double lts_soil_offset(const lts_soil_model *model, int bin);
 double lts_soil_followed(const lts_soil_model *model, double origin, double tip);
 double lts_soil_turn(const lts_soil *soil, const double change[3]);
 void lts_soil_sweep_start(lts_soil *soil, lts_passage *p);
+/* What falls short of all that was cut, of what is carried: (19). */
+double lts_soil_owed(const lts_soil *soil, const lts_passage *p);
 void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift);
 void lts_soil_advance(lts_soil *soil, lts_passage *p, const double pose[3], double turn, double dt);
 /* Scalars and channels of a passage: about the tool, or all of them. */
 void lts_soil_make_frame(lts_soil *soil, const lts_passage *p, int all);
 
 /* lts_soil_passage.c: begins, goes on, copies. */
+/* From one strip to all of them. */
+int lts_soil_n_strip(const lts_soil *soil);
+void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p);
 int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set_down);
 int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt);
 void lts_soil_copy(const lts_soil *soil, lts_passage *to, const lts_passage *from);

@@ -14,7 +14,9 @@ static float contact(const lts_soil *soil, int strip) {
     const float height = lts_soil_channel_at(soil, LTS_SOIL_SURFACE, 1, strip, 0.0f, u);
     highest = height > highest ? height : highest;
   }
-  const float heap = m->heap * sqrtf(s[LTS_SOIL_AREA] > 0.0f ? s[LTS_SOIL_AREA] : 0.0f);
+  const float carried = s[LTS_SOIL_OWN + m->n_own];
+  const float area = s[LTS_SOIL_AREA] > carried ? s[LTS_SOIL_AREA] : carried;
+  const float heap = m->heap * sqrtf(area > 0.0f ? area : 0.0f);
   const float clearance = s[LTS_SOIL_HEIGHT] - s[m->radius] - highest;
   const float kappa = (heap + m->above - clearance) / m->ramp;
   return kappa > 0.0f ? (kappa < 1.0f ? kappa : 1.0f) : 0.0f;
@@ -85,6 +87,7 @@ int lts_soil_find_loads(lts_soil *soil, const lts_passage *p, int members, float
       at->share[0][i] = 0.0f;
       at->area[i] = soil->scalars[under + k][LTS_SOIL_AREA];
       at->foremost[i] = soil->scalars[under + k][LTS_SOIL_FOREMOST];
+      at->carried[i] = soil->scalars[under + k][LTS_SOIL_OWN + m->n_own];
       other[i] = !several ? 0 : i % 2 ? under + k + 1 : under + k - 1;
       base[i] = soil->scalars[0][LTS_SOIL_TIP];
     }

@@ -20,8 +20,8 @@ enum {
 };
 #define LTS_SOIL_CHANNELS 6
 
-/* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][3], those of the tool, and the
- * distance to the wall. */
+/* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][3], those of the tool, what is
+ * carried, and the distance to the wall. */
 enum {
   LTS_SOIL_TIP = 0, LTS_SOIL_HEIGHT = 1, LTS_SOIL_LEAN = 2, LTS_SOIL_AREA = 3, LTS_SOIL_FOREMOST = 4,
   LTS_SOIL_WAY = 5, LTS_SOIL_SPEED = 6, LTS_SOIL_MEMORY = 7, LTS_SOIL_OWN = 19
@@ -48,11 +48,14 @@ struct lts_soil_model {
   /* Tool and soil, see `tools.py`. */
   double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
   /* Passage. */
-  double ahead, even, max_step, set_down;
+  double ahead, even, max_step, set_down, factor[2]; /* factor: of (20) */
+  /* Terrain: of soil that slides. */
+  int32_t slides, unused_slides;
+  double slope_tolerance;
   /* Stepper. */
   double fastest, fastest_turn, turned, moved;
-  /* Inputs. n_scalar: of a frame; n_own: of those of a tool without the distance to the wall, of which `radius` is one
-   * and the half width the first; see_reach: m about the tool that the load and the status look at. */
+  /* Inputs. n_scalar: of a frame; n_own: of those of a tool, of which `radius` is one and the half width the
+   * first; see_reach: m about the tool that the load and the status look at. */
   int32_t n_scalar, n_own, radius, n_around;
   double see_reach;
   lts_table load, side, here, particle, tool;

@@ -4,7 +4,7 @@
 
 #include "lts_soil_internal.h"
 
-static int n_all(const lts_soil *soil) {
+int lts_soil_n_strip(const lts_soil *soil) {
   return soil->model->n_column > 1 ? soil->model->n_column + 2 * soil->model->n_beside : 1;
 }
 
@@ -20,10 +20,10 @@ static void seen_pose(const lts_soil *soil, const lts_place *place, const lts_po
 
 /* Whether all strips are equal at a place. */
 static int is_even(const lts_soil *soil, const lts_place *place, double u) {
-  const int n = n_all(soil);
+  const int n = lts_soil_n_strip(soil);
   double low = HUGE_VAL, high = -HUGE_VAL;
   for (int j = 0; j < n; ++j) {
-    const double height = lts_soil_read(soil, place, n, j, u);
+    const double height = lts_soil_read(soil, soil->terrain, place, n, j, u);
     if (!isfinite(height)) return 0;
     low = height < low ? height : low;
     high = height > high ? height : high;
@@ -56,11 +56,11 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   for (int k = 0; w->looks && k < m->n_bin; ++k) {
     w->looks = is_even(soil, &w->place, first[0] + lts_soil_offset(m, k));
   }
-  w->n_strip = w->looks ? 1 : n_all(soil);
+  w->n_strip = w->looks ? 1 : lts_soil_n_strip(soil);
   for (int j = 0; j < w->n_strip; ++j) {
     for (int k = 0; k < m->n_bin; ++k) {
       const double u = w->origin + lts_soil_offset(m, k);
-      const double height = lts_soil_read(soil, &w->place, w->n_strip, j, u);
+      const double height = lts_soil_read(soil, soil->terrain, &w->place, w->n_strip, j, u);
       if (!isfinite(height)) return LTS_ERROR_VALUE;
       p->surface[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
       sum += height;
@@ -74,15 +74,15 @@ int lts_soil_begin(lts_soil *soil, lts_passage *p, const lts_pose *pose, int set
   return LTS_OK;
 }
 
-/* From one strip to all of them, where even terrain ends. */
-static void take_all_strips(const lts_soil *soil, lts_passage *p) {
+void lts_soil_take_all_strips(const lts_soil *soil, lts_passage *p) {
   double *of[4] = {p->surface, p->profile, p->last, p->area_before};
-  const int n = n_all(soil);
+  const int n = lts_soil_n_strip(soil);
   for (int j = 1; j < n; ++j) {
     for (int i = 0; i < 4; ++i) {
       memcpy(of[i] + LTS_SOIL_ROW(soil, j), of[i], LTS_SOIL_ROW(soil, 1) * sizeof **of);
     }
     p->s.foremost[j] = p->s.foremost[0];
+    p->s.dropped[j] = p->s.dropped[0];
   }
   p->s.n_strip = n;
   p->s.looks = 0;
@@ -101,15 +101,18 @@ static int follow(lts_soil *soil, lts_passage *p, double to) {
   for (int k = first; goes_on && k < last; ++k) {
     goes_on = is_even(soil, &p->s.place, to + lts_soil_offset(m, k));
   }
-  const int n_strip = p->s.looks && !goes_on ? n_all(soil) : p->s.n_strip;
+  const int n_strip = p->s.looks && !goes_on ? lts_soil_n_strip(soil) : p->s.n_strip;
   for (int j = 0; j < n_strip; ++j) {
     for (int k = first; k < last; ++k) {
-      const double height = lts_soil_read(soil, &p->s.place, n_strip, j, to + lts_soil_offset(m, k));
+      const double u = to + lts_soil_offset(m, k);
+      const double height = lts_soil_read(soil, soil->terrain, &p->s.place, n_strip, j, u);
       if (!isfinite(height)) return LTS_ERROR_VALUE;
       soil->fresh[LTS_SOIL_ROW(soil, j) + (size_t)k] = height;
     }
   }
-  if (n_strip != p->s.n_strip) take_all_strips(soil, p);
+  if (n_strip != p->s.n_strip) lts_soil_take_all_strips(soil, p);
+  p->s.owed = lts_soil_owed(soil, p);
+  p->s.owed_at = p->s.travelled;
   lts_soil_shift(soil, p, to, shift);
   return LTS_OK;
 }
@@ -127,7 +130,8 @@ int lts_soil_go(lts_soil *soil, lts_passage *p, const lts_pose *pose, double dt)
   if (moves_on) LTS_TRY(follow(soil, p, to));
   soil->seen = NULL;
   lts_soil_advance(soil, p, coming, lts_soil_turn(soil, change), dt / soil->time);
-  if (moves_on && soil->writes) lts_soil_look_around(soil, p);
+  p->s.n_gone = 0;
+  if (moves_on) lts_soil_look_around(soil, p);
   p->s.stale = 1;
   return LTS_OK;
 }

@@ -38,6 +38,8 @@ static int take(const lts_soil *soil, const lts_passage *p, int is_surface, cons
   }
   const float *low = soil->scalars[strip], *high = soil->scalars[strip + (n_strip > 1)];
   const float b = at->share[0][i];
+  const int carried = LTS_SOIL_OWN + m->n_own;
+  at->carried[i] = low[carried] + b * (high[carried] - low[carried]);
   at->area[i] = low[LTS_SOIL_AREA] + b * (high[LTS_SOIL_AREA] - low[LTS_SOIL_AREA]);
   at->foremost[i] = low[LTS_SOIL_FOREMOST] + b * (high[LTS_SOIL_FOREMOST] - low[LTS_SOIL_FOREMOST]);
   at->u[i] = u;

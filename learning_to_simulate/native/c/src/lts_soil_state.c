@@ -52,7 +52,18 @@ static int widest(const lts_soil_model *m) {
   return most;
 }
 
-static size_t lay_out(const lts_soil_model *m, size_t cells, char *base, lts_soil *soil) {
+/* What changes about cells in sight may fill: the square about the rectangle that bins span, and a margin. */
+static double largest_box(const lts_soil_model *m, const lts_soil_tool *tool, const lts_terrain *t) {
+  const double scale = scale_of(m, tool), along = scale * (m->n_bin - 1) * m->spacing;
+  const double side = hypot(along, tool->width + 2.0 * scale * m->n_beside * m->beside_width);
+  double cells = 1.0;
+  for (int i = 0; i < 2; ++i) cells *= fmin(ceil(side / t->cell[i]) + 1.0, (double)t->n[i]) + 2.0;
+  return cells;
+}
+
+static size_t lay_out(const lts_soil_model *m, const lts_soil_tool *tool, const lts_terrain *t, char *base,
+                      lts_soil *soil) {
+  const size_t cells = (size_t)most_cells(m, tool, t), box = (size_t)largest_box(m, tool, t);
   const size_t bins = (size_t)m->n_bin, lanes = LTS_SOIL_LANES, wide = (size_t)widest(m);
   const size_t strips = m->n_column > 1 ? (size_t)(m->n_column + 2 * m->n_beside) : 1;
   const size_t rows = 2 * (size_t)m->n_column, members = (size_t)m->n_member;
@@ -82,7 +93,9 @@ static size_t lay_out(const lts_soil_model *m, size_t cells, char *base, lts_soi
   for (int i = 0; i < LTS_SOIL_CHANNELS; ++i) {
     TAKE(bins[i], float, strips * bins + 1)
   }
-  TAKE(near, int32_t, cells)
+  TAKE(gone, int32_t, cells)
+  TAKE(box, double, box)
+  TAKE(kept, unsigned char, (size_t)t->n[0] * (size_t)t->n[1])
   TAKE(risen, float, cells)
   TAKE(under, double, bins)
   TAKE(fresh, double, strips * bins)
@@ -102,7 +115,7 @@ static size_t lay_out(const lts_soil_model *m, size_t cells, char *base, lts_soi
 
 size_t lts_soil_size(const lts_soil_model *m, const lts_soil_tool *tool, const lts_terrain *terrain) {
   if (!is_usable(m) || !is_tool(m, tool) || !lts_terrain_usable(terrain)) return 0;
-  return lay_out(m, (size_t)most_cells(m, tool, terrain), NULL, NULL) + LTS_ALIGNMENT - 1;
+  return lay_out(m, tool, terrain, NULL, NULL) + LTS_ALIGNMENT - 1;
 }
 
 /* Scale, units, scalars and strips of the tool: `tools.py` and `strips.py`. */
@@ -146,17 +159,16 @@ int lts_soil_init(const lts_soil_model *m, const lts_soil_tool *tool, lts_terrai
   if (!run) return LTS_ERROR_VALUE;
   char *base = (char *)memory;
   base += (LTS_ALIGNMENT - (uintptr_t)base % LTS_ALIGNMENT) % LTS_ALIGNMENT;
-  const double cells = most_cells(m, tool, terrain);
-  memset(base, 0, lay_out(m, (size_t)cells, NULL, NULL));
+  memset(base, 0, lay_out(m, tool, terrain, NULL, NULL));
   lts_soil *soil = (lts_soil *)(void *)base;
-  lay_out(m, (size_t)cells, base, soil);
+  lay_out(m, tool, terrain, base, soil);
   soil->model = m;
   soil->run = run;
   soil->terrain = terrain;
   soil->tool = *tool;
   soil->kernel = found;
   soil->members = m->n_member;
-  soil->most_cells = (int32_t)cells;
+  soil->most_cells = (int32_t)most_cells(m, tool, terrain);
   soil->widest = widest(m);
   fit_tool(soil);
   soil->magic = LTS_SOIL_MAGIC;

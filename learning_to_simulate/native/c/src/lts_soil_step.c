@@ -48,9 +48,9 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
 /* Scalars, ground and turns [n_judged]; in the air all is free but what the tool is. */
 static void find_judged(const lts_soil *soil, const lts_passage *p, const double turns[3], double *values) {
   const lts_soil_model *m = soil->model;
-  const int path[3] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_SPEED};
+  const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OWN + m->n_own, LTS_SOIL_SPEED};
   for (int i = 0; i < m->n_named; ++i) {
-    const int column = i < 3 ? path[i] : LTS_SOIL_OWN + i - 3;
+    const int column = i < 4 ? path[i] : LTS_SOIL_OWN + i - 4;
     float most = soil->scalars[0][column];
     for (int j = 1; j < p->s.n_strip; ++j) {
       if (soil->scalars[j][column] > most) most = soil->scalars[j][column];
@@ -58,9 +58,9 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const double
     values[i] = most;
   }
   memcpy(values + m->n_named + 4, turns, 3 * sizeof *turns);
-  if (find_ground(soil, p, values[1], values + m->n_named)) return;
+  if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named)) return;
   for (int i = 0; i < m->n_judged; ++i) {
-    if (i < 3 || i >= m->n_named) values[i] = m->middle[i];
+    if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
   }
 }
 
@@ -142,14 +142,13 @@ static int is_under_floor(const lts_soil *soil, const lts_pose *pose) {
 }
 
 /* Begins a passage in the other place, with the cells that are not in use. */
-static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, int writes, lts_passage **out) {
+static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, lts_passage **out) {
   lts_passage *p = &soil->passage[!soil->now];
   soil->seen = NULL;
   p->s.cells = soil->passage[soil->now].s.cells;
   LTS_TRY(lts_soil_begin(soil, p, pose, set_down));
   p->s.stale = set_down;
   *out = p;
-  if (!writes) return LTS_OK;
   /* Of cells that are in sight it knows nothing yet. */
   lts_cells *kept = &soil->cells[p->s.cells];
   const int32_t n = kept->n;
@@ -159,13 +158,24 @@ static int begin_other(lts_soil *soil, const lts_pose *pose, int set_down, int w
   return LTS_OK;
 }
 
+/* Ends a passage: its soil comes to rest. */
+static void finish(lts_soil *soil, const lts_passage *p) {
+  if (!soil->started || !soil->writes) return;
+  lts_soil_write(soil);
+  const lts_cells *c = &soil->cells[p->s.cells];
+  lts_soil_settle(soil, c->number, c->n, NULL);
+}
+
 static int start(lts_soil *soil, const lts_pose *pose, int set_down, lts_pose *unit) {
   LTS_TRY(lts_soil_check(soil));
   if (!pose) return LTS_ERROR_NULL;
   lts_passage *p;
   if (!lts_soil_unit_pose(pose, unit)) return LTS_ERROR_VALUE;
   if (set_down && is_under_floor(soil, unit)) return LTS_ERROR_PLACE;
-  LTS_TRY(begin_other(soil, unit, set_down, set_down, &p));
+  lts_place place;
+  if (!lts_place_of(unit, &place)) return LTS_ERROR_VALUE;
+  finish(soil, &soil->passage[soil->now]);
+  LTS_TRY(begin_other(soil, unit, set_down, &p));
   soil->now = !soil->now;
   soil->started = 1;
   soil->writes = set_down;
@@ -216,7 +226,7 @@ static int is_away(const lts_soil *soil, const lts_pose *pose) {
 /* There a tool begins a new passage, where that is in the air too. Says whether it does. */
 static int turns_away(lts_soil *soil, const lts_pose *pose, lts_passage **fresh) {
   if (!is_away(soil, pose)) return 0;
-  LTS_TRY(begin_other(soil, pose, 1, 1, fresh));
+  LTS_TRY(begin_other(soil, pose, 1, fresh));
   return !lts_soil_find_loads(soil, *fresh, 1, soil->loads);
 }
 
@@ -224,9 +234,11 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
+  lts_soil_meet_others(soil);
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (away) {
+    finish(soil, &soil->passage[soil->now]);
     soil->now = !soil->now;
   } else {
     p = &soil->passage[soil->now];
@@ -236,6 +248,7 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   answer(soil, p, &unit, &before, soil->result.passage + away, &soil->result);
   soil->pose = unit;
   if (soil->frame < INT32_MAX) ++soil->frame;
+  if (p->s.n_gone) lts_soil_settle(soil, soil->gone, p->s.n_gone, p);
   if (result) *result = soil->result;
   return soil->result.status;
 }
@@ -244,6 +257,7 @@ int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_r
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
+  lts_soil_meet_others(soil);
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (!away) {
@@ -276,6 +290,13 @@ int lts_soil_place(const lts_soil *soil, double *out) {
     out[3 * i + 1] = 0.0;
     out[3 * i + 2] = of[i][1];
   }
+  return LTS_OK;
+}
+
+int lts_soil_footprint(const lts_soil *soil, double *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!out) return LTS_ERROR_NULL;
+  lts_soil_sight(soil, out);
   return LTS_OK;
 }
 

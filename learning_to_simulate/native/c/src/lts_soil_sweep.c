@@ -32,7 +32,29 @@ void lts_soil_sweep_start(lts_soil *soil, lts_passage *p) {
   }
   memset(p->s.memory, 0, sizeof p->s.memory);
   p->s.travelled = p->s.way = p->s.speed = 0.0;
-  for (int j = 0; j < p->s.n_strip; ++j) p->s.foremost[j] = p->s.pose[0];
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    p->s.foremost[j] = p->s.pose[0];
+    p->s.dropped[j] = 0.0;
+  }
+}
+
+/* Sum of cuts from one bin to before another. Eight sums, because one would wait for itself. */
+static double sum_of_cuts(const double *surface, const double *profile, int low, int high) {
+  double sums[8] = {0.0}, sum = 0.0;
+  int k = low;
+  for (; k + 8 <= high; k += 8) {
+    for (int i = 0; i < 8; ++i) sums[i] += surface[k + i] - profile[k + i];
+  }
+  for (; k < high; ++k) sum += surface[k] - profile[k];
+  for (int i = 0; i < 8; ++i) sum += sums[i];
+  return sum;
+}
+
+double lts_soil_owed(const lts_soil *soil, const lts_passage *p) {
+  const lts_way *w = &p->s;
+  const double goal = -w->left_behind / soil->width - w->dropped_there;
+  const double way = (w->travelled - w->owed_at) / (soil->model->chunk * soil->model->spacing);
+  return w->owed + (way < 1.0 ? way : 1.0) * (goal - w->owed);
 }
 
 /* Moves the bins; the heights of new ones are those of `fresh`. */
@@ -43,6 +65,8 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   for (int j = 0; j < p->s.n_strip; ++j) {
     const size_t row = LTS_SOIL_ROW(soil, j);
     double *of[4] = {p->surface + row, p->profile + row, p->last + row, p->area_before + row};
+    const int lost = shift > 0 ? 0 : kept; /* the first bin that is dropped */
+    p->s.dropped[j] += soil->model->spacing * sum_of_cuts(of[0], of[1], lost, lost + n - kept);
     for (int i = 0; kept && i < 4; ++i) {
       memmove(of[i] + to, of[i] + from, (size_t)kept * sizeof **of);
     }
@@ -55,7 +79,7 @@ void lts_soil_shift(lts_soil *soil, lts_passage *p, double origin, int shift) {
   p->s.origin = origin;
 }
 
-/* (4), of one strip. Eight sums, because one would wait for itself. */
+/* (4), of one strip. */
 static double area(const lts_soil *soil, const lts_passage *p, int strip) {
   const lts_soil_model *m = soil->model;
   const double *s = p->surface + LTS_SOIL_ROW(soil, strip), *q = p->profile + LTS_SOIL_ROW(soil, strip);
@@ -63,17 +87,11 @@ static double area(const lts_soil *soil, const lts_passage *p, int strip) {
   const double middle = from / m->spacing + m->n_behind;
   const int low = (int)fmax(middle - reach + 1.0, 0.0);
   const int high = (int)fmin(middle + reach - 1.0, m->n_bin - 1.0);
-  double sums[8] = {0.0}, sum = 0.0;
   /* Within all bins count in full; those about the ends by their share. */
-  int k = low + 1;
-  for (; k + 8 <= high; k += 8) {
-    for (int i = 0; i < 8; ++i) sums[i] += s[k + i] - q[k + i];
-  }
-  for (; k < high; ++k) sum += s[k] - q[k];
-  for (int i = 0; i < 8; ++i) sum += sums[i];
+  double sum = sum_of_cuts(s, q, low + 1, high);
   const int ends[2][2] = {{low - 2, low}, {high > low ? high : low + 1, high + 3}};
   for (int end = 0; end < 2; ++end) {
-    for (k = ends[end][0] > 0 ? ends[end][0] : 0; k <= ends[end][1] && k < m->n_bin; ++k) {
+    for (int k = ends[end][0] > 0 ? ends[end][0] : 0; k <= ends[end][1] && k < m->n_bin; ++k) {
       const double away = fabs(p->s.origin + lts_soil_offset(m, k) - p->s.pose[0]);
       const double share = (m->window - away) / du + 0.5;
       sum += (share > 0.0 ? (share < 1.0 ? share : 1.0) : 0.0) * (s[k] - q[k]);
@@ -186,6 +204,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_way *w = &p->s;
   const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * w->pose[0]);
+  const double owed = lts_soil_owed(soil, p);
   for (int j = 0; j < w->n_strip; ++j) {
     float *s = soil->scalars[j];
     s[LTS_SOIL_TIP] = (float)(w->pose[0] - w->origin);
@@ -200,7 +219,10 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
       for (int k = 0; k < 3; ++k) s[LTS_SOIL_MEMORY + 3 * i + k] = (float)w->memory[i][k];
     }
     memcpy(s + LTS_SOIL_OWN, soil->own, (size_t)m->n_own * sizeof *s);
-    s[LTS_SOIL_OWN + m->n_own] = (float)fmin(ahead / soil->scale, m->ahead);
+    const double cut = m->spacing * sum_of_cuts(p->surface + LTS_SOIL_ROW(soil, j),
+                                                p->profile + LTS_SOIL_ROW(soil, j), 0, m->n_bin);
+    s[LTS_SOIL_OWN + m->n_own] = (float)(w->dropped[j] + cut + owed); /* (19) */
+    s[LTS_SOIL_OWN + m->n_own + 1] = (float)fmin(ahead / soil->scale, m->ahead);
   }
 }
 

@@ -97,6 +97,8 @@ static void scalar_of(const reading *r, int index, float *x) {
     EACH(r->places->area[i]);
   } else if (index == LTS_SOIL_FOREMOST) {
     EACH(r->places->foremost[i]);
+  } else if (index == LTS_SOIL_OWN + r->soil->model->n_own) {
+    EACH(r->places->carried[i]);
   } else { /* all strips share it */
     const float value = r->soil->scalars[0][index];
     EACH(value);

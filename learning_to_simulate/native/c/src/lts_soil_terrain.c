@@ -47,13 +47,14 @@ double lts_terrain_ahead(const lts_terrain *t, const lts_place *place, double u)
   return least;
 }
 
-double lts_soil_read(const lts_soil *soil, const lts_place *place, int n_strip, int strip, double u) {
+double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
+                     int strip, double u) {
   const double centre = n_strip > 1 ? soil->centres[strip] : 0.0;
   const double width = n_strip > 1 ? soil->widths[strip] : soil->width, along = soil->scale * u;
   double sum = 0.0;
   for (int i = 0; i < 5; ++i) {
     const double across = soil->scale * (centre + width * soil->model->across[i]);
-    sum += lts_terrain_at(soil->terrain,
+    sum += lts_terrain_at(terrain,
                           place->origin[0] + place->along[0] * along + place->across[0] * across,
                           place->origin[1] + place->along[1] * along + place->across[1] * across);
   }
@@ -77,18 +78,42 @@ static double reach_across(const lts_soil *soil) {
   return soil->width / 2.0 + soil->model->n_beside * soil->model->beside_width;
 }
 
-/* First and last row, or column, of the cells that may lie within places low and high along the way. */
-static void span_of(const lts_soil *soil, const lts_place *place, double low, double high, int axis,
-                    int *first, int *last) {
-  const lts_terrain *t = soil->terrain;
+/* Corners [4] (x, z, m) of what lies between places low and high along the way and near enough across. */
+static void corners_of(const lts_soil *soil, const lts_place *place, double low, double high, double out[4][2]) {
   const double reach = reach_across(soil);
-  double least = HUGE_VAL, most = -HUGE_VAL;
   for (int corner = 0; corner < 4; ++corner) {
-    const double u = soil->scale * (corner & 1 ? high : low);
-    const double across = soil->scale * (corner & 2 ? reach : -reach);
-    const double at = u * place->along[axis] + across * place->across[axis] + place->origin[axis];
-    least = fmin(least, at);
-    most = fmax(most, at);
+    const double u = soil->scale * (corner & 2 ? high : low);
+    const double across = soil->scale * (corner & 1 ? reach : -reach);
+    for (int i = 0; i < 2; ++i) {
+      out[corner][i] = u * place->along[i] + across * place->across[i] + place->origin[i];
+    }
+  }
+}
+
+static void corners_in_sight(const lts_soil *soil, const lts_passage *p, double out[4][2]) {
+  const lts_soil_model *m = soil->model;
+  const double low = p->s.origin + lts_soil_offset(m, 0);
+  corners_of(soil, &p->s.place, low, p->s.origin + lts_soil_offset(m, m->n_bin - 1), out);
+}
+
+void lts_soil_sight(const lts_soil *soil, double out[3]) {
+  double corners[4][2];
+  corners_in_sight(soil, &soil->passage[soil->now], corners);
+  out[2] = 0.0;
+  for (int i = 0; i < 2; ++i) {
+    out[i] = (corners[0][i] + corners[1][i] + corners[2][i] + corners[3][i]) / 4.0;
+  }
+  for (int k = 0; k < 4; ++k) {
+    out[2] = fmax(out[2], hypot(corners[k][0] - out[0], corners[k][1] - out[1]));
+  }
+}
+
+/* First and last row, or column, of the cells that may lie between corners. */
+static void span_of(const lts_terrain *t, double corners[4][2], int axis, int *first, int *last) {
+  double least = HUGE_VAL, most = -HUGE_VAL;
+  for (int k = 0; k < 4; ++k) {
+    least = fmin(least, corners[k][axis]);
+    most = fmax(most, corners[k][axis]);
   }
   const double n = t->n[axis];
   *first = (int)fmin(fmax(floor((least - t->corner[axis]) / t->cell[axis]), 0.0), n);
@@ -103,9 +128,16 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
   lts_cells *c = &soil->cells[!p->s.cells];
   const double low = p->s.origin + lts_soil_offset(m, 0);
   const double high = p->s.origin + lts_soil_offset(m, m->n_bin - 1), reach = reach_across(soil);
-  int rows[2], columns[2], k = 0, n = 0;
-  span_of(soil, place, low, high, 0, rows, rows + 1);
-  span_of(soil, place, low, high, 1, columns, columns + 1);
+  int rows[2], columns[2], k = 0, n = 0, n_gone = 0;
+  double corners[4][2], risen = 0.0, dropped = 0.0;
+  corners_in_sight(soil, p, corners);
+  span_of(t, corners, 0, rows, rows + 1);
+  span_of(t, corners, 1, columns, columns + 1);
+#define PASS_BY(condition)                                 \
+  for (; k < old->n && (condition); ++k) {                 \
+    risen += t->heights[old->number[k]] - old->before[k];  \
+    soil->gone[n_gone++] = old->number[k];                 \
+  }
   for (int i = rows[0]; i < rows[1]; ++i) {
     for (int j = columns[0]; j < columns[1] && n < soil->most_cells; ++j) {
       const double point[3] = {t->corner[0] + t->cell[0] * (i + 0.5), 0.0,
@@ -115,55 +147,156 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
       const double u = local[0] / soil->scale, across = local[2] / soil->scale;
       if (!(u >= low && u <= high && fabs(across) <= reach)) continue;
       const int32_t number = i * t->n[1] + j;
-      while (k < old->n && old->number[k] < number) ++k;
+      PASS_BY(old->number[k] < number)
       const int is_known = k < old->n && old->number[k] == number;
       c->number[n] = number;
       c->before[n] = is_known ? old->before[k] : t->heights[number];
       c->left[n] = is_known ? old->left[k] : t->heights[number];
       c->u[n] = u;
       c->across[n++] = across;
+      k += is_known;
     }
   }
+  PASS_BY(1)
+#undef PASS_BY
+  const int several = p->s.n_strip > 1, count = several ? m->n_column : 1;
+  for (int j = 0; j < count; ++j) dropped += p->s.dropped[several * m->n_beside + j];
+  p->s.left_behind += t->cell[0] * t->cell[1] / (soil->scale * soil->scale) * risen / soil->scale;
+  p->s.dropped_there = dropped / count;
+  p->s.n_gone = n_gone;
   c->n = n;
   p->s.cells = !p->s.cells;
 }
 
-/* Of the cells about the tool: what `lts_soil_find` asks for. */
+void lts_soil_meet(lts_soil *soil, lts_passage *p) {
+  const lts_soil_model *m = soil->model;
+  const lts_terrain *t = soil->terrain;
+  lts_cells *c = &soil->cells[p->s.cells];
+  int low[2] = {INT32_MAX, INT32_MAX}, high[2] = {-1, -1};
+  for (int32_t k = 0; k < c->n; ++k) {
+    if (t->heights[c->number[k]] == c->left[k]) continue;
+    const int at[2] = {c->number[k] / t->n[1], c->number[k] % t->n[1]};
+    for (int i = 0; i < 2; ++i) {
+      low[i] = at[i] < low[i] ? at[i] : low[i];
+      high[i] = at[i] > high[i] ? at[i] : high[i];
+    }
+  }
+  if (high[0] < 0) return;
+  /* What has changed, as a terrain of its own with nothing about it. */
+  lts_terrain box = *t;
+  box.heights = soil->box;
+  for (int i = 0; i < 2; ++i) {
+    box.n[i] = high[i] - low[i] + 3;
+    box.corner[i] = t->corner[i] + t->cell[i] * (low[i] - 1);
+  }
+  memset(soil->box, 0, (size_t)box.n[0] * (size_t)box.n[1] * sizeof *soil->box);
+  for (int32_t k = 0; k < c->n; ++k) {
+    const double change = t->heights[c->number[k]] - c->left[k];
+    if (change == 0.0) continue;
+    const int i = c->number[k] / t->n[1] - low[0] + 1, j = c->number[k] % t->n[1] - low[1] + 1;
+    soil->box[(size_t)i * (size_t)box.n[1] + (size_t)j] = change;
+    c->before[k] += change;
+    c->left[k] += change;
+  }
+  const int all = lts_soil_n_strip(soil), under = all > 1 ? m->n_beside : 0;
+  int uneven = 0;
+  for (int k = 0; k < m->n_bin; ++k) {
+    double least = HUGE_VAL, most = -HUGE_VAL;
+    for (int j = 0; j < all; ++j) {
+      const double u = p->s.origin + lts_soil_offset(m, k);
+      const double read = lts_soil_read(soil, &box, &p->s.place, all, j, u);
+      soil->fresh[LTS_SOIL_ROW(soil, j) + (size_t)k] = read;
+      least = fmin(least, read);
+      most = fmax(most, read);
+    }
+    uneven |= most - least > m->even;
+  }
+  if (p->s.looks && uneven) lts_soil_take_all_strips(soil, p);
+  for (int j = 0; j < p->s.n_strip; ++j) {
+    for (int k = 0; k < m->n_bin; ++k) {
+      const size_t i = LTS_SOIL_ROW(soil, j) + (size_t)k;
+      double change = soil->fresh[i];
+      if (p->s.n_strip != all) {
+        change = 0.0;
+        for (int s = 0; s < m->n_column; ++s) change += soil->fresh[LTS_SOIL_ROW(soil, under + s) + (size_t)k];
+        change /= m->n_column;
+      }
+      p->surface[i] += change;
+      p->profile[i] += change;
+    }
+  }
+  p->s.stale = 1;
+  soil->seen = NULL;
+}
+
+void lts_soil_meet_others(lts_soil *soil) {
+  lts_terrain *t = soil->terrain;
+  double here[3], there[3];
+  lts_soil_sight(soil, here);
+  for (const lts_soil *other = t->first; other; other = other->next) {
+    if (other == soil || !other->started || !other->writes) continue;
+    lts_soil_sight(other, there);
+    if (!(hypot(there[0] - here[0], there[1] - here[1]) < here[2] + there[2])) continue;
+    lts_terrain_update(t);
+    break;
+  }
+  lts_soil_meet(soil, &soil->passage[soil->now]);
+}
+
+/* Whether no soil leaves the map. */
+static int keeps_volume(const lts_soil *soil, const lts_passage *p) {
+  const lts_terrain *t = soil->terrain;
+  double corners[4][2];
+  if (t->walled) return 1;
+  corners_in_sight(soil, p, corners);
+  for (int k = 0; k < 4; ++k) {
+    for (int i = 0; i < 2; ++i) {
+      const double from = corners[k][i] - t->corner[i];
+      if (!(from >= 0.0 && from <= t->cell[i] * t->n[i])) return 0;
+    }
+  }
+  return 1;
+}
+
+/* Of the cells in sight: what `lts_soil_find` asks for. */
 typedef struct {
   const lts_cells *cells;
-  const int32_t *which;
   double origin;
-} near_cells;
+} cells_in_sight;
 
-static void place_of_cell(const void *of, size_t i, double out[3]) {
-  const near_cells *near = of;
-  const int32_t k = near->which[i];
-  out[0] = near->cells->u[k] - near->origin;
+static void place_of_cell(const void *of, size_t k, double out[3]) {
+  const cells_in_sight *sight = of;
+  out[0] = sight->cells->u[k] - sight->origin;
   out[1] = 0.0;
-  out[2] = near->cells->across[k];
+  out[2] = sight->cells->across[k];
 }
 
 void lts_soil_write(lts_soil *soil) {
   lts_passage *p = &soil->passage[soil->now];
   const lts_soil_model *m = soil->model;
-  if (!soil->started || !soil->writes || !p->s.stale) return;
+  const lts_terrain *t = soil->terrain;
+  if (!soil->started || !soil->writes) return;
+  lts_soil_meet(soil, p);
+  if (!p->s.stale) return;
   p->s.stale = 0;
   lts_cells *c = &soil->cells[p->s.cells];
-  double *heights = soil->terrain->heights;
-  const double reach = m->window + m->chunk * m->spacing;
-  int32_t n = 0;
-  for (int32_t k = 0; k < c->n; ++k) {
-    if (!(fabs(c->u[k] - p->s.pose[0]) <= reach)) continue;
-    /* What others have changed there since stays. */
-    c->before[k] += heights[c->number[k]] - c->left[k];
-    soil->near[n++] = k;
+  const cells_in_sight sight = {c, p->s.origin};
+  lts_soil_find(soil, p, 1, (size_t)c->n, place_of_cell, &sight, soil->risen);
+  double up = 0.0, down = 0.0, factor = 1.0;
+  if (keeps_volume(soil, p)) { /* (20) */
+    for (int32_t k = 0; k < c->n; ++k) {
+      const double rise = soil->risen[k];
+      up += rise > 0.0 ? rise : 0.0;
+      down -= rise < 0.0 ? rise : 0.0;
+    }
+    const double cell = t->cell[0] * t->cell[1] / (soil->scale * soil->scale);
+    factor = (down - p->s.left_behind / cell) / fmax(up, 1e-12);
+    factor = fmin(fmax(factor, m->factor[0]), m->factor[1]);
   }
-  const near_cells near = {c, soil->near, p->s.origin};
-  lts_soil_find(soil, p, 1, (size_t)n, place_of_cell, &near, soil->risen);
-  for (int32_t i = 0; i < n; ++i) {
-    const int32_t k = soil->near[i];
-    const double h = c->before[k] + (double)((float)soil->scale * soil->risen[i]);
-    c->left[k] = heights[c->number[k]] = h < soil->terrain->floor ? soil->terrain->floor : h;
+  for (int32_t k = 0; k < c->n; ++k) {
+    const double rise = soil->risen[k];
+    const double h = c->before[k] + soil->scale * (rise > 0.0 ? factor * rise : rise);
+    c->left[k] = t->heights[c->number[k]] = h < t->floor ? t->floor : h;
   }
 }
 
@@ -171,4 +304,84 @@ int lts_terrain_update(lts_terrain *t) {
   if (!t) return LTS_ERROR_NULL;
   for (lts_soil *soil = t->first; soil; soil = soil->next) lts_soil_write(soil);
   return LTS_OK;
+}
+
+/* ---- slides ---- */
+
+/* Rows and columns about cells, with a margin. */
+static void box_about(const lts_terrain *t, const int least[2], const int most[2], const int margin[2],
+                      int low[2], int high[2]) {
+  for (int i = 0; i < 2; ++i) {
+    low[i] = least[i] - margin[i] > 0 ? least[i] - margin[i] : 0;
+    high[i] = most[i] + 1 < t->n[i] - margin[i] ? most[i] + margin[i] + 1 : t->n[i];
+  }
+}
+
+/* One round of slides between neighbours at an offset, of every other pair. Returns the largest height that slid
+ * or would have. */
+static double slide(const lts_soil *soil, const int low[2], const int high[2], int dx, int dz, int odd,
+                    double steepest) {
+  const lts_terrain *t = soil->terrain;
+  const int first = low[1] + (dz < 0), last = high[1] - (dz > 0);
+  double most = 0.0;
+  for (int i = low[0]; i < high[0] - dx; ++i) {
+    if (dx && (i - low[0]) % 2 != odd) continue;
+    const int step = dx ? 1 : 2;
+    for (int j = first + (dx ? 0 : odd); j < last; j += step) {
+      const size_t a = (size_t)i * (size_t)t->n[1] + (size_t)j;
+      const size_t b = (size_t)(i + dx) * (size_t)t->n[1] + (size_t)(j + dz);
+      const double fall = t->heights[a] - t->heights[b];
+      if ((fall <= steepest && fall >= -steepest) || soil->kept[a] || soil->kept[b]) continue;
+      const double excess = fall - (fall > steepest ? steepest : fall < -steepest ? -steepest : fall);
+      t->heights[a] -= excess / 2.0;
+      t->heights[b] += excess / 2.0;
+      most = fmax(most, fabs(excess));
+    }
+  }
+  return most;
+}
+
+void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_passage *kept) {
+  const lts_soil_model *m = soil->model;
+  const lts_terrain *t = soil->terrain;
+  const int pairs[4][2] = {{1, 0}, {0, 1}, {1, 1}, {1, -1}}, one[2] = {1, 1};
+  int least[2] = {INT32_MAX, INT32_MAX}, last[2] = {-1, -1}, low[2], high[2], margin[2];
+  double lowest = HUGE_VAL, highest = -HUGE_VAL;
+  if (!n) return;
+  for (int32_t k = 0; k < n; ++k) {
+    const int at[2] = {cells[k] / t->n[1], cells[k] % t->n[1]};
+    for (int i = 0; i < 2; ++i) {
+      least[i] = at[i] < least[i] ? at[i] : least[i];
+      last[i] = at[i] > last[i] ? at[i] : last[i];
+    }
+  }
+  box_about(t, least, last, one, low, high);
+  for (int i = low[0]; i < high[0]; ++i) {
+    for (int j = low[1]; j < high[1]; ++j) {
+      const double h = t->heights[(size_t)i * (size_t)t->n[1] + (size_t)j];
+      lowest = fmin(lowest, h);
+      highest = fmax(highest, h);
+    }
+  }
+  /* As far as a heap of all that stands out here runs. */
+  const double friction = tan(t->friction_angle_deg * 3.14159265358979323846 / 180.0);
+  for (int i = 0; i < 2; ++i) {
+    const double run = ceil((highest - lowest) / (friction * t->cell[i])) + 1.0;
+    margin[i] = (int)fmin(run, (double)t->n[i]);
+  }
+  box_about(t, least, last, margin, low, high);
+  const lts_cells *stay = kept ? &soil->cells[kept->s.cells] : NULL;
+  for (int32_t k = 0; stay && k < stay->n; ++k) soil->kept[stay->number[k]] = 1;
+  for (int round = 0; round < m->slides; ++round) {
+    double most = 0.0;
+    for (int i = 0; i < 4; ++i) {
+      const double x = t->cell[0] * pairs[i][0], z = t->cell[1] * pairs[i][1];
+      for (int odd = 0; odd < 2; ++odd) {
+        const double slid = slide(soil, low, high, pairs[i][0], pairs[i][1], odd, friction * hypot(x, z));
+        most = fmax(most, slid);
+      }
+    }
+    if (most <= m->slope_tolerance) break;
+  }
+  for (int32_t k = 0; stay && k < stay->n; ++k) soil->kept[stay->number[k]] = 0;
 }
