@@ -11,8 +11,8 @@ from learning_to_simulate.native import c_values, library
 from learning_to_simulate.native.model_data import MOTIONS
 
 VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
-# Template in c/ -> file of the project, of all models, of those in a subspace and of fields; @NAME@
-# is the model's.
+# Template in c/ -> file of the project, of all models, of those in a subspace, of swept and of soil
+# fields; @NAME@ is the model's.
 _TEMPLATES = {
     'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
     'cmake/model.h.in': 'include/@NAME@.h',
@@ -26,6 +26,10 @@ _GRAPH_TEMPLATES = {
 _FIELD_TEMPLATES = {
     'cmake/README_field.md.in': 'README.md',
     'examples/field.cpp.in': 'examples/example.cpp',
+}
+_SOIL_TEMPLATES = {
+    'cmake/README_soil.md.in': 'README.md',
+    'examples/soil.cpp.in': 'examples/example.cpp',
 }
 # Sources of all kinds of models; the others belong to one, by the beginning of their names.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')
@@ -87,7 +91,8 @@ def write_sources(folder: str, name: str, values: dict) -> None:
 
 def headers(values: dict) -> list[str]:
     """The public headers, in native/."""
-    return ['include/lts.h'] + ['include/lts_field.h'] * is_field(values)
+    own = ['include/lts_field.h'] * is_field(values) + ['include/lts_soil.h'] * is_soil(values)
+    return ['include/lts.h', *own]
 
 
 def model_source(name: str, values: dict) -> str:
@@ -115,6 +120,7 @@ def write(folder: str, name: str, values: dict) -> None:
         copy(header, os.path.join(folder, 'include'))
     write_sources(os.path.join(folder, 'src'), name, values)
     more = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
+    more = _SOIL_TEMPLATES if is_soil(values) else more
     for template, target in (_TEMPLATES | more).items():
         path = os.path.join(folder, target.replace('@NAME@', name))
         write_template(template, path, words(name, values))
@@ -127,6 +133,16 @@ def words(name: str, values: dict) -> dict:
         'GUARD': f'{name.upper()}_H',
         'VERSION': VERSION,
         'DIGEST': values['digest'],
+    }
+    if is_soil(values):
+        wheel = values['kind'] == library.constants()['LTS_SOIL_WHEEL']
+        return found | {
+            'HEADER': 'lts_soil.h',
+            'STRUCT': 'lts_soil_model',
+            'MEMBERS': values['n_member'],
+            'TOOL': 'wheel' if wheel else 'blade',
+        }
+    found |= {
         'SCENE': values['name'],
         'SOIL': values.get('n_soil', 0),
         'DT': f'{values["dt"]:.6g}',

@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.native import field_data, library
+from learning_to_simulate.native import field_data, library, soil_data
 from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -39,7 +39,7 @@ def sanitized(folder, sources, defines, flags=()):
     return program
 
 
-def _fuzz(folder, values, program_name):
+def _fuzz(folder, values, program_name, calls=CALLS):
     worlds.written(folder, 'lts_small', values)
     program = sanitized(
         str(folder),
@@ -47,11 +47,11 @@ def _fuzz(folder, values, program_name):
         ['FUZZ_MODEL=lts_small', 'FUZZ_HEADER="lts_small.h"'],
     )
     for seed in ('1', '2'):
-        done = subprocess.run([program, seed, str(CALLS // 2)], capture_output=True, text=True)
+        done = subprocess.run([program, seed, str(calls // 2)], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr[-3000:]
         good, refused = (int(done.stdout.split()[i]) for i in (0, 2))
         # Neither kind of call may be rare, or the test would see one side only.
-        assert good > CALLS // 10 and refused > CALLS // 20
+        assert good > calls // 10 and refused > calls // 20
 
 
 @pytest.mark.parametrize('case', CASES.values(), ids=CASES)
@@ -67,6 +67,14 @@ def test_random_calls_of_a_swept_field_under_sanitizers(tool, tmp_path):
         field.rest = field.rest[::5]  # starts read the whole bed: a few particles will do
         parts['subspace'] = type(parts['subspace'])(field.rest)
     _fuzz(tmp_path / 'project', field_data.values(field, **parts), 'fuzz_field.c')
+
+
+@pytest.mark.parametrize('tool', ['blade', 'wheel'])
+def test_random_calls_of_a_soil_field_under_sanitizers(tool, tmp_path):
+    values = soil_data.values(
+        worlds.soil_field(tool, {'load': (6, 5), 'surface': (6,), 'soil': (5,)})
+    )
+    _fuzz(tmp_path / 'project', values, 'fuzz_soil.c', CALLS // 5)
 
 
 def test_a_long_run_neither_grows_nor_drifts(tmp_path):

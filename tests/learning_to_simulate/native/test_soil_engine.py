@@ -9,16 +9,14 @@ import pytest
 
 from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
-from learning_to_simulate.soil_field import training
 from learning_to_simulate.soil_field.loaded import LoadedTool
-from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from learning_to_simulate.soil_field.stepper import SoilStepper, turned
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
-from tests.learning_to_simulate.native.worlds import needs_c
+from tests.learning_to_simulate.native import worlds
 from tests.learning_to_simulate.soil_field.scenes import hills, poses
 
-pytestmark = needs_c
+pytestmark = worlds.needs_c
 SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
 BLADE = Blade(0.3, bucket=1.0)
 WHEEL = Wheel(0.1, 0.08, 12, 0.008)
@@ -28,14 +26,8 @@ DT = 0.1
 
 @functools.cache
 def field(name='blade'):
-    """A field with networks that nobody has trained but that all inputs move; not to be changed."""
-    made = training.make_field(SoilFieldConfig('soil_field', members=3, seed=4), name, SMALL)
-    rng = np.random.default_rng(7)
-    for net in (made.networks.load, made.networks.surface, made.networks.soil):
-        for _, bias in net.layers:
-            bias.assign(rng.normal(0, 0.3, bias.shape))
-    made.ranges.update({n: [-9.0, 99.0] for n in made.judged_names})
-    return made
+    """See `worlds.soil_field`; not to be changed."""
+    return worlds.soil_field(name, SMALL)
 
 
 def ranged(name='blade', **ranges):
@@ -298,8 +290,7 @@ def test_flags_word_for_word():
 
 
 def test_what_is_not_finite_is_said():
-    made = training.make_field(SoilFieldConfig('soil_field', members=2), 'blade', SMALL)
-    made.ranges.update(field().ranges)
+    made = worlds.soil_field('blade', SMALL, members=2)
     made.networks.load.layers[-1][1].assign(np.full((2, 1, 5), np.nan))
     c, tf = both(flat(), made=made)
     for one in (c, tf):

@@ -10,6 +10,8 @@ import pytest
 
 from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.native import library, model_data, project
+from learning_to_simulate.soil_field import training
+from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
 from tests.learning_to_simulate.swept_field import small_wheel, small_world
@@ -53,6 +55,17 @@ def field(tool: str):
     if tool == 'wheel':
         return found, small_wheel.two_starts(found)
     return found, {'starts': small_world.make_starts(found), 'subspace': None}
+
+
+def soil_field(tool: str, hidden=None, members: int = 3):
+    """A soil field with networks that nobody has trained but that all inputs move."""
+    made = training.make_field(SoilFieldConfig('soil_field', members=members, seed=4), tool, hidden)
+    rng = np.random.default_rng(7)
+    for net in (made.networks.load, made.networks.surface, made.networks.soil):
+        for _, bias in net.layers:
+            bias.assign(rng.normal(0, 0.3, bias.shape))
+    made.ranges.update({n: [-9.0, 99.0] for n in made.judged_names})
+    return made
 
 
 def written(folder, name: str, values: dict) -> str:

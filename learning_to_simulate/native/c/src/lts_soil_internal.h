@@ -113,16 +113,16 @@ int lts_soil_strip_at(const lts_soil *soil, int n_strip, double across, double *
 /* The cells of a passage after its bins have moved; those that were seen before keep what is known. */
 void lts_soil_look_around(lts_soil *soil, lts_passage *p);
 /* Takes in what others have changed in sight: the terrain before the tool counts as changed by so much, and so do
- * the bins. */
-void lts_soil_meet(lts_soil *soil, lts_passage *p);
+ * the bins. LTS_ERROR_VALUE, and nothing changes: heights that are not finite. */
+int lts_soil_meet(lts_soil *soil, lts_passage *p);
 /* Writes the heights in sight into the terrain, where they are old. */
 void lts_soil_write(lts_soil *soil);
 /* Lets soil slide about n cells; those in sight of a passage stay as they are (null: all move). */
 void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_passage *kept);
 /* Centre x, z and radius of what a tool has in sight, m. */
 void lts_soil_sight(const lts_soil *soil, double out[3]);
-/* Writes of all tools where another has in sight what this one has. */
-void lts_soil_meet_others(lts_soil *soil);
+/* The same, after all tools have written where another has in sight what this one has. */
+int lts_soil_meet_others(lts_soil *soil);
 
 /* lts_soil_sweep.c. */
 double lts_soil_offset(const lts_soil_model *model, int bin);

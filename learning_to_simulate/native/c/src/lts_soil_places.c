@@ -112,6 +112,7 @@ void lts_soil_find(lts_soil *soil, const lts_passage *p, int is_surface, size_t 
                    void (*place)(const void *, size_t, double[3]), const void *of, float *out) {
   lts_places *at = soil->places;
   lts_soil_make_frame(soil, p, 1);
+  if (!n) return;
   memset(out, 0, n * (is_surface ? 1 : 3) * sizeof *out);
   at->n = 0;
   for (size_t i = 0; i < n; ++i) {

@@ -234,7 +234,7 @@ int lts_soil_step(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_resu
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  lts_soil_meet_others(soil);
+  LTS_TRY(lts_soil_meet_others(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (away) {
@@ -257,7 +257,7 @@ int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_r
   lts_pose unit;
   lts_passage *p = NULL;
   LTS_TRY(check_step(soil, pose, dt, &unit));
-  lts_soil_meet_others(soil);
+  LTS_TRY(lts_soil_meet_others(soil));
   const int away = turns_away(soil, &unit, &p);
   LTS_TRY(away);
   if (!away) {

@@ -168,20 +168,22 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
   p->s.cells = !p->s.cells;
 }
 
-void lts_soil_meet(lts_soil *soil, lts_passage *p) {
+int lts_soil_meet(lts_soil *soil, lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_terrain *t = soil->terrain;
   lts_cells *c = &soil->cells[p->s.cells];
   int low[2] = {INT32_MAX, INT32_MAX}, high[2] = {-1, -1};
   for (int32_t k = 0; k < c->n; ++k) {
-    if (t->heights[c->number[k]] == c->left[k]) continue;
+    const double h = t->heights[c->number[k]];
+    if (h == c->left[k]) continue;
+    if (!isfinite(h)) return LTS_ERROR_VALUE;
     const int at[2] = {c->number[k] / t->n[1], c->number[k] % t->n[1]};
     for (int i = 0; i < 2; ++i) {
       low[i] = at[i] < low[i] ? at[i] : low[i];
       high[i] = at[i] > high[i] ? at[i] : high[i];
     }
   }
-  if (high[0] < 0) return;
+  if (high[0] < 0) return LTS_OK;
   /* What has changed, as a terrain of its own with nothing about it. */
   lts_terrain box = *t;
   box.heights = soil->box;
@@ -227,9 +229,10 @@ void lts_soil_meet(lts_soil *soil, lts_passage *p) {
   }
   p->s.stale = 1;
   soil->seen = NULL;
+  return LTS_OK;
 }
 
-void lts_soil_meet_others(lts_soil *soil) {
+int lts_soil_meet_others(lts_soil *soil) {
   lts_terrain *t = soil->terrain;
   double here[3], there[3];
   lts_soil_sight(soil, here);
@@ -240,7 +243,7 @@ void lts_soil_meet_others(lts_soil *soil) {
     lts_terrain_update(t);
     break;
   }
-  lts_soil_meet(soil, &soil->passage[soil->now]);
+  return lts_soil_meet(soil, &soil->passage[soil->now]);
 }
 
 /* Whether no soil leaves the map. */
@@ -276,8 +279,7 @@ void lts_soil_write(lts_soil *soil) {
   const lts_soil_model *m = soil->model;
   const lts_terrain *t = soil->terrain;
   if (!soil->started || !soil->writes) return;
-  lts_soil_meet(soil, p);
-  if (!p->s.stale) return;
+  if (lts_soil_meet(soil, p) || !p->s.stale) return;
   p->s.stale = 0;
   lts_cells *c = &soil->cells[p->s.cells];
   const cells_in_sight sight = {c, p->s.origin};
@@ -367,7 +369,7 @@ void lts_soil_settle(lts_soil *soil, const int32_t *cells, int32_t n, const lts_
   const double friction = tan(t->friction_angle_deg * 3.14159265358979323846 / 180.0);
   for (int i = 0; i < 2; ++i) {
     const double run = ceil((highest - lowest) / (friction * t->cell[i])) + 1.0;
-    margin[i] = (int)fmin(run, (double)t->n[i]);
+    margin[i] = (int)fmax(fmin(run, (double)t->n[i]), 1.0);
   }
   box_about(t, least, last, margin, low, high);
   const lts_cells *stay = kept ? &soil->cells[kept->s.cells] : NULL;
