@@ -290,7 +290,10 @@ def formula(run: Run) -> dict | None:
     the recorded terrain; None where it says nothing of the run."""
     place = place_of(run.pose[0])
     if run.tool.name == 'blade':
-        force, torque = _earthmoving(run), None
+        try:
+            force, torque = _earthmoving(run), None
+        except ValueError:  # a path that nobody can follow
+            return None
     elif run.machine is not None:
         force, torque = _terramechanics(run, place)
     else:

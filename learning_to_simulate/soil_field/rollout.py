@@ -146,7 +146,7 @@ def outline(tool: Tool) -> np.ndarray:
     circle = tool.radius * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=1)
     if tool.name == 'wheel':
         return np.concatenate([[[0.0, 0.0]], circle])
-    below = circle[circle[:, 1] <= 0]
+    below = circle[len(circle) // 2 :]
     top = tool.length - tool.radius  # type: ignore[attr-defined]
     return np.concatenate([below, [[tool.radius, top], [-tool.radius, top]], below[:1]])
 
