@@ -81,9 +81,9 @@ def write_dataset(folder, seeds, changed=lambda values: values) -> str:
         corners = np.array([[0, -TOOL.radius, z] for z in (-0.15, 0, 0.15)] + [[0, 0.2, 0]])
         turn = Rotation.from_quat(np.roll(found['pose'][:, 3:], -1, axis=1)).as_matrix()
         found['rigid_positions'] = corners @ turn.transpose(0, 2, 1) + found['pose'][:, None, :3]
+        found |= {'case': seed, 'split': ('train', 'valid', 'test')[number % 3], 'kind': 'cut'}
         found['parameters'] = {
-            'case': seed, 'split': ('train', 'valid', 'test')[number % 3], 'context': {},
-            'kind': 'cut', 'body_width_m': TOOL.width, 'heights_corner_m': CORNER.tolist(),
+            'body_width_m': TOOL.width, 'heights_corner_m': CORNER.tolist(),
             'heights_cell_m': CELL.tolist(),
         }  # fmt: skip
         return changed(found)
