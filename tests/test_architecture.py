@@ -42,10 +42,11 @@ MAY_IMPORT = {
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
     ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
-     'soil_truth', 'rendering', 'shipped'),
+     'soil_truth', 'rendering', 'shipped', 'error_bound'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
     ('tool',),
+    ('ensemble',),
     ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
     ('swept_field', 'soil_field', 'baselines', 'full_space', 'penetration', 'subspace.method',
      'presets'),

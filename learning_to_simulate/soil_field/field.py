@@ -23,7 +23,7 @@ MARGIN = 0.05
 # Yaw and roll, rad; distance of the tool from the plane of its passage, m of the field.
 CONDITIONS = {'yaw': (-0.035, 0.035), 'roll': (-0.035, 0.035), 'aside': (-0.02, 0.02)}
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
-_SCALARS = ('lean', 'area', 'speed')
+_SCALARS = ('lean', 'area', 'carried', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
 
 
@@ -46,7 +46,7 @@ class SoilField:
     @property
     def judged_names(self) -> tuple[str, ...]:
         """Names of the columns of `judged`."""
-        return (*_SCALARS, *self.networks.tool.scalars[:-1], *_OF_BINS, *CONDITIONS)
+        return (*_SCALARS, *self.networks.tool.scalars, *_OF_BINS, *CONDITIONS)
 
     @property
     def limits(self) -> Ranges:
@@ -79,13 +79,13 @@ class SoilField:
             np.where(near, surface, -np.inf).max(axis=(1, 2)) - level,
             np.where(near, np.abs(surface - under), 0.0).max(axis=(1, 2)),
         ]
-        names = (*_SCALARS, *self.networks.tool.scalars[:-1])
+        names = (*_SCALARS, *self.networks.tool.scalars)
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
         values = np.stack(own + found, axis=1).astype(np.float64)
         lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
         # In the air all is free but what the tool is.
         touches = height - radius < np.maximum(lowest, level) + network.ABOVE + (
-            network.HEAP * np.sqrt(np.maximum(values[:, 1], 0.0))
+            network.HEAP * np.sqrt(np.maximum(values[:, 1:3].max(axis=1), 0.0))
         )
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True

@@ -20,7 +20,10 @@ AT_TOOL = (-0.16, -0.1, -0.06, -0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04, 0.07,
 # The last passage fades over so much travel, m.
 RECENT = 0.15
 
-_AREA = (Row('area', 0.01), Row('sqrt(relu(area) + 1e-6)', 0.1))
+_AREA = (
+    Row('area', 0.01), Row('sqrt(relu(area) + 1e-6)', 0.1),
+    Row('carried', 0.03, 'tanh'), Row('carried', 0.1, 'tanh'),
+)  # fmt: skip
 _GAP = 'height - radius - at.surface + at.cut'  # between the tool and what it has cut
 _MEMORY = tuple(Row(name) for name in sweep.SCALARS if name[-2:] in ('_0', '_1', '_2', '_3'))
 _AHEAD = Row('ahead', 0.1, 'tanh')

@@ -4,8 +4,8 @@ A frame holds J strips with n bins each (`strips`, `sweep`). With f, n, b output
 and A of the sweep, w the width of the tool and s the terrain before it (numbers of
 docs/soil_field.md):
 
-  contact     kappa = clip((HEAP sqrt(A) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), s_max the
-              highest terrain about the tool                                                  (10)
+  contact     kappa = clip((HEAP sqrt(max(A, C)) + ABOVE - (h - rho - s_max)) / RAMP, 0, 1), C
+              what is carried (`passage`), s_max the highest terrain about the tool           (10)
   of a strip  with its neighbour on one side: (F_u, F_y, T, F_side) =
               kappa w / J (FORCE, FORCE, TORQUE, FORCE) exp(clip(b, -4, 4)) n / WIDTH         (11)
               of a wheel F_u, F_side = F_y n and T = F_y R n: it bears what weighs on it
@@ -27,11 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.ensemble import Members, column
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.inputs import TABLES
-from learning_to_simulate.swept_field.network import _FUNCTIONS, _SQUASHES, Members
-from learning_to_simulate.tool import inputs
 
 FORCE, TORQUE = 100.0, 10.0  # N, N m of the field, for a tool of this width, m
 WIDTH = {'blade': 0.4, 'wheel': 0.1}
@@ -48,6 +47,11 @@ BELOW, BELOW_RAMP = 0.05, 0.03
 ACROSS = 0.05
 NEIGHBOUR = 0.1  # m across, where a place looks at the terrain beside it
 HIDDEN = {'load': (64, 64), 'surface': (64, 64), 'soil': (128, 128, 128)}
+
+
+def names_of(tool) -> tuple[str, ...]:
+    """Scalars of a frame of a class of tools."""
+    return (*sweep.SCALARS, *tool.scalars, *sweep.OF_PASSAGE)
 
 
 class Compiled(NamedTuple):
@@ -76,7 +80,7 @@ class SoilNetworks(tf.Module):
         super().__init__(name='soil_field')
         hidden = HIDDEN if hidden is None else hidden
         self.tool, self.members, self.hidden, self._grid = tool, members, hidden, grid
-        self.scalars = {n: i for i, n in enumerate((*sweep.SCALARS, *tool.scalars))}
+        self.scalars = {n: i for i, n in enumerate(names_of(tool))}
         self._first, self._spacing = float(grid.offsets[0]), grid.spacing
         t = self.tables = TABLES[tool.name]
         self.sizes = {
@@ -152,9 +156,7 @@ class SoilNetworks(tf.Module):
         columns = []
         for row in table.rows:
             there = {f'at.{name}': value for name, value in at.get(row.at, {}).items()}
-            value = inputs.evaluate(row.operand, values | there, _FUNCTIONS)
-            value = value - row.shift if row.shift else value
-            columns.append(_SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value))
+            columns.append(column(row, values | there))
         shape = tf.shape(next(iter(values.values())))[:2]
         return tf.concat(
             [tf.broadcast_to(c, [*tf.unstack(shape), tf.shape(c)[-1]]) for c in columns], axis=-1
@@ -199,7 +201,7 @@ class SoilNetworks(tf.Module):
         )
         place = tip[..., None] + tf.constant(AROUND_TOOL, tf.float32)
         highest = tf.reduce_max(self._at(bins, ['surface'], strips, none, place)['surface'], -1)
-        heap = HEAP * tf.sqrt(tf.maximum(values['area'], 0.0))
+        heap = HEAP * tf.sqrt(tf.maximum(tf.maximum(values['area'], values['carried']), 0.0))
         clearance = values['height'] - values['radius'] - highest
         kappa = tf.clip_by_value((heap + ABOVE - clearance) / RAMP, 0.0, 1.0)
         return seen, sides, kappa

@@ -16,6 +16,7 @@ AHEAD = 0.7  # m of the field, farther walls do not matter
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
+FACTOR = (0.5, 2.0)  # of (20)
 _SET_DOWN = 0.05  # m of the field above all soil, from where a tool is set down
 
 
@@ -25,6 +26,15 @@ class Passage:
     What the terrain was before the tool came is remembered as long as the bins reach there; the
     heights of the terrain are kept as the tool has left them by now. A `copy.copy` may go on to try
     a step and be dropped: it shares what is known of cells. `clone` is for another terrain.
+
+    Soil is kept: with d the cells that the bins have left, a the area of a cell, r what cells have
+    risen, and w the width of the tool,
+
+      carried      C = all that was cut - sum over d of r a / w - what was cut there         (19)
+      rise         r = r' where r' < 0, else r' (sum |r'-| - sum over d of r) / sum r'+,     (20)
+
+    r' of the network and sums over cells in sight; the factor lies within `FACTOR`. What a chunk of
+    cells changes in C as it leaves comes in over the next `grid.chunk` bins of way.
 
     Args:
       terrain: is changed, if `rise` is given.
@@ -42,6 +52,7 @@ class Passage:
         terrain ends.
       state: `sweep.Sweep`; one row for each strip.
       level: height that those of frames count from, m of the field.
+      gone: cells that the bins have left in the last step, to be settled.
 
     Raises:
       ValueError: see `place_of`.
@@ -53,6 +64,7 @@ class Passage:
     ):  # fmt: skip
         self.terrain, self.tool, self.scale = terrain, tool, tool.scale
         self._rise, self._grid = rise, grid
+        self._cell = float(np.prod(terrain.cell)) / self.scale**2  # m2 of the field
         self.place = place_of(pose)
         self._values = tool.values(terrain.soil)
         # s of the field: in the root of scale over g.
@@ -73,6 +85,9 @@ class Passage:
         # Of cells in sight, by their number: heights before the tool, and as it left them, m.
         self._cells, self._before, self._left = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
         self._is_stale = False
+        self.gone = self._cells
+        self._left_behind = self._dropped = 0.0  # m3 of the field in d; m2 cut there
+        self._owed = self._owed_at = 0.0  # C less all that was cut, before a chunk left; way then
         self._see()
         self._is_stale = set_down
 
@@ -99,8 +114,11 @@ class Passage:
         """Takes all strips from where the bins that come into sight are not even."""
         low, high = self.state.origin[0] + self._grid.offsets[[0, -1]]
         coming, half = origin + self._grid.offsets, self._grid.spacing / 2
-        if self._is_even(coming[(coming < low - half) | (coming > high + half)]):
-            return
+        if not self._is_even(coming[(coming < low - half) | (coming > high + half)]):
+            self._take_all()
+
+    def _take_all(self):
+        """Goes over from one strip to all of them."""
         self._looks = False
         self._take(strips_lib.strips_of(self.tool))
         self.state = sweep.Sweep(*(np.repeat(x, len(self._radius), axis=0) for x in self.state))
@@ -137,11 +155,24 @@ class Passage:
             self.update()  # the last chance of cells that the bins leave
             if self._looks:
                 self._look_ahead(to)
+            self._owed, self._owed_at = self._owed_now, self.state.travelled[0]
         self._advance(self._rows(coming), self.tool.turn(change), dt / self._time)
         self._pose = coming
+        self.gone = self.gone[:0]
         if to != origin:
             self._see()
         self._is_stale = True
+
+    @property
+    def carried(self) -> np.ndarray:
+        """[J] m2 of the field: (19)."""
+        return sweep.all_cut(self.state, self._grid) + self._owed_now
+
+    @property
+    def _owed_now(self):
+        goal = -self._left_behind / (self.tool.width / self.scale) - self._dropped
+        way = (self.state.travelled[0] - self._owed_at) / (self._grid.chunk * self._grid.spacing)
+        return self._owed + min(way, 1.0) * (goal - self._owed)
 
     def clone(self, terrain: Terrain, rise: Callable | None = None) -> 'Passage':
         """The passage on a clone of its terrain."""
@@ -152,46 +183,94 @@ class Passage:
 
     def _see(self):
         """Remembers what cells were that have come into sight, and forgets those out of sight."""
-        cells, u, across = self._within(*(self.state.origin[0] + self._grid.offsets[[0, -1]]))
-        before = self.terrain.heights.ravel()[cells]
+        cells, u, across = self._within(*self._sight())
+        now = self.terrain.seen.ravel()
+        before = now[cells]
         left = before.copy()
-        _, now, old = np.intersect1d(cells, self._cells, assume_unique=True, return_indices=True)
-        before[now], left[now] = self._before[old], self._left[old]
+        _, new, old = np.intersect1d(cells, self._cells, assume_unique=True, return_indices=True)
+        before[new], left[new] = self._before[old], self._left[old]
+        gone = np.ones(len(self._cells), bool)
+        gone[old] = False
+        self.gone = self._cells[gone]
+        self._left_behind += self._cell * (now[self.gone] - self._before[gone]).sum() / self.scale
+        self._dropped = float(self.state.dropped[self.strips.under].mean())
         self._cells, self._before, self._left = cells, before, left
         self._places = np.stack([u, across], axis=1)
 
+    def meet(self) -> None:
+        """Takes in what others have changed in sight: the terrain before the tool counts as changed
+        by so much, and so do the bins."""
+        change = self.terrain.seen.ravel()[self._cells] - self._left
+        if not change.any():
+            return
+        self._is_stale = True
+        self._before += change
+        self._left += change
+        t, changed = self.terrain, np.flatnonzero(change)
+        i, k = np.divmod(self._cells[changed], t.shape[1])
+        box = np.zeros((np.ptp(i) + 3, np.ptp(k) + 3))
+        box[i - i.min() + 1, k - k.min() + 1] = change[changed]
+        first = t.corner + t.cell * [i.min() - 1, k.min() - 1]
+        across = strips_lib.strips_of(self.tool)
+        bins = self.state.origin[0] + self._grid.offsets
+        bins = np.broadcast_to(bins, (len(across.centres), len(bins)))
+        read = strips_lib.heights(Terrain(box, t.cell, first), self.place, self.scale, across, bins)
+        if self._looks and np.ptp(read, axis=0).max() > EVEN:
+            self._take_all()
+        if len(self._radius) != len(read):
+            read = read[across.under].mean(axis=0, keepdims=True)
+        state = self.state
+        self.state = state._replace(surface=state.surface + read, profile=state.profile + read)
+
     def update(self) -> None:
-        """Writes the heights about the tool into its terrain. What others have changed there since
-        stays: the terrain before the tool counts as changed by so much."""
-        if not self._is_stale or self._rise is None:
+        """Writes the heights in sight into the terrain: (20)."""
+        if self._rise is None:
+            return
+        self.meet()
+        if not self._is_stale:
             return
         self._is_stale = False
-        near, now = self._near(), self.terrain.heights.ravel()
-        self._before[near] += now[self._cells[near]] - self._left[near]
         cells, places, before = self.surroundings()
-        self.terrain.write(cells, before + self.scale * self._rise(self, places))
-        self._left[near] = self.terrain.heights.ravel()[cells]
+        rise = np.asarray(self._rise(self, places), np.float64)
+        if self._keeps_volume():
+            up, down = (np.maximum(sign * rise, 0.0).sum() for sign in (1, -1))
+            goal = down - self._left_behind / self._cell
+            rise = np.where(rise > 0, np.clip(goal / max(up, 1e-12), *FACTOR) * rise, rise)
+        self.terrain.write(cells, before + self.scale * rise)
+        self._left[:] = self.terrain.seen.ravel()[cells]
 
     def surroundings(self):
-        """The cells about the tool: their numbers int [K] in the flat map, places [K, 2] u from the
+        """The cells in sight: their numbers int [K] in the flat map, places [K, 2] u from the
         origin and across (m of the field), and heights [K] before the tool, m."""
-        near = self._near()
-        places = self._places[near] - [self.state.origin[0], 0.0]
-        return self._cells[near], places, self._before[near]
+        return self._cells, self._places - [self.state.origin[0], 0.0], self._before
 
-    def _near(self):
-        """Which of the remembered cells lie about the tool. Between two updates it goes a chunk."""
-        ahead = self._places[:, 0] - self.state.tip[0]
-        reach = sweep.WINDOW + self._grid.chunk * self._grid.spacing
-        return np.abs(ahead) <= reach
+    def _corners(self, low, high):
+        """x and z [4, 2] (m) of the corners of what lies between places low and high along the way
+        and near enough across (m of the field)."""
+        reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
+        ends = np.array([[u, 0.0, z] for u in (low, high) for z in (-reach, reach)])
+        return self.place.world(self.scale * ends)[:, [0, 2]]
+
+    def _sight(self):
+        return self.state.origin[0] + self._grid.offsets[[0, -1]]
+
+    @property
+    def footprint(self) -> tuple[np.ndarray, float]:
+        """Centre [2] (x, z) and radius (m) of what lies in sight."""
+        corners = self._corners(*self._sight())
+        centre = corners.mean(axis=0)
+        return centre, float(np.hypot(*(corners - centre).T).max())
+
+    def _keeps_volume(self):
+        """Whether no soil leaves the map."""
+        t, corners = self.terrain, self._corners(*self._sight()) - self.terrain.corner
+        return t.walled or bool(((corners >= 0) & (corners <= t.cell * t.shape)).all())
 
     def _within(self, low, high):
         """Ascending numbers of the cells between places low and high along the way (m of the
         field) and near enough across, u and distance across of their middles."""
         reach = self.tool.width / self.scale / 2 + strips_lib.BESIDE
-        corners = np.array([[u, 0.0, z] for u in (low, high) for z in (-reach, reach)])
-        found = self.place.world(self.scale * corners)[:, [0, 2]]
-        t = self.terrain
+        t, found = self.terrain, self._corners(low, high)
         first = np.floor((found.min(axis=0) - t.corner) / t.cell).astype(int)
         last = np.ceil((found.max(axis=0) - t.corner) / t.cell).astype(int)
         spans = [np.arange(max(first[i], 0), min(last[i], t.shape[i])) for i in range(2)]
@@ -207,8 +286,14 @@ class Passage:
         """What the networks see now, [1, J, ...]."""
         s, level = self.state, np.full(len(self.strips.centres), self.level)
         ahead = self.terrain.ahead(self.place, self.scale * s.tip[0]) / self.scale
-        own = np.append(self._values, min(ahead, AHEAD)).astype(np.float32)
-        of_path = sweep.scalars(s, level, self._grid)
-        own = np.broadcast_to(own, (len(level), len(own)))
+        of_passage = np.stack([self.carried, np.full(len(level), min(ahead, AHEAD))], axis=1)
+        scalars = np.concatenate(
+            [
+                sweep.scalars(s, level, self._grid),
+                np.broadcast_to(self._values, (len(level), len(self._values))),
+                of_passage,
+            ],
+            axis=1,
+        )
         bins = sweep.channels(s, level, self._grid)
-        return sweep.Frame(bins[None], np.concatenate([of_path, own], axis=1)[None])
+        return sweep.Frame(bins[None], scalars[None].astype(np.float32))

@@ -82,11 +82,24 @@ class SoilStepper:
         self._frame: Any = None
         self._tracer: Any = None
         self._number = 0
-        terrain.add_work(self._write)
+        terrain.add_work(self)
 
-    def _write(self):
+    def update(self) -> None:
+        """Writes what the tool has done into the terrain."""
         if self._passage is not None:
             self._passage.update()
+
+    @property
+    def footprint(self):
+        """See `Terrain.add_work`."""
+        return None if self._passage is None else self._passage.footprint
+
+    def _finish(self):
+        """Ends the passage: its soil comes to rest."""
+        self.update()
+        if self._passage is not None:
+            self.terrain.settle(self._passage.surroundings()[0])
+            self._passage = None
 
     @property
     def place(self) -> Place:
@@ -109,7 +122,7 @@ class SoilStepper:
         """
         pose = _pose(pose)
         self._refuse_floor(pose)
-        self._write()
+        self._finish()
         self._passage, self._number, self._tracer = self._begun(pose), 0, None
         self._frame = self._seen(self._passage, pose, OK)
         return self._frame
@@ -134,8 +147,10 @@ class SoilStepper:
         passage, frame = self._proposed(pose, dt)
         is_new = passage.place is not self._passage.place
         if is_new:
-            self._write()
+            self._finish()
         self._passage, self._frame = passage, frame
+        if len(passage.gone):
+            self.terrain.settle(passage.gone, keep=passage.surroundings()[0])
         self._number += 1
         if self._tracer is not None:
             if is_new:
@@ -156,6 +171,9 @@ class SoilStepper:
                 f'{FASTEST_TURN} are taken; call start() anew'
             )
         self._refuse_floor(pose)
+        if self.terrain.is_crowded(self):
+            _ = self.terrain.heights  # as other tools have left them by now
+        self._passage.meet()
         passage = copy.copy(self._passage)
         yaw, _, aside = self._turns(passage, pose)
         in_air = not np.any(self._last_load)

@@ -13,6 +13,7 @@ tool (numbers of docs/soil_field.md):
   swept area   A = sum of q(u_k) du over |u_k - u_c| <= WINDOW, of the outermost their share   (4)
   since        way since e(u) last was below s(u), at most `FORGET`                            (5)
   area before  A_0(u) = A when e(u) first was below s(u), 0 where it was not                   (6)
+  cut in all   sum of q du over all bins, and over those that have been dropped
   foremost     the largest u_c while e(u) < s(u) somewhere, at most WINDOW before the tool
 
 Soil hardly knows time: what it remembers fades with the way that the tool goes. A motion is
@@ -55,11 +56,14 @@ RISE = 0.5
 CHANNELS = ('cut', 'surface', 'since', 'area_before', 'influence', 'disturbed')
 CUT, SURFACE, SINCE, AREA_BEFORE, INFLUENCE, DISTURBED = range(6)
 MOTIONS = ('along', 'up', 'turn')
-# Scalars of a frame that come from the path; those of `tools.Tool.scalars` follow behind.
+# Scalars of a frame that come from the path; those of `tools.Tool.scalars` and `OF_PASSAGE` follow.
 SCALARS = (
     'tip', 'height', 'lean', 'area', 'foremost', 'way', 'speed',
     *(f'{name}_{i}' for i in range(len(MEMORIES)) for name in MOTIONS),
 )  # fmt: skip
+
+# Soil that the tool has moved and not left behind, m2 (`passage`); distance to a wall ahead, m.
+OF_PASSAGE = ('carried', 'ahead')
 
 Read = Callable[[np.ndarray], np.ndarray]
 
@@ -108,6 +112,7 @@ class Sweep(NamedTuple):
       way: [B] sum of ds, m.
       foremost: [B], m.
       speed: [B] ds over the duration of the last frame, m/s.
+      dropped: [B] cut area of bins that have been dropped, m2.
     """
 
     origin: np.ndarray
@@ -121,6 +126,7 @@ class Sweep(NamedTuple):
     way: np.ndarray
     foremost: np.ndarray
     speed: np.ndarray
+    dropped: np.ndarray
 
     @property
     def tip(self) -> np.ndarray:
@@ -161,7 +167,7 @@ def start(pose, read: Read, grid: Grid = GRID) -> Sweep:
     none = np.zeros_like(origin)
     return Sweep(
         origin, surface, surface, np.full_like(surface, -FORGET), np.zeros_like(surface), pose,
-        np.zeros((len(pose), len(MEMORIES), 3)), none, none, origin, none,
+        np.zeros((len(pose), len(MEMORIES), 3)), none, none, origin, none, none,
     )  # fmt: skip
 
 
@@ -209,6 +215,7 @@ def advance(state: Sweep, pose, turn, radius, dt: float, read: Read, grid: Grid 
         state.way + ds,
         np.minimum(foremost, pose[:, 0] + WINDOW),
         ds / dt,
+        state.dropped,
     )
 
 
@@ -236,12 +243,15 @@ def _shifted(state, shift, origin, read, grid):
     old = np.clip(index, 0, n - 1)
     coming = _checked('terrain', read(origin[:, None] + grid.offsets))
     surface = np.where(is_new, coming, _taken(state.surface, old))
+    place = np.arange(n) - shift[:, None]
+    lost = np.where((place < 0) | (place >= n), state.surface - state.profile, 0.0)
     return state._replace(
         origin=origin,
         surface=surface,
         profile=np.where(is_new, surface, _taken(state.profile, old)),
         last=np.where(is_new, state.travelled[:, None] - FORGET, _taken(state.last, old)),
         area_before=np.where(is_new, 0.0, _taken(state.area_before, old)),
+        dropped=state.dropped + grid.spacing * lost.sum(axis=1),
     )
 
 
@@ -255,6 +265,11 @@ def area(state: Sweep, grid: Grid = GRID) -> np.ndarray:
     distance = np.abs(state.origin[:, None] + grid.offsets - state.tip[:, None])
     share = np.clip((WINDOW - distance) / grid.spacing + 0.5, 0.0, 1.0)
     return grid.spacing * np.sum(share * cut, axis=1)
+
+
+def all_cut(state: Sweep, grid: Grid = GRID) -> np.ndarray:
+    """[B], m2: all that was cut, dropped bins among it."""
+    return state.dropped + grid.spacing * (state.surface - state.profile).sum(axis=1)
 
 
 def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:

@@ -8,6 +8,8 @@ from learning_to_simulate.soil_field.tools import Soil
 from pca_tools import files
 
 CELL = 0.02  # m, of a terrain of a given size
+# Of `Terrain.settle`: most rounds, and m of height between neighbours that may stay too much.
+SLIDES, SLOPE_TOLERANCE = 400, 1e-4
 
 
 class Terrain:
@@ -27,7 +29,7 @@ class Terrain:
 
     def __init__(self, heights, cell=CELL, corner=(0.0, 0.0), soil=None, floor=None, walled=False):
         self._heights = np.array(heights, np.float64, order='C')  # `write` needs a flat view
-        self._works: list = []  # weak references to what changes heights when they are asked for
+        self._works: list = []  # weak references to what changes heights on being asked
         self.cell = np.broadcast_to(np.asarray(cell, np.float64), 2).copy()
         self.corner = np.asarray(corner, np.float64)
         self.soil = Soil() if soil is None else soil
@@ -49,16 +51,74 @@ class Terrain:
     @property
     def heights(self) -> np.ndarray:
         """float64 [nx, nz], m, as all tools have left them by now; may be written into."""
-        for work in list(self._works):
-            if (update := work()) is None:
-                self._works.remove(work)
-            else:
-                update()
+        for work in self._alive():
+            work.update()
         return self._heights
 
-    def add_work(self, update) -> None:
-        """From now on calls a bound method before heights are read, as long as its owner lives."""
-        self._works.append(weakref.WeakMethod(update))
+    def _alive(self):
+        found = [(reference, reference()) for reference in self._works]
+        self._works = [reference for reference, work in found if work is not None]
+        return [work for _, work in found if work is not None]
+
+    @property
+    def seen(self) -> np.ndarray:
+        """`heights` without what tools have still to write."""
+        return self._heights
+
+    def add_work(self, work) -> None:
+        """From now on calls `work.update()` before heights are read, as long as `work` lives;
+        `work.footprint` is the centre [2] (x, z) and the radius (m) of what it changes, or None."""
+        self._works.append(weakref.ref(work))
+
+    def is_crowded(self, work) -> bool:
+        """Whether another work changes places that one changes."""
+        if len(self._works) < 2 or work.footprint is None:
+            return False
+        others = [o.footprint for o in self._alive() if o is not work and o.footprint is not None]
+        here, reach = work.footprint
+        return any(np.hypot(*(there - here)) < reach + other for there, other in others)
+
+    def settle(self, cells, keep=()) -> None:
+        """Lets soil slide where the slope at some cells [K] (numbers in the flat map) is steeper
+        than its angle of repose, which is its friction angle; no soil is lost.
+
+        Args:
+          cells: they and what lies near them.
+          keep: cells that stay as they are.
+        """
+        if not np.size(cells):
+            return
+        i, k = np.divmod(cells, self.shape[1])
+
+        def about(margin):
+            low = np.maximum([i.min(), k.min()] - margin, 0)
+            high = np.minimum([i.max(), k.max()] + margin + 1, self.shape)
+            return low, high, self._heights[low[0] : high[0], low[1] : high[1]]
+
+        # As far as a heap of all that stands out here runs.
+        run = np.ptp(about(np.ones(2, int))[2]) / (self.soil.friction * self.cell)
+        low, high, box = about(np.ceil(run).astype(int) + 1)
+        numbers = np.arange(self._heights.size).reshape(self.shape)
+        free = ~np.isin(numbers[low[0] : high[0], low[1] : high[1]], keep)
+        pairs = []
+        for dx, dz in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            a, b = _pair(dx, dz)
+            steepest = self.soil.friction * np.hypot(*(self.cell * [dx, dz]))
+            row, column = np.indices(free[a].shape)
+            # Every other one, so that no cell belongs to two pairs at a time.
+            for odd in (0, 1):
+                mine = free[a] & free[b] & ((row if dx else column) % 2 == odd)
+                pairs.append((a, b, np.where(mine, steepest, np.inf)))
+        for _ in range(SLIDES):
+            most = 0.0
+            for a, b, steepest in pairs:
+                fall = box[a] - box[b]
+                excess = fall - np.clip(fall, -steepest, steepest)
+                box[a] -= excess / 2
+                box[b] += excess / 2
+                most = max(most, float(np.abs(excess).max(initial=0.0)))
+            if most <= SLOPE_TOLERANCE:
+                break
 
     @classmethod
     def flat(cls, size, height=0.0, cell=CELL, corner=(0.0, 0.0), **more):
@@ -154,3 +214,10 @@ def _cell_of(place, count):
     place = np.clip(place - 0.5, 0.0, count - 1.0)
     low = np.minimum(place.astype(np.int64), max(count - 2, 0))
     return low, place - low
+
+
+def _pair(dx, dz):
+    """Slices of all cells that have a neighbour at an offset (dx of 0 or 1), and of those."""
+    span = {-1: (slice(1, None), slice(None, -1)), 0: (slice(None), slice(None)),
+            1: (slice(None, -1), slice(1, None))}  # fmt: skip
+    return (span[dx][0], span[dz][0]), (span[dx][1], span[dz][1])

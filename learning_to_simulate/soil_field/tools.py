@@ -60,7 +60,7 @@ class Tool(abc.ABC):
 
     name: ClassVar[str]
     columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
-    scalars: ClassVar[tuple[str, ...]]  # behind those of `sweep.SCALARS`
+    scalars: ClassVar[tuple[str, ...]]  # names of `values`
     bears: ClassVar[bool]  # whether its loads are shares of the force up
 
     def __post_init__(self):
@@ -84,7 +84,7 @@ class Tool(abc.ABC):
 
     @abc.abstractmethod
     def values(self, soil: Soil) -> np.ndarray:
-        """[S'] of `scalars` but the last, in lengths of the field."""
+        """[S'] of `scalars`, in lengths of the field."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Blade(Tool):
     columns = 5
     bears = False
     taught_widths: ClassVar = (0.15, 0.6)
-    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'ahead')
+    scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates')
 
     def __post_init__(self):
         super().__post_init__()
@@ -150,7 +150,7 @@ class Wheel(Tool):
     columns = 1
     bears = True
     RIM: ClassVar = 0.1  # m of the field
-    scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'ahead')
+    scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height')
 
     def __post_init__(self):
         super().__post_init__()

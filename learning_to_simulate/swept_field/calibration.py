@@ -1,28 +1,17 @@
-"""How far a prediction can be trusted: what training knew, and a bound of the error.
+"""How far a prediction can be trusted: what training knew.
 
 A frame is judged by numbers, each within limits: the scalars of the path, which training had within
 some range, and `CONDITIONS`, which all of training had as they should be and which no network sees:
 whether the tool stands upright in the plane of travel, over the middle of the bed, on a bed of
 usual heights, in frames of a usual length. In the air all conditions are free.
-
-Members of a field that were trained alike differ where the data do not tell, and the error grows
-with what is predicted. How much, is measured on valid: the bound of a frame is a weighted sum of a
-constant, the spread sigma over members and the size mu of what is predicted (docs/swept_field.md),
-
-    bound = a_0 + a_1 sigma + a_2 mu,                                                           (15)
-
-which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 """
 
 import numpy as np
 
 from learning_to_simulate.rollout_status import Ranges
 
-FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
 # Share of its training range by which a scalar may leave it.
 MARGIN = 0.05
-# What any frame may be wrong by, however small all that is predicted: mm of soil, N of force.
-FLOORS = {'soil': 0.3, 'force': 3.0}
 # What no network sees: name -> (least, most). The tool's rotation out of the plane of travel, rad
 # (2 degrees); its distance from the middle plane of the bed, m (particles are about so far apart);
 # speed across over speed; lowest and highest place of the bed from its level, m (cuts and heaps of
@@ -87,72 +76,3 @@ def conditions(axes, pose, before, dt, frames, in_soil) -> np.ndarray:
         axis=1,
     )
     return np.concatenate([frames.scalars, np.where(in_soil[:, None], found, 0.0)], axis=1)
-
-
-def spread(values) -> np.ndarray:
-    """Root mean square [T] of the standard deviation over members of values [M, T, ...]."""
-    return _rms(np.std(np.asarray(values, np.float64), axis=0))
-
-
-def size(values) -> np.ndarray:
-    """Root mean square [T] of the mean over members of values [M, T, ...]."""
-    return _rms(np.mean(np.asarray(values, np.float64), axis=0))
-
-
-def _rms(values):
-    return np.sqrt(np.mean(values**2, axis=tuple(range(1, values.ndim))))
-
-
-def bound(spreads, sizes, weights) -> np.ndarray:
-    """(15) [F] of spreads and sizes [F] and weights [3] of `calibrate`."""
-    return _signs(spreads, sizes) @ np.asarray(weights)
-
-
-def calibrate(runs, kind: str) -> list[float]:
-    """The weights of a bound.
-
-    A non-negative fit of the errors, each run counting alike, scaled by a conformal prediction over
-    runs (Vovk et al. 2005, Algorithmic Learning in a Random World), since the frames of one run are
-    alike: the score of a run is the factor that 95 % of its frames need, and of n such runs the
-    factor is the score number 0.9 (n + 1). A further run, exchangeable with them, then has 95 % of
-    its frames within with a probability of at least 0.9; with fewer than nine runs, n / (n + 1).
-
-    Args:
-      runs: of valid, each (errors [F], spreads [F], sizes [F]).
-      kind: of `FLOORS`, whose unit all have.
-    """
-    from scipy import optimize  # a live step does not load it
-
-    signs = np.concatenate([_signs(s, z) for _, s, z in runs])
-    errors = np.concatenate([e for e, _, _ in runs])
-    share = np.concatenate([np.full(len(e), 1.0 / len(e)) for e, _, _ in runs])
-    weights, _ = optimize.nnls(np.sqrt(share)[:, None] * signs, np.sqrt(share) * errors)
-    weights[0] = max(weights[0], FLOORS[kind])
-    scores = sorted(
-        np.quantile(e / (_signs(s, z) @ weights), FRAMES_WITHIN, method='higher')
-        for e, s, z in runs
-    )
-    factor = scores[min(int(np.ceil(RUNS_WITHIN * (len(runs) + 1))), len(runs)) - 1]
-    return (factor * weights).tolist()
-
-
-def reliability(runs, weights, n_bin: int = 5) -> list[dict]:
-    """Share of frames within their bound, in `n_bin` groups of equal size by that bound; runs as of
-    `calibrate`."""
-    errors, spreads, sizes = (np.concatenate(column) for column in zip(*runs, strict=True))
-    limits = bound(spreads, sizes, weights)
-    order = np.argsort(limits)
-    return [
-        {
-            'bound': float(limits[part].mean()),
-            'error': float(errors[part].mean()),
-            'within': float((errors[part] <= limits[part]).mean()),
-        }
-        for part in np.array_split(order, n_bin)
-        if len(part)
-    ]
-
-
-def _signs(spreads, sizes):
-    """[F, 3] of what an error grows with."""
-    return np.stack([np.ones_like(spreads), spreads, sizes], axis=-1)

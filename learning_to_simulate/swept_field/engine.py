@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from learning_to_simulate import error_bound
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.engine import Engine, Frame
-from learning_to_simulate.swept_field import calibration
 from learning_to_simulate.swept_field.field import SweptSoil
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
@@ -128,8 +128,8 @@ class FieldEngine(Engine):
         judgement = field.limits.judge(values, number, bool(np.isfinite(loads).all()))
         bound = None
         if (weights := field.calibration.get('force')) is not None:
-            spread, size = (f(loads[..., :2])[0] for f in (calibration.spread, calibration.size))
-            bound = float(calibration.bound(spread, size, weights))
+            spread, size = (f(loads[..., :2])[0] for f in (error_bound.spread, error_bound.size))
+            bound = float(error_bound.bound(spread, size, weights))
         soil = self._soil(frame, plane, ground)
         self._coming = _frozen((tool, soil, coming, context))
         mean = loads.mean(axis=0)[0, :3].astype(np.float64)

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learning_to_simulate import evaluation
+from learning_to_simulate import error_bound, evaluation
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
-from learning_to_simulate.swept_field import calibration
 from learning_to_simulate.swept_field.field import SweptSoil
 
 
@@ -159,11 +158,11 @@ class FieldEvaluator:
         ]
         frames_of = {
             'soil_error': frame_mm[late],
-            'soil_spread': (1e3 * calibration.spread(members))[late],
-            'soil_size': (1e3 * calibration.size(members))[late],
+            'soil_spread': (1e3 * error_bound.spread(members))[late],
+            'soil_size': (1e3 * error_bound.size(members))[late],
             'force_error': np.sqrt((load_error[H:] ** 2).mean(axis=1)).astype(float),
-            'force_spread': calibration.spread(loads[..., :2])[H:],
-            'force_size': calibration.size(loads[..., :2])[H:],
+            'force_spread': error_bound.spread(loads[..., :2])[H:],
+            'force_size': error_bound.size(loads[..., :2])[H:],
         }
         return {
             'record': episode.record,
@@ -188,14 +187,14 @@ class FieldEvaluator:
             results, model_of(self._field, self._mean), self._metadata, split
         )
         facts = [dict(rollout.facts) for _, _, rollout in results]
-        for kind in calibration.FLOORS:
+        for kind in error_bound.FLOORS:
             parts = [f'{kind}_{part}' for part in ('error', 'spread', 'size')]
             runs = [[fact['frames'][part] for part in parts] for fact in facts]
             weights = self._field.calibration.get(kind)
             summary.setdefault('reliability', {})[kind] = {
                 'weights': weights,
-                'weights_of_this_split': calibration.calibrate(runs, kind),
-                'groups': [] if weights is None else calibration.reliability(runs, weights),
+                'weights_of_this_split': error_bound.calibrate(runs, kind),
+                'groups': [] if weights is None else error_bound.reliability(runs, weights),
             }
         for fact in facts:
             del fact['frames']

@@ -15,6 +15,7 @@ the field is symmetric about the plane.
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.ensemble import Members, column
 from learning_to_simulate.tool import blade, inputs, wheel
 from learning_to_simulate.tool.swept import Frame
 
@@ -22,21 +23,6 @@ OUTPUTS = 3
 LOAD_HIDDEN = [64, 64]  # layers of the network of force and torque
 # Motion across grows over so much distance from the middle plane, where it is odd, m.
 ACROSS = 0.05
-
-_FUNCTIONS = {
-    'abs': tf.abs, 'relu': tf.nn.relu, 'sqrt': tf.sqrt, 'log': tf.math.log,
-    'log1p': tf.math.log1p, 'max': tf.maximum,
-}  # fmt: skip
-_SQUASHES = {
-    'plain': lambda t: t,
-    'tanh': tf.tanh,
-    'relu': tf.nn.relu,
-    'relu2': lambda t: tf.nn.relu(t) ** 2,
-    'bell': lambda t: tf.exp(-(t**2)),
-    'fade': lambda t: tf.exp(-t),
-    'log': tf.math.log,
-    'log1p': tf.math.log1p,
-}
 
 
 class Inputs:
@@ -92,9 +78,7 @@ class Inputs:
         columns = []
         for row in table.rows:
             there = {f'at.{name}': value for name, value in at.get(row.at, {}).items()}
-            value = inputs.evaluate(row.operand, values | there, _FUNCTIONS)
-            value = value - row.shift if row.shift else value
-            columns.append(_SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value))
+            columns.append(column(row, values | there))
         return tf.concat(columns, axis=-1)
 
     def gate(self, bins, scalars, rest):
@@ -192,45 +176,6 @@ _INPUTS = {'blade': BladeInputs, 'wheel': WheelInputs}
 def _scalar(tool, scalars, name):
     """One scalar of B frames, [B, 1]."""
     return scalars[:, tool.scalars.index(name)][:, None]
-
-
-class Members(tf.Module):
-    """M multilayer perceptrons of one shape, evaluated together.
-
-    Args:
-      members: M.
-      sizes: of all layers, inputs and outputs included.
-      seed: of the first weights.
-      name: of the variables.
-    """
-
-    def __init__(self, members: int, sizes, seed: int, name: str):
-        super().__init__(name=name)
-        rng = np.random.Generator(np.random.Philox(key=seed))
-        self.layers = []
-        for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
-            # The last layer begins near 0: so does the motion of the soil.
-            scale = (0.1 if i == len(sizes) - 2 else 1.0) / np.sqrt(n_in)
-            weight = scale * rng.standard_normal((members, n_in, n_out))
-            self.layers.append(
-                (
-                    tf.Variable(weight, dtype=tf.float32, name=f'weight_{i}'),
-                    tf.Variable(tf.zeros([members, 1, n_out]), name=f'bias_{i}'),
-                )
-            )
-
-    def __call__(self, inputs, members: int | None = None):
-        """Outputs [M, R, O] for inputs [R, I], the same for all; of the first members only."""
-        values = inputs[None]
-        for i, (weight, bias) in enumerate(self.layers):
-            weight, bias = weight[:members], bias[:members]
-            if i == 0:  # one product for all members: their weights side by side
-                flat = tf.reshape(tf.transpose(weight, [1, 0, 2]), [weight.shape[1], -1])
-                side = tf.reshape(inputs @ flat, [-1, weight.shape[0], weight.shape[2]])
-                values = tf.transpose(side, [1, 0, 2]) + bias
-            else:
-                values = tf.matmul(tf.nn.silu(values), weight) + bias
-        return values
 
 
 class FieldNetwork(tf.Module):

@@ -80,7 +80,7 @@ class Twin:
         self.tool, self.strip = tool, strip
         self.bins = frame.bins[0].astype(float)
         self.scalars = frame.scalars[0].astype(float)
-        self.names = (*sweep.SCALARS, *tool.scalars)
+        self.names = network.names_of(tool)
 
     def channels(self, across):
         """Name -> function of u: linear along and across; beyond the outermost strips, these."""
@@ -135,7 +135,7 @@ class Twin:
             own = self.read(tables.load, tip, c[j], values)
             highest = max(self.channels(c[j])['surface'](tip + np.array(network.AROUND_TOOL)))
             gap = values['height'] - values['radius'] - highest
-            heap = np.sqrt(2 * np.tan(np.radians(35)) * values['area'])
+            heap = np.sqrt(2 * np.tan(np.radians(35)) * max(values['area'], values['carried']))
             kappa = np.clip((heap + 0.02 - gap) / 0.01, 0, 1)
             for sign in (-1, 1):  # the neighbour on the left, which presses to the right
                 beside = c[j + sign] if len(c) > 1 else c[j]

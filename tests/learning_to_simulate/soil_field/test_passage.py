@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 
-from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field import network, sweep
 from learning_to_simulate.soil_field.passage import AHEAD, Passage
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
@@ -100,7 +100,7 @@ def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
     moon.soil = Soil(30.0, gravity=9.81 / 4)
     _, here = walk(scenes.hills(), tool, poses(path_of(tool)))
     _, there = walk(moon, tool, poses(path_of(tool)))
-    names = (*sweep.SCALARS, *tool.scalars)
+    names = network.names_of(tool)
     for one, other in zip(here[1:], there[1:], strict=True):
         np.testing.assert_array_equal(other.bins, one.bins)
         same = [i for i, name in enumerate(names) if name not in ('speed', 'friction')]
@@ -113,7 +113,7 @@ def test_gravity_is_a_unit_of_time_and_friction_a_number(tool):
 def test_a_frame_holds_place_speed_and_wall_in_units_of_the_field():
     tool, soil = Wheel(0.1, 0.2), level(walled=True)
     passage, frames = walk(soil, tool, poses([[0.0, 0.4, 0.0], [0.06, 0.4, -0.1]]), set_down=False)
-    seen = dict(zip((*sweep.SCALARS, *tool.scalars), frames[1].scalars[0, 0].tolist()))
+    seen = dict(zip(network.names_of(tool), frames[1].scalars[0, 0].tolist()))
     assert passage.scale == 2 and seen['tip'] == pytest.approx(0.03)
     assert seen['height'] == pytest.approx(0.2) and seen['ahead'] == pytest.approx(AHEAD)
     # On the way of 0.03 the rim turned by 0.1 * 0.1: it slides by 0.02.
@@ -218,7 +218,7 @@ def test_two_tools_far_apart_do_not_know_of_each_other(lag):
         alone.append(own.heights)
     passages = [Passage(soil, tool, way[0], trench) for way in ways]
     for passage in passages:
-        soil.add_work(passage.update)
+        soil.add_work(passage)
     for t in range(1, len(ways[0]) + lag):
         for k, way in enumerate(ways):
             if 0 < (now := t - k * lag) < len(way):
@@ -229,14 +229,14 @@ def test_two_tools_far_apart_do_not_know_of_each_other(lag):
 def test_a_tool_meets_what_another_has_left_and_neither_undoes_the_other():
     tool, soil = TOOLS['blade'], level()
     first = Passage(soil, tool, poses([[0.3, -0.016, 0.0]])[0], trench)
-    soil.add_work(first.update)
+    soil.add_work(first)
     first.step(poses([[0.7, -0.016, 0.0]])[0], DT)
     one = soil.heights.copy()
     # Across the first trench, which lies from x = -0.3 to -0.7.
     way = [[u, -0.006, 0.0] for u in (-0.5, -0.25, 0.0, 0.25, 0.5)]
     across = poses(way, np.pi / 2, (-0.5, 0.0, 0.0))
     second = Passage(soil, tool, across[0], trench)
-    soil.add_work(second.update)
+    soil.add_work(second)
     u = second.state.origin[0] + sweep.GRID.offsets - 0.5  # from the middle of the trench
     middle = second.state.surface[5]
     np.testing.assert_allclose(middle[np.abs(u) < 0.12], -0.03, atol=1e-12)
@@ -257,8 +257,8 @@ def test_a_step_may_be_tried_and_a_clone_goes_its_own_way(end):
     way = poses(path_of(tool, 0.0, 0.28))
     soil, other = level(), level()
     plain, tried = (walk(s, tool, way, rise=trench)[0] for s in (soil, other))
-    soil.add_work(plain.update)
-    other.add_work(tried.update)
+    soil.add_work(plain)
+    other.add_work(tried)
     there = poses([[end, -0.05, 0.1]])[0]
     for _ in range(2):
         trial = copy.copy(tried)
@@ -333,3 +333,90 @@ def test_bad_input_is_refused_and_changes_nothing(tool):
     scenes.assert_frames([passage.frame], [fresh.frame], atol=0)
     with pytest.raises(ValueError, match='side'):
         Passage(scenes.hills(), tool, [0, 0, 0, np.sqrt(0.5), np.sqrt(0.5), 0, 0])
+
+
+def piled(share):
+    """As `trench`, with a part of what vanishes on either side of the tool."""
+
+    def rise(passage, places):
+        cut = trench(passage, places)
+        half = passage.tool.width / passage.scale / 2
+        beside = (np.abs(places[:, 1]) > half) & (np.abs(places[:, 1]) < 2 * half)
+        s = passage.state
+        depth = (s.surface - s.profile)[len(s.tip) // 2]
+        depth = np.interp(places[:, 0], sweep.GRID.offsets, depth)
+        return np.where(beside, share * depth, cut)
+
+    return rise
+
+
+@pytest.mark.parametrize('share', [0.6, 1.0, 1.7])
+@pytest.mark.parametrize('even', [None, False])
+def test_soil_is_kept_on_a_way_of_any_length(tool, share, even):
+    """As much rises on both sides together as vanishes between, whatever the rise says."""
+    soil, scale = level(), tool.scale
+    path = path_of(tool, 0.0, 0.8) if tool.name == 'wheel' else path_of(tool, 0.0, 2.1)
+    passage, _ = walk(soil, tool, poses(path), rise=piled(share), even=even)
+    passage.update()
+    cell = np.prod(soil.cell)
+    assert soil.heights.min() == pytest.approx(-0.03, abs=1e-9)
+    moved = cell * np.maximum(-soil.heights, 0).sum()
+    assert abs(cell * soil.heights.sum()) < 1e-9 * moved
+    # Nothing is carried but what lies about the tool.
+    if tool.name == 'blade':
+        x, _ = soil.middles
+        local = -x[:, None] - passage.state.origin[0]
+        gone = np.broadcast_to(local < sweep.GRID.offsets[0], soil.heights.shape)
+        left = cell * soil.heights[gone].sum() / scale**3
+        carried = passage.state.dropped.mean() + 0.03 * 0.005 * (passage.state.profile < 0)[0].sum()
+        wanted = carried - left / (tool.width / scale) - passage.state.dropped.mean()
+        np.testing.assert_allclose(passage.carried.mean(), wanted, atol=2e-3)
+
+
+def test_soil_that_leaves_the_map_is_not_made_up_for():
+    tool, soil = TOOLS['blade'], level((4.0, 0.5))
+    passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.4)), rise=piled(0.6))
+    passage.update()
+    assert soil.heights.max() == pytest.approx(0.6 * 0.03, abs=1e-9)
+    soil = level((4.0, 0.5), walled=True)
+    passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.4)), rise=piled(0.6))
+    passage.update()
+    assert soil.heights.max() > 0.03
+
+
+def test_what_is_carried_does_not_jump_where_cells_leave():
+    tool, soil = TOOLS['blade'], level()
+    path = path_of(tool, 0.0, 2.0)
+    fine = np.linspace(0, len(path) - 1, 401)
+    path = np.stack([np.interp(fine, np.arange(len(path)), c) for c in path.T], axis=1)
+    passage, frames = walk(soil, tool, poses(path), rise=piled(0.8))
+    carried = [f.scalars[0, 0, -2] for f in frames]
+    assert np.abs(np.diff(carried)).max() < 1.05 * 0.005 * 0.03 + 1e-6
+    assert max(carried) < 0.9 * 0.03 * 2.0  # some of it was left beside the way
+
+
+def test_bins_see_what_another_digs_ahead_and_behind():
+    tool, soil = TOOLS['blade'], level()
+    passage, _ = walk(soil, tool, poses(path_of(tool, 0.0, 0.2)), rise=trench)
+    passage.update()
+    x, z = soil.middles
+    soil.heights[np.ix_((x < -0.4) & (x > -0.6), z > -2)] -= 0.05  # ahead, across all strips
+    soil.heights[np.ix_((x < -0.04) & (x > -0.1), z > -2)] += 0.02  # over the cut
+    before = passage.state
+    passage.meet()
+    bins, s = passage.state.origin[0] + sweep.GRID.offsets, passage.state
+    wanted = -0.05 * ((bins > 0.41) & (bins < 0.59)) + 0.02 * ((bins > 0.05) & (bins < 0.09))
+    known = np.all([np.abs(bins - e) > 0.011 for e in (0.4, 0.6, 0.04, 0.1)], axis=0)
+    np.testing.assert_allclose((s.surface - before.surface)[0, known], wanted[known], atol=1e-12)
+    np.testing.assert_allclose(s.surface - s.profile, before.surface - before.profile, atol=1e-12)
+    assert len(s.tip) == 1
+    heights = soil.heights.copy()
+    passage.update()
+    np.testing.assert_allclose(soil.heights, heights, atol=1e-12)
+    # What is uneven across needs all strips.
+    soil.heights[np.ix_((x < -0.4) & (x > -0.6), z > 0.1)] -= 0.03
+    passage.step(poses(path_of(tool, 0.24, 0.24))[0], DT)
+    passage.meet()
+    assert len(passage.state.tip) == 11
+    far = passage.state.surface[:, np.argmin(np.abs(bins - 0.5))]
+    assert far[0] == pytest.approx(-0.08, abs=1e-9) and far[-1] == pytest.approx(-0.05, abs=1e-9)

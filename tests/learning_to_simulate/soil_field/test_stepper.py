@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.stepper import SoilStepper, turned
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -131,3 +132,43 @@ def test_stiffness_is_what_the_force_answers():
         np.append(last.pose[:3], turned(last.pose[3:], 0.1 * tool.place.across))
     )
     assert lean[0] == pytest.approx(tool.place.turns(last.pose)[0] + 0.1)
+
+
+def test_a_tool_sees_at_once_what_another_digs_close_before_it():
+    """Reading the terrain between changes no more than one step of delay between them does."""
+    forces = []
+    for read in (False, True):
+        ground = Terrain.flat((3.0, 2.0), corner=(-1.5, -1.0))
+        one, other = stepper(ground), stepper(ground)
+        one.start(poses([[0.0, -0.02, 0.1]])[0])
+        before = one._passage.state.surface
+        way = [[u, -0.03, 0.1] for u in np.arange(-0.4, 0.41, 0.05)]
+        across = poses(way, np.pi / 2, (-0.4, 0, 0))
+        other.start(across[0])
+        for pose in across[1:]:
+            other.step(pose, 0.1)
+            if read:
+                _ = ground.heights
+        forces.append(one.step(poses([[0.01, -0.02, 0.1]])[0], 0.1).force)
+        state = one._passage.state
+        sunk, bins = state.surface - before, state.origin[0] + sweep.GRID.offsets
+        x, z = ground.middles
+        under = ground.heights[:, np.abs(z) < 0.02].mean(axis=1)
+        ahead = (bins > 0.2) & (bins < 0.6)
+        wanted = np.interp(-bins[ahead], x, under)
+        np.testing.assert_allclose(sunk[5, ahead], wanted, atol=8e-3)  # its own heap too
+        assert wanted.min() < -0.02 and not sunk[:, np.abs(bins + 0.3) < 0.1].any()
+    np.testing.assert_allclose(*forces, rtol=2e-3, atol=0.01)
+
+
+def test_soil_rests_no_steeper_than_its_angle_of_repose_where_the_tool_has_gone():
+    ground = Terrain.flat((3.0, 2.0), corner=(-2.5, -1.0))
+    tool = stepper(ground)
+    tool.start(poses([[0.0, 0.1, 0.1]])[0])
+    for u in np.arange(0.0, 1.5, 0.05):
+        tool.step(poses([[u, -0.04, 0.1]])[0], 0.1)
+    steep, litres = np.abs(np.diff(ground.heights, axis=1)).max(), ground.heights.sum()
+    tool.start(poses([[1.5, 0.3, 0.1]])[0])
+    slope = np.abs(np.diff(ground.heights, axis=1)).max() / 0.02
+    assert slope < ground.soil.friction + 0.005 < steep / 0.02
+    assert ground.heights.sum() == pytest.approx(litres, abs=1e-9)

@@ -92,12 +92,12 @@ def test_work_is_done_before_heights_are_read_as_long_as_its_owner_lives():
         def __init__(self, terrain):
             self.terrain = terrain
 
-        def dig(self):
+        def update(self):
             self.terrain.write(np.array([0]), -0.25)
 
     terrain = Terrain.flat((0.1, 0.1))
     worker = Worker(terrain)
-    terrain.add_work(worker.dig)
+    terrain.add_work(worker)
     assert terrain.heights[0, 0] == -0.25
     terrain.heights[0, 0] = 0.5
     assert terrain.at(0.01, 0.01) == -0.25
@@ -105,6 +105,69 @@ def test_work_is_done_before_heights_are_read_as_long_as_its_owner_lives():
     gc.collect()
     terrain.heights[0, 0] = 0.5
     assert terrain.heights[0, 0] == 0.5
+
+
+def test_works_are_near_where_their_circles_meet():
+    class Worker:
+        def __init__(self, footprint):
+            self.footprint = footprint
+
+    terrain = Terrain.flat((0.1, 0.1))
+    works = [Worker((np.array(c), r)) for c, r in (((0, 0), 1.0), ((0, 1.4), 0.5), ((3, 0), 1.9))]
+    works.append(Worker(None))
+    for work in works:
+        terrain.add_work(work)
+    assert [terrain.is_crowded(w) for w in works] == [True, True, False, False]
+    del works[1], work
+    gc.collect()
+    assert not terrain.is_crowded(works[0])
+
+
+def steepest(terrain):
+    """Largest rise over run between neighbours, corners too."""
+    h, (a, b) = terrain.heights, terrain.cell
+    pairs = [
+        (h[1:] - h[:-1]) / a, (h[:, 1:] - h[:, :-1]) / b,
+        (h[1:, 1:] - h[:-1, :-1]) / np.hypot(a, b), (h[1:, :-1] - h[:-1, 1:]) / np.hypot(a, b),
+    ]  # fmt: skip
+    return max(np.abs(p).max() for p in pairs)
+
+
+@pytest.mark.parametrize('angle', [25.0, 37.0])
+@pytest.mark.parametrize('cell', [(0.02, 0.02), (0.01, 0.02)])
+def test_steep_soil_slides_to_its_angle_of_repose_and_none_is_lost(angle, cell):
+    terrain = Terrain.flat((0.5, 0.6), cell=cell, soil=Soil(angle))
+    terrain.heights[10:20, 8:14] = 0.05
+    terrain.heights[22:25, 8:14] = -0.05
+    first = terrain.heights.copy()
+    terrain.settle(np.flatnonzero(terrain.heights))
+    slope = np.tan(np.radians(angle))
+    assert 0.9 * slope < steepest(terrain) < slope + 1e-4 / min(cell) < steepest_of(first, cell)
+    assert terrain.heights.sum() == pytest.approx(first.sum(), abs=1e-12)
+    settled = terrain.heights.copy()
+    terrain.settle(np.flatnonzero(terrain.heights))
+    np.testing.assert_allclose(terrain.heights, settled, atol=1e-4)
+
+
+def steepest_of(heights, cell):
+    return steepest(Terrain(heights, cell))
+
+
+def test_what_is_not_steep_or_is_kept_does_not_slide():
+    terrain = Terrain.flat((0.6, 0.6))
+    x, _ = terrain.middles
+    terrain.heights[:] = 0.7 * x[:, None]  # below tan 37 degrees
+    first = terrain.heights.copy()
+    terrain.settle(np.arange(first.size))
+    np.testing.assert_array_equal(terrain.heights, first)
+    terrain.heights[15, 15] += 0.1
+    keep = np.arange(first.size).reshape(first.shape)[16:].ravel()
+    before = terrain.heights.copy()
+    terrain.settle([15 * first.shape[1] + 15], keep)
+    np.testing.assert_array_equal(terrain.heights[16:], before[16:])
+    assert terrain.heights[15, 15] < before[15, 15] and terrain.heights[14, 15] > before[14, 15]
+    assert terrain.heights.sum() == pytest.approx(before.sum(), abs=1e-12)
+    terrain.settle([])
 
 
 @pytest.mark.parametrize('yaw', [0.0, 0.5, np.pi / 2, 2.2, -2.0, -0.3])

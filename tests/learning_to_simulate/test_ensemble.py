@@ -1,0 +1,51 @@
+"""Members and rows of tables, against numpy."""
+
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from learning_to_simulate.ensemble import Members, column
+from learning_to_simulate.tool.inputs import Row
+
+SIZES = [3, 5, 4, 2]
+
+
+@pytest.mark.parametrize('first', [None, 1, 2])
+def test_members_are_perceptrons_that_know_nothing_of_each_other(first):
+    members = Members(3, SIZES, 7, 'some')
+    x = np.random.default_rng(0).normal(size=(6, 3))
+    found = members(tf.constant(x, tf.float32), first).numpy()
+    wanted = []
+    for m in range(3 if first is None else first):
+        y = x
+        for i, (weight, bias) in enumerate(members.layers):
+            y = y if i == 0 else y / (1 + np.exp(-y))  # silu
+            y = y @ weight.numpy()[m] + bias.numpy()[m]
+        wanted.append(y)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    assert not np.allclose(wanted[0], wanted[-1]) or first == 1
+
+
+def test_first_weights_are_those_of_the_seed_and_the_last_layer_is_small():
+    one, same, other = (Members(2, SIZES, seed, 'some').layers for seed in (1, 1, 2))
+    for a, b, c in zip(one, same, other):
+        np.testing.assert_array_equal(a[0], b[0])
+        assert not np.array_equal(a[0], c[0]) and not np.any(a[1])
+    assert np.std(one[-1][0]) < 0.3 * np.std(one[0][0])
+
+
+@pytest.mark.parametrize(
+    'row, wanted',
+    [
+        (Row('a'), lambda a, b: a),
+        (Row('a - b', 2.0, shift=0.5), lambda a, b: (a - b - 0.5) / 2),
+        (Row('abs(b)', 0.1, 'tanh'), lambda a, b: np.tanh(abs(b) / 0.1)),
+        (Row('sqrt(relu(a) + 1e-6)', 1.0, 'bell'), lambda a, b: np.exp(-(np.maximum(a, 0) + 1e-6))),
+        (Row('b', 0.5, 'relu2'), lambda a, b: np.maximum(b / 0.5, 0) ** 2),
+        (Row('max(a, b)', 2.0, 'fade'), lambda a, b: np.exp(-np.maximum(a, b) / 2)),
+    ],
+)  # fmt: skip
+def test_a_row_is_its_formula(row, wanted):
+    a, b = np.random.default_rng(1).normal(size=(2, 9))
+    values = {name: tf.constant(v, tf.float32) for name, v in (('a', a), ('b', b))}
+    np.testing.assert_allclose(column(row, values), wanted(a, b), atol=1e-5)
