@@ -363,7 +363,7 @@ class TerrainModel(TrainedModel):
         if isinstance(path, Run):
             if not (terrain is tool is dt is None):
                 raise ValueError('a recorded run has its own terrain, tool and time step')
-            opened = self._opened(path.split)
+            opened = self._of_splits([path.split])
             return opened.evaluator.roll_out(opened.groups[path.index])
         from learning_to_simulate.live import poses
         from learning_to_simulate.soil_field.rollout import DT, roll_out
@@ -384,14 +384,16 @@ class TerrainModel(TrainedModel):
         Raises:
           FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
         """
-        splits = split if isinstance(split, (list, tuple)) else [split]
-        names = {part.name for part in splits}
+        splits = list(split) if isinstance(split, (list, tuple)) else [split]
+        opened = self._of_splits(splits)
+        return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
+
+    def _of_splits(self, splits):
+        names = sorted({part.name for part in splits})
         if len(names) != 1:
-            raise ValueError(f'splits are {sorted(names)}: some of one name were expected')
-        (name,) = names
+            raise ValueError(f'splits are {names}: some of one name were expected')
         folders = ','.join(part.folder for part in splits)
-        opened = registry.open_model(self.path, folders, name)
-        return Evaluation(opened.evaluator.run(opened.groups, name, progress)[1])
+        return self._method.load_code().opened(self.model, self.path, folders, names[0])
 
 
 def load(name: str) -> TrainedModel:

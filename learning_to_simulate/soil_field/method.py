@@ -162,6 +162,11 @@ def open_model(model_path, data_path, split, overrides=None, raw_path=None) -> O
     """A trained field with the runs of a split of one or several datasets; see `registry`."""
     field = load(model_path)
     checkpoints.refuse_contradictions(model_path, field.config, overrides or {})
+    return opened(field, model_path, data_path, split)
+
+
+def opened(field: field_lib.SoilField, model_path: str, data_path: str, split: str) -> OpenedModel:
+    """`open_model` of a field that is in memory."""
     folders = data_path.split(',')
     runs = _read(folders, split)
     known, found = field.networks.tool.name, one_tool(runs, data_path)
