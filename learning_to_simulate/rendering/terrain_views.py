@@ -73,8 +73,8 @@ def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, 
     if 'ground_truth_heights' in arrays:
         maps['ground truth'] = arrays['ground_truth_heights']
     before, frames = arrays['heights_before'], arrays['height_frames']
-    changes = np.concatenate([(m - before)[-1:] for m in maps.values()])
-    largest = max(1e3 * float(np.nanquantile(np.abs(changes), _QUANTILE)), 1.0)
+    changes = np.nan_to_num([m[-1] - before for m in maps.values()])
+    largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
     extent = _extent(arrays)
     aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
     wide = WIDTH / len(moments)

@@ -148,12 +148,11 @@ def machine_of(case: dict, record: dataset.Trajectory) -> Machine | None:
     pose[:, 3:] = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
     load = np.zeros((len(pose), 6))
     load[:, [0, 1, 5]] = external
+    springs, dampers = (np.array(said.get(n, [0.0] * 3), float) for n in ('stiffness', 'damping'))
     return Machine(
         float(said.get('mass_kg', -external[0, 1] / STANDARD_GRAVITY)),
         float(said.get('inertia_kg_m2', 0.0)),
-        tuple(map(bool, said['is_free'])),
-        *(np.array(said.get(name, np.zeros(3)), np.float64) for name in ('stiffness', 'damping')),
-        pose, load,
+        tuple(map(bool, said['is_free'])), springs, dampers, pose, load,
     )  # fmt: skip
 
 
