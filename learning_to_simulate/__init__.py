@@ -19,6 +19,9 @@ _HOMES = {
     'Dataset': 'api.Dataset', 'TrainedModel': 'api.TrainedModel', 'load': 'api.load',
     'list': 'shipped.names', 'preset': 'api.preset', 'train': 'api.train',
     'RolloutStatus': 'rollout_status.RolloutStatus',
+    'Terrain': 'soil_field.terrain.Terrain', 'Soil': 'soil_field.tools.Soil',
+    'Blade': 'soil_field.tools.Blade', 'Wheel': 'soil_field.tools.Wheel',
+    'LoadedTool': 'soil_field.loaded.LoadedTool',
 }  # fmt: skip
 __all__ = ['__version__', *(name for name in _HOMES if name != 'list')]  # `import *` keeps list
 
@@ -26,7 +29,7 @@ __all__ = ['__version__', *(name for name in _HOMES if name != 'list')]  # `impo
 def __getattr__(name):
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    module, attribute = _HOMES[name].split('.')
+    module, _, attribute = _HOMES[name].rpartition('.')
     return getattr(importlib.import_module(f'{__name__}.{module}'), attribute)
 
 

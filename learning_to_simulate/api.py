@@ -275,7 +275,7 @@ class TrainedModel:
         return Evaluation(opened.evaluator.run(opened.groups, split.name, progress)[1])
 
     def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
-        """Writes a model that runs without this project; see `export`.
+        """Writes a model that runs without this project; see `export`. A soil field has no export.
 
         Args:
           path: folder to write; absent or empty.
@@ -293,8 +293,111 @@ class TrainedModel:
         return exporting.export(self.path, data.path, path, kind)
 
 
+class TerrainModel(TrainedModel):
+    """A trained model of a tool anywhere on a terrain: a soil field.
+
+        model = lts.load('my_soil_field')
+        ground = lts.Terrain.flat((12.0, 3.0), height=0.25)
+        live = model.stepper(ground, lts.Blade(width=0.4))
+        live.start(pose)
+        frame = live.step(next_pose)     # frame.force, frame.torque, frame.status
+        ground.heights                   # as the tool has left them
+
+    Attributes:
+      model: `soil_field.field.SoilField`.
+    """
+
+    def __repr__(self) -> str:
+        return f'<soil field {self.path!r} of a {self.model.networks.tool.name}>'
+
+    @property
+    def scene(self):
+        """ValueError: there is none."""
+        raise ValueError(f'{self.path}: a soil field works on a terrain and has no scene')
+
+    @property
+    def config(self):
+        """Its settings."""
+        return self.model.config
+
+    def _from_rest(self):
+        raise ValueError(
+            f'{self.path}: a soil field has no recorded starts: it begins on a terrain, '
+            f'`model.stepper(lts.Terrain(...))`'
+        )
+
+    def stepper(self, terrain, tool=None, members: int | None = None):  # type: ignore[override]
+        """A `soil_field.stepper.SoilStepper`; `start` and `step` it with poses.
+
+        Args:
+          terrain: `Terrain`, which the tool changes; several steppers may work on one.
+          tool: `Blade` or `Wheel`, of the kind that the model knows; None for the usual one.
+          members: networks that answer, of those that were trained; None: all.
+
+        Raises:
+          ValueError: no terrain, a tool of another kind, too many members.
+        """
+        from learning_to_simulate.soil_field.stepper import SoilStepper
+        from learning_to_simulate.soil_field.terrain import Terrain
+
+        if not isinstance(terrain, Terrain):
+            raise ValueError(f'terrain is {terrain!r}: an lts.Terrain was expected')
+        return SoilStepper(self.model, terrain, tool, members)
+
+    def rollout(self, path, terrain=None, tool=None, dt: float | None = None):  # type: ignore[override]
+        """Sets a tool down and goes along a whole path, or along that of a recorded run.
+
+        Args:
+          path: [T, 7] poses, one a frame; or [T, 3] of (x, height, angle), in the middle of the
+            terrain; or a `Run` of a dataset, on its own bed.
+          terrain: of a path: what it begins on; is changed.
+          tool: of a path; None for the usual one.
+          dt: of a path: s of a frame; None for 1/60.
+
+        Returns:
+          `soil_field.rollout.TerrainRollout`.
+
+        Raises:
+          ValueError: not a path; a path that the model refuses; a run that the model does not fit.
+        """
+        if isinstance(path, Run):
+            if not (terrain is tool is dt is None):
+                raise ValueError('a recorded run has its own terrain, tool and time step')
+            opened = self._of_splits([path.split])
+            return opened.evaluator.roll_out(opened.groups[path.index])
+        from learning_to_simulate.live import poses
+        from learning_to_simulate.soil_field.rollout import DT, roll_out
+
+        stepper = self.stepper(terrain, tool)
+        values = poses.numbers('path', path, (None, 7), (None, 3))
+        middle = terrain.corner[1] + terrain.cell[1] * terrain.shape[1] / 2
+        reader = poses.PoseReader(up_axis=1, lateral=float(middle))
+        return roll_out(stepper, [reader.read(p) for p in values], DT if dt is None else dt)
+
+    def evaluate(self, split, progress=iter) -> Evaluation:
+        """Rolls out every run of a split, or of a list of splits of several datasets.
+
+        Args:
+          split: such as `Dataset('datasets/excavation_v5').test`.
+          progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
+
+        Raises:
+          FileNotFoundError, ValueError: no such split, or a dataset that the model does not fit.
+        """
+        splits = list(split) if isinstance(split, (list, tuple)) else [split]
+        opened = self._of_splits(splits)
+        return Evaluation(opened.evaluator.run(opened.groups, splits[0].name, progress)[1])
+
+    def _of_splits(self, splits):
+        names = sorted({part.name for part in splits})
+        if len(names) != 1:
+            raise ValueError(f'splits are {names}: some of one name were expected')
+        folders = ','.join(part.folder for part in splits)
+        return self._method.load_code().opened(self.model, self.path, folders, names[0])
+
+
 def load(name: str) -> TrainedModel:
-    """A trained model.
+    """A trained model; a `TerrainModel` where it is a soil field.
 
     Args:
       name: a model folder, or a shipped model: 'wheel/pcg_thesis'; the name of a dataset alone
@@ -304,7 +407,11 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return TrainedModel(shipped.find(name, 'models'))
+    return _opened_model(shipped.find(name, 'models'))
+
+
+def _opened_model(path):
+    return (TerrainModel if registry.of_folder(path).on_terrain else TrainedModel)(path)
 
 
 def preset(name: str, **fields):
@@ -316,12 +423,14 @@ def preset(name: str, **fields):
     return presets.make_config(name, **fields)
 
 
-def train(config, data: Dataset, path: str, save_every: int | None = None) -> TrainedModel:
+def train(
+    config, data: Dataset | Sequence[Dataset], path: str, save_every: int | None = None
+) -> TrainedModel:
     """Trains a model, or goes on with its training, and opens it.
 
     Args:
       config: of `preset`.
-      data: dataset with a train split.
+      data: dataset with a train split; of a soil field one or several.
       path: model folder, made if absent.
       save_every: steps between checkpoints; None for a tenth of all.
 
@@ -329,5 +438,6 @@ def train(config, data: Dataset, path: str, save_every: int | None = None) -> Tr
       ValueError, OSError, SystemExit: as `registry.train`.
     """
     path = os.fspath(path)
-    registry.train(data.path, path, config, save_every=save_every)
-    return TrainedModel(path)
+    several = [data] if isinstance(data, Dataset) else data
+    registry.train(','.join(d.path for d in several), path, config, save_every=save_every)
+    return _opened_model(path)

@@ -31,12 +31,13 @@ def named_paths(flag: str, items: list[str], what: str) -> dict[str, str]:
     return found
 
 
-def settings(items: list[str], types: dict[str, type]) -> dict:
-    """Name -> value of what a repeated flag `--set` gives.
+def settings(items: list[str], types: dict[str, type], flag: str = 'set') -> dict:
+    """Name -> value of what a repeated flag gives.
 
     Args:
       items: NAME=VALUE each.
       types: name -> type of every setting there is.
+      flag: its name, for messages.
 
     Raises:
       ValueError: an unknown name, one that is given twice, or a value of another type.
@@ -46,12 +47,12 @@ def settings(items: list[str], types: dict[str, type]) -> dict:
         name, equals, text = item.partition('=')
         if not equals or name not in types or name in found:
             reason = 'is given twice' if name in found else 'NAME=VALUE was expected'
-            raise ValueError(f'--set={item}: {reason}; names are {", ".join(types)}')
+            raise ValueError(f'--{flag}={item}: {reason}; names are {", ".join(types)}')
         kind = types[name]
         try:
             found[name] = _TRUTHS[text.lower()] if kind is bool else kind(text)
         except (KeyError, ValueError) as error:
-            raise ValueError(f'--set={item}: must be of type {kind.__name__}') from error
+            raise ValueError(f'--{flag}={item}: must be of type {kind.__name__}') from error
     return found
 
 

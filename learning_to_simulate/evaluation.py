@@ -233,7 +233,7 @@ def save_rollouts(
     Args:
       path: folder, made if absent; what else lies there stays.
       split: of the runs.
-      results: of `roll_out_all`.
+      results: of `roll_out_all`; without a group where the rollout knows the arrays of its file.
       summary: of `summarise`.
       metadata: of the dataset.
       model_digest: of `checkpoints.folder_digest`, kept in every file; None where there is none.
@@ -242,7 +242,9 @@ def save_rollouts(
 
     def fill(folder):
         for name, (_, group, rollout) in zip(names, results, strict=True):
-            arrays = _arrays(group, rollout) | {'metadata': np.array(json.dumps(metadata))}
+            arrays = rollout.arrays() if group is None else _arrays(group, rollout)
+            if group is not None:
+                arrays['metadata'] = np.array(json.dumps(metadata))
             arrays |= {k: np.array(v) for k, v in digest.items()}
             files.write_npz(os.path.join(folder, name), **arrays)
         files.write_json(os.path.join(folder, METRICS_FILE), summary | digest)
@@ -291,15 +293,25 @@ def _arrays(group, rollout) -> dict:
 
 
 # What files call the methods -> what is printed.
-NAMES = {'model': 'model', 'stay_still': 'persistence', 'constant_velocity': 'constant velocity'}
+NAMES = {
+    'model': 'model', 'stay_still': 'persistence', 'constant_velocity': 'constant velocity',
+    'under_load': 'under its load', 'bekker_wong_janosi': 'Bekker, Wong, Janosi',
+}  # fmt: skip
 _ROWS = {
     'soil_mm': 'soil error, mm',
+    'near_mm': 'height map near the tool, mm',
+    'surface_mm': 'whole height map, mm',
+    'front_mm': 'front of the heap, mm',
+    'cut_error_litre': 'volume of the cut, litres',
+    'heap_error_litre': 'volume of the heap, litres',
     'drawbar': 'force along the way (drawbar), N',
     'vertical': 'vertical force, N',
+    'side': 'force across, N',
     'force': 'whole force, N',
     'pitch': 'torque in the plane of travel, N m',
     'torque': 'whole torque, N m',
     'height_mm': "body's height, mm",
+    'travel_mm': "body's way, mm",
     'rigid_mse': 'body, mean square 1e-4 m2',
     'soil_mse': 'soil within the subspace, mean square 1e-4 m2',
     'force_abs_mpe': 'force, |MPE| %',
@@ -309,6 +321,12 @@ _ROWS = {
     'milliseconds_per_step': 'ms per frame',
 }
 _WIDTH = 24
+# Medians by kind of run: name of an error -> head of its column.
+_BY_KIND = {
+    'soil_mm': 'soil mm', 'near_mm': 'map mm', 'heap_error_litre': 'heap l',
+    'force_relative_l2': 'force', 'drawbar_relative_l2': 'drawbar',
+    'vertical_relative_l2': 'vertical', 'pitch_relative_l2': 'torque',
+}  # fmt: skip
 
 
 def table(summary: dict) -> str:
@@ -324,6 +342,8 @@ def table(summary: dict) -> str:
         f'soil error: root mean square {summary.get("soil_error", "")}. Loads: root mean square '
         f'per component (relative L2), error of the peak. Means over runs; times: medians.'
     )
+    if 'kinds' in summary:
+        lines += _medians(summary)
     for row in summary['runs']['model']:
         if row['status'] != RolloutStatus.OK:
             where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
@@ -332,6 +352,25 @@ def table(summary: dict) -> str:
                 f'{row["status_reason"]}'
             )
     return '\n'.join(lines)
+
+
+def _medians(summary):
+    """Lines of medians by kind of run, of wins and of status, where a summary has them."""
+    rows = [('all', summary['median']), *summary['kinds'].items()]
+    keys = [k for k in _BY_KIND if any(k in of for _, found in rows for of in found.values())]
+    lines = ['medians; loads: relative L2']
+    lines.append(f'{"":32s}{"runs":>5s}' + ''.join(f'{_BY_KIND[key]:>10s}' for key in keys))
+    for kind, found in rows:
+        for method, values in found.items():
+            if values:
+                numbers = (values.get(key) for key in keys)
+                cells = ''.join(f'{"-" if x is None else f"{x:.3g}":>10s}' for x in numbers)
+                name = f'{kind}, {NAMES.get(method, method)}'
+                lines.append(f'{name:32s}{values["runs"]:5d}{cells}')
+    for other, found in summary['wins'].items():
+        counts = ', '.join(f'{key} {won} of {all_}' for key, (won, all_) in found.items())
+        lines.append(f'model better than {NAMES.get(other, other)}: {counts}')
+    return [*lines, 'status: ' + ', '.join(f'{n} {name}' for name, n in summary['status'].items())]
 
 
 def _cell(mean, key):

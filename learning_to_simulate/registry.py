@@ -31,6 +31,7 @@ class Method:
     code: str  # module with `train`, `open_model` and `load`
     live: str | None = None  # module of its engine for live use; None: of models in the subspace
     takes_raw_runs: bool = False  # of a dataset (`raw_path`), not records alone
+    on_terrain: bool = False  # whether its models work on a given terrain: `api.TerrainModel`
 
     @property
     def steps(self) -> bool:
@@ -91,6 +92,11 @@ METHODS = {
         'learning_to_simulate.swept_field.method',
         live='learning_to_simulate.swept_field.engine',
     ),
+    'soil_field': Method(
+        'neural field over what a tool has swept, anywhere on a terrain of heights',
+        'learning_to_simulate.soil_field.method',
+        on_terrain=True,
+    ),
     'path_ridge': Method('kernel ridge on the path so far, no dynamics: a baseline', _OPEN_LOOP),
     'earthmoving': Method(
         "a blade's force by the equation of earthmoving (Reece 1965, McKyes 1985): a baseline",
@@ -106,7 +112,8 @@ def train(data_path: str, model_path: str, config, **options) -> dict:
     """Trains the method of `config` to its end, or goes on with a training, or finds it done.
 
     Args:
-      data_path: dataset folder with a train split; valid, where there is one, is rolled out.
+      data_path: dataset folder with a train split; valid, where there is one, is rolled out. Of a
+        soil field several folders, separated by commas.
       model_path: model folder, made if absent; locked while the training runs.
       config: settings, as of `presets.make_config`.
       **options: of `TrainOptions`.

@@ -28,6 +28,7 @@ from __future__ import annotations
 import functools
 import os
 import time
+import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -62,6 +63,26 @@ def draw(rollout, path: str, step_stride: int = 3, **options) -> list[str]:
     target, kind = target_and_format(path)
     frames = rollout_frames.of_rollout(rollout, step_stride)
     return render_frames(frames, target, [kind], step_stride, **options)
+
+
+def draw_terrain(arrays, path: str, name: str, **options) -> None:
+    """Draws a rollout on a terrain; the ending of the path decides how.
+
+    Args:
+        arrays: of `soil_field.rollout.TerrainRollout`.
+        path: file to write, .png, .gif or .mp4.
+        name: of the run.
+        **options: of `terrain_views.draw`.
+
+    Raises:
+        ValueError: another ending, or a package for pictures is missing.
+    """
+    _, kind = target_and_format(path)
+    try:
+        from learning_to_simulate.rendering import terrain_views
+    except ModuleNotFoundError as error:
+        raise ValueError(f'pictures need {error.name}: pip install .[viz]') from error
+    terrain_views.draw(arrays, path, kind, name, **options)
 
 
 def target_and_format(path: str) -> tuple[str, str]:
@@ -206,9 +227,31 @@ def define_flags() -> None:
     flags.DEFINE_list('format', 'png,gif,mp4', f'Any of {", ".join(FORMATS)}.')
 
 
+def _is_on_terrain(path):
+    """Whether a file holds a rollout of a soil field."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return 'predicted_heights.npy' in archive.namelist()
+
+
+def _render_terrain(values):
+    path = values.rollout_path
+    if values.beside or values.plane or values.color_by != 'speed':
+        raise ValueError(f'{path}: --beside, --plane and --color_by are for particles, not terrain')
+    arrays, name = files.read_npz(path), os.path.splitext(os.path.basename(path))[0]
+    os.makedirs(values.output_path, exist_ok=True)
+    for kind in values.format:
+        target = os.path.join(values.output_path, f'{name}.{kind}')
+        draw_terrain(arrays, target, values.label or str(arrays.get('case', name)))
+        print(target)
+
+
 def run(values) -> None:
     """Runs the command with its flags."""
     command.writable_folder(values.output_path)
+    if _is_on_terrain(values.rollout_path):
+        return _render_terrain(values)
     beside = command.named_paths('beside', values.beside, 'FILE')
     started = time.perf_counter()
     frames, written = render(

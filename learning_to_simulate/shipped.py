@@ -11,7 +11,7 @@ from collections.abc import Sequence
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 MARKERS = {'models': 'config.json', 'datasets': 'metadata.json'}
 # What the name of a dataset alone means as a model: the first of these that ships with it.
-DEFAULT_MODELS = 'swept_field', 'pcg'
+DEFAULT_MODELS = 'soil_field', 'swept_field', 'pcg'
 _REMEDIES = {
     'models': 'this copy has none: install it again (pip install .), its wheel holds them',
     'datasets': 'an installed copy has none: name a folder, such as datasets/excavation of the '

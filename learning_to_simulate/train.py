@@ -20,6 +20,10 @@ Examples:
   python -m learning_to_simulate.train --adjacency=edges.json --data_path=... --model_path=...
   python -m learning_to_simulate.train --rigid_motion=driven --data_path=Wheel_PCA --model_path=...
 
+  # a tool anywhere on a terrain, from several datasets with height maps
+  python -m learning_to_simulate.train --model=soil_field --model_path=... \\
+      --data_path=datasets/excavation_v5,datasets/excavation_v5_wide
+
   # a setting without a flag of its own, by name; or all of them from a file
   python -m learning_to_simulate.train --set=hidden_layers=3 --data_path=... --model_path=...
   python -m learning_to_simulate.train --config=settings.json --data_path=... --model_path=...
@@ -41,7 +45,10 @@ _EVAL_SPLIT = flags.DEFINE_enum(
     'eval_split', 'test', ['train', 'valid', 'test'], 'Split to evaluate on.'
 )
 _DATA_PATH = flags.DEFINE_string(
-    'data_path', None, 'Dataset folder (metadata.json, *.tfrecord).', required=True
+    'data_path',
+    None,
+    'Dataset folder (metadata.json, *.tfrecord); of a soil field several, separated by commas.',
+    required=True,
 )
 _MODEL_PATH = flags.DEFINE_string(
     'model_path', None, 'Model folder; training resumes from it.', required=True
@@ -105,7 +112,7 @@ _FLAGS = [
         'rigid_particles', None, 'Number of particles of a blade that become nodes, lowest first.'
     ),
     flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
-    flags.DEFINE_integer('members', None, 'Networks of a swept field that are averaged.'),
+    flags.DEFINE_integer('members', None, 'Networks of a swept or soil field that are averaged.'),
     flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
     flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
     flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),
@@ -144,6 +151,8 @@ def _open(overrides) -> registry.OpenedModel:
         _MODEL_PATH.value, _DATA_PATH.value, _EVAL_SPLIT.value, overrides, raw_path=_RAW_PATH.value
     )
     if _RIGID_MOTION.value is not None:
+        if registry.of_folder(_MODEL_PATH.value).on_terrain:
+            raise ValueError('--rigid_motion is for models of a scene; a soil field has none')
         motion = {'rigid_motion': _RIGID_MOTION.value}
         checkpoints.refuse_contradictions(_MODEL_PATH.value, opened.model.simulator.scene, motion)
     return opened

@@ -149,7 +149,9 @@ def find_edges(
         probabilities=probabilities,
         method='nri',
         threshold=wish.get('threshold'),
-        digests={'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)},
+        digests={
+            'model': model.digest, 'data': trained_on, **edge_lists.data_digests(data_path)
+        },
         degenerate=found,
         report=spread(posterior, threshold) | {'split': split, 'self_edges': self_edges},
     )

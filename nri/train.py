@@ -64,7 +64,9 @@ def main(given):
 
     seconds = None if given.max_minutes is None else 60.0 * given.max_minutes
     try:
-        experiment.train(given.data_path, given.model_path, config, seconds, given.take_over_lock)
+        experiment.train(
+            given.data_path, given.model_path, config, seconds, given.take_over_lock
+        )
     except tf.errors.OpError as error:
         raise ValueError(str(error)) from error
 

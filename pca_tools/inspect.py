@@ -133,12 +133,9 @@ def _check_metadata(found: Inspection) -> Findings:
 def _check_manifest(found: Inspection) -> Findings:
     entries = files.check_manifest(found.folder)
     if entries is None:
-        yield (
-            WARN,
-            (
-                'no manifest.json: a file cut at a record boundary would not be noticed; compare the '
-                'record counts below with the source'
-            ),
+        yield WARN, (
+            'no manifest.json: a file cut at a record boundary would not be noticed; compare the '
+            'record counts below with the source'
         )
     else:
         yield OK, f'manifest: {len(entries)} files have the bytes and sha256 that it lists'
@@ -171,12 +168,9 @@ def _check_nodes(found: Inspection) -> Findings:
         held = ', '.join(
             f'{runs} of {len(found.runs)} runs have {n}' for n, runs in sorted(counts.items())
         )
-        yield (
-            WARN,
-            (
-                f'particles_rigid says {promised} but {held}; the count of each record is the one '
-                'that is used'
-            ),
+        yield WARN, (
+            f'particles_rigid says {promised} but {held}; the count of each record is the one '
+            'that is used'
         )
     scene = found.metadata.get('scene')
     if scene is None:
@@ -185,12 +179,9 @@ def _check_nodes(found: Inspection) -> Findings:
         given = scene['rigid_motion'] == 'prescribed'
         expected = dataset.KINEMATIC_PARTICLE_ID if given else dataset.RIGID_PARTICLE_ID
         if wrong := sum(np.any(run.particle_type[: run.n_rigid] != expected) for run in found.runs):
-            yield (
-                ERROR,
-                (
-                    f'{wrong} runs have rigid nodes that are not of type {expected}, which '
-                    f'rigid_motion {scene["rigid_motion"]!r} asks for; convert the raw runs again'
-                ),
+            yield ERROR, (
+                f'{wrong} runs have rigid nodes that are not of type {expected}, which '
+                f'rigid_motion {scene["rigid_motion"]!r} asks for; convert the raw runs again'
             )
 
 
@@ -198,12 +189,9 @@ def _check_frames(found: Inspection) -> Findings:
     """Frames that repeat, and keys that do not count."""
     runs = found.runs
     if repeated := sum(np.array_equal(run.position[0], run.position[1]) for run in runs):
-        yield (
-            WARN,
-            (
-                f'{repeated} of {len(runs)} runs begin with the same frame twice: their first '
-                'velocity is 0, and frame 0 is not a state of its own'
-            ),
+        yield WARN, (
+            f'{repeated} of {len(runs)} runs begin with the same frame twice: their first '
+            'velocity is 0, and frame 0 is not a state of its own'
         )
     still = [
         f'{split} {index}'
@@ -215,12 +203,9 @@ def _check_frames(found: Inspection) -> Findings:
         yield WARN, f'nothing moves from first to last frame in the records {still[:_MAX_NAMED]}'
     for split, part in found.splits.items():
         if [run.key for run in part] != list(range(len(part))):
-            yield (
-                WARN,
-                (
-                    f'{split}: keys are {sorted({run.key for run in part})}, not the index of each '
-                    'record; runs are told apart by their place in the file'
-                ),
+            yield WARN, (
+                f'{split}: keys are {sorted({run.key for run in part})}, not the index of each '
+                'record; runs are told apart by their place in the file'
             )
 
 
@@ -233,30 +218,21 @@ def _check_case_ids(found: Inspection) -> Findings:
     for split, part in found.splits.items():
         ids = cases.get(split, [])
         if len(ids) != len(set(ids)):
-            yield (
-                WARN,
-                (
-                    f'dataset_split.{split} has {len(ids)} ids but {len(set(ids))} different ones: it '
-                    'was drawn with replacement'
-                ),
+            yield WARN, (
+                f'dataset_split.{split} has {len(ids)} ids but {len(set(ids))} different ones: it '
+                'was drawn with replacement'
             )
         if len(ids) != len(part):
-            yield (
-                WARN,
-                (
-                    f'{split} has {len(part)} records, dataset_split.{split} names {len(ids)} cases: '
-                    'which record is which case cannot be told from it'
-                ),
+            yield WARN, (
+                f'{split} has {len(part)} records, dataset_split.{split} names {len(ids)} cases: '
+                'which record is which case cannot be told from it'
             )
     for first, second in itertools.combinations(SPLITS, 2):
         shared = sorted(set(cases.get(first, [])) & set(cases.get(second, [])), key=str)
         if shared:
-            yield (
-                ERROR,
-                (
-                    f'the cases {shared[:_MAX_NAMED]} are in {first} and {second}: errors on {second} '
-                    'would flatter; split again'
-                ),
+            yield ERROR, (
+                f'the cases {shared[:_MAX_NAMED]} are in {first} and {second}: errors on {second} '
+                'would flatter; split again'
             )
 
 
@@ -281,9 +257,8 @@ def _check_statistics(found: Inspection) -> Findings:
     held = found.metadata
     for key in ('vel_std', 'acc_std', 'rigid_body_force_std', 'context_std'):
         if zero := [axis for axis, value in enumerate(held.get(key, [])) if value == 0]:
-            yield (
-                WARN,
-                (f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'),
+            yield WARN, (
+                f'{key} is 0 at {zero}: constant there; our training floors it, others must, too'
             )
     if 'train' not in found.splits:
         return
@@ -300,19 +275,15 @@ def _check_statistics(found: Inspection) -> Findings:
         ratio = scale / max(np.linalg.norm(mean), 1e-30)
         if whole and np.max(np.abs(mean - promised)) > STATISTICS_TOLERANCE * max(scale, 1e-12):
             agree = False
-            yield (
-                ERROR,
-                (f'{key} is {held[key]}, the training records give {values}; convert again'),
+            yield ERROR, (
+                f'{key} is {held[key]}, the training records give {values}; convert again'
             )
         elif key.endswith('_std') and not 1 / STATISTICS_FACTOR < ratio < STATISTICS_FACTOR:
             agree = False
-            yield (
-                ERROR,
-                (
-                    f'{key} is {ratio:.3g} times that of the training records (1 / dt is '
-                    f'{1 / held["dt"]:.3g}): velocities and accelerations are per frame, not divided '
-                    'by dt'
-                ),
+            yield ERROR, (
+                f'{key} is {ratio:.3g} times that of the training records (1 / dt is '
+                f'{1 / held["dt"]:.3g}): velocities and accelerations are per frame, not divided '
+                'by dt'
             )
     if agree:
         text = 'statistics agree with the training records' + ('' if whole else ' in size')
@@ -332,12 +303,9 @@ def _check_motion(found: Inspection) -> Findings:
     bodies = [run.position[:, : run.n_rigid] for run in moved]
     fastest = max(float(np.linalg.norm(np.diff(b, axis=0), axis=-1).max()) for b in bodies) / dt
     if fastest > PLAUSIBLE_SPEED:
-        yield (
-            ERROR,
-            (
-                f'the rigid body reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of '
-                'length is wrong'
-            ),
+        yield ERROR, (
+            f'the rigid body reaches {fastest:.3g} m/s with dt = {dt} s: dt or the unit of '
+            'length is wrong'
         )
     bounds = found.metadata['bounds']
     low, high = np.array(bounds).T
@@ -388,13 +356,10 @@ def _check_truncation(found: Inspection) -> Findings:
     ]
     if far:
         more = f' and {len(far) - _MAX_NAMED} more' if len(far) > _MAX_NAMED else ''
-        yield (
-            WARN,
-            (
-                f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
-                f'mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}{more}: these runs do '
-                'something that no training run does; add such runs to train'
-            ),
+        yield WARN, (
+            f'the modes leave {1e3 * usual:.3g} mm (RMS) of the training runs, {1e3 * worst:.3g} '
+            f'mm of the worst, but far more of {", ".join(far[:_MAX_NAMED])}{more}: these runs do '
+            'something that no training run does; add such runs to train'
         )
 
 
@@ -417,12 +382,9 @@ def _check_kept(kind: type[PackedRuns]):
                 good.append(f'{split} {os.path.getsize(path) / len(runs) / 1e3:.1f} kB')
         if good:
             span = f', {low:.3f} to {high:.3f} m high' * (kind is Heights)
-            yield (
-                OK,
-                (
-                    f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
-                    f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
-                ),
+            yield OK, (
+                f'{kind.TITLE}s ({kept}{span}, every {kept.frame_stride} frames, to '
+                f'{5e2 * kept.resolution:.2g} mm), a run: ' + ', '.join(good)
             )
 
     return check
@@ -442,29 +404,22 @@ def _check_subspace(found: Inspection) -> Findings:
         ('n_soil', held.get('n_soil'), space.n_soil),
     ):
         if promised != is_there:
-            yield (
-                ERROR,
-                (
-                    f'{name}: {what} is {is_there}, the metadata says {promised}; the scores belong '
-                    'to another subspace'
-                ),
+            yield ERROR, (
+                f'{name}: {what} is {is_there}, the metadata says {promised}; the scores belong '
+                'to another subspace'
             )
     others = [*found.of_split('cases', 'valid'), *found.of_split('cases', 'test')]
     if seen := {str(case.get('case')) for case in others} & set(space.runs):
         yield ERROR, f'{name}: was fitted on {sorted(seen)}, which are not training runs'
     else:
-        yield (
-            OK,
-            (f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'),
+        yield OK, (
+            f'{name}: {space.n_modes} modes of N = {space.n_soil}, fitted on training runs only'
         )
     gap = space.gaps[space.n_modes - 1] if len(space.gaps) >= space.n_modes else math.inf
     if gap < CLUSTER_GAP:
-        yield (
-            WARN,
-            (
-                f'{name}: singular values {space.n_modes} and {space.n_modes + 1} differ by only '
-                f'{100 * gap:.1f} %: the last mode may turn from fit to fit'
-            ),
+        yield WARN, (
+            f'{name}: singular values {space.n_modes} and {space.n_modes + 1} differ by only '
+            f'{100 * gap:.1f} %: the last mode may turn from fit to fit'
         )
 
 
@@ -482,22 +437,16 @@ def _check_pickles(found: Inspection) -> Findings:
     values = legacy_pickles.read_array(os.path.join(found.folder, name))
     negative = int(np.count_nonzero(values.real < 0))
     if np.iscomplexobj(values) or negative:
-        yield (
-            WARN,
-            (
-                f'{name}: type {values.dtype}, {negative} of {len(values)} values are negative: they '
-                'come from a solver for non-symmetric matrices; negative ones are taken as 0'
-            ),
+        yield WARN, (
+            f'{name}: type {values.dtype}, {negative} of {len(values)} values are negative: they '
+            'come from a solver for non-symmetric matrices; negative ones are taken as 0'
         )
     found.n_soil = len(values)
     if found.runs:
         found.floors, runs = floors_of_eigenvalues(values.real, found.runs)
-        yield (
-            WARN,
-            (
-                f'the mode energies of the records fit eigenvalues of {runs:.0f} runs: the published '
-                'modes were fitted on all runs, validation and test included'
-            ),
+        yield WARN, (
+            f'the mode energies of the records fit eigenvalues of {runs:.0f} runs: the published '
+            'modes were fitted on all runs, validation and test included'
         )
 
 

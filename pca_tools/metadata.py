@@ -111,9 +111,8 @@ def _is_pair(value: Any) -> bool:
 def _of_splits(what: str, is_one: Callable[[Any], bool]) -> tuple[str, Callable[[Any], bool]]:
     """The check of a key that holds one value for each record of each split."""
     is_part = _list_of(is_one)
-    return (
-        f'an object with a list for each split, one {what} a record,',
-        lambda value: isinstance(value, dict) and all(map(is_part, value.values())),
+    return f'an object with a list for each split, one {what} a record,', lambda value: (
+        isinstance(value, dict) and all(map(is_part, value.values()))
     )
 
 

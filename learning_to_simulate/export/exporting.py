@@ -81,7 +81,10 @@ def _exported(model_path, data_path, kind, n_rigid, n_particles):
     """What is exported, for a format."""
     from learning_to_simulate import registry
 
-    is_field = registry.of_folder(model_path).live
+    method = registry.of_folder(model_path)
+    if method.on_terrain:
+        raise ValueError(f'{model_path}: a soil field has no export')
+    is_field = method.live
     if n_particles is not None and (not is_field or kind in native.FORMATS):
         raise ValueError('n_particles is for the functions of a swept field')
     if n_rigid is not None and is_field:

@@ -132,7 +132,9 @@ class SoilRollout:
         arrays = {
             'initial_positions': nodes[:H],
             'predicted_rollout': nodes[H:],
-            'particle_types': np.repeat([kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]),
+            'particle_types': np.repeat(
+                [kind, dataset.MODE_PARTICLE_ID], [n_rigid, scene.n_modes]
+            ),
             'scene': np.array(json.dumps(scene.to_json())),
             'status': np.array(str(self.status)),
             'first_bad_frame': np.array(self.judgement.frame),

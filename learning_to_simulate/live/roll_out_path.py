@@ -3,11 +3,16 @@
 Examples:
   lts rollout --model=excavation --poses=path.csv --output_path=dig.npz --picture=dig.gif
 
+  # a soil field, on a terrain that `lts.Terrain.save` wrote
+  lts rollout --model=my_soil_field --terrain=ground.npz --tool=width=0.4 --poses=path.csv \
+      --output_path=dig.npz --picture=dig.png
+
 The file of poses has a line a frame (1/60 s for the shipped models): x, y, z, qw, qx, qy, qz, or
 x, height, angle (rad) of a body in the plane; `.csv` (lines that begin with # are skipped) or
 `.npy`. What is written is read by `render_rollout`.
 """
 
+import dataclasses
 import os
 
 import numpy as np
@@ -34,6 +39,17 @@ def read_poses(path: str) -> np.ndarray:
         raise ValueError(f'{path}: is not a table of numbers, x,y,z,qw,... ({error})') from error
 
 
+def _ground(values, model):
+    """Terrain and tool of the flags, of a soil field."""
+    from learning_to_simulate.soil_field.terrain import Terrain
+
+    if values.case is not None or not values.terrain:
+        raise ValueError(f'{values.model} is a soil field: it takes --terrain and no --case')
+    kind = model.model.networks.tool
+    fields = {f.name: f.type for f in dataclasses.fields(kind)}
+    return Terrain.load(values.terrain), kind(**command.settings(values.tool, fields, 'tool'))
+
+
 def run(values) -> None:
     """Runs the command with its flags."""
     path = read_poses(values.poses)
@@ -46,11 +62,18 @@ def run(values) -> None:
     command.import_tensorflow()
     from learning_to_simulate import api
 
-    rollout = api.load(values.model).rollout(path, case=values.case)
+    model = api.load(values.model)
+    if isinstance(model, api.TerrainModel):
+        rollout = model.rollout(path, *_ground(values, model))
+    elif values.terrain or values.tool:
+        raise ValueError(f'{values.model}: --terrain and --tool are for soil fields')
+    else:
+        rollout = model.rollout(path, case=values.case)
     for target in filter(None, (values.output_path, values.picture)):
         os.makedirs(os.path.dirname(os.path.abspath(target)), exist_ok=True)
     rollout.save(values.output_path)
-    print(f'wrote {values.output_path}: {len(rollout)} frames of {rollout.scene.dt:.4g} s')
+    dt = rollout.time[1] - rollout.time[0] if len(rollout) > 1 else 0.0
+    print(f'wrote {values.output_path}: {len(rollout)} frames of {dt:.4g} s')
     print(f'status {rollout.status}' + (f': {rollout.reason}' if rollout.reason else ''))
     if rollout.force is not None:
         size = np.linalg.norm(rollout.force, axis=1)
@@ -65,5 +88,9 @@ if __name__ == '__main__':
     flags.DEFINE_string('poses', None, 'File of poses, one a frame.', required=True)
     flags.DEFINE_string('output_path', None, 'Rollout file to write (.npz).', required=True)
     flags.DEFINE_string('picture', None, 'Picture to draw as well: .png, .gif or .mp4.')
+    flags.DEFINE_string('terrain', None, 'Of a soil field: file of `lts.Terrain.save`.')
+    flags.DEFINE_multi_string(
+        'tool', [], 'Of a soil field: NAME=VALUE of its tool, as width=0.4; may be given again.'
+    )
     flags.DEFINE_integer('case', None, 'Case whose bed and body are taken; default: the first.')
     command.start(run)

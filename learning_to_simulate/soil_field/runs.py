@@ -7,8 +7,28 @@ from typing import NamedTuple
 import numpy as np
 
 from learning_to_simulate.soil_field.terrain import Terrain
-from learning_to_simulate.soil_field.tools import Blade, Soil, Tool, Wheel
+from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Blade, Soil, Tool, Wheel
 from pca_tools import dataset, heights, particles
+
+
+class Machine(NamedTuple):
+    """What carries a tool that is free along, up or in its lean; what drove a run of T frames.
+
+    Attributes:
+      mass, inertia: kg; kg m2 about the position of the pose.
+      free: of x, y and angle, as `loaded.COORDINATES`.
+      stiffness, damping: [3] of the actuators, as `loaded.LoadedTool` takes them.
+      target: float64 [T, 7] poses that they pull towards; where nothing is free, the path.
+      external: float64 [T, 6] force (N) and torque (N m) beside soil and actuators; weight is in.
+    """
+
+    mass: float
+    inertia: float
+    free: tuple[bool, bool, bool]
+    stiffness: np.ndarray
+    damping: np.ndarray
+    target: np.ndarray
+    external: np.ndarray
 
 
 class Run(NamedTuple):
@@ -20,6 +40,8 @@ class Run(NamedTuple):
       pose: float64 [T, 7]; force, torque: [T, 3] on the tool, N, N m.
       heights: [F, nx, nz] m, every `stride` frames; corner, cell: [2] of the map, m.
       particles: [F, P, 3] m, or None.
+      dt: s of a frame.
+      machine: of a tool that was not moved along a given path; else None.
     """
 
     case: str
@@ -36,6 +58,7 @@ class Run(NamedTuple):
     cell: np.ndarray
     particles: np.ndarray | None
     dt: float = 1.0 / 60.0
+    machine: Machine | None = None
 
     def terrain(self, frame: int = 0) -> Terrain:
         """The bed in a frame with heights."""
@@ -106,9 +129,31 @@ def read(folder: str, split: str) -> list[Run]:
                     record.torque, np.asarray(maps[i]), maps.frame_stride,
                     np.asarray(maps.corner), np.asarray(maps.cell),
                     None if sample is None else sample[i], float(metadata['dt']),
+                    machine_of(case, record),
                 )
             )  # fmt: skip
     return found
+
+
+def machine_of(case: dict, record: dataset.Trajectory) -> Machine | None:
+    """What carried the tool of a run, from its parameters and its record of target and external
+    load; a wheel that says no more is free in height, as heavy as its first load."""
+    if record.target is None or record.external is None:
+        return None
+    target, external = (np.asarray(x, np.float64) for x in (record.target, record.external))
+    said = case.get('machine') or {'is_free': (False, True, False)}
+    pose, half = record.rigid_pose.astype(np.float64), target[:, 2] / 2  # type: ignore[union-attr]
+    pose[:, :2] = target[:, :2]
+    zero = 0.0 * half
+    pose[:, 3:] = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
+    load = np.zeros((len(pose), 6))
+    load[:, [0, 1, 5]] = external
+    springs, dampers = (np.array(said.get(n, [0.0] * 3), float) for n in ('stiffness', 'damping'))
+    return Machine(
+        float(said.get('mass_kg', -external[0, 1] / STANDARD_GRAVITY)),
+        float(said.get('inertia_kg_m2', 0.0)),
+        tuple(map(bool, said['is_free'])), springs, dampers, pose, load,
+    )  # fmt: skip
 
 
 def soil_of(case: dict) -> Soil:

@@ -35,5 +35,6 @@ class SoilFieldConfig(Settings):
             raise ValueError(f'learning_rate is {self.learning_rate}, must lie in (0, 1)')
 
 
+PRESETS = {'soil_field': SoilFieldConfig('soil_field')}
 # Rows of `samples` that a step takes, by network.
 BATCHES = {'load': 512, 'surface': 3072, 'soil': 3072}

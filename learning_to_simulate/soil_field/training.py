@@ -71,8 +71,9 @@ def _joined(parts):
     )
 
 
-def fit(field: SoilField, pools: dict[str, list], progress=True) -> dict:
-    """Trains all networks on `parts_of`; returns their mean losses over the last tenth.
+def fit(field: SoilField, pools: dict[str, list], progress=True, saved=None) -> dict:
+    """Trains all networks on `parts_of`; returns their mean losses over the last tenth. `saved`
+    keeps what was trained, see `method.Saved`.
 
     Raises:
       ValueError: a loss that is not finite.
@@ -92,13 +93,13 @@ def fit(field: SoilField, pools: dict[str, list], progress=True) -> dict:
     }
     return {
         f'loss_{name}': _fit(getattr(networks, name), calls[name], scales[name], name, parts,
-                             config, progress)
+                             config, progress, saved)
         for name, parts in pools.items()
         if parts
     }  # fmt: skip
 
 
-def _fit(part, call, scale, name, pools, config, progress):
+def _fit(part, call, scale, name, pools, config, progress, saved=None):
     variables = part.trainable_variables
     schedule = tf.keras.optimizers.schedules.CosineDecay(config.learning_rate, config.num_steps)
     optimizer = tf.keras.optimizers.Adam(schedule, global_clipnorm=CLIP_NORM)
@@ -125,8 +126,12 @@ def _fit(part, call, scale, name, pools, config, progress):
         optimizer.apply_gradients(zip(gradient, variables, strict=True))
         return loss
 
-    late = []
-    bar = tqdm.trange(config.num_steps, unit='step', desc=name, disable=None if progress else True)
+    state = [*variables, *optimizer.variables]
+    first, late = saved.restore(name, state) if saved else (0, [])
+    bar = tqdm.tqdm(
+        range(first, config.num_steps), initial=first, total=config.num_steps, unit='step',
+        desc=name, disable=None if progress else True,
+    )  # fmt: skip
     for number in bar:
         rng = np.random.Generator(
             np.random.Philox(key=config.seed, counter=[0, 0, _STREAMS[name], number])
@@ -145,4 +150,6 @@ def _fit(part, call, scale, name, pools, config, progress):
             bar.set_postfix(loss=f'{value:.3g}')
             if number + 1 > 0.9 * config.num_steps:
                 late.append(value)
+        if saved:
+            saved.keep(name, number + 1, number + 1 == config.num_steps, state, late)
     return float(np.mean(late))

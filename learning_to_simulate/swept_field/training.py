@@ -86,7 +86,9 @@ def make_field(config, data_path: str, metadata: dict) -> SweptField:
     tool = for_scene(scene)
     axes = Axes.of_runs(dataset.read_split(data_path, 'train'), scene.up_axis)
     rest = Subspace.load(f'{data_path}/subspace.npz').initial
-    return SweptField(config, scene, axes, tool.grid, tool, rest, *bed.spacings(rest, metadata))
+    return SweptField(
+        config, scene, axes, tool.grid, tool, rest, *bed.spacings(rest, metadata)
+    )
 
 
 def fit(config, data_path: str, metadata: dict) -> tuple[SweptField, dict]:

@@ -97,7 +97,9 @@ def import_dataset(
 def _renumbered(run: dataset.Trajectory, key: int, rigid_motion: str) -> dataset.Trajectory:
     is_mode = run.particle_type == dataset.MODE_PARTICLE_ID
     body = (
-        dataset.KINEMATIC_PARTICLE_ID if rigid_motion == 'prescribed' else dataset.RIGID_PARTICLE_ID
+        dataset.KINEMATIC_PARTICLE_ID
+        if rigid_motion == 'prescribed'
+        else dataset.RIGID_PARTICLE_ID
     )
     types = np.where(is_mode, dataset.MODE_PARTICLE_ID, body).astype(np.int64)
     return dataclasses.replace(run, key=key, particle_type=types)

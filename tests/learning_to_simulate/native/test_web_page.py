@@ -16,7 +16,9 @@ from pca_tools import files
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 SHOWN = 'docs/live/excavation.html'
-needs_compiler = pytest.mark.skipif(not web_page.is_available(), reason=f'needs {web_page.MISSING}')
+needs_compiler = pytest.mark.skipif(
+    not web_page.is_available(), reason=f'needs {web_page.MISSING}'
+)
 # Poses in, one a line; forces and the last particle out.
 DRIVER = """
 const fs = require('fs');

@@ -1,7 +1,10 @@
 """Runs of a dataset as a soil field reads them, against the raw runs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.soil_field import runs
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
@@ -36,6 +39,28 @@ def test_a_soil_is_that_of_the_parameters():
     said = {'friction_angle_deg': 30.0, 'bulk_density_kg_m3': 1500.0, 'gravity_m_s2': 1.62}
     assert runs.soil_of(said) == Soil(30.0, 1500.0, 1.62)
     assert runs.soil_of({}) == Soil()
+
+
+def test_what_moved_a_tool_is_read_from_its_record():
+    pose = np.tile([0.4, 0.3, 0.2, 1.0, 0, 0, 0], (5, 1)).astype(np.float32)
+    target = np.stack([np.linspace(0.4, 0.5, 5), np.full(5, 0.25), np.full(5, -0.3)], axis=1)
+    external = np.tile([1.0, -30.0, 2.0], (5, 1))
+    record = SimpleNamespace(rigid_pose=pose, target=target, external=external)
+    said = {'is_free': [True, True, False], 'mass_kg': 12.0, 'inertia_kg_m2': 0.5,
+            'stiffness': [4e4, 3e4, 0.0], 'damping': [1e3, 2e3, 0.0]}  # fmt: skip
+    machine = runs.machine_of({'machine': said}, record)
+    assert machine[:3] == (12.0, 0.5, (True, True, False))
+    np.testing.assert_array_equal(machine.stiffness, said['stiffness'])
+    np.testing.assert_array_equal(machine.damping, said['damping'])
+    # The angle counts about +z; across the way the body stays where it is.
+    turn = Rotation.from_quat(np.roll(machine.target[:, 3:], -1, axis=1)).as_rotvec()
+    np.testing.assert_allclose(turn, np.tile([0, 0, -0.3], (5, 1)), atol=1e-12)
+    np.testing.assert_allclose(machine.target[:, :2], target[:, :2])
+    np.testing.assert_allclose(machine.target[:, 2], 0.2, atol=1e-7)
+    np.testing.assert_array_equal(machine.external[:, [0, 1, 5]], external)
+    wheel = runs.machine_of({}, record)
+    assert wheel.free == (False, True, False) and wheel.mass == pytest.approx(30.0 / 9.81)
+    assert runs.machine_of({}, SimpleNamespace(target=None, external=None)) is None
 
 
 def raw_folder(folder, change, **parameters):

@@ -1,13 +1,15 @@
-"""A soil whose law is known, runs in it, and a field that has learned them."""
+"""A soil whose law is known, runs and datasets in it, and a field that has learned them."""
 
 import functools
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from learning_to_simulate.soil_field import training
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from learning_to_simulate.soil_field.tools import Blade, Soil
+from pca_tools import convert, write_raw
 from tests.learning_to_simulate.soil_field.scenes import DT, poses
 
 STRIDE, CELL = 4, np.array([0.01, 0.02])
@@ -27,9 +29,9 @@ def path(seed, frames=49):
     return np.stack([3 * speed * t, height, np.full(frames, rng.uniform(0.0, 0.3))], axis=1)
 
 
-def run(seed, split='train', frames=49) -> Run:
-    """The soil vanishes where the edge was; before the tool it stands 10 mm higher."""
-    way = path(seed, frames)
+def arrays(way) -> dict[str, np.ndarray]:
+    """What a run along a `path` [T, 3] records. The soil vanishes where the edge was; before the
+    tool it stands 10 mm higher."""
     x, z = (CORNER[i] + CELL[i] * (np.arange(SHAPE[i]) + 0.5) for i in range(2))
     u, heights, now = -x[:, None], [], np.zeros(SHAPE)
     inside = np.abs(z)[None] < TOOL.width / 2
@@ -53,12 +55,43 @@ def run(seed, split='train', frames=49) -> Run:
         for d, t in zip(depth, way[:, 0], strict=True)
     ]
     moved = [rest + 0.02 * (np.sum(taken[: i + 1], axis=0) > 0)[:, None] * [-1.0, 0.5, 0.0]
-             for i in range(frames)]  # fmt: skip
+             for i in range(len(way))]  # fmt: skip
+    return {
+        'pose': poses(way), 'force': force, 'heights': np.array(heights),
+        'torque': np.stack([0 * depth, 0 * depth, -30.0 * depth], axis=1),
+        'positions': np.array(moved),
+    }  # fmt: skip
+
+
+def run(seed, split='train', frames=49, way=None, **more) -> Run:
+    """A run along a `path`, by default that of the seed."""
+    found = arrays(path(seed, frames) if way is None else way)
     return Run(
-        f'cut_{seed}', 'cut', split, TOOL, Soil(), poses(way), force,
-        np.stack([0 * depth, 0 * depth, -30.0 * depth], axis=1), np.array(heights)[::STRIDE],
-        STRIDE, CORNER, CELL, np.array(moved)[::STRIDE], DT,
-    )  # fmt: skip
+        f'cut_{seed}', 'cut', split, TOOL, Soil(), found['pose'], found['force'], found['torque'],
+        found['heights'][::STRIDE], STRIDE, CORNER, CELL, found['positions'][::STRIDE], DT,
+    )._replace(**more)  # fmt: skip
+
+
+def write_dataset(folder, seeds, changed=lambda values: values) -> str:
+    """A dataset of runs of seeds; one of three is of `valid`, one of `test`. `changed` may alter
+    what is written of a run."""
+
+    def values(number, seed):
+        found = arrays(path(seed))
+        corners = np.array([[0, -TOOL.radius, z] for z in (-0.15, 0, 0.15)] + [[0, 0.2, 0]])
+        turn = Rotation.from_quat(np.roll(found['pose'][:, 3:], -1, axis=1)).as_matrix()
+        found['rigid_positions'] = corners @ turn.transpose(0, 2, 1) + found['pose'][:, None, :3]
+        found |= {'case': seed, 'split': ('train', 'valid', 'test')[number % 3], 'kind': 'cut'}
+        found['parameters'] = {
+            'body_width_m': TOOL.width, 'heights_corner_m': CORNER.tolist(),
+            'heights_cell_m': CELL.tolist(),
+        }  # fmt: skip
+        return changed(found)
+
+    raw, data = f'{folder}_raw', str(folder)
+    write_raw(raw, (values(*item) for item in enumerate(seeds)), DT, up_axis='y', body='prescribed')
+    convert.convert(raw, data, modes=4)
+    return data
 
 
 CONFIG = SoilFieldConfig('soil_field', members=2, num_steps=500)

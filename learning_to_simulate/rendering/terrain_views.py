@@ -1,0 +1,204 @@
+"""Pictures of a tool on a terrain: the section through it, the map from above, the force.
+
+Draws the arrays of `soil_field.rollout.TerrainRollout`, which its files hold as well.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from learning_to_simulate.rendering import movie_files
+from learning_to_simulate.rendering.particle_views import BODY_EDGE, BODY_FACE, PLAIN_SOIL
+from learning_to_simulate.rendering.rollout_figures import FAINT, INK, STYLE, WIDTH
+from pca_tools import files
+
+_MOMENTS = (0.2, 0.6, 1.0)  # shares of the run that a picture shows
+_CHANGE = 'BrBG'  # brown where soil is missing, green where it lies on top
+_COLORS = ('#0072b2', '#d55e00')  # along the way, up
+_DPI = {'png': 160, 'gif': 90, 'mp4': 130}
+_UP = np.array([0.0, 1.0, 0.0])
+_BESIDE = 0.4  # m of a section ahead of the path and behind it
+# Out of a run's heights and forces that axes show; a few cells or frames stand out.
+_QUANTILE = 0.998
+
+
+def draw(
+    arrays: Mapping[str, np.ndarray], path: str, kind: str, name: str, step_stride: int = 8,
+    progress: Callable = lambda frames, label: frames,
+) -> None:  # fmt: skip
+    """Draws a rollout.
+
+    Args:
+        arrays: of `TerrainRollout.arrays`.
+        path: file to write.
+        kind: png (three moments), gif or mp4.
+        name: of the run, for the title.
+        step_stride: frames between those of a movie; there is one where there is a map.
+        progress: wraps the frames of a movie, called with them and a label.
+    """
+    frames = arrays['height_frames']
+    last = len(frames) - 1
+    if kind == 'png':
+        page = figure(arrays, [round(share * last) for share in _MOMENTS], name, _DPI[kind])
+        files.write_atomically(path, functools.partial(page.savefig, format='png'))
+        return
+    apart = int(frames[1] - frames[0]) if last else 1
+    shown = range(0, last + 1, max(1, round(step_stride / apart)))
+    pixels = (_pixels(figure(arrays, [i], name, _DPI[kind])) for i in progress(shown, kind))
+    movie_files.write(path, kind, pixels, shown.step * apart * float(arrays['dt']))
+
+
+def _pixels(page):
+    canvas = FigureCanvasAgg(page)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
+    height, width = (2 * (size // 2) for size in pixels.shape[:2])
+    return pixels[:height, :width, :3].copy()
+
+
+def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, dpi: int) -> Figure:
+    """The figure of some moments, indices of maps, side by side."""
+    maps = {'model': arrays['predicted_heights']}
+    if 'ground_truth_heights' in arrays:
+        maps['ground truth'] = arrays['ground_truth_heights']
+    before, frames = arrays['heights_before'], arrays['height_frames']
+    changes = np.nan_to_num([m[-1] - before for m in maps.values()])
+    largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
+    extent = _extent(arrays)
+    aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
+    wide = WIDTH / len(moments)
+    rows = [0.42 * wide, *[wide * min(max(aspect, 0.25), 1.0)] * len(maps), 1.7]
+    with rc_context(STYLE):
+        page = Figure(
+            figsize=(WIDTH, sum(rows) + 0.9), dpi=dpi, facecolor='white', layout='constrained'
+        )
+        page.suptitle(_title(arrays, name), fontsize=11, fontweight='bold', x=0.02, ha='left')
+        grid = page.add_gridspec(len(rows), len(moments), height_ratios=rows)
+        views: list = []
+        for column, i in enumerate(moments):
+            time = float(arrays['dt']) * int(frames[i])
+            side = page.add_subplot(grid[0, column])
+            side.set_title(f't = {time:.2f} s', fontweight='bold')
+            _draw_section(side, arrays, maps, i, legend=column == 0)
+            for row, (label, heights) in enumerate(maps.items(), start=1):
+                plan = page.add_subplot(grid[row, column])
+                _draw_map(plan, arrays, heights[i] - before, int(frames[i]), extent, largest)
+                plan.set_ylabel(f'{label}\nz (m)' if column == 0 else '')
+                plan.set_xlabel('x (m)' if row == len(maps) else '')
+                views.append(plan)
+        scale = ScalarMappable(Normalize(-largest, largest), _CHANGE)
+        page.colorbar(scale, ax=views, extend='both', pad=0.01, label='change of height (mm)')
+        curves = page.add_subplot(grid[-1, :])
+        _draw_force(curves, arrays, [int(frames[i]) for i in moments])
+    return page
+
+
+def _title(arrays, name):
+    tool = json.loads(str(arrays['tool']))
+    text = f'{name}: a {tool["name"]} of {1e2 * tool["width"]:.3g} cm width'
+    if 'kind' in arrays:
+        text += f' (kind {arrays["kind"]})'
+    status = str(arrays['status'])
+    return text if status == 'ok' else f'{text}\n{status}: {arrays["status_reason"]}'
+
+
+def _extent(arrays):
+    """x and z of the border of the map, m."""
+    (x, z), (dx, dz), (nx, nz) = arrays['corner'], arrays['cell'], arrays['heights_before'].shape
+    return [x, x + dx * nx, z, z + dz * nz]
+
+
+def _way(pose):
+    """Level unit vectors along and across the way of a pose [7], and its rotation."""
+    turn = Rotation.from_quat(np.roll(pose[3:], -1))
+    across = turn.apply([0.0, 0.0, -1.0]) * [1.0, 0.0, 1.0]
+    across = across / max(np.linalg.norm(across), 1e-12)
+    return np.cross(_UP, across), across, turn
+
+
+def _draw_section(axes, arrays, maps, i, legend):
+    """Terrain and tool in the plane of the tool, against the distance along its way."""
+    pose = np.asarray(arrays['pose'], float)[int(arrays['height_frames'][i])]
+    if not np.isfinite(pose).all():
+        axes.text(0.5, 0.5, 'no prediction', ha='center', transform=axes.transAxes)
+        return
+    along, _, turn = _way(pose)
+    start = np.asarray(arrays['pose'], float)[0, :3] @ along
+    corner, cell = arrays['corner'], arrays['cell']
+    way = np.asarray(arrays['pose'], float)[:, :3] @ along
+    ends = np.nanmin(way) - _BESIDE, np.nanmax(way) + _BESIDE
+    u = np.linspace(*ends, 801) - pose[:3] @ along
+    places = pose[:3] + u[:, None] * along
+    at = ((places[:, [0, 2]] - corner) / cell - 0.5).T
+    inside = ((at >= -0.5) & (at <= np.array(arrays['heights_before'].shape)[:, None] - 0.5)).all(0)
+    u, at = u[inside] + pose[:3] @ along - start, at[:, inside]
+
+    def section(heights):
+        values = np.asarray(heights, float)
+        return ndimage.map_coordinates(values, at, order=1, mode='nearest')
+
+    now, was = section(maps['model'][i]), section(arrays['heights_before'])
+    shown = [was, *(section(m[-1]) for m in maps.values()), now]
+    low, high = min(x.min() for x in shown), max(x.max() for x in shown)
+    room = max(0.6 * (high - low), 0.03)
+    axes.fill_between(u, low - room, now, color=PLAIN_SOIL, alpha=0.75, linewidth=0)
+    axes.plot(u, now, color=INK, linewidth=1.3, label='model')
+    if 'ground truth' in maps:
+        truth = section(maps['ground truth'][i])
+        axes.plot(u, truth, '--', color='#b03060', linewidth=1.2, label='ground truth')
+    axes.plot(u, was, ':', color=FAINT, linewidth=1.1, label='before')
+    shape = np.asarray(arrays['outline'], float)
+    points = turn.apply(np.stack([-shape[:, 0], shape[:, 1], 0 * shape[:, 0]], axis=1)) + pose[:3]
+    tool = np.stack([points @ along - start, points[:, 1]], axis=1)
+    axes.fill(*tool.T, facecolor=BODY_FACE, edgecolor=BODY_EDGE, linewidth=1.0, zorder=3)
+    # Of a large wheel the lower part, where there is soil to see.
+    top = min(max(high, tool[:, 1].max()) + 0.02, high + 0.45 * np.ptp(u))
+    axes.set(xlim=(u.min(), u.max()), ylim=(low - room, top))
+    axes.set(xlabel='along the way (m)', ylabel='height (m)' if legend else '', aspect='equal')
+    if legend:
+        axes.legend(loc='upper right', ncols=1, handlelength=1.4)
+
+
+def _draw_map(axes, arrays, change, frame, extent, largest):
+    axes.imshow(
+        1e3 * np.asarray(change, float).T, origin='lower', extent=extent, cmap=_CHANGE,
+        vmin=-largest, vmax=largest, interpolation='nearest',
+    )  # fmt: skip
+    axes.locator_params(nbins=5)
+    pose = np.asarray(arrays['pose'], float)[frame]
+    if np.isfinite(pose).all():
+        _, across, _ = _way(pose)
+        half = json.loads(str(arrays['tool']))['width'] / 2 * across
+        ends = np.stack([pose[:3] - half, pose[:3] + half])
+        axes.plot(ends[:, 0], ends[:, 2], color=BODY_EDGE, linewidth=2.5)
+
+
+def _draw_force(axes, arrays, frames):
+    """Force against the way and upwards over time."""
+    pose = np.asarray(arrays['pose'], float)
+    good = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    along = _way(pose[good[0]])[0] if len(good) else np.array([-1.0, 0.0, 0.0])
+    time = float(arrays['dt']) * np.arange(len(pose))
+    names = 'against the way', 'up'
+    for direction, color, name in zip((-along, _UP), _COLORS, names, strict=True):
+        if 'ground_truth_forces' in arrays:
+            truth = np.asarray(arrays['ground_truth_forces'], float) @ direction
+            axes.plot(time, truth, color=color, alpha=0.35, linewidth=2.6, label=f'{name}, truth')
+        force = np.asarray(arrays['predicted_forces'], float) @ direction
+        axes.plot(time, force, color=color, linewidth=1.2, label=f'{name}, model')
+    for frame in frames:
+        axes.axvline(time[frame], color=FAINT, linewidth=0.8, zorder=1)
+    axes.axhline(0.0, color=FAINT, linewidth=0.7)
+    axes.set(xlabel='time (s)', ylabel='force on the tool (N)', xlim=(time[0], time[-1] or 1.0))
+    axes.legend(loc='upper left', ncols=2)

@@ -1,0 +1,398 @@
+"""Closed-loop rollouts of a soil field over recorded runs, and how far they are from the truth.
+
+Each run begins on its bed as it was before the tool stood on it; from then on the terrain is what
+the model makes of it. Errors are those of frames H on, as of all methods, and of
+
+  surface       heights of the map, root mean square over cells and frames, mm: of all cells, and
+                of those within `NEAR` of where the tool was in the soil
+  soil          places of the solver's own particles, root mean square over frames, particles and
+                axes, mm (`soil_truth`)
+  front         how far ahead of the tool soil stands `RISEN` higher than before (mean over the
+                tool's width; 0 where it does not), root mean square over frames, mm
+  cut, heap     litres below and above the terrain as it was, at the end; `net` is what is missing:
+                heap minus cut, against that of the truth (soil may loosen or pack)
+  loads         `metrics.load_errors` along, up and across the way
+
+Beside the model stand persistence; the model under the load that moved the tool, where that was
+recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for
+the loads, on the recorded terrain (`baselines`).
+"""
+
+import functools
+import json
+from collections import Counter
+
+import numpy as np
+
+from learning_to_simulate import metrics
+from learning_to_simulate.baselines import earthmoving
+from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
+from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
+from learning_to_simulate.rollout_status import Judgement, RolloutStatus
+from learning_to_simulate.soil_field import samples, sweep
+from learning_to_simulate.soil_field.loaded import COORDINATES, LoadedTool
+from learning_to_simulate.soil_field.place import place_of
+from learning_to_simulate.soil_field.rollout import Followed, TerrainRollout, roll_out
+from learning_to_simulate.soil_field.runs import Run
+from learning_to_simulate.soil_field.stepper import SoilStepper
+from learning_to_simulate.soil_truth import PARTICLES
+
+NEAR, RISEN = 0.1, 0.003  # m of the field
+# Name of the formula of a tool.
+FORMULAS = {'blade': 'earthmoving', 'wheel': 'bekker_wong_janosi'}
+# What the model is compared in, run by run.
+JUDGED = (
+    'soil_mm', 'surface_mm', 'near_mm', 'front_mm', 'heap_error_litre', 'force_relative_l2',
+    'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2',
+)  # fmt: skip
+
+
+class SoilEvaluator:
+    """Rolls out a field along runs and judges it, as `evaluation.Evaluator`.
+
+    Args:
+      field: `SoilField`.
+      members: networks that answer; None: all.
+      under_load: whether runs are also predicted from what moved their tool; it takes ten times as
+        long.
+    """
+
+    def __init__(self, field, members: int | None = None, under_load: bool = True):
+        self._field, self._members, self._under_load = field, members, under_load
+
+    def roll_out(self, run: Run, under_load: bool = False) -> TerrainRollout:
+        """The rollout of a run; one that the model refuses is not a number from the start, and its
+        judgement says why."""
+        terrain, name = run.before(), f'rollout_{run.case}'
+        stepper = SoilStepper(self._field, terrain, run.tool, self._members)
+        followed = None
+        if run.particles is not None:
+            followed = Followed(
+                self._field, terrain, run.tool, run.pose[0], run.particles[0], self._members
+            )
+        step = _loaded(stepper, run) if under_load else None
+        try:
+            return roll_out(
+                stepper, run.pose, run.dt, run.stride, step, followed, run=run, name=name
+            )
+        except ValueError as error:
+            return _refused(run, name, str(error))
+
+    def run(self, groups: list[Run], split: str, progress=iter):
+        """Rolls out runs and judges them.
+
+        Returns:
+          list of (number, None, `TerrainRollout`), and a summary: `mean` and `median` of errors by
+          column, `wins` (column -> error -> on how many of how many runs the model is the better),
+          `kinds` of runs likewise, `status` counts, and every run.
+        """
+        known = FORMULAS[self._field.networks.tool.name]
+        results, rows = [], {'model': [], 'under_load': [], 'stay_still': [], known: []}
+        for number, run in enumerate(progress(groups)):
+            rollout = self.roll_out(run)
+            results.append((number, None, rollout))
+            who = {'record': number, 'case': run.case, 'kind': run.kind}
+            rows['model'].append(who | of_rollout(rollout))
+            rows['stay_still'].append(who | still(run))
+            if self._under_load and run.machine is not None:
+                free = self.roll_out(run, under_load=True)
+                rows['under_load'].append(who | of_rollout(free) | pose_errors(free))
+            if (found := formula(run)) is not None:
+                rows[known].append(who | found)
+        return results, summarise({name: of for name, of in rows.items() if of})
+
+
+def _loaded(stepper, run: Run):
+    """Steps a tool as the machine of a run does; it starts at rest in the first pose."""
+    machine = run.machine
+    assert machine is not None
+    free = tuple(name for name, is_free in zip(COORDINATES, machine.free, strict=True) if is_free)
+    gravity = np.array([0.0, machine.mass * run.soil.gravity, 0.0])
+    target, across = machine.target, place_of(run.pose[0]).across
+    axes = place_of(run.pose[0])
+    lean = np.unwrap(axes.turns(target)[..., 0])
+    tool: LoadedTool | None = None
+
+    def step(t):
+        nonlocal tool
+        if tool is None:
+            inertia = machine.inertia or None
+            tool = LoadedTool(
+                stepper, machine.mass, inertia, free, machine.stiffness, machine.damping
+            )
+        # Dampers of the machine act on the motion against that of the target: the part of the
+        # target is a force.
+        rate = (axes.local(target[t, :3]) - axes.local(target[t - 1, :3])) / run.dt
+        pull = machine.damping * [rate[0], rate[1], (lean[t] - lean[t - 1]) / run.dt]
+        force = machine.external[t, :3] + gravity + axes.vectors([pull[0], pull[1], 0.0])
+        torque = float(machine.external[t, 3:] @ across) + pull[2]
+        return tool.step(target[t], force, torque, run.dt)
+
+    return step
+
+
+def _refused(run, name, reason):
+    def none(values):
+        return np.full(np.shape(values), np.nan, np.float32)
+
+    judgement = Judgement(RolloutStatus.NON_FINITE, 0, -1, f'refused: {reason}')
+    return TerrainRollout(
+        run.tool, run.before(), none(run.pose), none(run.force), none(run.torque),
+        np.arange(0, len(run.pose), run.stride), none(run.heights),
+        (judgement.status,) * len(run.pose), judgement, run.dt,
+        particles=None if run.particles is None else none(run.particles), run=run, name=name,
+    )  # fmt: skip
+
+
+def of_rollout(rollout: TerrainRollout) -> dict:
+    """Errors, status and time of the rollout of a run."""
+    run, judgement = rollout.run, rollout.judgement
+    assert run is not None
+    late = slice(H, None)
+    found = load_errors(run, rollout.force[late], rollout.torque[late])
+    found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
+    flagged = np.mean([status != RolloutStatus.OK for status in rollout.frame_status])
+    return found | {
+        'status': str(judgement.status),
+        'first_bad_frame': judgement.frame,
+        'first_bad_node': judgement.node,
+        'status_reason': judgement.reason,
+        'flagged_share': float(flagged),
+        'milliseconds_per_step': 1e3 * rollout.seconds / len(rollout),
+        'seconds_per_simulated_second': rollout.seconds / (len(rollout) * rollout.dt),
+    }
+
+
+def pose_errors(rollout: TerrainRollout) -> dict[str, float]:
+    """Errors of a predicted motion along the way and in height, mm."""
+    run = rollout.run
+    assert run is not None
+    along = place_of(run.pose[0]).along
+    off = (rollout.pose - run.pose)[H:, :3]
+    return {'travel_mm': _rms_mm(off @ along), 'height_mm': _rms_mm(off[:, 1])}
+
+
+def still(run: Run) -> dict:
+    """Errors of persistence: soil and load of frame H - 1 for ever."""
+    count, given = len(run.pose) - H, (H - 1) // run.stride
+    force, torque = (np.repeat(x[H - 1 : H], count, axis=0) for x in (run.force, run.torque))
+    heights, points = (
+        None if x is None else np.broadcast_to(x[given], x.shape)
+        for x in (run.heights, run.particles)
+    )
+    found = load_errors(run, force, torque) | terrain_errors(run, heights)
+    return found | soil_errors(run, points)
+
+
+def load_errors(run: Run, force, torque=None) -> dict[str, float]:
+    """`metrics.load_errors` of a force [T - H, 3] (N) and torque (N m), and those of the force
+    across the way as `side`."""
+    place = place_of(run.pose[0])
+    force, truth, *torques = (
+        None if x is None else (np.asarray(x, np.float64) @ place.axes.T)[None]
+        for x in (force, run.force[H:], torque, None if torque is None else run.torque[H:])
+    )
+    found = metrics.load_errors(force, truth, (0, 1, 2), *torques)
+    found |= metrics.force_errors(force[..., 2:], truth[..., 2:], 'side')  # type: ignore[index]
+    return {name: float(value[0]) for name, value in found.items()}
+
+
+def terrain_errors(run: Run, heights) -> dict[str, float]:
+    """Errors of maps [F, nx, nz] (m) of the frames of a run that have one."""
+    late = slice(-(-H // run.stride), None)
+    heights, true = np.asarray(heights, np.float64), run.heights
+    before, area = run.before().heights, float(np.prod(run.cell))
+    off = (heights - true)[late]
+    found = {'surface_mm': _rms_mm(off), 'near_mm': _rms_mm(off[:, near(run)])}
+    fronts = [front(run, before, maps)[late] for maps in (heights, true)]
+    found['front_mm'] = _rms_mm(fronts[0] - fronts[1])
+    litres = []
+    for last in (heights[-1], true[-1]):
+        change = 1e3 * area * (last - before)
+        cut, heap = -change[change < 0].sum(), change[change > 0].sum()
+        volumes = np.array([cut, heap, heap - cut])
+        litres.append(volumes if np.isfinite(last).all() else np.full(3, np.nan))
+    for i, name in enumerate(('cut', 'heap', 'net')):
+        found |= {
+            f'{name}_litre': float(litres[0][i]),
+            f'true_{name}_litre': float(litres[1][i]),
+            f'{name}_error_litre': float(abs(litres[0][i] - litres[1][i])),
+        }
+    return found
+
+
+def soil_errors(run: Run, points) -> dict[str, float]:
+    """The error of particles [F, P, 3] (m) of the frames of a run that have them; {} without."""
+    if points is None or run.particles is None:
+        return {}
+    late = slice(-(-H // run.stride), None)
+    return {'soil_mm': _rms_mm(np.asarray(points, np.float64)[late] - run.particles[late])}
+
+
+def _rms_mm(values) -> float:
+    return float(1e3 * np.sqrt(np.mean(np.square(values))))
+
+
+def _places(run):
+    """Of the cells of a run's map: u and distance across [nx, nz], m, seen from its first pose."""
+    place, terrain = place_of(run.pose[0]), run.terrain()
+    x, z = np.meshgrid(*terrain.middles, indexing='ij')
+    local = place.local(np.stack([x, np.zeros_like(x), z], axis=-1))
+    return local[..., 0], local[..., 2]
+
+
+def near(run: Run) -> np.ndarray:
+    """bool [nx, nz]: cells within `NEAR` of what the tool passed while it was in the soil; all
+    where it never was."""
+    place, scale = place_of(run.pose[0]), run.tool.scale
+    u, across = _places(run)
+    path = place.local(run.pose[:, :3])
+    low = run.pose[:, 1] - run.tool.radius < run.before().heights.max()
+    if not low.any():
+        return np.ones(u.shape, bool)
+    reach = scale * NEAR
+    at = path[low]
+    along = np.abs(u.ravel()[:, None] - at[:, 0]) <= reach + run.tool.radius
+    beside = np.abs(across.ravel()[:, None] - at[:, 2]) <= reach + run.tool.width / 2
+    return (along & beside).any(axis=1).reshape(u.shape)
+
+
+def front(run: Run, before, heights) -> np.ndarray:
+    """[F] m: how far ahead of the tool soil stands `RISEN` higher in maps [F, nx, nz] than before
+    [nx, nz], in the mean over the tool's width; 0 where it does not."""
+    place, scale = place_of(run.pose[0]), run.tool.scale
+    u, across = _places(run)
+    path = place.local(run.pose[:: run.stride, :3])
+    spacing, found = float(run.cell.max()), []
+    row = np.rint((u - u.min()) / spacing).astype(int)
+    for (tip, _, aside), now in zip(path, heights, strict=True):
+        under = np.abs(across - aside) <= run.tool.width / 2
+        count = np.bincount(row[under], minlength=row.max() + 1)
+        rise = np.bincount(row[under], (now - before)[under], minlength=row.max() + 1)
+        rise = rise / np.maximum(count, 1)
+        places = u.min() + spacing * np.arange(len(rise))
+        high = np.flatnonzero((rise >= scale * RISEN) & (places > tip))
+        if not np.isfinite(rise).all():
+            found.append(np.nan)
+        elif not len(high):
+            found.append(0.0)
+        else:
+            k = high[-1]
+            beyond = rise[k + 1] if k + 1 < len(rise) else 0.0
+            # On the straight line between the two rows.
+            share = (rise[k] - scale * RISEN) / max(rise[k] - beyond, 1e-12)
+            found.append(places[k] + spacing * min(share, 1.0) - tip)
+    return np.array(found)
+
+
+def formula(run: Run) -> dict | None:
+    """Errors of the loads that the literature's formula gives, with the soil's own parameters, on
+    the recorded terrain; None where it says nothing of the run."""
+    place = place_of(run.pose[0])
+    if run.tool.name == 'blade':
+        try:
+            force, torque = _earthmoving(run), None
+        except ValueError:  # a path that nobody can follow
+            return None
+    elif run.machine is not None:
+        force, torque = _terramechanics(run, place)
+    else:
+        return None
+    return load_errors(run, place.vectors(force)[H:], None if torque is None else torque[H:])
+
+
+def _earthmoving(run):
+    """[T, 3] N along, up, across, of `earthmoving.cutting_force`: the depth is that of the edge
+    under the terrain right ahead, the heap all that was cut."""
+    frames, passage, _ = samples.frames_of(run)
+    scalars = {n: frames.scalars[:, 0, i].astype(np.float64) for i, n in enumerate(sweep.SCALARS)}
+    tool, scale = run.tool, run.tool.scale
+    grid = sweep.GRID
+    ahead = scalars['tip'] + tool.radius / scale + grid.spacing
+    profile = (frames.bins[..., sweep.SURFACE] - frames.bins[..., sweep.CUT]).mean(axis=1)
+    lowest = scalars['height'] - tool.radius / scale
+    depth = [np.interp(x, grid.offsets, p) for x, p in zip(ahead, profile, strict=True)] - lowest
+    friction = run.soil.friction
+    soil = earthmoving.BladeSoil(
+        run.soil.density * run.soil.gravity, float(np.arcsin(min(friction, 0.999))),
+        float(np.arctan(earthmoving.BLADE.friction)), float(np.arctan(friction)), tool.width,
+        tool.length,
+    )  # fmt: skip
+    parts = earthmoving.cutting_force(
+        scale * depth, np.pi / 2 - scalars['lean'], scale**2 * scalars['area'], soil
+    )
+    u = passage.place.local(run.pose[:, :3])[:, 0]
+    step, forward = np.diff(u, prepend=u[0]), np.zeros(len(u), bool)
+    for t in range(1, len(u)):
+        forward[t] = forward[t - 1] if step[t] == 0 else step[t] > 0
+    backward, up = (parts.sum(axis=-2) * forward[:, None]).T
+    return np.stack([-backward, up, 0 * up], axis=1)
+
+
+def _terramechanics(run, place):
+    """Force [T, 3] along, up, across (N) and torque [T, 3] in the world (N m) of a wheel by Bekker,
+    Wong and Janosi, under its load."""
+    tool = run.tool
+    lean = np.unwrap(place.turns(run.pose)[:, 0])
+    u = place.local(run.pose[:, :3])[:, 0]
+    wheels = terramechanics.Wheels(
+        *(np.array([x]) for x in (tool.radius, tool.width)), -run.machine.external[None, :, 1],
+        *(np.array([x]) for x in (run.soil.gravity, run.soil.friction,
+                                  terramechanics.RIM_FRICTION)),
+    )  # fmt: skip
+    motion = terramechanics.drive(
+        wheels, (u - u[0])[None], -tool.radius * (lean - lean[0])[None],
+        terramechanics.TerrainParameters(),
+    )  # fmt: skip
+    force = np.stack([motion.drawbar[0], motion.vertical[0], 0 * motion.drawbar[0]], axis=1)
+    # A wheel that rolls on leans forward (-); the soil turns it back.
+    return force, motion.torque[0][:, None] * place.across
+
+
+def summarise(rows: dict[str, list[dict]]) -> dict:
+    """See `SoilEvaluator.run`; `rows` are columns -> errors of their runs."""
+    by_run = {name: {row['record']: row for row in of} for name, of in rows.items()}
+    model = by_run['model']
+    kinds = sorted({row['kind'] for row in model.values()})
+    wins = {
+        other: {
+            key: [sum(model[i][key] < row[key] for i, row in there.items()), len(there)]
+            for key in JUDGED
+            if all(key in row and key in model[i] for i, row in there.items())
+        }
+        for other, there in by_run.items()
+        if other not in ('model', 'under_load')
+    }
+    summary = {
+        'method': 'soil_field',
+        'soil_error': PARTICLES,
+        'mean': {name: _over(of, np.mean) for name, of in rows.items()},
+        'median': {name: _over(of, np.median) for name, of in rows.items()},
+        'wins': wins,
+        'kinds': {
+            kind: {name: _over([r for r in of if r['kind'] == kind], np.median)
+                   for name, of in rows.items()}
+            for kind in kinds
+        },
+        'status': dict(Counter(row['status'] for row in model.values())),
+        'runs': rows,
+    }  # fmt: skip
+    # JSON has no NaN: what a failed run lacks is null.
+    return json.loads(json.dumps(summary), parse_constant=lambda _: None)
+
+
+def _over(rows, statistic) -> dict:
+    """A statistic of every number of rows that all of them have, and their count; times: the
+    median."""
+    if not rows:
+        return {}
+    numbers = functools.reduce(
+        lambda kept, row: [k for k in kept if k in row],
+        rows[1:], [k for k, v in rows[0].items() if isinstance(v, float)],
+    )  # fmt: skip
+    times = 'milliseconds_per_step', 'seconds_per_simulated_second'
+    found = {
+        key: float((np.median if key in times else statistic)([row[key] for row in rows]))
+        for key in numbers
+    }
+    return {'runs': len(rows)} | found

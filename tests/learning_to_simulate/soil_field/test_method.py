@@ -1,0 +1,193 @@
+"""A soil field as a user trains, opens, judges and steps it; on datasets of a few runs."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import learning_to_simulate as lts
+from learning_to_simulate import checkpoints, registry
+from learning_to_simulate.live import roll_out_path
+from learning_to_simulate.soil_field import method
+from pca_tools import files
+from tests.learning_to_simulate.soil_field import worlds
+from tests.learning_to_simulate.soil_field.scenes import poses
+
+FEW = {'members': 1, 'num_steps': 6}
+
+
+@pytest.fixture(scope='module')
+def folders(tmp_path_factory):
+    """Two datasets with runs 0 to 2 and 3 to 5; not to be changed."""
+    base = tmp_path_factory.mktemp('soil')
+    return [worlds.write_dataset(base / str(first), range(first, first + 3)) for first in (0, 3)]
+
+
+@pytest.fixture(scope='module')
+def model(folders, tmp_path_factory):
+    path = str(tmp_path_factory.mktemp('model') / 'field')
+    return lts.train(lts.preset('soil_field', **FEW), [lts.Dataset(f) for f in folders], path)
+
+
+def weights(path):
+    return files.read_npz(f'{path}/{checkpoints.WEIGHTS_FILE}')
+
+
+def same(one, other):
+    return all((weights(one)[name] == value).all() for name, value in weights(other).items())
+
+
+def test_a_model_says_what_it_learned_from(model, folders, capsys):
+    stored = checkpoints.read_config(model.path)
+    assert stored['data']['runs'] == ['cut 0', 'cut 3']
+    assert [len(found) for found in stored['data']['sha256']] == [4, 4]
+    deepest = max((worlds.TOOL.radius - worlds.path(s)[:, 1]).max() for s in (0, 3))
+    assert model.model.ranges['depth'][1] == pytest.approx(deepest, abs=1e-4)
+    metrics = files.read_json(f'{model.path}/metrics.json')
+    assert [row['case'] for row in metrics['runs']['model']] == ['1', '4']
+    assert set(metrics['training']) == {'loss_load', 'loss_surface', 'loss_soil'}
+    again = lts.train(model.config, [lts.Dataset(f) for f in folders], model.path)
+    assert isinstance(again, type(model)) and 'persistence' in capsys.readouterr().out
+    assert repr(model) == f'<soil field {model.path!r} of a blade>'
+
+
+def test_a_killed_training_goes_on_to_the_same_weights(model, folders, tmp_path, monkeypatch):
+    path, calls, keep = str(tmp_path / 'killed'), [], method.Saved.keep
+
+    def killed(saved, name, step, *rest):
+        keep(saved, name, step, *rest)
+        calls.append((name, step))
+        if len(calls) in (3, 7):  # within the first and within the second network
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(method.Saved, 'keep', killed)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            registry.train(','.join(folders), path, model.config, save_every=2)
+    assert files.read_npz(f'{path}/training.npz')['load/step'] == 6
+    with pytest.raises(ValueError, match='with other settings or data'):
+        other = dataclasses.replace(model.config, seed=1)
+        registry.train(','.join(folders), path, other, save_every=2)
+    registry.train(','.join(folders), path, model.config, save_every=2)
+    assert ('load', 3) in calls[3:] and calls.count(('load', 1)) == 1
+    assert same(path, model.path) and not (tmp_path / 'killed' / 'training.npz').exists()
+
+
+def test_a_signal_ends_a_training_after_the_step_at_hand(model, folders, tmp_path):
+    saved = method.Saved(str(tmp_path), {}, every=100)
+
+    class Stop:
+        number, exit_code = 15, 143
+
+    saved.stop = Stop()
+    with pytest.raises(SystemExit) as ended:
+        saved.keep('load', 3, False, [np.ones(2)], [])
+    assert ended.value.code == 143
+    assert files.read_npz(str(tmp_path / 'training.npz'))['load/step'] == 3
+
+
+def test_evaluations_of_several_datasets_are_one(model, folders):
+    splits = [lts.Dataset(folder).test for folder in folders]
+    whole = model.evaluate(splits)
+    rows = whole.summary['runs']['model']
+    assert [(row['record'], row['case']) for row in rows] == [(0, '2'), (1, '5')]
+    recorded = model.rollout(splits[1][0])
+    off = (recorded.force - recorded.run.force)[6:]
+    share = np.linalg.norm(off) / np.linalg.norm(recorded.run.force[6:])
+    assert share == pytest.approx(rows[1]['force_relative_l2'])
+    with pytest.raises(ValueError, match='some of one name'):
+        model.evaluate([splits[0], lts.Dataset(folders[0]).valid])
+
+
+def test_files_of_an_evaluation_hold_the_rollouts(model, folders, tmp_path):
+    from learning_to_simulate import evaluation
+
+    opened = registry.open_model(model.path, folders[0], 'test', {'members': 1})
+    assert set(opened.one_step_errors()) == {'one_step_force_mse', 'one_step_torque_mse'}
+    results, summary = opened.evaluator.run(opened.groups, 'test')
+    path = str(tmp_path / 'rollouts')
+    evaluation.save_rollouts(path, 'test', results, summary, opened.metadata, 'digest')
+    stored = files.read_npz(f'{path}/rollout_test_0.npz')
+    assert (stored['ground_truth_forces'] == opened.groups[0].force).all()
+    assert str(stored['case']) == '2' and str(stored['model_digest']) == 'digest'
+    assert files.read_json(f'{path}/metrics.json')['method'] == 'soil_field'
+
+
+def test_a_tool_works_on_a_given_terrain(model, tmp_path):
+    ground = lts.Terrain.flat((2.0, 1.0), corner=(-1.4, -0.5))
+    path = worlds.path(7)
+    live = model.stepper(ground.clone(), lts.Blade(0.3))
+    live.start(poses(path)[0])
+    frames = [live.step(pose) for pose in poses(path)[1:]]
+    made = model.rollout(poses(path), ground.clone(), lts.Blade(0.3))
+    assert (made.force[1:] == [frame.force for frame in frames]).all()
+    # (x, height, angle about +z) in the middle of the terrain is the same path.
+    plane = np.stack([-path[:, 0], path[:, 1], -path[:, 2]], axis=1)
+    short = model.rollout(plane, ground.clone(), lts.Blade(0.3))
+    np.testing.assert_allclose(short.force, made.force, atol=1e-4)
+    for call, message in (
+        (lambda: model.stepper('flat'), 'an lts.Terrain was expected'),
+        (lambda: model.stepper(ground, lts.Wheel()), 'knows a blade, not a wheel'),
+        (lambda: model.rollout(plane), 'an lts.Terrain was expected'),
+        (lambda: model.rollout(plane[:, :2], ground), 'path has shape'),
+        (lambda: model.scene, 'has no scene'),
+        (lambda: model.starts, 'begins on a terrain'),
+        (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'has no export'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_the_command_rolls_out_a_path_on_a_terrain(model, tmp_path, capsys):
+    lts.Terrain.flat((2.0, 1.0), corner=(-1.4, -0.5)).save(str(tmp_path / 'ground.npz'))
+    np.savetxt(tmp_path / 'path.csv', poses(worlds.path(7)), delimiter=',')
+
+    class Flags:
+        model, poses = '', str(tmp_path / 'path.csv')
+        output_path, picture = str(tmp_path / 'dig.npz'), None
+        case, terrain, tool = None, str(tmp_path / 'ground.npz'), ['width=0.3']
+
+    Flags.model = model_path = model.path
+    roll_out_path.run(Flags)
+    assert '49 frames of 0.01667 s' in capsys.readouterr().out
+    assert (files.read_npz(Flags.output_path)['predicted_heights'].shape[1:]) == (100, 50)
+    Flags.tool = ['depth=1']
+    with pytest.raises(ValueError, match='--tool=depth=1.*names are width, radius'):
+        roll_out_path.run(Flags)
+    Flags.terrain = None
+    with pytest.raises(ValueError, match=f'{model_path} is a soil field: it takes --terrain'):
+        roll_out_path.run(Flags)
+
+
+def test_what_does_not_fit_is_refused_before_anything_is_written(model, folders, tmp_path):
+    def without_heights(values):
+        del values['heights']
+        return values
+
+    def of_a_wheel(values):
+        values['parameters']['diameter_m'] = 0.2
+        return values
+
+    flat = worlds.write_dataset(tmp_path / 'flat', range(3), without_heights)
+    wheel = worlds.write_dataset(tmp_path / 'wheel', range(3), of_a_wheel)
+    path, config = str(tmp_path / 'model'), model.config
+    for data, kind, message in (
+        (flat, FileNotFoundError, 'this dataset holds no height map'),
+        (f'{folders[0]},{wheel}', ValueError, 'runs of blade and wheel; a soil field knows one'),
+        (f'{folders[0]},{tmp_path}/none', FileNotFoundError, 'none'),
+    ):
+        with pytest.raises(kind, match=message):
+            registry.train(data, path, config)
+    with pytest.raises(ValueError, match='takes no --rigid_motion'):
+        registry.train(folders[0], path, config, rigid_motion='driven')
+    with pytest.raises(ValueError, match='other models take records'):
+        registry.train(folders[0], path, config, raw_path='raw')
+    assert not (tmp_path / 'model' / 'config.json').exists()
+    with pytest.raises(ValueError, match='runs of a wheel, the model in .* knows a blade'):
+        registry.open_model(model.path, wheel, 'test')
+    with pytest.raises(FileNotFoundError, match='this dataset holds no height map'):
+        registry.open_model(model.path, flat, 'test')
+    with pytest.raises(ValueError, match='--members=2 contradicts the model'):
+        registry.open_model(model.path, folders[0], 'test', {'members': 2})
+    with pytest.raises(ValueError, match='holds a model of another data'):
+        registry.train(folders[0], model.path, config)
