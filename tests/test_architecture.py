@@ -51,7 +51,9 @@ LAYERS = (
     ('swept_field', 'soil_field', 'baselines', 'full_space', 'penetration', 'subspace.method',
      'presets'),
     ('export', 'native'),
-    ('api', 'train', 'live.roll_out_path', 'soil_field.stepper', 'soil_field.loaded'),
+    ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',
+     'soil_field.method'),
+    ('api', 'train', 'live.roll_out_path'),
     ('live_page', 'native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same

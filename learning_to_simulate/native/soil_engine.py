@@ -248,20 +248,20 @@ class CEngine(_Instance):
         other._last, other._passage, other._place = self._last, self._passage, self._place
         return other
 
-    def anchor(self, pose) -> 'CAnchor':
+    def anchor(self, pose, set_down: bool = False) -> 'CAnchor':
         """From where particles are followed."""
-        return CAnchor.at(self, pose)
+        return CAnchor.at(self, pose, set_down)
 
 
 class CAnchor(_Instance):
-    """How far particles have moved since a tool stood where it did: as `engine.TfAnchor`."""
+    """How far particles have moved since a passage began, as `engine.TfAnchor`."""
 
     @classmethod
-    def at(cls, other: _Instance, pose) -> 'CAnchor':
+    def at(cls, other: _Instance, pose, set_down: bool) -> 'CAnchor':
         """Of the tool of another, at a pose [7]."""
         found = cls(other.loaded, other.terrain, other.tool, other._members)
         found.settle()
-        found.call('anchor', np.array(pose, np.float64))
+        found.call('anchor', np.array(pose, np.float64), int(set_down))
         return found
 
     def leaves(self, pose) -> bool:

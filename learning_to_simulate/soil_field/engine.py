@@ -197,23 +197,23 @@ class TfEngine:
             other._passage = self._passage.clone(terrain, other._rise)
         return other
 
-    def anchor(self, pose) -> 'TfAnchor':
+    def anchor(self, pose, set_down: bool = False) -> 'TfAnchor':
         """From where particles are followed."""
-        return TfAnchor(self._field, self._terrain, self._tool, pose, self._members)
+        return TfAnchor(self._field, self._terrain, self._tool, pose, self._members, set_down)
 
 
 class TfAnchor:
-    """A passage that begins where a tool stands, in soil that it has not moved, and leaves the
-    terrain alone; how far particles have moved since.
+    """A passage that leaves the terrain alone; how far particles have moved since it began.
 
     Args:
       field, terrain, tool, members: of `SoilStepper`.
-      pose: [7].
+      pose: [7] where it begins.
+      set_down: see `SoilStepper.anchor`.
     """
 
-    def __init__(self, field, terrain, tool, pose, members):
+    def __init__(self, field, terrain, tool, pose, members, set_down):
         self._field, self._members = field, members
-        self._passage = Passage(terrain, tool, pose, set_down=False, even=None)
+        self._passage = Passage(terrain, tool, pose, set_down=set_down)
 
     @property
     def place(self) -> Place:

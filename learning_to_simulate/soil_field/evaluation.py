@@ -67,9 +67,7 @@ class SoilEvaluator:
         stepper = SoilStepper(self._field, terrain, run.tool, self._members)
         followed = None
         if run.particles is not None:
-            followed = Followed(
-                self._field, terrain, run.tool, run.pose[0], run.particles[0], self._members
-            )
+            followed = Followed(stepper, run.pose[0], run.particles[0])
         step = _loaded(stepper, run) if under_load else None
         try:
             return roll_out(

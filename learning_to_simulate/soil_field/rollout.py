@@ -8,8 +8,6 @@ from collections.abc import Callable
 import numpy as np
 
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
-from learning_to_simulate.soil_field.field import SoilField
-from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
@@ -155,17 +153,14 @@ class Followed(Tracer):
     """Given particles, followed from before a tool is set down.
 
     Args:
-      field, terrain, tool, members: as of `Tracer`.
+      stepper: of the tool.
       pose: [7], where the tool is about to be set down.
       points: [P, 3], m, at that moment.
     """
 
-    def __init__(
-        self, field: SoilField, terrain: Terrain, tool: Tool, pose, points, members=None
-    ):  # fmt: skip
-        self._field, self._terrain, self._tool, self._members = field, terrain, tool, members
-        self._rest, self._pose = np.array(points, np.float64), pose
-        self._passage = Passage(terrain, tool, pose)
+    def __init__(self, stepper: SoilStepper, pose, points):
+        self._engine, self._rest, self._pose = stepper, np.array(points, np.float64), pose
+        self._anchored = stepper.anchor(pose, set_down=True)
 
     def begin(self, pose) -> None:
         """Goes on from here, as where the tool begins a passage of another place."""
@@ -173,7 +168,7 @@ class Followed(Tracer):
         self._anchor()
 
     def _anchor(self):
-        self._passage = Passage(self._terrain, self._tool, self._pose, set_down=False)
+        self._anchored = self._engine.anchor(self._pose)
 
 
 Step = Callable[[int], SoilFrame]

@@ -108,6 +108,15 @@ class SoilStepper:
             self._tracer = self._traced()
         return self._tracer.points()
 
+    def anchor(self, pose, set_down: bool = False):
+        """From where particles are followed: `engine.TfAnchor`, or its twin in C.
+
+        Args:
+          pose: [7] of the tool.
+          set_down: whether the tool comes from above; else it stands in soil that it has not moved.
+        """
+        return self._engine.anchor(pose, set_down)
+
     def _traced(self):
         return Tracer(self._engine, self.terrain, self.tool, self.frame.pose)
 

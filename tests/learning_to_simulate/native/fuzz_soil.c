@@ -58,7 +58,7 @@ int main(int argc, char **argv) {
       case 3: code = lts_soil_reason(one, &result.now, maybe(text), pick(sizeof text + 1)); break;
       case 4: code = lts_soil_place(one, maybe(place)); break;
       case 5: code = lts_terrain_update(maybe(&grounds[pick(2)])); break;
-      case 6: code = lts_soil_anchor(one, maybe(&p)); break;
+      case 6: code = lts_soil_anchor(one, maybe(&p), (int)pick(2)); break;
       case 7: code = lts_soil_follow(one, maybe(&p), hostile(0.02)); break;
       case 8: code = lts_soil_displacement(one, maybe(points), pick(MOST), maybe(points)); break;
       case 9: code = lts_soil_see(one, pick(2) ? bins : NULL, pick(2) ? scalars : NULL); break;

@@ -218,6 +218,13 @@ def test_particles(ground):
     np.testing.assert_allclose(c.particles(), points, atol=2e-6)
     assert len(points) > 2000
     np.testing.assert_array_equal(c.clone().particles(), c.particles())
+    ends = []
+    for one in pair:  # given ones, from before the tool is set down
+        anchor = one.anchor(way[0], set_down=True)
+        anchor.follow(way[3], DT)
+        ends.append(anchor.displaced(first.astype(float)))
+    np.testing.assert_allclose(*ends, atol=2e-6)
+    assert np.abs(ends[0] - first).max() > 1e-4
     # Also beyond the bins in one step.
     for one in pair:
         one.step(poses([[1.3, 0.0, 0.1]])[0], dt=0.5)

@@ -37,7 +37,7 @@ def test_particles_are_followed_from_before_the_tool():
     """They move as the soil does, across new anchors; the rest stays to the last bit."""
     run = worlds.run(11)
     live, points = stepper_of(run), run.particles[0]
-    followed = rollout_lib.Followed(live.field, live.terrain, live.tool, run.pose[0], points)
+    followed = rollout_lib.Followed(live, run.pose[0], points)
     found = rollout_lib.roll_out(live, run.pose, DT, followed=followed).particles
     assert found.shape == run.particles.shape and (found[0] == points.astype(np.float32)).all()
     off, moved = found[-1] - run.particles[-1], run.particles[-1] - points

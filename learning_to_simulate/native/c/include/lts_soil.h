@@ -121,9 +121,9 @@ LTS_API int lts_soil_footprint(const lts_soil *soil, double *out);
 /* Writes what tools have done into the heights; heights are as all tools have left them then. */
 LTS_API int lts_terrain_update(lts_terrain *terrain);
 
-/* Particles. An anchor is a passage that begins where the tool stands, in soil that it has not moved, and leaves
- * the terrain alone: `displacement` tells how far particles have moved since. */
-LTS_API int lts_soil_anchor(lts_soil *soil, const lts_pose *pose);
+/* Particles. An anchor is a passage that leaves the terrain alone: `displacement` tells how far particles have moved
+ * since. set_down: whether the tool comes from above; else it stands in soil that it has not moved. */
+LTS_API int lts_soil_anchor(lts_soil *soil, const lts_pose *pose, int set_down);
 /* Follows the tool to a pose that it reaches within dt s. */
 LTS_API int lts_soil_follow(lts_soil *soil, const lts_pose *pose, double dt);
 /* Where particles are now whose places at the start or anchor were points [n][3], m; into out [n][3], which may be

@@ -166,19 +166,19 @@ static void finish(lts_soil *soil, const lts_passage *p) {
   lts_soil_settle(soil, c->number, c->n, NULL);
 }
 
-static int start(lts_soil *soil, const lts_pose *pose, int set_down, lts_pose *unit) {
+static int start(lts_soil *soil, const lts_pose *pose, int set_down, int writes, lts_pose *unit) {
   LTS_TRY(lts_soil_check(soil));
   if (!pose) return LTS_ERROR_NULL;
   lts_passage *p;
   if (!lts_soil_unit_pose(pose, unit)) return LTS_ERROR_VALUE;
-  if (set_down && is_under_floor(soil, unit)) return LTS_ERROR_PLACE;
+  if (writes && is_under_floor(soil, unit)) return LTS_ERROR_PLACE;
   lts_place place;
   if (!lts_place_of(unit, &place)) return LTS_ERROR_VALUE;
   finish(soil, &soil->passage[soil->now]);
   LTS_TRY(begin_other(soil, unit, set_down, &p));
   soil->now = !soil->now;
   soil->started = 1;
-  soil->writes = set_down;
+  soil->writes = writes;
   soil->frame = 0;
   soil->pose = *unit;
   return LTS_OK;
@@ -186,7 +186,7 @@ static int start(lts_soil *soil, const lts_pose *pose, int set_down, lts_pose *u
 
 int lts_soil_start(lts_soil *soil, const lts_pose *pose, lts_soil_result *result) {
   lts_pose unit;
-  LTS_TRY(start(soil, pose, 1, &unit));
+  LTS_TRY(start(soil, pose, 1, 1, &unit));
   answer(soil, &soil->passage[soil->now], &unit, NULL, 0, &soil->result);
   if (result) *result = soil->result;
   return soil->result.status;
@@ -302,9 +302,9 @@ int lts_soil_footprint(const lts_soil *soil, double *out) {
 
 /* ---- particles ---- */
 
-int lts_soil_anchor(lts_soil *soil, const lts_pose *pose) {
+int lts_soil_anchor(lts_soil *soil, const lts_pose *pose, int set_down) {
   lts_pose unit;
-  return start(soil, pose, 0, &unit);
+  return start(soil, pose, set_down != 0, 0, &unit);
 }
 
 int lts_soil_reads(const lts_soil *soil, const lts_pose *pose) {
