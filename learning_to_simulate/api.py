@@ -275,7 +275,9 @@ class TrainedModel:
         return Evaluation(opened.evaluator.run(opened.groups, split.name, progress)[1])
 
     def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
-        """Writes a model that runs without this project; see `export`. A soil field has no export.
+        """Writes a model that runs without this project; see `export`.
+
+        A soil field has the form in C alone.
 
         Args:
           path: folder to write; absent or empty.

@@ -83,7 +83,11 @@ def _exported(model_path, data_path, kind, n_rigid, n_particles):
 
     method = registry.of_folder(model_path)
     if method.on_terrain:
-        raise ValueError(f'{model_path}: a soil field has no export')
+        if kind != 'c' or n_rigid is not None or n_particles is not None:
+            raise ValueError(f'{model_path}: of a soil field there is --format=c alone')
+        from learning_to_simulate.native.exporting import CSoilField
+
+        return CSoilField(model_path, data_path)
     is_field = method.live
     if n_particles is not None and (not is_field or kind in native.FORMATS):
         raise ValueError('n_particles is for the functions of a swept field')

@@ -1,8 +1,14 @@
 """A trained model as a C project or an FMU, for `learning_to_simulate.export`."""
 
 import os
+import tempfile
 
-from learning_to_simulate.native import agreement, fmu, project
+import numpy as np
+
+from learning_to_simulate import registry
+from learning_to_simulate.native import agreement, fmu, library, project, soil_data, soil_engine
+from learning_to_simulate.soil_field import runs
+from learning_to_simulate.soil_field.engine import TfEngine
 
 
 class CModel:
@@ -43,3 +49,67 @@ class CModel:
         else:
             project.write(folder, self._name, self._values)
         return {'compared': compared}
+
+
+class CSoilField:
+    """A soil field on its way to C, as `CModel`; arguments as there."""
+
+    def __init__(self, model_path: str, data_path: str):
+        self._field = registry.of_folder(model_path).load_code().load(model_path)
+        self._data_path, self._name = data_path.split(',')[0], project.symbol(model_path)
+        self._values = soil_data.values(self._field)
+
+    def describe(self) -> dict:
+        """What a user of the exported model must know; JSON-able."""
+        return {
+            'symbol': self._name,
+            'digest': self._values['digest'],
+            'tool': self._field.networks.tool.name,
+            'n_member': self._values['n_member'],
+        }
+
+    def write(self, kind: str, folder: str) -> dict:
+        """Writes the project; returns how it compares.
+
+        Raises:
+          ValueError: another format, C that does not compile, or outputs beyond the tolerance.
+        """
+        if kind != 'c':
+            raise ValueError(f'a soil field has no export as {kind}; --format=c')
+        project.write(folder, self._name, self._values)
+        return {'compared': self._compared(folder)}
+
+    def _compared(self, project_folder):
+        """Differences of the project to TensorFlow over the first test run."""
+        run = runs.read(self._data_path, 'test')[0]
+        with tempfile.TemporaryDirectory() as folder:
+            built = os.path.join(folder, 'model.so')
+            try:
+                library.compile_sources(built, *library.parts_of(project_folder))
+            except library.NoCompiler as error:
+                return {'skipped': str(error)}
+            loaded = soil_engine.Library.open(built, self._name)
+        grounds = [run.before() for _ in range(2)]
+        pair = [
+            soil_engine.CEngine(loaded, grounds[0], run.tool),
+            TfEngine(self._field, grounds[1], run.tool, None),
+        ]
+        loads = []
+        for t, pose in enumerate(run.pose):
+            frames = [one.step(pose, run.dt) if t else one.start(pose) for one in pair]
+            loads.append([np.concatenate([f.force, f.torque]) for f in frames])
+        (c, wanted), heights = np.moveaxis(loads, 1, 0), [ground.heights for ground in grounds]
+        size = max(float(np.abs(wanted).max()), 1e-6)
+        force = float(np.abs(c - wanted).max()) / size
+        if not force <= agreement.TOLERANCE:
+            raise ValueError(
+                f'the C code differs from the model by {force:.3g} of the largest force, more than '
+                f'{agreement.TOLERANCE:g}; nothing was written'
+            )
+        return {
+            'calls': len(loads),
+            'engine': pair[0].name,
+            'relative_difference': {'force': force},
+            'tolerance': agreement.TOLERANCE,
+            'heights_difference_m': float(np.abs(heights[0] - heights[1]).max()),
+        }

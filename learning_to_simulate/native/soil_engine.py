@@ -30,7 +30,7 @@ def of(field, terrain, tool, members: int | None = None, kind: str = BEST):
     why = ''
     if kind != TENSORFLOW:
         try:
-            return CEngine(Library(soil_data.values(field)), terrain, tool, members)
+            return CEngine(Library.of(soil_data.values(field)), terrain, tool, members)
         except (ValueError, library.NoCompiler) as error:
             if kind == C:
                 raise
@@ -39,21 +39,30 @@ def of(field, terrain, tool, members: int | None = None, kind: str = BEST):
 
 
 class Library:
-    """A soil field in the library of this machine, or in another one.
+    """A soil field in a shared library.
 
     Args:
-      values: of `soil_data.values`.
+      loaded: `library.declared` of it.
+      model: address of its `lts_soil_model`.
       kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
-
-    Raises:
-      library.NoCompiler, library.CompileFailed: as `library.load`.
+      data: kept as long as the instance: what the model lies in.
     """
 
-    def __init__(self, values: dict, kernel: str = 'best'):
-        self.c, self._data = library.load(), c_values.Structure('lts_soil_model', values)
-        self.model = ctypes.addressof(self._data.value)
+    def __init__(self, loaded: ctypes.CDLL, model: int, kernel: str = 'best', data=None):
+        self.c, self.model, self._data = loaded, model, data
         self.kernel = library.constants()[f'LTS_{kernel.upper()}']
-        self.n_member = values['n_member']
+
+    @classmethod
+    def of(cls, values: dict, kernel: str = 'best') -> 'Library':
+        """Of `soil_data.values`, by the library of this machine, whose errors this raises."""
+        data = c_values.Structure('lts_soil_model', values)
+        return cls(library.load(), ctypes.addressof(data.value), kernel, data)
+
+    @classmethod
+    def open(cls, path: str, symbol: str) -> 'Library':
+        """The model of a name `lts_...` in a library that an exported project built."""
+        loaded = library.declared(ctypes.CDLL(path))
+        return cls(loaded, ctypes.addressof(ctypes.c_char.in_dll(loaded, symbol)))
 
 
 def ground_of(terrain):

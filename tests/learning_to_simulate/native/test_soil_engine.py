@@ -191,7 +191,7 @@ def test_every_kernel_gives_the_same():
     for kernel in KERNELS:
         terrain = hills()
         try:
-            loaded = soil_engine.Library(soil_data.values(field()), kernel)
+            loaded = soil_engine.Library.of(soil_data.values(field()), kernel)
             c = soil_engine.CEngine(loaded, terrain, BLADE)
         except ValueError:
             continue
@@ -369,7 +369,7 @@ def test_a_tool_that_goes_leaves_its_cut_and_the_terrain():
 
 
 def test_tools_and_terrains_that_cannot_be_are_refused():
-    loaded = soil_engine.Library(soil_data.values(field()))
+    loaded = soil_engine.Library.of(soil_data.values(field()))
     good = types.SimpleNamespace(width=0.3, radius=0.01, length=0.2)
     soil_engine.CEngine(loaded, flat(), good)
     for change in ({'width': 0.0}, {'radius': np.nan}, {'length': -1.0}, {'bucket': 0.5}):

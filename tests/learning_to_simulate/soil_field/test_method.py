@@ -1,6 +1,8 @@
 """A soil field as a user trains, opens, judges and steps it; on datasets of a few runs."""
 
 import dataclasses
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from learning_to_simulate import checkpoints, registry
 from learning_to_simulate.live import roll_out_path
 from learning_to_simulate.soil_field import method
 from pca_tools import files
+from tests.learning_to_simulate.native.worlds import needs_c
 from tests.learning_to_simulate.soil_field import worlds
 from tests.learning_to_simulate.soil_field.scenes import poses
 
@@ -113,6 +116,23 @@ def test_files_of_an_evaluation_hold_the_rollouts(model, folders, tmp_path):
     assert files.read_json(f'{path}/metrics.json')['method'] == 'soil_field'
 
 
+@needs_c
+def test_a_model_goes_to_c(model, folders, tmp_path):
+    path = tmp_path / 'c'
+    found = model.export(str(path), lts.Dataset(folders[0]), 'c')
+    assert found['compared']['relative_difference']['force'] < 1e-4
+    assert found['compared']['heights_difference_m'] < 1e-6 and found['tool'] == 'blade'
+    if shutil.which('c++'):
+        parts = [str(p) for p in (path / 'src').glob('*.c')]
+        build = ['cc', '-O1', '-c', f'-I{path}/include', *parts]
+        assert not subprocess.run(build, cwd=path).returncode
+        objects = [str(p) for p in path.glob('*.o')]
+        build = ['c++', f'-I{path}/include', str(path / 'examples/example.cpp'), *objects]
+        assert not subprocess.run([*build, '-o', 'example', '-lm'], cwd=path).returncode
+        done = subprocess.run([path / 'example'], capture_output=True, text=True)
+        assert done.returncode == 0 and 'heights from -0.0' in done.stdout, done.stderr
+
+
 def test_a_tool_works_on_a_given_terrain(model, tmp_path):
     ground = lts.Terrain.flat((2.0, 1.0), corner=(-1.4, -0.5))
     path = worlds.path(7)
@@ -132,7 +152,7 @@ def test_a_tool_works_on_a_given_terrain(model, tmp_path):
         (lambda: model.rollout(plane[:, :2], ground), 'path has shape'),
         (lambda: model.scene, 'has no scene'),
         (lambda: model.starts, 'begins on a terrain'),
-        (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'has no export'),
+        (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'format=c alone'),
     ):
         with pytest.raises(ValueError, match=message):
             call()

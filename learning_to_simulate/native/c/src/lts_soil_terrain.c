@@ -168,11 +168,31 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
   p->s.cells = !p->s.cells;
 }
 
+#define RUN 16
+/* Whether any cell in sight is another than the passage has left it. Cells of a row follow one another, so most are
+ * compared in runs. */
+static int has_changed(const lts_terrain *t, const lts_cells *c) {
+  int32_t k = 0;
+  int changed = 0;
+  while (k < c->n && !changed) {
+    const double *heights = t->heights + c->number[k], *left = c->left + k;
+    if (k + RUN <= c->n && c->number[k + RUN - 1] - c->number[k] == RUN - 1) {
+      for (int i = 0; i < RUN; ++i) changed |= heights[i] != left[i];
+      k += RUN;
+    } else {
+      changed = heights[0] != left[0];
+      ++k;
+    }
+  }
+  return changed;
+}
+
 int lts_soil_meet(lts_soil *soil, lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_terrain *t = soil->terrain;
   lts_cells *c = &soil->cells[p->s.cells];
   int low[2] = {INT32_MAX, INT32_MAX}, high[2] = {-1, -1};
+  if (!has_changed(t, c)) return LTS_OK;
   for (int32_t k = 0; k < c->n; ++k) {
     const double h = t->heights[c->number[k]];
     if (h == c->left[k]) continue;
@@ -183,7 +203,6 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
       high[i] = at[i] > high[i] ? at[i] : high[i];
     }
   }
-  if (high[0] < 0) return LTS_OK;
   /* What has changed, as a terrain of its own with nothing about it. */
   lts_terrain box = *t;
   box.heights = soil->box;
