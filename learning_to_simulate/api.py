@@ -114,7 +114,7 @@ class Evaluation:
 
 
 class TrainedModel:
-    """A trained model from its folder.
+    """A trained model from its folder; a `TerrainModel` where it is a soil field.
 
     Args:
       path: model folder.
@@ -126,6 +126,11 @@ class TrainedModel:
     Raises:
       FileNotFoundError, ValueError: no model there, or a damaged one.
     """
+
+    def __new__(cls, path: str):
+        """Of the class for its method."""
+        is_field = cls is TrainedModel and registry.of_folder(path).on_terrain
+        return super().__new__(TerrainModel if is_field else cls)
 
     def __init__(self, path: str):
         self.path = path
@@ -328,7 +333,7 @@ class TerrainModel(TrainedModel):
             f'`model.stepper(lts.Terrain(...))`'
         )
 
-    def stepper(self, terrain, tool=None, members: int | None = None):  # type: ignore[override]
+    def stepper(self, terrain=None, tool=None, members: int | None = None):  # type: ignore[override]
         """A `soil_field.stepper.SoilStepper`; `start` and `step` it with poses.
 
         Args:
@@ -399,7 +404,7 @@ class TerrainModel(TrainedModel):
 
 
 def load(name: str) -> TrainedModel:
-    """A trained model; a `TerrainModel` where it is a soil field.
+    """A trained model.
 
     Args:
       name: a model folder, or a shipped model: 'wheel/pcg_thesis'; the name of a dataset alone
@@ -409,11 +414,7 @@ def load(name: str) -> TrainedModel:
       FileNotFoundError: no such model; the message lists those that ship.
       ValueError: damaged files.
     """
-    return _opened_model(shipped.find(name, 'models'))
-
-
-def _opened_model(path):
-    return (TerrainModel if registry.of_folder(path).on_terrain else TrainedModel)(path)
+    return TrainedModel(shipped.find(name, 'models'))
 
 
 def preset(name: str, **fields):
@@ -442,4 +443,4 @@ def train(
     path = os.fspath(path)
     several = [data] if isinstance(data, Dataset) else data
     registry.train(','.join(d.path for d in several), path, config, save_every=save_every)
-    return _opened_model(path)
+    return TrainedModel(path)

@@ -68,7 +68,7 @@ def _pixels(page):
 
 
 def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, dpi: int) -> Figure:
-    """The figure of some moments, indices of maps, side by side."""
+    """The figure of some moments, indices of maps, side by side; of one, maps are side by side."""
     maps = {'model': arrays['predicted_heights']}
     if 'ground_truth_heights' in arrays:
         maps['ground truth'] = arrays['ground_truth_heights']
@@ -77,25 +77,28 @@ def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, 
     largest = max(1e3 * float(np.quantile(np.abs(changes), _QUANTILE)), 1.0)
     extent = _extent(arrays)
     aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
-    wide = WIDTH / len(moments)
-    rows = [0.42 * wide, *[wide * min(max(aspect, 0.25), 1.0)] * len(maps), 1.7]
+    is_one = len(moments) == 1
+    columns, map_rows = (len(maps), 1) if is_one else (len(moments), len(maps))
+    wide = WIDTH / max(columns, 2)
+    high = 0.3 * WIDTH if is_one else 0.42 * wide
+    rows = [high, *[wide * min(max(aspect, 0.25), 1.0)] * map_rows, 1.7]
     with rc_context(STYLE):
         page = Figure(
             figsize=(WIDTH, sum(rows) + 0.9), dpi=dpi, facecolor='white', layout='constrained'
         )
         page.suptitle(_title(arrays, name), fontsize=11, fontweight='bold', x=0.02, ha='left')
-        grid = page.add_gridspec(len(rows), len(moments), height_ratios=rows)
+        grid = page.add_gridspec(len(rows), columns, height_ratios=rows)
         views: list = []
         for column, i in enumerate(moments):
             time = float(arrays['dt']) * int(frames[i])
-            side = page.add_subplot(grid[0, column])
+            side = page.add_subplot(grid[0, :] if is_one else grid[0, column])
             side.set_title(f't = {time:.2f} s', fontweight='bold')
             _draw_section(side, arrays, maps, i, legend=column == 0)
-            for row, (label, heights) in enumerate(maps.items(), start=1):
-                plan = page.add_subplot(grid[row, column])
+            for k, (label, heights) in enumerate(maps.items()):
+                plan = page.add_subplot(grid[1, k] if is_one else grid[1 + k, column])
                 _draw_map(plan, arrays, heights[i] - before, int(frames[i]), extent, largest)
                 plan.set_ylabel(f'{label}\nz (m)' if column == 0 else '')
-                plan.set_xlabel('x (m)' if row == len(maps) else '')
+                plan.set_xlabel('x (m)' if is_one or k == len(maps) - 1 else '')
                 views.append(plan)
         scale = ScalarMappable(Normalize(-largest, largest), _CHANGE)
         page.colorbar(scale, ax=views, extend='both', pad=0.01, label='change of height (mm)')

@@ -381,7 +381,7 @@ def summarise(rows: dict[str, list[dict]]) -> dict:
 
 def _over(rows, statistic) -> dict:
     """A statistic of every number of rows that all of them have, and their count; times: the
-    median."""
+    median. A run without a number is infinitely wrong: medians hold, means do not."""
     if not rows:
         return {}
     numbers = functools.reduce(
@@ -389,8 +389,8 @@ def _over(rows, statistic) -> dict:
         rows[1:], [k for k, v in rows[0].items() if isinstance(v, float)],
     )  # fmt: skip
     times = 'milliseconds_per_step', 'seconds_per_simulated_second'
-    found = {
-        key: float((np.median if key in times else statistic)([row[key] for row in rows]))
-        for key in numbers
-    }
-    return {'runs': len(rows)} | found
+    found = {'runs': len(rows)}
+    for key in numbers:
+        values = np.nan_to_num([row[key] for row in rows], nan=np.inf)
+        found[key] = float((np.median if key in times else statistic)(values))
+    return found

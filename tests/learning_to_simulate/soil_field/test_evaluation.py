@@ -93,6 +93,8 @@ def test_a_refused_run_is_no_number_and_stops_no_other(judged):
     assert row['status'] == 'non_finite' and 'refused: the pose jumps' in row['status_reason']
     assert row['force_relative_l2'] is None and row['soil_mm'] is None
     assert judged[2]['mean']['model']['soil_mm'] is None
+    errors = sorted(row['soil_mm'] for row in judged[2]['runs']['model'][:3])
+    assert judged[2]['median']['model']['soil_mm'] == pytest.approx(sum(errors[1:]) / 2)
 
 
 def test_a_tool_under_its_load_finds_its_height(judged):

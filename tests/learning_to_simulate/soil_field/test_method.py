@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import learning_to_simulate as lts
-from learning_to_simulate import checkpoints, registry
+from learning_to_simulate import api, checkpoints, registry
 from learning_to_simulate.live import roll_out_path
 from learning_to_simulate.soil_field import method
 from pca_tools import files
@@ -50,7 +50,8 @@ def test_a_model_says_what_it_learned_from(model, folders, capsys):
     assert [row['case'] for row in metrics['runs']['model']] == ['1', '4']
     assert set(metrics['training']) == {'loss_load', 'loss_surface', 'loss_soil'}
     again = lts.train(model.config, [lts.Dataset(f) for f in folders], model.path)
-    assert isinstance(again, type(model)) and 'persistence' in capsys.readouterr().out
+    assert type(again) is type(model) is type(lts.load(model.path)) is api.TerrainModel
+    assert 'persistence' in capsys.readouterr().out
     assert repr(model) == f'<soil field {model.path!r} of a blade>'
 
 
