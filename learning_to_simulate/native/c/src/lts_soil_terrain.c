@@ -168,23 +168,18 @@ void lts_soil_look_around(lts_soil *soil, lts_passage *p) {
   p->s.cells = !p->s.cells;
 }
 
-#define RUN 16
-/* Whether any cell in sight is another than the passage has left it. Cells of a row follow one another, so most are
- * compared in runs. */
-static int has_changed(const lts_terrain *t, const lts_cells *c) {
-  int32_t k = 0;
-  int changed = 0;
-  while (k < c->n && !changed) {
-    const double *heights = t->heights + c->number[k], *left = c->left + k;
-    if (k + RUN <= c->n && c->number[k + RUN - 1] - c->number[k] == RUN - 1) {
-      for (int i = 0; i < RUN; ++i) changed |= heights[i] != left[i];
-      k += RUN;
-    } else {
-      changed = heights[0] != left[0];
-      ++k;
-    }
+/* Whether any cell in sight may be another than the passage has left it: bytes are compared, by runs of cells that
+ * follow one another in a row, whose lengths hardly differ from row to row. */
+static int may_have_changed(const lts_terrain *t, const lts_cells *c) {
+  int32_t run = 1;
+  for (int32_t k = 0; k < c->n; k += run) {
+    const int32_t *number = c->number + k;
+    run = run < c->n - k ? run : c->n - k;
+    while (number[run - 1] - number[0] != run - 1) --run;
+    while (k + run < c->n && number[run] - number[0] == run) ++run;
+    if (memcmp(t->heights + number[0], c->left + k, (size_t)run * sizeof *c->left)) return 1;
   }
-  return changed;
+  return 0;
 }
 
 int lts_soil_meet(lts_soil *soil, lts_passage *p) {
@@ -192,7 +187,7 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
   const lts_terrain *t = soil->terrain;
   lts_cells *c = &soil->cells[p->s.cells];
   int low[2] = {INT32_MAX, INT32_MAX}, high[2] = {-1, -1};
-  if (!has_changed(t, c)) return LTS_OK;
+  if (!may_have_changed(t, c)) return LTS_OK;
   for (int32_t k = 0; k < c->n; ++k) {
     const double h = t->heights[c->number[k]];
     if (h == c->left[k]) continue;
@@ -203,6 +198,7 @@ int lts_soil_meet(lts_soil *soil, lts_passage *p) {
       high[i] = at[i] > high[i] ? at[i] : high[i];
     }
   }
+  if (high[0] < 0) return LTS_OK; /* a 0 with another sign */
   /* What has changed, as a terrain of its own with nothing about it. */
   lts_terrain box = *t;
   box.heights = soil->box;
