@@ -15,7 +15,9 @@ _BITS = {
     'LTS_OUTSIDE_CONTEXT': (
         'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height',
     ),
-    'LTS_OUTSIDE_START': ('bed_low', 'bed_high', 'uneven'),
+    'LTS_OUTSIDE_START': (
+        'bed_low', 'bed_high', 'uneven', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
+    ),
     'LTS_OUTSIDE_SPEED': ('speed',),
 }  # fmt: skip
 
@@ -109,6 +111,8 @@ def values(field) -> dict:
         'bits': np.array([c[_bit(name)] for name in limits.names]),
         'judged_here': soil_field.HERE,
         'judged_near': soil_field.NEAR,
+        'least_soil': soil_field.LEAST_SOIL,
+        'apart': soil_field.APART,
     }
     channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}
     for name, table in tabled._asdict().items():
@@ -122,6 +126,8 @@ def _check(result, c):
     strips_of_all = result['n_column'] + 2 * result['n_beside']
     if result['n_scalar'] > c['LTS_SOIL_SCALARS'] or result['n_judged'] > c['LTS_SOIL_SCALARS']:
         raise ValueError(f'{result["n_scalar"]} scalars, the C form has {c["LTS_SOIL_SCALARS"]}')
+    if len(soil_field.CONDITIONS) != c['LTS_SOIL_CONDITIONS']:
+        raise ValueError(f'the C form judges {c["LTS_SOIL_CONDITIONS"]} conditions')
     if strips_of_all > c['LTS_SOIL_STRIPS']:
         raise ValueError(f'{strips_of_all} strips, the C form has {c["LTS_SOIL_STRIPS"]}')
 

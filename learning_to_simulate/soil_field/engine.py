@@ -10,6 +10,7 @@ import numpy as np
 
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field import sweep
+from learning_to_simulate.soil_field.field import APART, LEAST_SOIL
 from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
 
@@ -163,26 +164,43 @@ class TfEngine:
             _ = self._terrain.heights  # as other tools have left them by now
         self._passage.meet()
         passage = copy.copy(self._passage)
-        yaw, _, aside = self._turns(passage, pose)
+        (_, yaw, _), aside = passage.place.turns(pose), passage.place.local(pose[:3])[2]
         in_air = not (last.force.any() or last.torque.any())
-        if in_air and (abs(yaw) > TURNED or abs(aside) > MOVED):
+        if in_air and (abs(yaw) > TURNED or abs(aside) / passage.scale > MOVED):
             fresh = self._begun(pose)
             if not np.any(self._field.loads(fresh.frame, 1)):
                 return fresh, self._seen(fresh, pose, last.judgement)
         passage.step(pose, dt)
         return passage, self._seen(passage, pose, last.judgement)
 
-    def _turns(self, passage, pose):
-        _, yaw, roll = passage.place.turns(pose)
-        return np.array([yaw, roll, passage.place.local(pose[:3])[2] / passage.scale])
+    @property
+    def spot(self):
+        """Where the tool is, [2] x and z, and its width, m; None before the start."""
+        return None if self._frame is None else (self._frame.pose[[0, 2]], self._tool.width)
+
+    def _conditions(self, passage, pose):
+        """[7] of `field.CONDITIONS`."""
+        place, t, width = passage.place, self._terrain, self._tool.width
+        _, yaw, roll = place.turns(pose)
+        ends = pose[[0, 2]] + np.outer([-width / 2, width / 2], place.across[[0, 2]]) - t.corner
+        beyond = np.maximum(-ends, ends - t.cell * t.shape).max()
+        over_floor = pose[1] - self._tool.radius - t.floor
+        spots = [other.spot for other in t.others(self) if other.spot is not None]
+        others = [
+            (width + w) / 2 + passage.scale * APART - np.hypot(*(spot - pose[[0, 2]]))
+            for spot, w in spots
+        ]
+        found = [place.local(pose[:3])[2], max(beyond, 0.0),
+                 max(passage.scale * LEAST_SOIL - over_floor, 0.0), max([0.0, *others]),
+                 t.cell.max()]  # fmt: skip
+        return np.append([yaw, roll], np.array(found) / passage.scale)
 
     def _seen(self, passage, pose, before):
         """The frame of a passage at a pose."""
         frame = passage.frame
         loads = self._field.loads(frame, self._members)[:, 0].astype(np.float64) * self._units
         mean = loads.mean(axis=0)
-        turns = self._turns(passage, pose)
-        values = self._field.judged(frame, turns[None])
+        values = self._field.judged(frame, self._conditions(passage, pose)[None])
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
         return SoilFrame(pose, force, torque, worse(before, now), now, loads.std(axis=0))

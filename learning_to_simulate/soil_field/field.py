@@ -20,8 +20,19 @@ from pca_tools import files
 # Share of its training range by which a number may leave it.
 MARGIN = 0.05
 # What no network sees and all of training had as it should be, in the soil: name -> (least, most).
-# Yaw and roll, rad; distance of the tool from the plane of its passage, m of the field.
-CONDITIONS = {'yaw': (-0.035, 0.035), 'roll': (-0.035, 0.035), 'aside': (-0.02, 0.02)}
+# Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
+# passage; how far its ends stand out of the map; what is missing of `LEAST_SOIL` between it and the
+# floor; by how much another tool is nearer than `APART`; the side of a cell.
+CONDITIONS = {
+    'yaw': (-0.035, 0.035),
+    'roll': (-0.035, 0.035),
+    'aside': (-0.02, 0.02),
+    'beyond_map': (0.0, 0.02),
+    'thin_soil': (0.0, 0.0),
+    'other_tool': (0.0, 0.0),
+    'cell': (0.0, 0.04),
+}
+LEAST_SOIL, APART = 0.06, 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')
@@ -64,12 +75,12 @@ class SoilField:
         ranges = self.ranges | CONDITIONS
         return np.array([np.mean(ranges.get(name, (0, 0))) for name in self.judged_names])
 
-    def judged(self, frames: sweep.Frame, turns) -> np.ndarray:
+    def judged(self, frames: sweep.Frame, conditions=None) -> np.ndarray:
         """[T, N] numbers that say whether frames are like those of training, see `judged_names`.
 
         Args:
           frames: of one tool.
-          turns: [T, 3] yaw, roll (rad) and distance from the plane of the passage, m of the field.
+          conditions: [T, 7] of `CONDITIONS`; None where all are as they should be.
         """
         columns = self.networks.scalars
         tip, height, radius = (
@@ -97,7 +108,9 @@ class SoilField:
         )
         free = np.zeros(len(self.judged_names), bool)
         free[: len(_SCALARS)] = free[len(names) :] = True
-        values = np.concatenate([values, np.asarray(turns, np.float64)], axis=1)
+        if conditions is None:
+            conditions = np.zeros((len(values), len(CONDITIONS)))
+        values = np.concatenate([values, np.asarray(conditions, np.float64)], axis=1)
         return np.where(free & ~touches[:, None], self.middle, values)
 
     def rise(self, passage: Passage, places, members: int | None = None) -> np.ndarray:

@@ -71,11 +71,15 @@ class Terrain:
         `work.footprint` is the centre [2] (x, z) and the radius (m) of what it changes, or None."""
         self._works.append(weakref.ref(work))
 
+    def others(self, work) -> list:
+        """All works but one."""
+        return [other for other in self._alive() if other is not work]
+
     def is_crowded(self, work) -> bool:
         """Whether another work changes places that one changes."""
         if len(self._works) < 2 or work.footprint is None:
             return False
-        others = [o.footprint for o in self._alive() if o is not work and o.footprint is not None]
+        others = [o.footprint for o in self.others(work) if o.footprint is not None]
         here, reach = work.footprint
         return any(np.hypot(*(there - here)) < reach + other for there, other in others)
 

@@ -51,7 +51,7 @@ def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list
         }
         if run.particles is not None:
             found['soil'] = samples.soil_part(networks, run, rng)
-        values.append(field.judged(frames, np.zeros((len(frames.scalars), len(CONDITIONS)))))
+        values.append(field.judged(frames))
         for name, part in found.items():
             pools[name].setdefault(part.inputs[0].shape[1:], []).append(part)
     seen = np.concatenate(values)

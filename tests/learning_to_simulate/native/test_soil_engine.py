@@ -296,6 +296,43 @@ def test_flags_word_for_word():
         assert frames[0].now.status == 'ok' and frames[0].status == 'extrapolating'
 
 
+@pytest.mark.parametrize(
+    'name, terrain, shift',
+    [
+        ('beyond_map', flat(), 1.1),
+        ('thin_soil', Terrain.flat((4.0, 2.4), corner=(-2.6, -1.2), floor=-0.08), 0.0),
+        ('cell', Terrain.flat((4.0, 2.4), corner=(-2.6, -1.2), cell=0.06), 0.0),
+    ],
+)
+def test_places_that_training_did_not_have_are_flagged_word_for_word(name, terrain, shift):
+    way = path(15, 0.2)
+    frame, _ = drive(both(terrain), way, shift=(0.0, 0.0, shift))
+    assert frame.reason.startswith(f'{name} 0.0') and frame.status == 'extrapolating'
+    frame, _ = drive(both(flat()), way)
+    assert frame.status == 'ok'
+    # High in the air a tool may be anywhere.
+    pair, high = both(terrain), [[u, 0.5, 0.1] for u in (0.0, 0.05)]
+    for pose in poses(high, shift=(0.0, 0.0, shift)):
+        for one in pair:
+            one.step(pose, DT) if one._frame else one.start(pose)
+        assert_frame(*(one.frame for one in pair))
+    assert pair[0].frame.status == 'ok'
+
+
+def test_another_tool_close_by_is_flagged():
+    pair = both(flat())
+    frame, _ = drive(pair, path(15, 0.2))
+    others = [SoilStepper(field(), one.terrain, Blade(0.2), engine=kind)
+              for one, kind in zip(pair, ('c', 'tensorflow'))]  # fmt: skip
+    for aside, status in ((0.36, 'ok'), (0.34, 'extrapolating')):  # half of both, and 0.1 m
+        for other in others:
+            other.start(poses([[0.2, 0.4, 0.1]], shift=(0.0, 0.0, aside))[0])
+        frames = [one.step(frame.pose, DT) for one in pair]
+        assert_frame(*frames)
+        assert frames[0].now.status == status
+    assert frames[0].reason.startswith('other_tool 0.01 is outside')
+
+
 def test_what_is_not_finite_is_said():
     made = worlds.soil_field('blade', SMALL, members=2)
     made.networks.load.layers[-1][1].assign(np.full((2, 1, 5), np.nan))

@@ -60,21 +60,27 @@ def test_weights_that_are_not_finite_are_not_saved(tmp_path):
 def test_frames_outside_of_training_are_named():
     field = worlds.trained()[0]
     frames, _, _ = samples.frames_of(worlds.run(3))
-    none = np.zeros((len(frames.scalars), 3))
-    assert not field.limits.outside(field.judged(frames, none)).any()
+    names = list(field_lib.CONDITIONS)
+    assert not field.limits.outside(field.judged(frames)).any()
 
-    def reason(turns=none, **changes):
-        scalars = frames.scalars.copy()
+    def reason(conditions=(), **changes):
+        scalars, given = frames.scalars.copy(), np.zeros((len(frames.scalars), len(names)))
         for name, value in changes.items():
             scalars[..., field.networks.scalars[name]] = value
-        values = field.judged(frames._replace(scalars=scalars), turns)
+        for name, value in dict(conditions).items():
+            given[:, names.index(name)] = value
+        values = field.judged(frames._replace(scalars=scalars), given)
         return field.limits.judge(values).reason
 
-    assert 'yaw 0.1' in reason(none + [0.1, 0, 0]) and 'roll -0.2' in reason(none + [0, -0.2, 0])
-    assert 'aside 0.05' in reason(none + [0, 0, 0.05]) and 'lean 1.2' in reason(lean=1.2)
+    wrong = {'yaw': 0.1, 'roll': -0.2, 'aside': 0.05, 'beyond_map': 0.03, 'thin_soil': 0.01,
+             'other_tool': 0.02, 'cell': 0.05}  # fmt: skip
+    assert wrong.keys() == field_lib.CONDITIONS.keys()
+    for name, value in wrong.items():
+        assert reason({name: value}).startswith(f'{name} {value} is outside')
+    assert 'lean 1.2' in reason(lean=1.2)
     assert 'depth' in reason(height=-0.2) and 'speed 9' in reason(speed=9.0)
     assert 'friction 0.5' in reason(friction=0.5)
     # In the air all is free but soil and tool.
     high = {'height': 0.5, 'area': 0.0}
-    assert not reason(none + 1.0, **high, lean=1.2, speed=9.0)
+    assert not reason(dict.fromkeys(names, 1.0), **high, lean=1.2, speed=9.0)
     assert 'half_width' in reason(**high, half_width=0.4)

@@ -19,6 +19,7 @@ enum {
   LTS_SOIL_DISTURBED = 5, LTS_SOIL_BESIDE = 6
 };
 #define LTS_SOIL_CHANNELS 6
+#define LTS_SOIL_CONDITIONS 7 /* the last of what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][3], those of the tool, what is
  * carried, and the distance to the wall. */
@@ -69,11 +70,12 @@ struct lts_soil_model {
   lts_dense load_own, load_side;
   lts_soil_network after, surface, soil;
   /* Status: limits [4][n_judged], the least and the most that is well, then the range of training; middle
-   * [n_judged] of that; the bit of each; how near to the tool bins are judged, m. */
+   * [n_judged] of that; the bit of each; how near to the tool bins are judged, how much
+   * soil lies under it at least and how far other tools are, m. */
   int32_t n_judged, n_named; /* n_named: those that are scalars of a frame */
   const double *limits, *middle;
   const int32_t *bits;
-  double judged_here, judged_near;
+  double judged_here, judged_near, least_soil, apart;
 };
 
 #endif

@@ -45,8 +45,36 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   return bottom < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
-/* Scalars, ground and turns [n_judged]; in the air all is free but what the tool is. */
-static void find_judged(const lts_soil *soil, const lts_passage *p, const double turns[3], double *values) {
+/* What no network sees: `CONDITIONS` of field.py. */
+static void find_conditions(const lts_soil *soil, const lts_passage *p, const lts_pose *pose,
+                            double found[LTS_SOIL_CONDITIONS]) {
+  const lts_terrain *t = soil->terrain;
+  const double *at = pose->position, half = soil->tool.width / 2.0;
+  double turns[3], local[3], beyond = 0.0, near = 0.0;
+  lts_place_turns(&p->s.place, pose, turns);
+  lts_place_local(&p->s.place, at, local);
+  for (int i = 0; i < 4; ++i) { /* both ends, x and z */
+    const int axis = i / 2;
+    const double end = at[2 * axis] + (i % 2 ? half : -half) * p->s.place.across[axis] - t->corner[axis];
+    beyond = fmax(beyond, fmax(-end, end - t->cell[axis] * t->n[axis]));
+  }
+  const double over = at[1] - soil->tool.radius - t->floor;
+  for (const lts_soil *other = t->first; other; other = other->next) {
+    if (other == soil || !other->started || !other->writes) continue;
+    const double away = hypot(other->pose.position[0] - at[0], other->pose.position[2] - at[2]);
+    near = fmax(near, half + other->tool.width / 2.0 + soil->scale * soil->model->apart - away);
+  }
+  found[0] = turns[1];
+  found[1] = turns[2];
+  found[2] = local[2] / soil->scale;
+  found[3] = beyond / soil->scale;
+  found[4] = fmax(soil->model->least_soil - over / soil->scale, 0.0);
+  found[5] = near / soil->scale;
+  found[6] = fmax(t->cell[0], t->cell[1]) / soil->scale;
+}
+
+/* Scalars, ground and conditions [n_judged]; in the air all is free but what the tool is. */
+static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, double *values) {
   const lts_soil_model *m = soil->model;
   const int path[4] = {LTS_SOIL_LEAN, LTS_SOIL_AREA, LTS_SOIL_OWN + m->n_own, LTS_SOIL_SPEED};
   for (int i = 0; i < m->n_named; ++i) {
@@ -57,7 +85,7 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const double
     }
     values[i] = most;
   }
-  memcpy(values + m->n_named + 4, turns, 3 * sizeof *turns);
+  find_conditions(soil, p, pose, values + m->n_named + 4);
   if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named)) return;
   for (int i = 0; i < m->n_judged; ++i) {
     if (i < 4 || i >= m->n_named) values[i] = m->middle[i];
@@ -65,7 +93,7 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const double
 }
 
 /* Bits of all that is outside, and the first of them; or of what is not finite. */
-static int judge(const lts_soil *soil, const lts_passage *p, const double turns[3], int is_finite,
+static int judge(const lts_soil *soil, const lts_passage *p, const lts_pose *pose, int is_finite,
                  int frame, lts_judgement *found) {
   const lts_soil_model *m = soil->model;
   const int n = m->n_judged;
@@ -77,7 +105,7 @@ static int judge(const lts_soil *soil, const lts_passage *p, const double turns[
     *found = none;
     return LTS_NON_FINITE;
   }
-  find_judged(soil, p, turns, values);
+  find_judged(soil, p, pose, values);
   for (int i = 0; i < n; ++i) {
     const double *limits = m->limits + i;
     if (values[i] >= limits[0] && values[i] <= limits[n]) continue;
@@ -109,7 +137,7 @@ int lts_soil_reason(const lts_soil *soil, const lts_judgement *judgement, char *
 static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, const lts_judgement *before,
                    int passage, lts_soil_result *out) {
   const int members = soil->members;
-  double mean[6], local[3], turns[3];
+  double mean[6];
   lts_soil_find_loads(soil, p, members, soil->loads);
   int is_finite = 1;
   for (int i = 0; i < 6; ++i) {
@@ -125,10 +153,7 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
   }
   lts_place_vector(&p->s.place, mean, out->force);
   lts_place_vector(&p->s.place, mean + 3, out->torque);
-  lts_place_turns(&p->s.place, pose, turns);
-  lts_place_local(&p->s.place, pose->position, local);
-  const double judged[3] = {turns[1], turns[2], local[2] / soil->scale};
-  judge(soil, p, judged, is_finite, soil->frame, &out->now);
+  judge(soil, p, pose, is_finite, soil->frame, &out->now);
   out->worst = before && rank(before) >= rank(&out->now) ? *before : out->now;
   out->status = out->worst.status;
   out->frame = soil->frame;
