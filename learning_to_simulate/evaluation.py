@@ -348,10 +348,14 @@ def table(summary: dict) -> str:
         if row['status'] != RolloutStatus.OK:
             where = f'from frame {row["first_bad_frame"]}, node {row["first_bad_node"]}'
             lines.append(
-                f'warning: record {row["record"]} is {row["status"]} {where}: '
+                f'warning: record {row["record"]}{_case(row)} is {row["status"]} {where}: '
                 f'{row["status_reason"]}'
             )
     return '\n'.join(lines)
+
+
+def _case(row):
+    return f' ({row["case"]})' if 'case' in row else ''
 
 
 def _medians(summary):

@@ -28,7 +28,7 @@ _CHANGE = 'BrBG'  # brown where soil is missing, green where it lies on top
 _COLORS = ('#0072b2', '#d55e00')  # along the way, up
 _DPI = {'png': 160, 'gif': 90, 'mp4': 130}
 _UP = np.array([0.0, 1.0, 0.0])
-_BESIDE = 0.4  # m of a section ahead of the path and behind it
+_BESIDE, _ASIDE = 0.4, 0.7  # m beyond the path that a section and a map reach
 # Out of a run's heights and forces that axes show; a few cells or frames stand out.
 _QUANTILE = 0.998
 
@@ -69,6 +69,7 @@ def _pixels(page):
 
 def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, dpi: int) -> Figure:
     """The figure of some moments, indices of maps, side by side; of one, maps are side by side."""
+    arrays = _about_path(arrays)
     maps = {'model': arrays['predicted_heights']}
     if 'ground_truth_heights' in arrays:
         maps['ground truth'] = arrays['ground_truth_heights']
@@ -105,6 +106,23 @@ def figure(arrays: Mapping[str, np.ndarray], moments: Sequence[int], name: str, 
         curves = page.add_subplot(grid[-1, :])
         _draw_force(curves, arrays, [int(frames[i]) for i in moments])
     return page
+
+
+def _about_path(arrays):
+    """The arrays with maps that end `_ASIDE` from the path."""
+    places = np.asarray(arrays['pose'], float)[:, [0, 2]]
+    places = places[np.isfinite(places).all(axis=1)]
+    shape = arrays['heights_before'].shape
+    if not len(places):
+        return arrays
+    ends = (np.stack([places.min(axis=0) - _ASIDE, places.max(axis=0) + _ASIDE])
+            - arrays['corner']) / arrays['cell']  # fmt: skip
+    first = np.clip(np.floor(ends[0]).astype(int), 0, np.subtract(shape, 1))
+    last = np.clip(np.ceil(ends[1]).astype(int), first + 1, shape)
+    part = (..., slice(first[0], last[0]), slice(first[1], last[1]))
+    names = [n for n in arrays if n.endswith('heights') or n == 'heights_before']
+    corner = arrays['corner'] + first * arrays['cell']
+    return {**arrays, 'corner': corner} | {n: arrays[n][part] for n in names}
 
 
 def _title(arrays, name):

@@ -58,6 +58,21 @@ def test_section_map_and_force_are_those_of_the_arrays():
     np.testing.assert_allclose([line.get_ydata()[0] for line in forces], [20, 30, 5, 10])
 
 
+def test_of_a_large_terrain_what_lies_about_the_path_is_drawn():
+    """The same picture where 5 m of terrain lie around the small one."""
+    small = arrays()
+    wide = np.pad(small['predicted_heights'], ((0, 0), (250, 250), (250, 250)), mode='edge')
+    wide[:, 0, 0] = 5.0  # far away
+    large = arrays(heights_before=wide[0], predicted_heights=wide, corner=np.array([-5.0, -5.0]))
+    figure = terrain_views.figure(large, [2], 'cut', 50)
+    _, plan = figure.axes[:2]
+    x, z = plan.get_xlim(), plan.get_ylim()
+    np.testing.assert_allclose([*x, *z], [-0.3, 1.5, -0.4, 1.0], atol=0.021)
+    line = figure.axes[0].get_lines()[0]
+    assert line.get_ydata().max() == pytest.approx(HEIGHT + RISE)
+    assert line.get_xdata()[0] == pytest.approx(-0.4) and line.get_xdata()[-1] == pytest.approx(0.8)
+
+
 def test_files_are_drawn_and_what_failed_is_said(tmp_path):
     path = str(tmp_path / 'rollout_test_0.npz')
     files.write_npz(path, **arrays())
