@@ -166,7 +166,8 @@ class CEngine(_Instance):
             ctypes.cast(self._at[1], ctypes.POINTER(ctypes.c_double)), (size,)
         )
         self._last = None  # pose
-        self._passage, self._place = -1, None
+        self._passage = -1
+        self._place: Place | None = None
         self._of = {name: getattr(loaded.c, f'lts_soil_{name}') for name in ('step', 'propose')}
         terrain.add_work(self)
 

@@ -372,6 +372,11 @@ def test_refusals_have_the_words_of_python_and_change_nothing():
             texts.append(str(caught.value))
         assert texts[0] == texts[1]
     assert c.frame is frame
+    for one in pair:  # begins anew: its cut comes to rest and is as it is
+        one.start(poses([[0.1, 0.9, 0.0]])[0])
+    assert_ground(*pair)
+    for one in pair:
+        one.start(good)
     drive(pair, path(60, 0.8)[32:])
     c.terrain.heights[:] = np.nan
     with pytest.raises(ValueError, match='not finite'):

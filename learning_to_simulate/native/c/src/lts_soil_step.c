@@ -200,7 +200,11 @@ static int start(lts_soil *soil, const lts_pose *pose, int set_down, int writes,
   lts_place place;
   if (!lts_place_of(unit, &place)) return LTS_ERROR_VALUE;
   finish(soil, &soil->passage[soil->now]);
-  LTS_TRY(begin_other(soil, unit, set_down, &p));
+  const int was_started = soil->started;
+  soil->started = 0; /* what has come to rest is not written again */
+  const int begun = begin_other(soil, unit, set_down, &p);
+  soil->started = was_started;
+  LTS_TRY(begun);
   soil->now = !soil->now;
   soil->started = 1;
   soil->writes = writes;
