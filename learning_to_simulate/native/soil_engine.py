@@ -191,6 +191,11 @@ class CEngine(_Instance):
         self.call('footprint', found)
         return found[:2], found[2]
 
+    @property
+    def spot(self):
+        """See `engine.TfEngine`."""
+        return None if self._last is None else (self._last[[0, 2]], self.tool.width)
+
     def start(self, pose):
         """See `SoilStepper`; so are the others."""
         pose = engine.unit_pose(pose)
