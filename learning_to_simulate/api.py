@@ -351,7 +351,9 @@ class TerrainModel(TrainedModel):
             raise ValueError(f'terrain is {terrain!r}: an lts.Terrain was expected')
         return SoilStepper(self.model, terrain, tool, members)
 
-    def rollout(self, path, terrain=None, tool=None, dt: float | None = None):  # type: ignore[override]
+    def rollout(  # type: ignore[override]
+        self, path, terrain=None, tool=None, dt: float | None = None, under_load: bool = False
+    ):
         """Sets a tool down and goes along a whole path, or along that of a recorded run.
 
         Args:
@@ -360,6 +362,7 @@ class TerrainModel(TrainedModel):
           terrain: of a path: what it begins on; is changed.
           tool: of a path; None for the usual one.
           dt: of a path: s of a frame; None for 1/60.
+          under_load: of a recorded run: whether its tool follows what moved it, not its path.
 
         Returns:
           `soil_field.rollout.TerrainRollout`.
@@ -371,7 +374,9 @@ class TerrainModel(TrainedModel):
             if not (terrain is tool is dt is None):
                 raise ValueError('a recorded run has its own terrain, tool and time step')
             opened = self._of_splits([path.split])
-            return opened.evaluator.roll_out(opened.groups[path.index])
+            return opened.evaluator.roll_out(opened.groups[path.index], under_load)
+        if under_load:
+            raise ValueError('under_load is for recorded runs: lts.LoadedTool moves others')
         from learning_to_simulate.live import poses
         from learning_to_simulate.soil_field.rollout import DT, roll_out
 

@@ -188,7 +188,7 @@ def _draw_section(axes, arrays, maps, i, legend):
     axes.set(xlim=(u.min(), u.max()), ylim=(low - room, top))
     axes.set(xlabel='along the way (m)', ylabel='height (m)' if legend else '', aspect='equal')
     if legend:
-        axes.legend(loc='upper right', ncols=1, handlelength=1.4)
+        axes.legend(loc='lower left', ncols=3, handlelength=1.2, columnspacing=0.8)
 
 
 def _draw_map(axes, arrays, change, frame, extent, largest):

@@ -33,7 +33,7 @@ from learning_to_simulate.soil_field import samples, sweep
 from learning_to_simulate.soil_field.loaded import COORDINATES, LoadedTool
 from learning_to_simulate.soil_field.place import place_of
 from learning_to_simulate.soil_field.rollout import Followed, TerrainRollout, roll_out
-from learning_to_simulate.soil_field.runs import Run
+from learning_to_simulate.soil_field.runs import Machine, Run
 from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_truth import PARTICLES
 
@@ -61,14 +61,20 @@ class SoilEvaluator:
         self._field, self._members, self._under_load = field, members, under_load
 
     def roll_out(self, run: Run, under_load: bool = False) -> TerrainRollout:
-        """The rollout of a run; one that the model refuses is not a number from the start, and its
-        judgement says why."""
+        """The rollout of a run along its path, or under what moved its tool. One that the model
+        refuses is not a number from the start, and its judgement says why.
+
+        Raises:
+          ValueError: a run that does not record what moved its tool.
+        """
+        if under_load and run.machine is None:
+            raise ValueError(f'run {run.case} does not record what moved its tool')
         terrain, name = run.before(), f'rollout_{run.case}'
         stepper = SoilStepper(self._field, terrain, run.tool, self._members)
         followed = None
         if run.particles is not None:
             followed = Followed(stepper, run.pose[0], run.particles[0])
-        step = _loaded(stepper, run) if under_load else None
+        step = _loaded(stepper, run, run.machine) if under_load and run.machine else None
         try:
             return roll_out(
                 stepper, run.pose, run.dt, run.stride, step, followed, run=run, name=name
@@ -90,41 +96,36 @@ class SoilEvaluator:
             rollout = self.roll_out(run)
             results.append((number, None, rollout))
             who = {'record': number, 'case': run.case, 'kind': run.kind}
-            rows['model'].append(who | of_rollout(rollout))
+            rows['model'].append(who | of_rollout(rollout, run))
             rows['stay_still'].append(who | still(run))
             if self._under_load and run.machine is not None:
                 free = self.roll_out(run, under_load=True)
-                rows['under_load'].append(who | of_rollout(free) | pose_errors(free))
+                rows['under_load'].append(who | of_rollout(free, run) | pose_errors(free, run))
             if (found := formula(run)) is not None:
                 rows[known].append(who | found)
         return results, summarise({name: of for name, of in rows.items() if of})
 
 
-def _loaded(stepper, run: Run):
+def _loaded(stepper, run: Run, machine: Machine):
     """Steps a tool as the machine of a run does; it starts at rest in the first pose."""
-    machine = run.machine
-    assert machine is not None
     free = tuple(name for name, is_free in zip(COORDINATES, machine.free, strict=True) if is_free)
-    gravity = np.array([0.0, machine.mass * run.soil.gravity, 0.0])
-    target, across = machine.target, place_of(run.pose[0]).across
-    axes = place_of(run.pose[0])
-    lean = np.unwrap(axes.turns(target)[..., 0])
-    tool: LoadedTool | None = None
+    tool = LoadedTool(
+        stepper, machine.mass, machine.inertia or None, free, machine.stiffness, machine.damping
+    )
+    # What a `LoadedTool` weighs is in the external load already.
+    weight = np.array([0.0, machine.mass * run.soil.gravity, 0.0])
+    place = place_of(run.pose[0])
+    places = place.local(machine.target[:, :3])
+    places[:, 2] = np.unwrap(place.turns(machine.target)[:, 0])
+    rates = np.diff(places, axis=0, prepend=places[:1]) / run.dt  # along, up, lean
 
     def step(t):
-        nonlocal tool
-        if tool is None:
-            inertia = machine.inertia or None
-            tool = LoadedTool(
-                stepper, machine.mass, inertia, free, machine.stiffness, machine.damping
-            )
-        # Dampers of the machine act on the motion against that of the target: the part of the
-        # target is a force.
-        rate = (axes.local(target[t, :3]) - axes.local(target[t - 1, :3])) / run.dt
-        pull = machine.damping * [rate[0], rate[1], (lean[t] - lean[t - 1]) / run.dt]
-        force = machine.external[t, :3] + gravity + axes.vectors([pull[0], pull[1], 0.0])
-        torque = float(machine.external[t, 3:] @ across) + pull[2]
-        return tool.step(target[t], force, torque, run.dt)
+        # Dampers of the machine act on the motion against that of the target; those of a
+        # `LoadedTool` on the motion alone, so that of the target is a force.
+        along, up, turn = machine.damping * rates[t]
+        force = machine.external[t, :3] + weight + place.vectors([along, up, 0.0])
+        torque = float(machine.external[t, 3:] @ place.across) + turn
+        return tool.step(machine.target[t], force, torque, run.dt)
 
     return step
 
@@ -142,12 +143,10 @@ def _refused(run, name, reason):
     )  # fmt: skip
 
 
-def of_rollout(rollout: TerrainRollout) -> dict:
+def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
     """Errors, status and time of the rollout of a run."""
-    run, judgement = rollout.run, rollout.judgement
-    assert run is not None
-    late = slice(H, None)
-    found = load_errors(run, rollout.force[late], rollout.torque[late])
+    judgement = rollout.judgement
+    found = load_errors(run, rollout.force[H:], rollout.torque[H:])
     found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
     flagged = np.mean([status != RolloutStatus.OK for status in rollout.frame_status])
     return found | {
@@ -161,10 +160,8 @@ def of_rollout(rollout: TerrainRollout) -> dict:
     }
 
 
-def pose_errors(rollout: TerrainRollout) -> dict[str, float]:
+def pose_errors(rollout: TerrainRollout, run: Run) -> dict[str, float]:
     """Errors of a predicted motion along the way and in height, mm."""
-    run = rollout.run
-    assert run is not None
     along = place_of(run.pose[0]).along
     off = (rollout.pose - run.pose)[H:, :3]
     return {'travel_mm': _rms_mm(off @ along), 'height_mm': _rms_mm(off[:, 1])}

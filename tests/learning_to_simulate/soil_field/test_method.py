@@ -101,6 +101,10 @@ def test_evaluations_of_several_datasets_are_one(model, folders):
     off = (recorded.force - recorded.run.force)[6:]
     share = np.linalg.norm(off) / np.linalg.norm(recorded.run.force[6:])
     assert share == pytest.approx(rows[1]['force_relative_l2'])
+    with pytest.raises(ValueError, match='run 5 does not record what moved its tool'):
+        model.rollout(splits[1][0], under_load=True)
+    with pytest.raises(ValueError, match='has its own terrain'):
+        model.rollout(splits[1][0], lts.Terrain.flat((1, 1)))
     with pytest.raises(ValueError, match='some of one name'):
         model.evaluate([splits[0], lts.Dataset(folders[0]).valid])
 
@@ -153,6 +157,7 @@ def test_a_tool_works_on_a_given_terrain(model, tmp_path):
         (lambda: model.stepper(ground, lts.Wheel()), 'knows a blade, not a wheel'),
         (lambda: model.rollout(plane), 'an lts.Terrain was expected'),
         (lambda: model.rollout(plane[:, :2], ground), 'path has shape'),
+        (lambda: model.rollout(plane, ground, under_load=True), 'lts.LoadedTool moves others'),
         (lambda: model.scene, 'has no scene'),
         (lambda: model.starts, 'begins on a terrain'),
         (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'format=c alone'),
