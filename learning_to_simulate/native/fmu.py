@@ -72,29 +72,20 @@ def guid(values: dict) -> str:
 
 def body(values: dict) -> str:
     """What the variables call the body."""
-    given = values.get('motion', 1) == library.constants()['LTS_PRESCRIBED']
-    return 'tool' if given and not project.is_wheel(values) else 'wheel'
+    return 'tool' if values['motion'] == library.constants()['LTS_PRESCRIBED'] else 'wheel'
 
 
 def reals(values: dict) -> list[Variable]:
     """The real variables in the order of fmu_core.h."""
-    is_field, is_wheel = project.is_field(values), project.is_wheel(values)
     state, load = f'{body(values)}_state', f'{body(values)}_load'
-    if is_field:
-        point = 'the axle, its height predicted' if is_wheel else 'the middle of the lower edge'
-        attitude, moment = 'rotation from upright', 'about the point'
-        bound = 'root mean square error per component, kept by 95 % of frames like those of valid'
-        frame = 'of the training; a step may last any time'
-    else:
-        point, attitude = 'the mean of the body points', 'rotation from the start attitude'
-        moment, bound = '0: the model has learned no torque', '0: the model has no bound'
-        frame = 'a frame of the model; never split'
+    point, moment = 'the mean of the body points', '0: the model has learned no torque'
     sinkage = 'output' if body(values) == 'wheel' else 'local'
-    place = values['start'] if is_field else values['starts'][0]['points'].mean(axis=0)
+    place = values['starts'][0]['points'].mean(axis=0)
     return [
         *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
           for a, v in zip('xyz', place)),
-        *(Variable(f'{state}.rot.e{i}', None, 'input', attitude, float(i == 0)) for i in range(4)),
+        *(Variable(f'{state}.rot.e{i}', None, 'input', 'rotation from the start attitude',
+                   float(i == 0)) for i in range(4)),
         *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
         *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
         *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
@@ -102,8 +93,7 @@ def reals(values: dict) -> list[Variable]:
         *_vector(f'{load}.moment', 'N.m', 'output', moment),
         Variable('sinkage', 'm', sinkage, 'height lost since the start'),
         Variable('drawbar_pull', 'N', 'output', 'force along the horizontal velocity'),
-        Variable('force_bound', 'N', 'output' if is_field else 'local', bound),
-        Variable('step_size', 's', 'constant', frame, values['dt']),
+        Variable('step_size', 's', 'constant', 'a frame of the model; never split', values['dt']),
         *_context(values),
     ]  # fmt: skip
 
@@ -113,18 +103,11 @@ def _vector(name, *rest):
 
 
 def _context(values):
-    """Parameters, and inputs that are values of the scene."""
-    if project.is_field(values) and not project.is_wheel(values):
-        return [Variable('blade_width', 'm', 'parameter', 'of the blade', values['width'])]
     names = values['context_names'].split(',') if values['n_context'] else []
-    found = [
+    return [
         Variable(name, None, 'parameter', 'of the scene', value)
         for name, value in zip(names, values['starts'][0]['context'])
     ]
-    if project.is_wheel(values):
-        load = values['load']
-        found[load] = found[load]._replace(unit='N', causality='input', text='on the wheel')
-    return found
 
 
 def description(name: str, values: dict, sources) -> bytes:
@@ -132,7 +115,7 @@ def description(name: str, values: dict, sources) -> bytes:
 
     Args:
       name: of the model.
-      values: of `model_data.values` or `field_data.values`.
+      values: of `model_data.values`.
       sources: names of the C files.
     """
     sub = ElementTree.SubElement
@@ -172,7 +155,7 @@ def description(name: str, values: dict, sources) -> bytes:
     for vr, variable in enumerate(reals(values)):
         scalar(vr, 'Real', variable)
     text = 'which training start; -1: the one whose parameters are nearest'
-    most = str(values.get('n_start', 1) - 1)
+    most = str(values['n_start'] - 1)
     scalar(0, 'Integer', Variable('start', None, 'parameter', text, '-1'), min='-1', max=most)
     for vr, (label, text) in enumerate(_BOOLEANS.items()):
         scalar(vr, 'Boolean', Variable(f'status.{label}', None, 'output', text))
@@ -193,12 +176,12 @@ def write(path: str, name: str, values: dict) -> None:
     Args:
       path: of the file.
       name: of `project.symbol`.
-      values: of `model_data.values`, with at least one start, or of `field_data.values`.
+      values: of `model_data.values`, with at least one start.
 
     Raises:
       ValueError: no start, a model without a body, or sources that do not compile.
     """
-    if not project.is_field(values) and not (values['n_start'] and values['n_rigid']):
+    if not (values['n_start'] and values['n_rigid']):
         raise ValueError('an FMU needs a body, and a start from the training runs')
     with tempfile.TemporaryDirectory() as folder:
         sources = os.path.join(folder, 'sources')
@@ -210,7 +193,7 @@ def write(path: str, name: str, values: dict) -> None:
         os.makedirs(os.path.join(folder, 'documentation'))
         project.write_template(
             'fmi/index.html.in', os.path.join(folder, 'documentation', 'index.html'),
-            {'NAME': name, 'BODY': body(values), **_about(values)},
+            {'NAME': name, 'BODY': body(values), 'DT': f'{values["dt"]:.6g}'},
         )  # fmt: skip
         try:
             binaries = os.path.join(folder, 'binaries', _PLATFORM)
@@ -221,45 +204,22 @@ def write(path: str, name: str, values: dict) -> None:
         _zip(folder, path)
 
 
-def _about(values):
-    """What the documentation says of a kind of model."""
-    if not project.is_field(values):
-        return {
-            'MOMENT': 'The model has learned no torque, and the moment is 0.',
-            'STEPS': f'A frame of the model is {values["dt"]:.6g} s and is never split. Shorter '
-            'communication steps hold the force, longer ones take several frames.',
-        }
-    begins = (
-        ' The wheel begins where the recorded one of `start` stood, in its own print: its place is '
-        'wheel_load.point; the height of wheel_state.pos is ignored.'
-    )
-    return {
-        'MOMENT': 'The moment is about the point.',
-        'STEPS': 'A communication step may last any time: nothing is integrated.'
-        + begins * project.is_wheel(values),
-    }
-
-
 def _write_sources(folder, name, values):
     project.write_sources(folder, name, values)
-    kind = 'field' if project.is_field(values) else 'graph'
-    parts = ['fmu_core.h', 'fmu_core.c', f'fmu_{kind}.c', 'fmi2.c']
-    for part in [*project.headers(values), *(f'fmi/{part}' for part in parts)]:
+    parts = [f'fmi/{part}' for part in ('fmu_core.h', 'fmu_core.c', 'fmi2.c')]
+    for part in [*project.headers(values), *parts]:
         project.copy(part, folder)
     project.write_template(
         'cmake/model.h.in', os.path.join(folder, f'{name}.h'), project.words(name, values)
     )
     c = library.constants()
-    given = values.get('motion') in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
+    given = values['motion'] in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
     lines = [
         f'/* Generated: what the FMI layer must know of {name}. */',
         f'#include "{name}.h"',
         f'#define FMU_MODEL {name}',
-        f'#define FMU_FIELD {int(project.is_field(values))}',
         f'#define FMU_GUID "{guid(values)}"',
-        f'#define FMU_CONTEXT {values.get("n_context", 1)}',
-        '/* Which value of the context is an input; -1: none. */',
-        f'#define FMU_LOAD {values["load"] if project.is_wheel(values) else -1}',
+        f'#define FMU_CONTEXT {values["n_context"]}',
         f'#define FMU_GIVEN {int(given)}',
     ]
     with open(os.path.join(folder, 'fmu_model.h'), 'w', encoding='utf-8') as file:

@@ -8,12 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from learning_to_simulate.live.stepper import Stepper
-from learning_to_simulate.native import agreement, field_data, fmu, library
-from learning_to_simulate.native.binding import CField, CSubspace
-from learning_to_simulate.swept_field.engine import FieldEngine
+from learning_to_simulate.native import fmu, library
+from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate.native import worlds
-from tests.learning_to_simulate.swept_field import small_world
 
 fmpy = pytest.importorskip('fmpy', reason='FMPy is not installed: pip install -e .[fmu]')
 from fmpy import fmi2, validation  # noqa: E402
@@ -42,22 +39,10 @@ def shared(tmp_path_factory):
     return _write(tmp_path_factory.mktemp('fmu'), **CASES['driven'])
 
 
-@pytest.fixture(scope='module')
-def fields(tmp_path_factory):
-    """Name of a tool -> path of its FMU, field, starts and subspace by name."""
-    found, folder = {}, tmp_path_factory.mktemp('fields')
-    for name in worlds.FIELDS:
-        field, parts = worlds.field(name)
-        path = str(folder / f'{name}.fmu')
-        fmu.write(path, f'lts_{name}', field_data.values(field, **parts))
-        found[name] = path, field, parts
-    return found
-
-
 class _Slave:
     """An instance of an FMU with its variables by name."""
 
-    def __init__(self, path, folder, name='one', start=None, **inputs):
+    def __init__(self, path, folder, name='one', **inputs):
         description = fmpy.read_model_description(path)
         self.vr = {v.name: v.valueReference for v in description.modelVariables}
         self.body, self.logged = _body(self.vr), []
@@ -78,8 +63,6 @@ class _Slave:
         self.c.instantiate(callbacks=callbacks, loggingOn=True)
         self.c.setupExperiment(startTime=0.0)
         self.c.enterInitializationMode()
-        if start is not None:
-            self.c.setInteger([self.vr['start']], [start])
         self.set(**inputs)
         self.c.exitInitializationMode()
         self.time = 0.0
@@ -117,16 +100,6 @@ def test_is_valid_and_simulates(case, tmp_path):
     assert np.abs(result[force[0]][2:]).max() > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('name', ['wheel/pcg', 'excavation_v2/swept_field', 'wheel_v2/swept_field'])
-def test_shipped_models_are_valid(name, tmp_path):
-    written = str(tmp_path / 'soil.fmu')
-    fmu.write(written, 'lts_soil', agreement.Opened.of(f'models/{name}').values())
-    assert validation.validate_fmu(written) == []
-    result = fmpy.simulate_fmu(written, stop_time=0.1, output_interval=1 / 60)
-    assert all(np.isfinite(result[n]).all() for n in result.dtype.names)
-
-
 def _pose(start, twist, t):
     """[7] of a body that keeps its twist [6], turning about z."""
     half = 0.5 * t * twist[5]
@@ -156,55 +129,10 @@ def test_equals_the_stepper_for_every_step_of_the_master(shared, tmp_path):
         np.testing.assert_allclose(forces, expected[every - 1 :: every], rtol=1e-4, atol=1e-3)
 
 
-# Speeds along x and up, and the turn about z: of a wheel it slips.
-TWISTS = {
-    'blade': np.array([-0.2, -0.1, 0.0, 0.0, 0.0, 0.3]),
-    'wheel': np.array([-0.03, 0.0, 0.0, 0.0, 0.0, 0.6]),
-}
-
-
-@pytest.mark.parametrize('tool', TWISTS)
-@pytest.mark.parametrize('h', [1 / 64, 1 / 512])
-def test_a_field_is_valid_and_equals_the_library_for_any_step(fields, tool, h, tmp_path):
-    path, field, parts = fields[tool]
-    assert validation.validate_fmu(path) == []
-    twist, soil, context, rows = TWISTS[tool], CField.of(field, **parts), None, []
-    inputs = {'lin_vel': twist[:3], 'ang_vel': twist[3:]}
-    slave = _Slave(path, tmp_path, start=0 if tool == 'wheel' else None, **inputs)
-    place = slave.get('point')
-    if tool == 'blade':
-        soil.start(_pose(place, twist, 0.0), twist)
-    else:
-        context = parts['starts'].context[0].copy()
-        soil.start(None, twist, index=0, context=context)
-    for k in range(round(0.25 / h)):
-        pose = _pose(place, twist, k * h)
-        if context is not None:  # the height of a wheel is of no meaning
-            pose[1] += 0.5
-            inputs['load'] = context[2] = context[2] + 100.0 * h
-        slave.set(pos=pose[:3], rot=pose[3:], **inputs)
-        slave.step(h)
-        frame = soil.step(_pose(place, twist, (k + 1) * h), h, context)
-        (sinkage,) = slave.c.getReal([slave.vr['sinkage']])
-        of_c = [place[1] - frame.point[1], *frame.force, *frame.torque]
-        rows.append([[sinkage, *slave.get('force'), *slave.get('moment')], of_c])
-    slave.free()
-    found, expected = np.array(rows).swapaxes(0, 1)
-    assert np.ptp(expected, axis=0)[[0, 1, 2, 6]].min() > 1e-4  # a moment, too
-    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-8)
-    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize('kind', ['graph', 'blade', 'wheel'])
-def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, fields, kind, tmp_path):
-    path, start = shared[0] if kind == 'graph' else fields[kind][0], None
-    if kind == 'wheel':
-        # It begins where the recorded one stood.
-        start, recorded = 1, fields[kind][2]['starts'].pose[1, :3]
+def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, tmp_path):
+    path = shared[0]
     slow, fast = ([v, 0, 0] for v in (-0.02, -0.06))
-    one, other = (_Slave(path, tmp_path / n, n, start, lin_vel=fast) for n in ('a', 'b'))
-    if kind == 'wheel':
-        np.testing.assert_array_equal(one.get('point'), recorded)
+    one, other = (_Slave(path, tmp_path / n, n, lin_vel=fast) for n in ('a', 'b'))
     place = one.get('point')
 
     def go(slave, time, n, lin_vel, h=0.011):
@@ -229,74 +157,7 @@ def test_rollback_serialised_states_and_two_instances_are_bit_exact(shared, fiel
         slave.free()
 
 
-def _turned(axis):
-    """A change of a pose: turned by 10 degrees about an axis of the world."""
-
-    def turned(pose):
-        half, (w, *v) = np.radians(10.0) / 2, pose[3:]
-        q, e = np.cos(half), np.sin(half) * np.eye(3)[axis]
-        return np.r_[pose[:3], q * w - e @ v, q * np.array(v) + w * e + np.cross(e, v)]
-
-    return turned
-
-
-OUTSIDE = {
-    'yaw': (_turned(1), 1 / 60),
-    'roll': (_turned(0), 1 / 60),
-    'aside': (lambda pose: pose + [0, 0, 0.5, 0, 0, 0, 0], 1 / 60),
-    'drift': (lambda pose: pose + [0, 0, 0.003, 0, 0, 0, 0], 1 / 60),
-    'frame_time': (lambda pose: pose, 1000.0),
-}
-
-
-def test_what_a_field_does_not_know_has_the_status_and_the_reason_of_python_and_c(fields, tmp_path):
-    path, field, parts = fields['blade']
-    poses = small_world.world_pose(small_world.path()[:, 0])
-    at = {'pos': poses[0, :3], 'rot': poses[0, 3:]}
-    slave = _Slave(path, tmp_path, **at)
-    soil, python = CField.of(field, **parts), Stepper(FieldEngine(field, *parts.values()))
-    for one in (soil, python):
-        one.start(poses[0])
-    for pose in poses[1:31]:
-        slave.set(pos=pose[:3], rot=pose[3:])
-        for step in (soil.step, python.step):
-            step(pose)
-        slave.step(1 / 60)
-    ok, outside = (slave.vr[f'status.{name}'] for name in ('ok', 'extrapolating'))
-    assert slave.c.getBoolean([ok, outside]) == [True, False] and not slave.logged
-    kept, of_c, of_python, time = slave.c.getFMUstate(), soil.save(), python.state, slave.time
-    for name, (change, h) in OUTSIDE.items():
-        pose = change(poses[31])
-        slave.set(pos=pose[:3], rot=pose[3:])
-        slave.step(h)
-        soil.step(pose, h)
-        judged = python.step(pose, dt=h).judgement
-        assert judged.reason.startswith(f'{name} ') and judged.reason == soil.judgement.reason
-        assert judged.status == soil.judgement.status == 'extrapolating'
-        assert slave.c.getBoolean([ok, outside]) == [False, True]
-        assert {category for category, _ in slave.logged} == {'logStatusWarning'}
-        assert [text for _, text in slave.logged if text.endswith(f': {judged.reason}')]
-        slave.logged.clear()
-        slave.c.setFMUstate(kept)
-        soil.load_state(of_c)
-        python.state, slave.time = of_python, time
-    slave.free()
-
-
-def test_a_bed_of_other_heights_is_said_at_the_start(tmp_path):
-    field, parts = worlds.field('blade')
-    field.ranges['bed_high'] = [0.1, 0.2]
-    path = str(tmp_path / 'blade.fmu')
-    fmu.write(path, 'lts_blade', field_data.values(field, **parts))
-    pose = small_world.world_pose(small_world.path()[0, 0]) - [0, 0.03, 0, 0, 0, 0, 0]
-    slave = _Slave(path, tmp_path / 'x', pos=pose[:3], rot=pose[3:])
-    judged = CField.of(field, **parts).start(pose)
-    assert slave.c.getBoolean([slave.vr['status.extrapolating']]) == [True]
-    assert judged.reason.startswith('bed_high ') and slave.logged[0][1].endswith(judged.reason)
-    slave.free()
-
-
-def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
+def test_status_is_told_and_bad_input_is_refused(shared, tmp_path):
     path, made = shared
     slave = _Slave(path, tmp_path / 'x')
     ok, outside = (slave.vr[f'status.{n}'] for n in ('ok', 'extrapolating'))
@@ -307,10 +168,6 @@ def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
     texts = [text for _, text in slave.logged]
     assert any('pose lies outside' in t for t in texts)
     assert any('coordinate' in t and t.endswith('of training') for t in texts)
-    wheel = _Slave(fields['wheel'][0], tmp_path / 'w', start=0)
-    described = fmpy.read_model_description(fields['wheel'][0]).modelVariables
-    causes = {v.name: v.causality for v in described}
-    assert causes['load'] == 'input' and causes['gravity'] == 'parameter'
     for act in (
         lambda: slave.set(pos=[np.nan, 0, 0]),
         lambda: slave.set(step_size=0.1),
@@ -318,14 +175,10 @@ def test_status_is_told_and_bad_input_is_refused(shared, fields, tmp_path):
         lambda: slave.c.setReal([999], [0.0]),
         lambda: slave.c.doStep(slave.time, -1.0),
         lambda: (slave.set(rot=[0, 0, 0, 0]), slave.step(0.1)),
-        lambda: wheel.set(gravity=3.0),
-        lambda: wheel.set(load=np.nan),
-        lambda: (wheel.set(load=-1.0), wheel.step(0.01)),
     ):
         with pytest.raises(FMICallException):
             act()
     slave.free()
-    wheel.free()
     with pytest.raises(ValueError, match='needs a body'):
         fmu.write(str(tmp_path / 'y.fmu'), 'lts_small', made.values | {'n_start': 0})
 

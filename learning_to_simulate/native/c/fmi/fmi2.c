@@ -93,7 +93,7 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
     return NULL;
   }
   /* One block: the component, its name, the model. */
-  const size_t length = strlen(name) + 1, size = SOIL(size)(&FMU_MODEL);
+  const size_t length = strlen(name) + 1, size = lts_size(&FMU_MODEL);
   char *block = (char *)call->allocateMemory(1, sizeof(component) + length + size);
   if (!block) {
     refuse(&probe, "out of memory");

@@ -7,24 +7,24 @@
 #include <string.h>
 
 const char *fmu_make(fmu_core *c, void *memory, size_t size) {
-  const int code = SOIL(init)(&FMU_MODEL, memory, size, LTS_BEST, &c->soil);
+  const int code = lts_init(&FMU_MODEL, memory, size, LTS_BEST, &c->soil);
   return code < 0 ? lts_error_text(code) : NULL;
 }
 
-SOIL(description) fmu_described(void) {
-  SOIL(description) model;
-  SOIL(describe)(&FMU_MODEL, &model);
+lts_description fmu_described(void) {
+  lts_description model;
+  lts_describe(&FMU_MODEL, &model);
   return model;
 }
 
-lts_pose fmu_pose(const fmu_core *c) {
+static lts_pose pose_of(const fmu_core *c) {
   lts_pose pose;
   memcpy(pose.position, c->v.real + VR_POSITION, sizeof pose.position);
   memcpy(pose.rotation, c->v.real + VR_ROTATION, sizeof pose.rotation);
   return pose;
 }
 
-lts_twist fmu_twist(const fmu_core *c) {
+static lts_twist twist_of(const fmu_core *c) {
   lts_twist twist;
   memcpy(twist.linear, c->v.real + VR_LINEAR, sizeof twist.linear);
   memcpy(twist.angular, c->v.real + VR_ANGULAR, sizeof twist.angular);
@@ -42,13 +42,11 @@ static double drawbar_of(const double *linear, const double *force, int up) {
   return square > 0.0 ? along / sqrt(square) : 0.0;
 }
 
-static void take(fmu_core *c, const fmu_answer *answer) {
+static void take(fmu_core *c, const lts_result *answer) {
   double *real = c->v.real;
   const int up = fmu_described().up_axis;
   memcpy(real + VR_POINT, answer->point, sizeof answer->point);
   memcpy(real + VR_FORCE, answer->force, sizeof answer->force);
-  memcpy(real + VR_MOMENT, answer->torque, sizeof answer->torque);
-  real[VR_BOUND] = answer->bound;
   real[VR_SINKAGE] = c->v.first_height - answer->point[up];
   real[VR_DRAWBAR] = drawbar_of(real + VR_LINEAR, answer->force, up);
 }
@@ -64,8 +62,8 @@ static void tell(fmu_core *c, int status, int frame) {
       "a position or force is not finite"};
   char text[320], why[200] = "";
   lts_judgement judged = {0};
-  if (status) SOIL(judge)(c->soil, &judged);
-  if (status) SOIL(reason)(c->soil, why, sizeof why);
+  if (status) lts_judge(c->soil, &judged);
+  if (status) lts_reason(c->soil, why, sizeof why);
   for (int i = 0; i < FMU_STATUS_BITS; ++i) {
     if (!((status & ~c->v.told) >> i & 1)) continue;
     snprintf(text, sizeof text, "frame %d: %s", frame, texts[i]);
@@ -76,12 +74,21 @@ static void tell(fmu_core *c, int status, int frame) {
   c->v.told |= status;
 }
 
+/* Goes on by h s from the current values. Frames stay whole: see lts_advance. */
+static int go_on(fmu_core *c, double h, lts_result *answer) {
+  const lts_pose pose = pose_of(c);
+  const lts_twist twist = twist_of(c);
+  return lts_advance(c->soil, h, FMU_GIVEN ? &pose : NULL, FMU_GIVEN ? &twist : NULL, answer);
+}
+
 /* Starts the model from the current values, once they have changed. */
 static const char *begin(fmu_core *c) {
   if (c->v.begun) return NULL;
-  fmu_answer answer;
-  memset(&answer, 0, sizeof answer);
-  const int status = fmu_soil_start(c, &answer);
+  const lts_pose pose = pose_of(c);
+  const lts_twist twist = twist_of(c);
+  lts_result answer;
+  int status = lts_start(c->soil, c->v.start, &pose, &twist, c->v.real + VR_CONTEXT);
+  if (status >= 0) status = go_on(c, 0.0, &answer);
   if (status < 0) return lts_error_text(status);
   c->v.first_height = answer.point[fmu_described().up_axis];
   c->v.told = 0;
@@ -93,8 +100,14 @@ static const char *begin(fmu_core *c) {
 
 void fmu_defaults(fmu_core *c) {
   memset(&c->v, 0, sizeof c->v);
-  fmu_soil_defaults(c->v.real);
-  memcpy(c->v.real + VR_POINT, c->v.real + VR_POSITION, 3 * sizeof(double));
+  double *real = c->v.real;
+  lts_pose pose;
+  lts_start_pose(&FMU_MODEL, 0, &pose);
+  memcpy(real + VR_POSITION, pose.position, sizeof pose.position);
+  memcpy(real + VR_ROTATION, pose.rotation, sizeof pose.rotation);
+  real[VR_FRAME_TIME] = fmu_described().dt;
+  lts_start_context(&FMU_MODEL, 0, real + VR_CONTEXT);
+  memcpy(real + VR_POINT, real + VR_POSITION, 3 * sizeof(double));
   c->v.start = -1;
 }
 
@@ -115,9 +128,8 @@ const char *fmu_start_stepping(fmu_core *c) {
 const char *fmu_step(fmu_core *c, double time, double h) {
   if (c->v.now != FMU_STEPPING) return "a step before the end of the initialisation";
   if (!(h > 0.0) || !isfinite(time)) return "the step has no positive length";
-  fmu_answer answer;
-  memset(&answer, 0, sizeof answer);
-  const int status = fmu_soil_step(c, h, &answer);
+  lts_result answer;
+  const int status = go_on(c, h, &answer);
   if (status < 0) return lts_error_text(status);
   c->v.time = time + h;
   take(c, &answer);
@@ -139,10 +151,8 @@ const char *fmu_get_reals(fmu_core *c, const unsigned *vr, size_t n, double *val
 
 const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const double *value) {
   for (size_t i = 0; i < n; ++i) {
-    const int is_load = FMU_LOAD >= 0 && (int)vr[i] == VR_CONTEXT + FMU_LOAD;
-    const int is_input = vr[i] < VR_POINT || is_load;
-    const int is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL && !is_input;
-    if (!is_input && !is_context) return "this real variable cannot be set";
+    const int is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL;
+    if (vr[i] >= VR_POINT && !is_context) return "this real variable cannot be set";
     if (is_context && c->v.now >= FMU_STEPPING) {
       return "a fixed parameter is set after the initialisation";
     }
@@ -155,8 +165,7 @@ const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const doubl
 
 const char *fmu_set_start(fmu_core *c, int start) {
   if (c->v.now >= FMU_STEPPING) return "a fixed parameter is set after the initialisation";
-  const int n = fmu_described().n_start; /* a blade has none, and begins anywhere */
-  if (start < -1 || start >= (n ? n : 1)) return "the model has no such start";
+  if (start < -1 || start >= fmu_described().n_start) return "the model has no such start";
   c->v.start = start;
   c->v.begun = 0;
   return NULL;
@@ -171,19 +180,19 @@ const char *fmu_status(fmu_core *c, unsigned which, int *value) {
 }
 
 size_t fmu_state_size(const fmu_core *c) {
-  return sizeof c->v + SOIL(state_size)(FMU_STATE_OF(c->soil));
+  return sizeof c->v + lts_state_size(&FMU_MODEL);
 }
 
 const char *fmu_write_state(fmu_core *c, void *bytes) {
   memcpy(bytes, &c->v, sizeof c->v);
   const size_t size = fmu_state_size(c) - sizeof c->v;
-  const int code = SOIL(save)(c->soil, (char *)bytes + sizeof c->v, size);
+  const int code = lts_save(c->soil, (char *)bytes + sizeof c->v, size);
   return code < 0 ? lts_error_text(code) : NULL;
 }
 
 const char *fmu_read_state(fmu_core *c, const void *bytes, size_t size) {
   if (size <= sizeof c->v) return "the bytes are no state of this FMU";
-  const int code = SOIL(load)(c->soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
+  const int code = lts_load(c->soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
   if (code < 0) return lts_error_text(code);
   memcpy(&c->v, bytes, sizeof c->v);
   if (c->v.start < -1) c->v.start = -1; /* of forged bytes; the model refuses what is too large */

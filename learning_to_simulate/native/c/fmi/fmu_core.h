@@ -1,21 +1,9 @@
 /* What an FMU is apart from the standard: variables, life, steps and states around the C interface of a
- * model. fmi2.c puts the functions of the standard around it; fmu_graph.c or fmu_field.c begins and steps
- * the model. Functions return null, or what is wrong. */
+ * model. fmi2.c puts the functions of the standard around it. Functions return null, or what is wrong. */
 #ifndef FMU_CORE_H
 #define FMU_CORE_H
 
-#include "fmu_model.h" /* generated: the model, its kind, its GUID and sizes */
-
-/* The two kinds of models have calls of the same names. */
-#if FMU_FIELD
-#define SOIL(name) lts_field_##name
-#define FMU_STATE_OF(soil) (soil)
-typedef lts_field fmu_soil;
-#else
-#define SOIL(name) lts_##name
-#define FMU_STATE_OF(soil) (&FMU_MODEL)
-typedef lts_instance fmu_soil;
-#endif
+#include "fmu_model.h" /* generated: the model, its GUID and sizes */
 
 #define FMU_STATUS_BITS 6
 
@@ -30,9 +18,8 @@ enum {
   VR_MOMENT = 19,
   VR_SINKAGE = 22,
   VR_DRAWBAR = 23,
-  VR_BOUND = 24,
-  VR_FRAME_TIME = 25,
-  VR_CONTEXT = 26, /* fixed parameters */
+  VR_FRAME_TIME = 24,
+  VR_CONTEXT = 25, /* fixed parameters */
   N_REAL = VR_CONTEXT + FMU_CONTEXT
 };
 enum { N_BOOLEAN = 4 }; /* ok, extrapolating, left_bounds, non_finite */
@@ -48,28 +35,15 @@ typedef struct {
   double real[N_REAL];
 } fmu_values;
 
-typedef struct {
-  double force[3], torque[3], point[3], bound;
-  int frame;
-} fmu_answer;
-
 typedef struct fmu_core fmu_core;
 struct fmu_core {
   void (*warn)(fmu_core *core, const char *text); /* of the standard's layer */
   fmu_values v;
-  fmu_soil *soil;
+  lts_instance *soil;
 };
 
-/* ---- the model ---- */
-/* Position, rotation, frame time and context of start 0, into `real`. */
-void fmu_soil_defaults(double *real);
-/* Starts from the values of `core`, or goes on from them by h s; a negative error of lts.h or status. */
-int fmu_soil_start(fmu_core *core, fmu_answer *answer);
-int fmu_soil_step(fmu_core *core, double h, fmu_answer *answer);
-
-/* ---- the FMU ---- */
 const char *fmu_make(fmu_core *core, void *memory, size_t size); /* in memory for the model */
-SOIL(description) fmu_described(void);
+lts_description fmu_described(void);
 void fmu_defaults(fmu_core *core);
 const char *fmu_initialise(fmu_core *core, double time);
 const char *fmu_start_stepping(fmu_core *core);
@@ -79,8 +53,6 @@ const char *fmu_set_reals(fmu_core *core, const unsigned *vr, size_t n, const do
 const char *fmu_set_start(fmu_core *core, int start);
 /* Status by number of a Boolean variable; `told` is up to date afterwards. */
 const char *fmu_status(fmu_core *core, unsigned which, int *value);
-lts_pose fmu_pose(const fmu_core *core);
-lts_twist fmu_twist(const fmu_core *core);
 /* A state: its values, then the bytes of the model. */
 size_t fmu_state_size(const fmu_core *core);
 const char *fmu_write_state(fmu_core *core, void *bytes);
