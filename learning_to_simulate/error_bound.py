@@ -55,12 +55,18 @@ def calibrate(runs, kind: str) -> list[float]:
     share = np.concatenate([np.full(len(e), 1.0 / len(e)) for e, _, _ in runs])
     weights, _ = optimize.nnls(np.sqrt(share)[:, None] * signs, np.sqrt(share) * errors)
     weights[0] = max(weights[0], FLOORS[kind])
-    scores = sorted(
+    factor = of_runs(
         np.quantile(e / (_signs(s, z) @ weights), FRAMES_WITHIN, method='higher')
         for e, s, z in runs
     )
-    factor = scores[min(int(np.ceil(RUNS_WITHIN * (len(runs) + 1))), len(runs)) - 1]
     return (factor * weights).tolist()
+
+
+def of_runs(scores) -> float:
+    """The score that 9 of 10 further runs do not exceed, of those of n runs; see `calibrate`."""
+    ordered = sorted(float(score) for score in scores)
+    n = len(ordered)
+    return ordered[min(int(np.ceil(RUNS_WITHIN * (n + 1))), n) - 1]
 
 
 def reliability(runs, weights, n_bin: int = 5) -> list[dict]:

@@ -30,6 +30,7 @@ class SoilFrame(NamedTuple):
       torque: float64 [3], N m, about the position of the pose, world.
       judgement: the worst since the start; `now`: of this frame alone.
       spread: float64 [6], standard deviation over members of force and torque, along, up, across.
+      bound: N, of the error of the force, see `SoilField.bound`; NaN where it is not known.
     """
 
     pose: np.ndarray
@@ -38,6 +39,7 @@ class SoilFrame(NamedTuple):
     judgement: Judgement
     now: Judgement
     spread: np.ndarray
+    bound: float
 
     @property
     def status(self) -> RolloutStatus:
@@ -203,7 +205,9 @@ class TfEngine:
         values = self._field.judged(frame, self._conditions(passage, pose)[None])
         now = self._field.limits.judge(values, self._number, bool(np.isfinite(mean).all()))
         force, torque = passage.place.vectors(mean[:3]), passage.place.vectors(mean[3:])
-        return SoilFrame(pose, force, torque, worse(before, now), now, loads.std(axis=0))
+        spread = loads.std(axis=0)
+        bound = self._field.bound(mean[:3], spread[:3], self._units[0], self._members)
+        return SoilFrame(pose, force, torque, worse(before, now), now, spread, bound)
 
     def clone(self, terrain) -> 'TfEngine':
         """The same at the same point, on a clone of the terrain."""

@@ -13,6 +13,10 @@ the model makes of it. Errors are those of frames H on, as of all methods, and o
                 heap minus cut, against that of the truth (soil may loosen or pack)
   loads         `metrics.load_errors` along, up and across the way
 
+Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
+frames whose force keeps its bound, and `near_95_mm`, below which the map near the tool is in 95 %
+of the frames, mm of the field.
+
 Beside the model stand persistence; the model under the load that moved the tool, where that was
 recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for
 the loads, on the recorded terrain (`baselines`).
@@ -24,7 +28,7 @@ from collections import Counter
 
 import numpy as np
 
-from learning_to_simulate import metrics
+from learning_to_simulate import error_bound, metrics
 from learning_to_simulate.baselines import earthmoving
 from learning_to_simulate.baselines import wheel_terramechanics as terramechanics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
@@ -138,7 +142,8 @@ def _refused(run, name, reason):
     return TerrainRollout(
         run.tool, run.before(), none(run.pose), none(run.force), none(run.torque),
         np.arange(0, len(run.pose), run.stride), none(run.heights),
-        (judgement.status,) * len(run.pose), judgement, run.dt,
+        (judgement.status,) * len(run.pose), none(run.force), none(run.dt + run.force[:, 0]),
+        judgement, run.dt,
         particles=None if run.particles is None else none(run.particles), run=run, name=name,
     )  # fmt: skip
 
@@ -148,6 +153,7 @@ def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
     judgement = rollout.judgement
     found = load_errors(run, rollout.force[H:], rollout.torque[H:])
     found |= terrain_errors(run, rollout.heights) | soil_errors(run, rollout.particles)
+    found |= _bound_figures(rollout, run)
     flagged = np.mean([status != RolloutStatus.OK for status in rollout.frame_status])
     return found | {
         'status': str(judgement.status),
@@ -157,6 +163,46 @@ def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
         'flagged_share': float(flagged),
         'milliseconds_per_step': 1e3 * rollout.seconds / len(rollout),
         'seconds_per_simulated_second': rollout.seconds / (len(rollout) * rollout.dt),
+    }
+
+
+def _bound_figures(rollout, run):
+    off = np.linalg.norm((rollout.force - run.force)[H:], axis=1)
+    late = slice(-(-H // run.stride), None)
+    apart = (rollout.heights - run.heights)[late][:, near(run)]
+    rows = 1e3 * np.sqrt((apart.astype(np.float64) ** 2).mean(axis=1)) / run.tool.scale
+    # What is not a number compares as false: it keeps no bound.
+    found = {'near_95_mm': float(np.quantile(rows, error_bound.FRAMES_WITHIN))}
+    if np.isfinite(rollout.bound).any():
+        found['bound_kept'] = float((off <= rollout.bound[H:]).mean())
+        found['bound_newton'] = float(rollout.bound[H:].mean())
+    return found
+
+
+def bounds_of(results, rows: list[dict]) -> dict:
+    """Bounds of a field, in N and m of the field, which do not look at the kind of a run.
+
+    Args:
+      results: of `SoilEvaluator.run`, of valid runs that no training has seen.
+      rows: errors of the model on these.
+
+    Returns:
+      `SoilField.bounds`; {} where the field answers none of the runs. Runs that it refuses do not
+      count.
+    """
+    runs, lengths = [], []
+    for (_, _, rollout), row in zip(results, rows, strict=True):
+        if rollout.status == RolloutStatus.NON_FINITE:
+            continue
+        unit = rollout.tool.units(rollout.run.soil)[0]
+        columns = rollout.force - rollout.run.force, rollout.spread, rollout.force
+        runs.append(tuple(np.linalg.norm(x[H:], axis=1) / unit for x in columns))
+        lengths.append(row['near_95_mm'])
+    if not runs:
+        return {}
+    return {
+        'force': error_bound.calibrate(runs, 'force'),
+        'near_mm': error_bound.of_runs(lengths),
     }
 
 

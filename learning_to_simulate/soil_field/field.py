@@ -9,7 +9,7 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, known_shapes
+from learning_to_simulate import checkpoints, error_bound, known_shapes
 from learning_to_simulate.rollout_status import Ranges
 from learning_to_simulate.soil_field import network, sweep
 from learning_to_simulate.soil_field.passage import Passage
@@ -48,12 +48,15 @@ class SoilField:
       config: how it was trained.
       networks: of it.
       ranges: name of a number of `judged` -> its range in training.
+      bounds: what `evaluation.bounds_of` found on valid runs, in N and m of the field: `force`, the
+        weights [3] of `error_bound.bound`; `near_mm` of the surface. {} where nothing was found.
       data: where its training data came from, for the record.
     """
 
     config: SoilFieldConfig
     networks: network.SoilNetworks
     ranges: dict[str, list[float]] = dataclasses.field(default_factory=dict)
+    bounds: dict = dataclasses.field(default_factory=dict)
     data: dict = dataclasses.field(default_factory=dict)
 
     @property
@@ -113,6 +116,20 @@ class SoilField:
         values = np.concatenate([values, np.asarray(conditions, np.float64)], axis=1)
         return np.where(free & ~touches[:, None], self.middle, values)
 
+    def bound(self, force, spread, unit: float, members: int | None = None) -> float:
+        """What the length of the error of a force keeps, N: in 95 % of the frames of 9 of 10 runs
+        that are like those of training. NaN where it is not known, as for single members.
+
+        Args:
+          force, spread: [3] N, the mean over members and their standard deviation.
+          unit: N to one N of the field.
+          members: that have answered.
+        """
+        if 'force' not in self.bounds or members not in (None, self.networks.members):
+            return float('nan')
+        signs = np.linalg.norm(spread) / unit, np.linalg.norm(force) / unit
+        return float(unit * error_bound.bound(*signs, self.bounds['force']))
+
     def rise(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far the surface has risen [K] at places [K, 2] of a passage, m of the field."""
         call = self.networks.compiled(len(passage.strips.centres), members).rise
@@ -156,6 +173,7 @@ def save(path: str, field: SoilField) -> None:
                 'tool': field.networks.tool.name,
                 'hidden': field.networks.hidden,
                 'ranges': field.ranges,
+                'bounds': field.bounds,
             },
             'data': field.data,
         },
@@ -180,12 +198,24 @@ def load(path: str) -> SoilField:
         where = os.path.join(path, checkpoints.WEIGHTS_FILE)
         with known_shapes.only((w.shape for w in arrays.values()), where):
             networks = network.SoilNetworks(tool, config.members, config.seed, hidden)
-        found = SoilField(config, networks, ranges, stored.get('data', {}))
+        bounds = _bounds(values.get('bounds', {}))
+        found = SoilField(config, networks, ranges, bounds, stored.get('data', {}))
         _ = found.limits
     variables = _weights(networks)
     checkpoints.check_weights(path, arrays, {n: tuple(v.shape) for n, v in variables.items()})
     for name, variable in variables.items():
         variable.assign(arrays[name])
+    return found
+
+
+def _bounds(stored):
+    """Bounds of a folder; raises what `refusing_wrong_fields` takes."""
+    if not stored:
+        return {}
+    found = {'force': [float(x) for x in stored['force']], 'near_mm': float(stored['near_mm'])}
+    numbers = np.array([*found['force'], found['near_mm']])
+    if len(found['force']) != 3 or not (np.isfinite(numbers).all() and (numbers >= 0).all()):
+        raise ValueError(f'bounds are {stored}: three weights and a length, not negative')
     return found
 
 

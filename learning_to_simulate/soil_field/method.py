@@ -17,7 +17,7 @@ from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.soil_field import field as field_lib
 from learning_to_simulate.soil_field import runs as runs_lib
 from learning_to_simulate.soil_field import samples, training
-from learning_to_simulate.soil_field.evaluation import SoilEvaluator
+from learning_to_simulate.soil_field.evaluation import SoilEvaluator, bounds_of
 from learning_to_simulate.soil_field.runs import Run
 from learning_to_simulate.training.loop import StopSignals
 from pca_tools import dataset, files
@@ -56,7 +56,8 @@ def train(data_path, model_path, config, options) -> dict:
                 losses = training.fit(made, pools, saved=saved)
             if valid:
                 judge = SoilEvaluator(made, under_load=False)
-                _, summary = judge.run(valid, 'valid', _bar('valid'))
+                results, summary = judge.run(valid, 'valid', _bar('valid'))
+                made.bounds = bounds_of(results, summary['runs']['model'])
                 summary['training'] = losses
                 files.write_json(os.path.join(model_path, METRICS), summary)
             made.data = data | {'runs': [f'{run.kind} {run.case}' for run in runs]}

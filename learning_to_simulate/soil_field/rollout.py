@@ -32,6 +32,8 @@ class TerrainRollout:
       frames: int [F], frames of the maps.
       heights: float32 [F, nx, nz], m.
       frame_status: T statuses of the frames alone.
+      spread: float64 [T, 3], N, standard deviation of the force over members, along, up, across.
+      bound: float64 [T], N, of the error of the force, see `SoilField.bound`.
       judgement: the worst, and where it is first.
       dt: s of a frame.
       seconds: that the computation took.
@@ -48,6 +50,8 @@ class TerrainRollout:
     frames: np.ndarray
     heights: np.ndarray
     frame_status: tuple[RolloutStatus, ...]
+    spread: np.ndarray
+    bound: np.ndarray
     judgement: Judgement = OK
     dt: float = DT
     seconds: float = 0.0
@@ -88,6 +92,7 @@ class TerrainRollout:
             'pose': self.pose,
             'predicted_forces': self.force,
             'predicted_torques': self.torque,
+            'force_bound': self.bound,
             'height_frames': self.frames,
             'heights_before': self.before.heights.astype(np.float32),
             'predicted_heights': self.heights,
@@ -225,6 +230,8 @@ def roll_out(
         frames=np.arange(0, len(path), every),
         heights=np.stack(heights),
         frame_status=tuple(frame.now.status for frame in frames),
+        spread=np.stack([frame.spread[:3] for frame in frames]),
+        bound=np.array([frame.bound for frame in frames]),
         judgement=frames[-1].judgement,
         dt=dt,
         seconds=time.perf_counter() - clock,

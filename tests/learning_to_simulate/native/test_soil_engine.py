@@ -1,6 +1,7 @@
 """The soil field in C against its twin in Python: all functions, whole paths, words, refusals."""
 
 import ctypes
+import dataclasses
 import functools
 import types
 
@@ -62,6 +63,7 @@ def assert_frame(c, tf):
     size = max(np.abs(tf.force).max(), 1e-3)
     for name in ('force', 'torque', 'spread'):
         np.testing.assert_allclose(getattr(c, name), getattr(tf, name), atol=2e-5 * size)
+    np.testing.assert_allclose(c.bound, tf.bound, atol=2e-5 * size)
     np.testing.assert_allclose(c.pose, tf.pose, rtol=1e-15)
     assert c.now == tf.now and c.judgement == tf.judgement
     assert c.status == tf.status and c.reason == tf.reason
@@ -86,6 +88,17 @@ def drive(pair, way, dt=DT, **more):
         felt += bool(frames[1].force.any())
     assert felt
     return frames
+
+
+def test_the_bound_of_the_force_is_that_of_all_members():
+    made = dataclasses.replace(field(), bounds={'force': [3.0, 1.5, 0.25], 'near_mm': 2.0})
+    wide = dataclasses.replace(BLADE, width=1.2)  # a scaled scene: 8 N to one of the field
+    frame = drive(both(flat(), wide, made), path(30, 0.4))[0]
+    assert wide.scale == 2 and frame.force.any()
+    lengths = np.linalg.norm(frame.spread[:3]), np.linalg.norm(frame.force)
+    assert frame.bound == pytest.approx(3.0 * 8 + 1.5 * lengths[0] + 0.25 * lengths[1])
+    c, tf = drive(both(flat(), wide, made, members=1), path(30, 0.4))
+    assert np.isnan(c.bound) and np.isnan(tf.bound)
 
 
 def test_frames_as_the_networks_see_them_and_what_these_say():

@@ -1,6 +1,7 @@
 """Errors of closed-loop rollouts, against plain formulas on the arrays of runs, and against a soil
 whose law is known."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -71,6 +72,28 @@ def test_errors_are_those_of_the_arrays(judged):
         assert row['force_relative_l2'] < 0.25 < still['force_relative_l2']
         assert row['near_mm'] < 0.6 * still['near_mm'] and row['soil_mm'] < 0.6 * still['soil_mm']
         assert row['status'] == 'ok' and row['flagged_share'] == 0
+
+
+def test_bounds_hold_on_the_runs_that_they_are_made_of(judged):
+    runs, results, summary = judged
+    rows = summary['runs']['model']
+    bounds = evaluation.bounds_of(results, rows)
+    field = dataclasses.replace(worlds.trained()[0], bounds=bounds)
+    _, again = evaluation.SoilEvaluator(field, under_load=False).run(runs, 'test')
+    lengths = []
+    for run, (_, _, rollout), row in zip(runs[:3], results, again['runs']['model']):
+        off = np.linalg.norm((rollout.force - run.force)[H:], axis=1)
+        spread, size = (np.linalg.norm(x[H:], axis=1) for x in (rollout.spread, rollout.force))
+        limit = np.stack([np.ones_like(size), spread, size], axis=1) @ bounds['force']
+        assert row['bound_kept'] == pytest.approx((off <= limit).mean()) and row['bound_kept'] > 0.9
+        assert row['bound_newton'] == pytest.approx(limit.mean())
+        near = evaluation.near(run)
+        maps = [rms(x[near]) for x in (rollout.heights - run.heights)[2:]]
+        assert row['near_95_mm'] == pytest.approx(np.quantile(maps, 0.95))
+        lengths.append(row['near_95_mm'])
+    assert bounds['near_mm'] == max(lengths)  # of three runs the worst
+    assert 'bound_kept' not in rows[0]  # a field without bounds
+    assert 'bound_kept' not in again['runs']['model'][3]  # a run that was refused
 
 
 def test_summary_counts_by_run_and_kind(judged):

@@ -1,5 +1,6 @@
 """A trained field on disk, and what it flags."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -36,6 +37,9 @@ def test_a_loaded_field_says_the_same(folder):
         lambda c: c['field'].update(tool='spoon'),
         lambda c: c['field']['ranges'].pop('depth'),
         lambda c: c['field']['hidden'].update(soil=[24, 25]),
+        lambda c: c['field'].update(bounds={'force': [1, 2], 'near_mm': 1}),
+        lambda c: c['field'].update(bounds={'force': [1, 2, 3]}),
+        lambda c: c['field'].update(bounds={'force': [1, 2, -3], 'near_mm': 1}),
         lambda c: c['config'].update(members=5),
     ],
 )
@@ -47,6 +51,13 @@ def test_damaged_folders_are_refused(folder, tmp_path, damage):
     (tmp_path / 'config.json').write_text(json.dumps(config))
     with pytest.raises(ValueError, match=str(tmp_path)):
         field_lib.load(str(tmp_path))
+
+
+def test_bounds_are_kept(tmp_path):
+    bounds = {'force': [3.0, 1.5, 0.25], 'near_mm': 2.0}
+    field = dataclasses.replace(worlds.trained()[0], bounds=bounds)
+    field_lib.save(str(tmp_path), field)
+    assert field_lib.load(str(tmp_path)).bounds == bounds
 
 
 def test_weights_that_are_not_finite_are_not_saved(tmp_path):

@@ -46,6 +46,7 @@ def test_a_model_says_what_it_learned_from(model, folders, capsys):
     assert [len(found) for found in stored['data']['sha256']] == [4, 4]
     deepest = max((worlds.TOOL.radius - worlds.path(s)[:, 1]).max() for s in (0, 3))
     assert model.model.ranges['depth'][1] == pytest.approx(deepest, abs=1e-4)
+    assert len(model.model.bounds['force']) == 3
     metrics = files.read_json(f'{model.path}/metrics.json')
     assert [row['case'] for row in metrics['runs']['model']] == ['1', '4']
     assert set(metrics['training']) == {'loss_load', 'loss_surface', 'loss_soil'}

@@ -151,6 +151,12 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
     out->spread[i] = sqrt(square / members);
     is_finite &= isfinite(mean[i]) != 0;
   }
+  const double *weights = soil->model->bound, *spread = out->spread;
+  const double apart = sqrt(spread[0] * spread[0] + spread[1] * spread[1] + spread[2] * spread[2]);
+  const double size = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
+  out->bound = members < soil->model->n_member
+                   ? NAN
+                   : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_vector(&p->s.place, mean, out->force);
   lts_place_vector(&p->s.place, mean + 3, out->torque);
   judge(soil, p, pose, is_finite, soil->frame, &out->now);
