@@ -71,6 +71,9 @@ def test_pairs_tell_what_changes():
     assert 0.0 < abs(step.figure) < 0.01 and step.passed and '25 frames' in step.note
     rows = run_rows.short_cut('sleep', small.BLADE, 186, 12)
     assert [row.passed for row in rows] == [True, True]
+    rows = run_rows.noise(small.BLADE, 186, 12)
+    assert [row.expected for row in rows] == [None, None]
+    assert 0.0 < abs(rows[0].figure) < 1e-4 and rows[1].figure < 1e-3
 
 
 def test_steps_in_single_precision_change_a_run_by_rounding_alone():
