@@ -105,8 +105,12 @@ class SoilField:
         own = [frames.scalars[..., columns[n]].max(axis=1) for n in names]
         values = np.stack(own + found, axis=1).astype(np.float64)
         lowest = np.where(here, surface - frames.bins[..., sweep.CUT], np.inf).min(axis=(1, 2))
-        # In the air all is free but what the tool is.
-        touches = height - radius < np.maximum(lowest, level) + network.ABOVE + (
+        # In the air all is free but what the tool is. A blade on its head hangs below its edge.
+        lowest_part = height - radius
+        if 'length' in columns:
+            lean, length = (frames.scalars[:, 0, columns[n]] for n in ('lean', 'length'))
+            lowest_part = lowest_part + np.minimum(length * np.cos(lean), 0.0)
+        touches = lowest_part < np.maximum(lowest, level) + network.ABOVE + (
             network.HEAP * np.sqrt(np.maximum(values[:, 1:3].max(axis=1), 0.0))
         )
         free = np.zeros(len(self.judged_names), bool)

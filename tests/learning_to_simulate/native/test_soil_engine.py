@@ -101,6 +101,14 @@ def test_the_bound_of_the_force_is_that_of_all_members():
     assert np.isnan(c.bound) and np.isnan(tf.bound)
 
 
+def test_a_blade_on_its_head_is_flagged_where_it_reaches_the_soil():
+    made = ranged(lean=[-1.0, 1.0])
+    for height, status in ((BLADE.length + 0.3, 'ok'), (BLADE.length - 0.05, 'extrapolating')):
+        for tool in both(flat(), made=made):
+            frame = tool.start(poses([[0.0, height, np.pi]])[0])
+            assert frame.status == status and ('lean 3.14' in frame.reason) == (status != 'ok')
+
+
 def test_frames_as_the_networks_see_them_and_what_these_say():
     made = field()
     for terrain, n_strip in ((flat(), 1), (hills(), 11)):

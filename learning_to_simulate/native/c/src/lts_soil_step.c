@@ -42,7 +42,10 @@ static int find_ground(const lts_soil *soil, const lts_passage *p, double area, 
   found[1] = least - level;
   found[2] = most - level;
   found[3] = uneven;
-  return bottom < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
+  /* A blade on its head hangs below its edge; its length follows the radius. */
+  double hangs = 0.0;
+  if (m->kind == LTS_SOIL_BLADE) hangs = fmin((double)s[m->radius + 1] * cos((double)s[LTS_SOIL_LEAN]), 0.0);
+  return bottom + hangs < fmax(lowest, level) + (double)m->above + (double)m->heap * sqrt(fmax(area, 0.0));
 }
 
 /* What no network sees: `CONDITIONS` of field.py. */
