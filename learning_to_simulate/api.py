@@ -175,8 +175,7 @@ class TrainedModel:
             from learning_to_simulate.live import starts
 
             found, space = starts.read(self.path)
-            if not self._method.live:
-                space = None if space is None else self.model.fitting_subspace(space)
+            space = None if space is None else self.model.fitting_subspace(space)
             self._at_rest = found, space
         return self._at_rest
 
@@ -231,7 +230,7 @@ class TrainedModel:
 
     def _of_run(self, run):
         from learning_to_simulate.live import paths
-        from learning_to_simulate.live.soil import ModesSoil
+        from learning_to_simulate.live.soil import Soil
 
         opened = self._opened(run.split)
         (group,) = (
@@ -239,11 +238,8 @@ class TrainedModel:
             if run.index in g.record
         )  # fmt: skip
         rollout = opened.evaluator.roll_out(group)
-        if self._method.live:
-            soils = rollout.soils
-        else:
-            decoder = self._decoder(run.split)
-            soils = [ModesSoil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]
+        decoder = self._decoder(run.split)
+        soils = [Soil(modes, decoder) for modes in rollout.position[0, :, group.n_rigid :]]
         return paths.of_recorded_run(group, rollout, self.scene, soils, f'rollout_{run.name}')
 
     def _decoder(self, split):
@@ -348,7 +344,10 @@ class TerrainModel(TrainedModel):
         from learning_to_simulate.soil_field.terrain import Terrain
 
         if not isinstance(terrain, Terrain):
-            raise ValueError(f'terrain is {terrain!r}: an lts.Terrain was expected')
+            raise ValueError(
+                f'terrain is {terrain!r}: a soil field works on a terrain, '
+                f'model.stepper(lts.Terrain.flat((12.0, 3.0), height=0.25)) or lts.Terrain(heights)'
+            )
         return SoilStepper(self.model, terrain, tool, members)
 
     def rollout(  # type: ignore[override]
@@ -412,8 +411,8 @@ def load(name: str) -> TrainedModel:
     """A trained model.
 
     Args:
-      name: a model folder, or a shipped model: 'wheel/pcg_thesis'; the name of a dataset alone
-        means its swept field where one ships (`excavation_v2`), else its `pcg` (`excavation`).
+      name: a model folder, or a shipped model: 'excavation/mlp_driven'; the name of a dataset
+        alone means its soil field where one ships, else its `pcg`.
 
     Raises:
       FileNotFoundError: no such model; the message lists those that ship.

@@ -13,7 +13,6 @@ from learning_to_simulate.config import (
     TrainConfig,
 )
 from learning_to_simulate.soil_field import settings as soil_field_settings
-from learning_to_simulate.swept_field import settings as swept_field_settings
 
 _PUBLISHED = {
     'style': 'published',
@@ -104,9 +103,7 @@ OPEN_LOOP = {
         ('bekker_wong_janosi_fitted', 'bekker_wong_janosi', {'fitted': True}),
     )
 }
-PRESETS: dict[str, Any] = (
-    _OF_NETWORKS | soil_field_settings.PRESETS | swept_field_settings.PRESETS | OPEN_LOOP
-)
+PRESETS: dict[str, Any] = _OF_NETWORKS | soil_field_settings.PRESETS | OPEN_LOOP
 
 
 def preset_of_model(model: str | None) -> str:

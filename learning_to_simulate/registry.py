@@ -29,14 +29,13 @@ class Method:
 
     about: str  # one line for `--help`
     code: str  # module with `train`, `open_model` and `load`
-    live: str | None = None  # module of its engine for live use; None: of models in the subspace
     takes_raw_runs: bool = False  # of a dataset (`raw_path`), not records alone
     on_terrain: bool = False  # whether its models work on a given terrain: `api.TerrainModel`
 
     @property
     def steps(self) -> bool:
         """Whether its models start from a bed at rest and take poses, live or as whole paths."""
-        return self.code == _SUBSPACE or self.live is not None
+        return self.code == _SUBSPACE
 
     def check_raw_path(self, raw_path: str | None) -> None:
         """Raises ValueError where raw runs are given to a method that takes records."""
@@ -86,11 +85,6 @@ METHODS = {
         'radius graph on thinned particles (Sanchez-Gonzalez et al. 2020)',
         'learning_to_simulate.full_space.method',
         takes_raw_runs=True,
-    ),
-    'swept_field': Method(
-        'neural field over what the tool has swept: no modes, no time stepping',
-        'learning_to_simulate.swept_field.method',
-        live='learning_to_simulate.swept_field.engine',
     ),
     'soil_field': Method(
         'neural field over what a tool has swept, anywhere on a terrain of heights',

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 MARKERS = {'models': 'config.json', 'datasets': 'metadata.json'}
 # What the name of a dataset alone means as a model: the first of these that ships with it.
-DEFAULT_MODELS = 'soil_field', 'swept_field', 'pcg'
+DEFAULT_MODELS = 'soil_field', 'pcg'
 _REMEDIES = {
     'models': 'this copy has none: install it again (pip install .), its wheel holds them',
     'datasets': 'an installed copy has none: name a folder, such as datasets/excavation of the '
@@ -30,7 +30,7 @@ def folder(kind: str) -> str:
 
 
 def names(kind: str = 'models') -> list[str]:
-    """The names of what ships, such as 'excavation_v2/swept_field'; sorted.
+    """The names of what ships, such as 'excavation/soil_field'; sorted.
 
     Args:
       kind: 'models' or 'datasets'.

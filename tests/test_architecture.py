@@ -48,7 +48,7 @@ LAYERS = (
     ('tool',),
     ('ensemble',),
     ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
-    ('swept_field', 'soil_field', 'baselines', 'full_space', 'penetration', 'subspace.method',
+    ('soil_field', 'baselines', 'full_space', 'penetration', 'subspace.method',
      'presets'),
     ('export', 'native'),
     ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',

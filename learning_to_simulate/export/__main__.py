@@ -8,10 +8,6 @@ Examples:
   python -m learning_to_simulate.export --format=tflite --model_path=... --data_path=... \\
       --output_path=...
 
-  # the two networks of a swept field; see docs/native.md
-  python -m learning_to_simulate.export --format=onnx --output_path=/tmp/field --n_particles=600 \\
-      --model_path=models/excavation_v2/swept_field --data_path=datasets/excavation_v2
-
   # C99 source, or an FMU of FMI 2.0; see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
@@ -36,9 +32,6 @@ def define_flags() -> None:
     )
     flags.DEFINE_enum('format', 'savedmodel', [*FORMATS, 'page'], 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
-    flags.DEFINE_integer(
-        'n_particles', None, 'Particles of a swept field; default: all of its bed.', 1
-    )
 
 
 def run(values) -> None:
@@ -50,9 +43,8 @@ def run(values) -> None:
         return
     command.import_tensorflow()
     description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
-        values.n_particles,
-    )  # fmt: skip
+        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
+    )
     print(summary(description, values.output_path))
 
 

@@ -1,8 +1,8 @@
 """Exports a trained model so that it runs without this project: SavedModel, LiteRT, ONNX, C, FMU.
 
 To TensorFlow's relatives go functions of arrays without memory: of a model in a subspace `step` and
-`reconstruct` (`step_functions`), of a swept field its two networks (`field_networks`). In C and as
-an FMU a model keeps its state (`native.exporting`). `export.json` beside the model says what every
+`reconstruct` (`step_functions`). In C and as an FMU a model keeps its state (`native.exporting`); a
+soil field has no other form. `export.json` beside the model says what every
 input and output is, and `sample.npz` holds calls of functions to check another program with. What
 was written is loaded again and compared with the source model on a recorded run; beyond round-off
 the export is refused.
@@ -19,7 +19,7 @@ from pca_tools import files
 DESCRIPTION_FILE, SAMPLE_FILE = 'export.json', 'sample.npz'
 FORMATS = ('savedmodel', 'tflite', 'onnx', *native.FORMATS)
 # Largest difference to the source as a share of the largest motion or load of the compared calls.
-# Measured 4e-7 (excavation) to 2e-6 (wheel, fields): float32 sums in another order.
+# Measured 4e-7 (excavation) to 2e-6 (wheel): float32 sums in another order.
 TOLERANCE = 1e-4
 # Of particles, m; float32 positions of a metre resolve 1e-7.
 PARTICLES_TOLERANCE = 2e-6
@@ -31,7 +31,6 @@ def export(
     output_path: str,
     kind: str,
     n_rigid: int | None = None,
-    n_particles: int | None = None,
 ) -> dict:
     """Writes an exported model, compares it with its source and describes it.
 
@@ -42,7 +41,6 @@ def export(
       kind: one of `FORMATS`.
       n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest,
         in C for that of the first start.
-      n_particles: of a swept field's functions, P of `soil`; None for those of its bed at rest.
 
     Returns:
       the description that is also in `export.json`.
@@ -55,7 +53,7 @@ def export(
     """
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    exported = _exported(model_path, data_path, kind, n_rigid, n_particles)
+    exported = _exported(model_path, data_path, kind, n_rigid)
 
     from learning_to_simulate import checkpoints
 
@@ -77,30 +75,20 @@ def export(
     return description
 
 
-def _exported(model_path, data_path, kind, n_rigid, n_particles):
+def _exported(model_path, data_path, kind, n_rigid):
     """What is exported, for a format."""
     from learning_to_simulate import registry
 
-    method = registry.of_folder(model_path)
-    if method.on_terrain:
-        if kind != 'c' or n_rigid is not None or n_particles is not None:
+    if registry.of_folder(model_path).on_terrain:
+        if kind != 'c' or n_rigid is not None:
             raise ValueError(f'{model_path}: of a soil field there is --format=c alone')
         from learning_to_simulate.native.exporting import CSoilField
 
         return CSoilField(model_path, data_path)
-    is_field = method.live
-    if n_particles is not None and (not is_field or kind in native.FORMATS):
-        raise ValueError('n_particles is for the functions of a swept field')
-    if n_rigid is not None and is_field:
-        raise ValueError(f'n_rigid is {n_rigid}: a swept field has no rigid nodes')
     if kind in native.FORMATS:
         from learning_to_simulate.native.exporting import CModel
 
         return CModel(model_path, data_path, n_rigid)
-    if is_field:
-        from learning_to_simulate.export.field_networks import FieldNetworks
-
-        return FieldNetworks(model_path, data_path, n_particles)
     from learning_to_simulate.export.step_functions import StepFunctions
 
     return StepFunctions.of_dataset(model_path, data_path, n_rigid)

@@ -1,10 +1,6 @@
-"""Engines of a `Stepper`: what computes the frames of a method, one by one.
+"""What computes the frames of a `Stepper`, one by one: `SubspaceEngine`, whose step is by
+TensorFlow (`TfStep`) or by C (`native.engines`)."""
 
-`SubspaceEngine` is that of all models in a subspace, with a step by TensorFlow (`TfStep`) or by C;
-a swept field has its own, and its own in C. See `native.engines` for who gets which.
-"""
-
-import abc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +10,7 @@ from learning_to_simulate import loads
 from learning_to_simulate.body_height import without_height
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import poses
-from learning_to_simulate.live.soil import Decoder, ModesSoil
+from learning_to_simulate.live.soil import Decoder, Soil
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
@@ -31,24 +27,21 @@ class Frame(NamedTuple):
     Attributes:
       judgement: how far it can be trusted. An engine judges this frame alone; in the frames of a
         stepper it is the worst since the start, with the frame in which that began and the reason.
-      soil: `soil.Soil`.
+      soil: its modes, and particles where they are asked for.
       rigid_pose: float64 [R, D] particles of the body that are nodes, m.
       pose: float64 [7], position (m) and quaternion (w, x, y, z) of the body; None where the body
         is given by its particles, or they do not fix one.
       force: [D] on the body, N, or [B, D] on several; None where the scene has no force.
       torque: [D] about the body's reference point, N m, where the model predicts one.
-      bound: N, what the root mean square error of the force per component keeps in 95 % of frames;
-        None where the model was not calibrated.
       now: the status of this frame alone.
     """
 
     judgement: Judgement
-    soil: Any
+    soil: Soil
     rigid_pose: np.ndarray
     pose: np.ndarray | None
     force: np.ndarray | None
     torque: np.ndarray | None = None
-    bound: float | None = None
     now: RolloutStatus = RolloutStatus.OK
 
     def __repr__(self) -> str:
@@ -68,8 +61,7 @@ class Frame(NamedTuple):
 
     @property
     def modes(self) -> np.ndarray:
-        """float64 [r, D] scores, m; of a method without modes those of its particles, which needs a
-        subspace (ValueError)."""
+        """float64 [r, D] scores, m."""
         return self.soil.modes
 
     def particles(self) -> np.ndarray:
@@ -81,67 +73,9 @@ class Frame(NamedTuple):
         return self.soil.height_map(nx, nz)
 
 
-class Engine(abc.ABC):
-    """Computes the frames of a run: says what the coming frame would be, and stays where it is
+class SubspaceEngine:
+    """Frames of a model in a subspace: says what the coming frame would be, and stays where it is
     until that frame is accepted.
-
-    Attributes:
-      scene: `Scene`.
-      starts: `starts.Starts`, or None where only recorded frames are begun from.
-      name: what computes, for people.
-    """
-
-    scene: Any
-    starts: Any
-    name: str
-
-    @abc.abstractmethod
-    def begin(self, start, bed=None, blade_width=None) -> Frame:
-        """The first frame.
-
-        Args:
-          start: `starts.Start`, or a `starts.RecordedStart` where recorded frames are taken.
-          bed, blade_width: of `Stepper.start`, where a method takes them.
-
-        Raises:
-          ValueError: what cannot be taken; the run before goes on.
-        """
-
-    @abc.abstractmethod
-    def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
-        """The frame in which the body reaches a pose.
-
-        Args:
-          number: of the frame, for its judgement.
-          coming: what the start reads of the body: a pose [7] or particles; None where the body is
-            predicted. Of a driven body the height is ignored.
-          context: float64 [C] from that frame on; None leaves it as it was.
-          dt: s; None for the frame time of the training data.
-
-        Raises:
-          ValueError: see `Stepper.step`.
-        """
-
-    @abc.abstractmethod
-    def accept(self) -> None:
-        """Takes the frame that was proposed last as the newest one."""
-
-    @property
-    @abc.abstractmethod
-    def state(self) -> tuple:
-        """All that the coming frames follow from; what is put back goes on to the same bits."""
-
-    @state.setter
-    @abc.abstractmethod
-    def state(self, state: tuple) -> None: ...
-
-    @abc.abstractmethod
-    def explain(self) -> str:
-        """What the newest frame leaves out."""
-
-
-class SubspaceEngine(Engine):
-    """Frames of a model in a subspace.
 
     Args:
       model: `subspace_model.Model`.
@@ -154,6 +88,9 @@ class SubspaceEngine(Engine):
     Raises:
       ValueError: a subspace of another number of modes or particles than the model's, or a body
         that the model cannot take.
+
+    Attributes:
+      scene, starts, name: of the model, and as given.
     """
 
     def __init__(
@@ -194,10 +131,12 @@ class SubspaceEngine(Engine):
             self._sizes[n_rigid] = step, ranges
         return self._sizes[n_rigid]
 
-    def begin(self, start, bed=None, blade_width=None) -> Frame:
-        for name, value in (('bed', bed), ('blade_width', blade_width)):
-            if value is not None:
-                raise ValueError(f'{name}: a model in a subspace begins on the beds of its starts')
+    def begin(self, start) -> Frame:
+        """The first frame, of a `starts.Start` or `starts.RecordedStart`.
+
+        Raises:
+          ValueError: a body that the model does not take; the run before goes on.
+        """
         history, n = start.history(), len(start.kept)
         if start.velocity is None and n not in self._allowed:
             raise ValueError(
@@ -217,7 +156,7 @@ class SubspaceEngine(Engine):
         self._now, self._ranges, self._start = step, ranges, start
         self._body = history[-1, :n]
         force, torque = self._split(np.zeros(self._model.simulator.load_size, np.float32))
-        soil = ModesSoil(history[-1, n:], self._decoder)
+        soil = Soil(history[-1, n:], self._decoder)
         return Frame(judgement, soil, self._body, start.pose, force, torque)
 
     def _split(self, load):
@@ -229,6 +168,18 @@ class SubspaceEngine(Engine):
         return force, torque
 
     def propose(self, number: int, coming, context=None, dt: float | None = None) -> Frame:
+        """The frame in which the body reaches a pose.
+
+        Args:
+          number: of the frame, for its judgement.
+          coming: what the start reads of the body: a pose [7] or particles; None where the body is
+            predicted. Of a driven body the height is ignored.
+          context: float64 [C] from that frame on; None leaves it as it was.
+          dt: s; None or the frame time of the model.
+
+        Raises:
+          ValueError: see `Stepper.step`.
+        """
         scene, start, n = self.scene, self._start, len(self._start.kept)
         if scene.rigid_motion.is_known != (coming is not None):
             takes = 'takes' if coming is None else 'does not take'
@@ -251,15 +202,17 @@ class SubspaceEngine(Engine):
                 values.setflags(write=False)
         self._coming = body
         pose = self._pose(coming, position[:n])
-        soil = ModesSoil(position[n:], self._decoder)
+        soil = Soil(position[n:], self._decoder)
         return Frame(judgement, soil, position[:n], pose, force, torque)
 
     def accept(self) -> None:
+        """Takes the frame that was proposed last as the newest one."""
         self._now.accept()
         self._body = self._coming
 
     @property
     def state(self) -> tuple:
+        """All that the coming frames follow from; what is put back goes on to the same bits."""
         return self._start, self._body, self._now.state
 
     @state.setter
@@ -283,9 +236,6 @@ class SubspaceEngine(Engine):
             coming[up] += (nodes - start.nodes(coming))[:, up].mean()
         coming.setflags(write=False)
         return coming
-
-    def explain(self) -> str:
-        return 'a model in a subspace leaves nothing out of a frame; see `reports explain`'
 
 
 class TfStep:

@@ -1,7 +1,6 @@
 """Whole paths: from poses to a rollout that can be looked at, saved and drawn."""
 
 import dataclasses
-import functools
 import json
 from typing import Any
 
@@ -12,7 +11,6 @@ from learning_to_simulate import reading_utils
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.evaluation import soil_of_run, torque_of, total_force
 from learning_to_simulate.live import poses
-from learning_to_simulate.live.soil import ModesSoil
 from learning_to_simulate.live.starts import Start
 from learning_to_simulate.rollout_status import Judgement, RolloutStatus
 from learning_to_simulate.scene import RigidMotion, Scene
@@ -26,7 +24,7 @@ class SoilRollout:
 
     Attributes:
       history: float64 [H, V, 3], m: the given frames; R nodes of the body, then r modes.
-      soils: T' soils, see `live.soil`.
+      soils: T' `live.soil.Soil`.
       force: float32 [T', 3], N, or None.
       rigid_nodes: float64 [T', R, 3], m: the nodes of the body.
       judgement: the worst status, with the first frame in which it holds and the reason.
@@ -85,20 +83,15 @@ class SoilRollout:
         """float64 [T'], s after the start."""
         return self.scene.dt * np.arange(1, len(self) + 1)
 
-    @functools.cached_property
+    @property
     def modes(self) -> np.ndarray:
-        """float64 [T', r, 3] scores, m; of a method without modes those of its particles.
-
-        Raises:
-          ValueError: of such a method, without a subspace.
-        """
+        """float64 [T', r, 3] scores, m."""
         return np.stack([soil.modes for soil in self.soils])
 
     @property
     def has_particles(self) -> bool:
-        """Whether there are particles: a model in a subspace needs that subspace."""
-        soil = self.soils[0]
-        return not isinstance(soil, ModesSoil) or soil.subspace is not None
+        """Whether there is a subspace to decode particles by."""
+        return self.soils[0].has_particles
 
     def particles(self, frame: int | None = None) -> np.ndarray:
         """float32 [N, 3] of a frame, or [T', N, 3] of all, m.

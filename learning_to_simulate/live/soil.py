@@ -1,10 +1,4 @@
-"""The soil of a frame: its particles, the height of its surface, its modes.
-
-A method says how its particles are made, when they are asked for (`ModesSoil` here, `SweptSoil` of
-a swept field); the rest is shared.
-"""
-
-import abc
+"""The soil of a frame: its modes, its particles, the height of its surface."""
 
 import numpy as np
 
@@ -44,42 +38,13 @@ def plan_extent(points, up: int) -> np.ndarray:
     return np.stack([plan.min(axis=0), plan.max(axis=0)], axis=1)
 
 
-class Soil(abc.ABC):
-    """The soil of one frame.
-
-    Attributes:
-      subspace: of its modes, or None.
-      up_axis: axis against gravity.
-      extent: float64 [2, 2], m: what a height map spans, the bed at rest; see `plan_extent`.
-    """
-
-    subspace: Subspace | None
-    up_axis: int
-    extent: np.ndarray
-
-    @abc.abstractmethod
-    def particles(self) -> np.ndarray:
-        """float32 [N, D], m; ValueError of a model in a subspace that has none."""
-
-    @property
-    def modes(self) -> np.ndarray:
-        """float64 [r, D] scores, m; of a method without modes those of its particles, which needs a
-        subspace (ValueError)."""
-        if self.subspace is None:
-            raise ValueError('modes need a subspace: the model folder has none')
-        return self.subspace.encode(self.particles())
-
-    def height_map(self, nx: int, nz: int) -> np.ndarray:
-        """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
-        it, m: see `surface`."""
-        return surface(self.particles(), self.extent, self.up_axis, nx, nz)
-
-
 class Decoder:
     """Decodes the scores of one subspace, in float32.
 
     Attributes:
-      subspace, up_axis, extent: as of `Soil`.
+      subspace: of the modes.
+      up_axis: axis against gravity.
+      extent: float64 [2, 2], m: what a height map spans, the bed at rest; see `plan_extent`.
     """
 
     def __init__(self, subspace: Subspace, up_axis: int):
@@ -93,24 +58,33 @@ class Decoder:
         return self._components @ np.asarray(modes, np.float32) + self._mean
 
 
-class ModesSoil(Soil):
-    """The soil of a frame of a model in a subspace: scores float64 [r, D], m, and the `Decoder`
-    that turns them into particles; None without a subspace."""
+class Soil:
+    """The soil of a frame; nothing is decoded before it is asked for.
+
+    Args:
+      modes: float64 [r, D] scores, m.
+      decoder: turns them into particles; None without a subspace.
+    """
 
     def __init__(self, modes, decoder: Decoder | None):
-        self._modes, self._decoder = modes, decoder
-        self.subspace = None
-        if decoder is not None:
-            self.subspace, self.up_axis = decoder.subspace, decoder.up_axis
-            self.extent = decoder.extent
+        self.modes, self._decoder = modes, decoder
 
     @property
-    def modes(self) -> np.ndarray:
-        """Its own, as given."""
-        return self._modes
+    def has_particles(self) -> bool:
+        """Whether there is a subspace to decode by."""
+        return self._decoder is not None
 
     def particles(self) -> np.ndarray:
-        """See `Soil`."""
+        """float32 [N, D], m; ValueError without a subspace."""
+        return self._decoded_by().particles(self.modes)
+
+    def height_map(self, nx: int, nz: int) -> np.ndarray:
+        """float32 [nx, nz] heights of the surface over the bed at rest, along the drive and across
+        it, m: see `surface`."""
+        decoder = self._decoded_by()
+        return surface(decoder.particles(self.modes), decoder.extent, decoder.up_axis, nx, nz)
+
+    def _decoded_by(self):
         if self._decoder is None:
             raise ValueError('particles need a subspace: the model has none')
-        return self._decoder.particles(self._modes)
+        return self._decoder

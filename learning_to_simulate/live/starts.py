@@ -247,8 +247,6 @@ class Start:
       pose, velocity, case, context: of `Stepper.start`.
 
     Attributes:
-      index: which of the starts was chosen.
-      is_case: whether the caller named the case; then the bed is that of the case.
       body, kept: particles of the body in its own frame, and which are nodes.
       pose: float64 [7].
       velocity: float64 [6], m/s and rad/s.
@@ -258,26 +256,23 @@ class Start:
       ValueError: no such case, not a pose, a velocity or a context.
     """
 
-    index: int | None
-
     def __init__(self, scene, starts: Starts, pose=None, velocity=None, case=None, context=None):
         self._scene, self._starts = scene, starts
         contexts: Any = starts.context  # there is one for every start, or the scene names none
-        self.index = starts.index(case)
-        self.is_case = case is not None
+        self._index = starts.index(case)
         if context is not None:
             context = self.read_context(context)
-            if not self.is_case:  # the bed of the most similar case
+            if case is None:  # the bed of the most similar case
                 spread = contexts.std(axis=0)
                 far = (contexts - context) / np.where(spread > 0, spread, 1.0)
-                self.index = int((far**2).sum(axis=1).argmin())
+                self._index = int((far**2).sum(axis=1).argmin())
         elif scene.context_names:
-            context = contexts[self.index]
+            context = contexts[self._index]
         self.context = context
-        self.body, self.kept = starts.body[self.index], starts.kept[self.index]
+        self.body, self.kept = starts.body[self._index], starts.kept[self._index]
         up = scene.up_axis
-        self._reader = poses.PoseReader(up, starts.pose[self.index, 2 if up != 2 else 1])
-        self.pose = starts.pose[self.index] if pose is None else self._reader.read(pose)
+        self._reader = poses.PoseReader(up, starts.pose[self._index, 2 if up != 2 else 1])
+        self.pose = starts.pose[self._index] if pose is None else self._reader.read(pose)
         self.velocity = self._reader.read_velocity(velocity)
 
     def read(self, pose) -> np.ndarray:
@@ -310,7 +305,7 @@ class Start:
 
     def history(self) -> np.ndarray:
         """float64 [H, V, 3], m: the bed at rest, the body on its way."""
-        modes = self._starts.modes[self.index][: self._scene.n_modes]
+        modes = self._starts.modes[self._index][: self._scene.n_modes]
         return np.stack([np.concatenate([self.nodes(pose), modes]) for pose in self.past()])
 
 
@@ -327,7 +322,7 @@ class RecordedStart:
       ValueError: wrong shape or kind of values, or values that are not finite in float32.
     """
 
-    index, velocity = None, None
+    velocity = None
 
     def __init__(self, scene, n_rigid: int, history, context=None):
         self._scene, self._n = scene, n_rigid

@@ -1,13 +1,13 @@
-"""`Stepper`: a model that is stepped with the poses of its body, one frame per call.
+"""`Stepper`: a model in a subspace, stepped with the poses of its body, one frame per call.
 
-    stepper = lts.load('excavation').stepper()
+    stepper = lts.load('excavation/pcg').stepper()
     stepper.start(pose, velocity)
     frame = stepper.step(next_pose)
     points = frame.particles()        # only where they are asked for
 
-One stepper serves every method; an engine (`engine`, `native.engines`) computes the frames. Input
-that cannot be used is refused before anything changes; input unlike the training runs is used and
-flagged, in that frame and in all that follow. After the first call nothing is compiled any more.
+An engine (`engine`, `native.engines`) computes the frames. Input that cannot be used is refused
+before anything changes; input unlike the training runs is used and flagged, in that frame and in
+all that follow. After the first call nothing is compiled any more.
 """
 
 import threading
@@ -73,7 +73,7 @@ class Stepper:
 
     @property
     def dt(self) -> float:
-        """Seconds of a frame where nothing else is said."""
+        """Seconds of a frame."""
         return self._engine.scene.dt
 
     @property
@@ -81,7 +81,7 @@ class Stepper:
         """Numbers or names of the recorded starts' cases."""
         return [values.get('case') for values in self._engine.starts.cases]
 
-    def start(self, pose=None, velocity=None, case=None, context=None, **bed) -> Judgement:
+    def start(self, pose=None, velocity=None, case=None, context=None) -> Judgement:
         """Begins where the body is; returns how the start is to be judged.
 
         Args:
@@ -91,8 +91,6 @@ class Stepper:
           case: of the dataset, where beds or bodies differ by case; None for the most similar
             context, or the first.
           context: [C] or {name: value}, where the scene has one; None for that of the case.
-          **bed: of a swept field: `bed`, [N, 3] particles, m, or a `HeightMap`, None for that of
-            the case; `blade_width`, m, None for that of the case.
 
         Raises:
           ValueError: something that cannot be used; the state stays as it was.
@@ -102,7 +100,7 @@ class Stepper:
             engine = self._engine
             start = Start(engine.scene, engine.starts, pose, velocity, case, context)
             start.pose.setflags(write=False)
-            return self._begin(start, **bed)
+            return self._begin(start)
 
     def reset(self, history, context=None) -> Judgement:
         """Starts from the last H frames, the body told by its particles; `step` then takes those.
@@ -122,8 +120,8 @@ class Stepper:
             n_rigid = shape[1] - scene.n_modes if len(shape) == 3 else 0
             return self._begin(RecordedStart(scene, max(n_rigid, 0), history, context))
 
-    def _begin(self, start, **bed):
-        first = self._engine.begin(start, **bed)
+    def _begin(self, start):
+        first = self._engine.begin(start)
         self._start, self._count = start, 0
         self._last = first._replace(now=first.status)
         return first.judgement
@@ -135,16 +133,14 @@ class Stepper:
           pose: of the body in the coming frame (see `poses`), where its motion is given; of a
             driven body the height is ignored. None where the body is predicted. After `reset` the
             particles [R, D] of the body, m.
-          context: [C] or {name: value} in the coming frame and those after it, where it changes; of
-            a wheel's swept field only the load may. None leaves it as it was.
-          dt: s, of a swept field: how long the tool takes, in a straight line. None for the frame
-            time of the training data.
+          context: [C] or {name: value} in the coming frame and those after it, where it changes;
+            None leaves it as it was.
+          dt: s; None or the frame time of the model, which cannot be divided.
 
         Raises:
-          ValueError: before the start; not a pose, or one where none is taken; of a swept field a
-            jump, a time that does not pass, a place beyond the bins or under the floor, another
-            soil or planet; with `outside='raise'` a frame that is not `ok`. The state stays as it
-            was.
+          ValueError: before the start; not a pose, or one where none is taken; another time step; a
+            path beyond what a memory of it reaches; with `outside='raise'` a frame that is not
+            `ok`. The state stays as it was.
           RuntimeError: another thread is at work here.
         """
         with _Held(self._lock):
@@ -203,11 +199,6 @@ class Stepper:
         `start`."""
         self._newest()
         return poses.placed(self._start.body, self._start.read(pose))
-
-    def explain(self) -> str:
-        """What the newest frame leaves out."""
-        self._newest()
-        return self._engine.explain()
 
 
 class _Held:

@@ -13,11 +13,10 @@ from learning_to_simulate import registry
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live import starts as live_starts
 from learning_to_simulate.live.stepper import Stepper
-from learning_to_simulate.native import engines, field_data, library, model_data, project
-from learning_to_simulate.native.binding import CField, CSubspace
+from learning_to_simulate.native import engines, library, model_data, project
+from learning_to_simulate.native.binding import CSubspace
 from learning_to_simulate.rollout_status import RolloutStatus
 from learning_to_simulate.scene import RigidMotion
-from pca_tools import dataset
 
 # Largest difference to TensorFlow as a share of the motion, or of the largest force. Measured 1e-7
 # to 5e-6. Where all of the body's motion is predicted, a rounding of its velocity lasts, and
@@ -33,7 +32,7 @@ class Opened(NamedTuple):
     """A model folder.
 
     Attributes:
-      model: `subspace_model.Model`, or what a swept field is opened as.
+      model: `subspace_model.Model`.
       starts, subspace: of `live.starts.read`.
       n_rigid: R of the graph of a model in a subspace.
     """
@@ -54,15 +53,8 @@ class Opened(NamedTuple):
         starts, subspace = live_starts.read(model_path)
         return cls(model, starts, subspace, len(starts.kept[0]) if n_rigid is None else n_rigid)
 
-    @property
-    def field(self):
-        """The `SweptField`, or None."""
-        return getattr(self.model, 'field', None)
-
     def values(self) -> dict:
-        """Of `model_data.values` or `field_data.values`, whose errors this raises."""
-        if self.field is not None:
-            return field_data.values(self.field, self.starts, self.subspace)
+        """Of `model_data.values`, whose errors this raises."""
         return model_data.values(self.model, self.n_rigid, self.subspace, self.starts)
 
     def steppers(self, library_path: str | None = None, symbol: str = '') -> list[Stepper]:
@@ -75,11 +67,7 @@ class Opened(NamedTuple):
                 return CSubspace.open(library_path, symbol)
             return CSubspace.of(model, n, subspace=space)
 
-        if self.field is None:
-            by_c = engines.c_subspace_engine(model, starts, space, n, make)
-        else:
-            soil = None if library_path is None else CField.open(library_path, symbol)
-            by_c = engines.CFieldEngine(self.field, starts, space, soil)
+        by_c = engines.c_subspace_engine(model, starts, space, n, make)
         return [Stepper(by_c), Stepper(engines.of(model, starts, space, engines.TENSORFLOW, n))]
 
 
@@ -107,23 +95,14 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
         except library.NoCompiler as error:
             return {'skipped': str(error)}
         pair = opened.steppers(built, name)
-    tolerance = TOLERANCE
-    if opened.field is not None:
-        run = dataset.read_split(data_path, 'test')[0]
-        if run.rigid_pose is None:
-            return {'skipped': 'the first test run holds no pose of its tool'}
-        cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [{}])
-        row = over_poses(*pair, run, cases[0].get('case'))  # type: ignore[call-arg]
-    else:
-        groups = registry.open_model(model_path, data_path, 'test').groups
-        group = next((g for g in groups if g.n_rigid == opened.n_rigid), None)
-        if group is None:
-            return {'skipped': f'no test run has {opened.n_rigid} rigid nodes'}
-        if opened.model.simulator.scene.rigid_motion is RigidMotion.PREDICTED:
-            tolerance = TOLERANCE_OF_PREDICTED
-        row = over_frames(*pair, group.select(0), COMPARED_STEPS)  # type: ignore[call-arg]
-    names = ('position', 'force', 'particles')[: 3 if opened.field else 2]
-    difference = {name: row[name] for name in names}
+    groups = registry.open_model(model_path, data_path, 'test').groups
+    group = next((g for g in groups if g.n_rigid == opened.n_rigid), None)
+    if group is None:
+        return {'skipped': f'no test run has {opened.n_rigid} rigid nodes'}
+    is_free = opened.model.simulator.scene.rigid_motion is RigidMotion.PREDICTED
+    tolerance = TOLERANCE_OF_PREDICTED if is_free else TOLERANCE
+    row = over_frames(*pair, group.select(0), COMPARED_STEPS)  # type: ignore[call-arg]
+    difference = {name: row[name] for name in ('position', 'force')}
     if bad := {k: v for k, v in difference.items() if not v <= tolerance}:
         raise ValueError(
             f'the C code differs from the model by {bad}, more than {tolerance:g} of the motion or '
@@ -139,103 +118,47 @@ def of_project(model_path: str, data_path: str, name: str, opened: Opened) -> di
 
 
 def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None) -> dict:
-    """`compare` over a recorded run of a model in a subspace, by particles of the body.
+    """Largest differences of two steppers over a recorded run, by particles of the body.
 
     Args:
-      ours, theirs: two steppers of the model.
+      ours, theirs: two steppers of one model, by C and by TensorFlow.
       group: one-run `RunGroup`.
       limit: frames; None for all.
+
+    Returns:
+      `frames` until the first that left its bounds: beyond it nothing is compared; `position` (of
+      nodes and modes) and `particles` as shares of their motion, `force` as a share of the largest,
+      `particles_m`, and `same_status`: in how many frames kind, frame and node of the judgements
+      agree.
     """
     truth, n = group.position[0], group.n_rigid
     for stepper in (ours, theirs):
         stepper.reset(truth[:H], group.context_at(H, 0))
-    known = theirs.computing.scene.rigid_motion.is_known
-    steps = [
-        (truth[k, :n] if known else None,
-         group.context_at(k, 0) if group.context_changes else None)
-        for k in range(H, len(truth))
-    ]  # fmt: skip
-    return compare(ours, theirs, steps[:limit])
-
-
-def over_poses(ours: Stepper, theirs: Stepper, run, case=None, limit: int | None = None) -> dict:
-    """`compare` over a recorded run of a swept field.
-
-    Args:
-      ours, theirs: two steppers of the model.
-      run: `dataset.Run` with poses.
-      case: of the run; where the model knows it, its start and its bed.
-      limit: frames; None for all.
-    """
-    poses, contexts = run.rigid_pose.astype(np.float64), run.step_context
-    contexts = [None] * len(poses) if contexts is None else contexts.astype(np.float64)
-    # Of runs that start alike one start was kept: its context is the nearest.
-    case = case if case in theirs.cases else None
-    for stepper in (ours, theirs):
-        stepper.start(poses[0], case=case, context=contexts[0])
-    return compare(ours, theirs, list(zip(poses, contexts))[1:][:limit])
-
-
-def compare(ours: Stepper, theirs: Stepper, steps) -> dict:
-    """Largest differences of two steppers that have begun alike.
-
-    Args:
-      ours, theirs: two steppers of one model, by C and by TensorFlow.
-      steps: poses and contexts, or None, of `Stepper.step`.
-
-    Returns:
-      `frames` until the first that both refuse, or that left its bounds: beyond them nothing is
-      compared; `position` (of nodes, and of modes where there are) and `particles` as shares of
-      their motion, `force`, `torque` and `bound` as shares of the largest, `particles_m`, and
-      `same_status`: in how many frames kind, frame and node of the judgements agree.
-
-    Raises:
-      ValueError: a frame that one of them refuses and the other does not.
-    """
-    has_modes = isinstance(theirs.computing, engines.SubspaceEngine)
-    first = theirs.state.frame
-    draws = not has_modes or first.soil.subspace is not None
-    every = max(1, len(steps) // PARTICLE_FRAMES)
-    names = ('position', 'force', 'torque', 'bound', 'particles')
-    apart: dict[str, float] = dict.fromkeys(names, 0.0)
+    known, first = theirs.computing.scene.rigid_motion.is_known, theirs.state.frame
+    frames = range(H, len(truth))[:limit]
+    every = max(1, len(frames) // PARTICLE_FRAMES)
+    apart = dict.fromkeys(('position', 'force', 'particles'), 0.0)
     sizes, same, count = dict(apart), 0, 0
 
-    def note(name, one, other, size=None):
-        if other is not None:
-            apart[name] = max(apart[name], float(np.abs(one - other).max(initial=0.0)))
-            size = other if size is None else size
-            sizes[name] = max(sizes[name], float(np.abs(size).max(initial=0.0)))
+    def note(name, one, other, size):
+        apart[name] = max(apart[name], float(np.abs(one - other).max(initial=0.0)))
+        sizes[name] = max(sizes[name], float(np.abs(size).max(initial=0.0)))
 
-    for k, (pose, context) in enumerate(steps):
-        mine, frame = (_step(stepper, pose, context) for stepper in (ours, theirs))
-        if (mine is None) != (frame is None):
-            raise ValueError(f'frame {k} is refused by {"C" if mine is None else "Python"} alone')
-        if frame is None or frame.now not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
+    for k in frames:
+        pose = truth[k, :n] if known else None
+        context = group.context_at(k, 0) if group.context_changes else None
+        mine, frame = (stepper.step(pose, context) for stepper in (ours, theirs))
+        if frame.now not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
             break
-        count += 1
         same += mine.now == frame.now and mine.judgement[:3] == frame.judgement[:3]
-        shown = [_shown(f, has_modes) for f in (mine, frame, first)]
-        note('position', *shown[:2], shown[1] - shown[2])  # type: ignore[call-arg]
-        for name in ('force', 'torque', 'bound'):
-            note(name, getattr(mine, name), getattr(frame, name))
-        if draws and k % every == 0:
-            # In a subspace steppers decode particles themselves: here those of the library count.
-            drawn = ours.computing.step if has_modes else mine
-            points = frame.particles()
-            note('particles', drawn.particles(), points, points - first.particles())
+        shown = [np.concatenate([f.rigid_pose, f.modes]) for f in (mine, frame, first)]
+        note('position', *shown[:2], shown[1] - shown[2])
+        if frame.force is not None:
+            note('force', mine.force, frame.force, frame.force)
+        if first.soil.has_particles and count % every == 0:
+            # Steppers decode particles themselves: here those of the library count.
+            points, drawn = frame.particles(), ours.computing.step.particles()
+            note('particles', drawn, points, points - first.particles())
+        count += 1
     shares = {k: apart[k] / sizes[k] if sizes[k] > 0 else apart[k] for k in apart}
-    particles = {'particles_m': apart['particles']}
-    return {'frames': count, 'same_status': same} | particles | shares
-
-
-def _shown(frame, has_modes):
-    """Nodes of the body, and modes where those are cheap."""
-    return np.concatenate([frame.rigid_pose, frame.modes]) if has_modes else frame.rigid_pose
-
-
-def _step(stepper, pose, context):
-    """A frame, or None where the pose is refused."""
-    try:
-        return stepper.step(pose, context)
-    except ValueError:
-        return None
+    return {'frames': count, 'same_status': same, 'particles_m': apart['particles']} | shares

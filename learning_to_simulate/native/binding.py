@@ -1,10 +1,9 @@
-"""Models of the C library, called by ctypes: `CSubspace` and `CField`, each one run of a model.
+"""`CSubspace`: one run of a model in a subspace by the C library, called by ctypes.
 
-They are thin: what a user steps is a `live.stepper.Stepper` (`engines`). Arguments of methods are
-checked so far that C survives them; what has no method is reached by `CInstance.call`.
+It is thin: what a user steps is a `live.stepper.Stepper` (`engines`). Arguments of methods are
+checked so far that C survives them; what has no method is reached by `CSubspace.call`.
 """
 
-import abc
 import ctypes
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.live.poses import numbers
-from learning_to_simulate.native import c_values, field_data, library, model_data
+from learning_to_simulate.native import c_values, library, model_data
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus
 
 KERNELS = ('scalar', 'vector4', 'avx2', 'avx512')
@@ -22,12 +21,33 @@ class KernelLacks(ValueError):
     """This machine lacks the instructions of a kernel."""
 
 
-class CInstance(abc.ABC):
-    """One run of a model, in memory of its own.
+def _given(name, values, shape):
+    """float64 values of a user, or None."""
+    return None if values is None else numbers(name, values, shape)
+
+
+class SubspaceResult(NamedTuple):
+    """One frame of a model in a subspace.
+
+    Attributes:
+      modes: float64 [r, 3] scores, m.
+      force: float32 [3] on the body, N, or None where the scene has no force.
+      rigid_pose: float64 [R, 3] particles of the body that are nodes, m.
+      status: bits of lts.h for this frame; 0 where all is well.
+    """
+
+    modes: np.ndarray
+    force: np.ndarray | None
+    rigid_pose: np.ndarray
+    status: int
+
+
+class CSubspace:
+    """One run of a model in a subspace, in memory of its own.
 
     Args:
       loaded: `library.declared` of a shared library.
-      model: address of its `lts_model` or `lts_field_model`.
+      model: address of its `lts_model`.
       kernel: 'best', 'avx512', 'avx2', 'vector4' (SSE2, NEON) or 'scalar'.
       data: kept as long as the instance: what the model lies in.
 
@@ -35,10 +55,8 @@ class CInstance(abc.ABC):
       ValueError: a model of another ABI version, a kernel that this machine lacks.
 
     Attributes:
-      description: `lts_description` or `lts_field_description`: sizes, axes, digest.
+      description: `lts_description`: sizes, axes, digest.
     """
-
-    PREFIX = 'lts_'  # of the functions and structures of its kind
 
     def __init__(self, loaded: ctypes.CDLL, model: int, kernel: str = 'best', data=None):
         self._c, self._model, self._data = loaded, model, data
@@ -55,15 +73,25 @@ class CInstance(abc.ABC):
             raise KernelLacks(f'this machine lacks kernel {kernel!r}') from None
         self._soil = soil
         self._result = self._structure('result')
+        self._n, self._n_modes = self.description.n_rigid, self.description.n_modes
+        self._names = list(filter(None, self.description.context_names.decode().split(',')))
 
     @classmethod
-    def _made(cls, fields: dict, kernel: str):
-        """Of the values of a model, by the library of this machine."""
-        data = c_values.Structure(f'{cls.PREFIX}model', fields)
+    def of(cls, model, n_rigid: int, kernel: str = 'best', **options) -> 'CSubspace':
+        """Of a `subspace_model.Model`, with its weights as they are now.
+
+        Args:
+          model, n_rigid, **options: of `model_data.values`, which raises ValueError.
+          kernel: of the constructor.
+
+        Raises:
+          library.NoCompiler, library.CompileFailed: as `library.load`.
+        """
+        data = c_values.Structure('lts_model', model_data.values(model, n_rigid, **options))
         return cls(library.load(), ctypes.addressof(data.value), kernel, data)
 
     @classmethod
-    def open(cls, path: str, symbol: str, kernel: str = 'best'):
+    def open(cls, path: str, symbol: str, kernel: str = 'best') -> 'CSubspace':
         """A model of a shared library that an exported project built.
 
         Args:
@@ -101,119 +129,6 @@ class CInstance(abc.ABC):
         points = np.empty((self.description.n_soil, 3), np.float32)
         self.call('particles', points, len(points))
         return points
-
-    @property
-    def judgement(self) -> Judgement:
-        """As lts_judge: of a model in a subspace the worst since the start, of a field that of the
-        newest frame."""
-        found, c = library.structures()['lts_judgement'](), library.constants()
-        self.call('judge', ctypes.byref(found))
-        if not found.status:
-            return OK
-        status = RolloutStatus.EXTRAPOLATING
-        if found.status & c['LTS_LEFT_BOUNDS']:
-            status = RolloutStatus.LEFT_BOUNDS
-        if found.status & c['LTS_NON_FINITE']:
-            status = RolloutStatus.NON_FINITE
-        text = ctypes.create_string_buffer(200)
-        self.call('reason', text, len(text))
-        return Judgement(status, found.frame, found.node, text.value.decode())
-
-    @abc.abstractmethod
-    def _state_size(self):
-        """Bytes of the state."""
-
-    def save(self) -> bytes:
-        """The state, for `load_state`."""
-        state = ctypes.create_string_buffer(self._state_size())
-        self.call('save', state, len(state))
-        return state.raw
-
-    def load_state(self, state: bytes) -> None:
-        """Goes back to a saved state; what follows is the same bit by bit.
-
-        Raises:
-          ValueError: damaged bytes, or those of another model; the state stays as it was.
-        """
-        self.call('load', state, len(state))
-
-    def copy_state(self, other) -> None:
-        """Takes over the state of another run of the same model.
-
-        Raises:
-          ValueError: a run of another model.
-        """
-        self.call('clone', other._soil)
-
-    def call(self, name: str, *values) -> int:
-        """Calls a function of the headers on this run.
-
-        Args:
-          name: of the function, without `PREFIX`.
-          *values: its further arguments: numbers, arrays of the type that C has, None for null.
-
-        Returns:
-          its code.
-
-        Raises:
-          ValueError: an error of lts.h, in its words.
-        """
-        kept = [np.ascontiguousarray(x) if isinstance(x, np.ndarray) else x for x in values]
-        # Addresses, since numpy takes microseconds to make a ctypes pointer.
-        given = [x.ctypes.data if isinstance(x, np.ndarray) else x for x in kept]
-        code = self._function(name)(self._soil, *given)
-        if code < 0:
-            raise ValueError(self._c.lts_error_text(code).decode())
-        return code
-
-    def _structure(self, name):
-        return library.structures()[self.PREFIX + name]()
-
-    def _function(self, name):
-        return getattr(self._c, self.PREFIX + name)
-
-
-def _given(name, values, shape):
-    """float64 values of a user, or None."""
-    return None if values is None else numbers(name, values, shape)
-
-
-class SubspaceResult(NamedTuple):
-    """One frame of a model in a subspace.
-
-    Attributes:
-      modes: float64 [r, 3] scores, m.
-      force: float32 [3] on the body, N, or None where the scene has no force.
-      rigid_pose: float64 [R, 3] particles of the body that are nodes, m.
-      status: bits of lts.h for this frame; 0 where all is well.
-    """
-
-    modes: np.ndarray
-    force: np.ndarray | None
-    rigid_pose: np.ndarray
-    status: int
-
-
-class CSubspace(CInstance):
-    """One run of a model in a subspace; arguments as of `CInstance`."""
-
-    def __init__(self, *args):
-        super().__init__(*args)
-        self._n, self._n_modes = self.description.n_rigid, self.description.n_modes
-        self._names = list(filter(None, self.description.context_names.decode().split(',')))
-
-    @classmethod
-    def of(cls, model, n_rigid: int, kernel: str = 'best', **options) -> 'CSubspace':
-        """Of a `subspace_model.Model`, with its weights as they are now.
-
-        Args:
-          model, n_rigid, **options: of `model_data.values`, which raises ValueError.
-          kernel: of `CInstance`.
-
-        Raises:
-          library.NoCompiler, library.CompileFailed: as `library.load`.
-        """
-        return cls._made(model_data.values(model, n_rigid, **options), kernel)
 
     def reset(self, history, context=None) -> None:
         """Starts from the last H frames [H, R + r, 3], m, with a context [C] where there is one."""
@@ -261,135 +176,67 @@ class CSubspace(CInstance):
         force = np.array(self._result.force, np.float32) if has_force else None
         return SubspaceResult(modes, force, points, status)
 
-    def _state_size(self):
-        return self._c.lts_state_size(self._model)
+    @property
+    def judgement(self) -> Judgement:
+        """As lts_judge: the worst since the start."""
+        found, c = library.structures()['lts_judgement'](), library.constants()
+        self.call('judge', ctypes.byref(found))
+        if not found.status:
+            return OK
+        status = RolloutStatus.EXTRAPOLATING
+        if found.status & c['LTS_LEFT_BOUNDS']:
+            status = RolloutStatus.LEFT_BOUNDS
+        if found.status & c['LTS_NON_FINITE']:
+            status = RolloutStatus.NON_FINITE
+        text = ctypes.create_string_buffer(200)
+        self.call('reason', text, len(text))
+        return Judgement(status, found.frame, found.node, text.value.decode())
 
+    def save(self) -> bytes:
+        """The state, for `load_state`."""
+        state = ctypes.create_string_buffer(self._c.lts_state_size(self._model))
+        self.call('save', state, len(state))
+        return state.raw
 
-class FieldResult(NamedTuple):
-    """One frame of a swept field.
-
-    Attributes:
-      force: float64 [3] on the tool, world, N.
-      torque: float64 [3] about its reference point, N m.
-      bound: N, root mean square per component that 95 % of frames like those of valid keep; None
-        where the model was not calibrated.
-      status: bits of lts.h; 0 where all is well.
-      point: float64 [3] the tool's reference point, m; of a wheel with its predicted height.
-    """
-
-    force: np.ndarray
-    torque: np.ndarray
-    bound: float | None
-    status: int
-    point: np.ndarray
-
-
-class CField(CInstance):
-    """One run of a swept field; arguments as of `CInstance`.
-
-    Attributes:
-      is_wheel: whether its tool is a wheel.
-    """
-
-    PREFIX = 'lts_field_'
-
-    def __init__(self, *args):
-        super().__init__(*args)
-        self.is_wheel = self.description.tool == library.constants()['LTS_FIELD_WHEEL']
-        # Every step uses the same memory: an address costs a microsecond.
-        self._pose = np.empty(7)
-        self._at_pose, self._at_result = self._pose.ctypes.data, ctypes.addressof(self._result)
-
-    @classmethod
-    def of(cls, field, starts=None, subspace=None, kernel: str = 'best') -> 'CField':
-        """Of a `SweptField`, with its weights as they are now.
-
-        Args:
-          field, starts, subspace: of `field_data.values`, which raises ValueError.
-          kernel: of `CInstance`.
+    def load_state(self, state: bytes) -> None:
+        """Goes back to a saved state; what follows is the same bit by bit.
 
         Raises:
-          library.NoCompiler, library.CompileFailed: as `library.load`.
+          ValueError: damaged bytes, or those of another model; the state stays as it was.
         """
-        return cls._made(field_data.values(field, starts, subspace), kernel)
+        self.call('load', state, len(state))
 
-    def start(
-        self, pose=None, velocity=None, bed=None, blade_width=None, index: int = -1, context=None
-    ) -> Judgement:
-        """Begins where the tool is; returns how the start is to be judged.
-
-        Args:
-          pose: [7] middle of the blade's lower edge, m, and its rotation w, x, y, z from upright;
-            of a wheel its axle, None for that of the recorded start.
-          velocity: [6] linear, m/s, and angular, rad/s; None: at rest.
-          bed: None for the flat bed of the training, of a wheel for that of its start; [N, 3]
-            particles, m; or anything with `places` and `heights`, as a height map of the method.
-          blade_width: m, of a blade; None for the usual one.
-          index: of a wheel, which of its recorded starts; -1 for the one whose context is nearest.
-          context: [C] of a wheel; None for that of the start.
+    def copy_state(self, other) -> None:
+        """Takes over the state of another run of the same model.
 
         Raises:
-          ValueError: not a pose, a velocity, a bed, a width, a start or a context; the state stays
-            as it was.
+          ValueError: a run of another model.
         """
-        pose, twist = _given('pose', pose, (7,)), _given('velocity', velocity, (6,))
-        bed = None if bed is None else ctypes.byref(self._bed(bed))
-        if self.is_wheel:
-            if blade_width is not None:
-                raise ValueError('blade_width is of a blade, the tool is a wheel')
-            context = _given('context', context, (self.description.n_context,))
-            self.call('start_wheel', index, pose, twist, bed, context)
-        else:
-            if index != -1 or context is not None:
-                raise ValueError('a blade has no recorded starts and no context')
-            self.call('start', pose, twist, bed, 0.0 if blade_width is None else blade_width)
-        return self.judgement
+        self.call('clone', other._soil)
 
-    def _bed(self, bed):
-        made = self._structure('bed')
-        if hasattr(bed, 'heights'):
-            places, heights = (numbers(n, getattr(bed, n), (None,)) for n in ('places', 'heights'))
-            if len(places) != len(heights):
-                raise ValueError(f'{len(places)} places, {len(heights)} heights of a height map')
-            order = np.argsort(places)
-            made.n, parts = len(places), {'places': places[order], 'heights': heights[order]}
-        else:
-            points = numbers('bed', bed, (self.description.n_soil, 3))
-            parts = {'particles': np.ascontiguousarray(points, np.float32)}
-        for name, array in parts.items():
-            setattr(made, name, array.ctypes.data_as(dict(made._fields_)[name]))
-        made.alive = parts
-        return made
-
-    def step(self, pose, dt: float | None = None, context=None) -> FieldResult:
-        """Moves the tool in a straight line to its next pose.
+    def call(self, name: str, *values) -> int:
+        """Calls a function of the headers on this run.
 
         Args:
-          pose: [7], see `start`; the height of a wheel is ignored.
-          dt: s; None for the frame time of the training data.
-          context: [C] of a wheel in the coming frame and those after it; only the load may change.
-            None leaves it as it was.
+          name: of the function, without `lts_`.
+          *values: its further arguments: numbers, arrays of the type that C has, None for null.
+
+        Returns:
+          its code.
 
         Raises:
-          ValueError: before `start`; not a pose, a jump, a time that does not pass, a place beyond
-            the bins or under the floor; another soil. The state stays as it was.
+          ValueError: an error of lts.h, in its words.
         """
-        self._pose[:] = numbers('pose', pose, (7,))
-        if context is not None:
-            before = np.empty(self.description.n_context)
-            self.call('context', before)
-            self.call('set_context', numbers('context', context, before.shape))
-        try:
-            dt = self.description.dt if dt is None else dt
-            self.call('frame', self._at_pose, dt, self._at_result)
-        except ValueError:
-            if context is not None:
-                self.call('set_context', before)
-            raise
-        r = self._result
-        bound = r.force_bound if self.description.has_bound else None
-        force, torque, point = (np.array(x) for x in (r.force, r.torque, r.point))
-        return FieldResult(force, torque, bound, r.status, point)
+        kept = [np.ascontiguousarray(x) if isinstance(x, np.ndarray) else x for x in values]
+        # Addresses, since numpy takes microseconds to make a ctypes pointer.
+        given = [x.ctypes.data if isinstance(x, np.ndarray) else x for x in kept]
+        code = self._function(name)(self._soil, *given)
+        if code < 0:
+            raise ValueError(self._c.lts_error_text(code).decode())
+        return code
 
-    def _state_size(self):
-        return self._c.lts_field_state_size(self._soil)
+    def _structure(self, name):
+        return library.structures()[f'lts_{name}']()
+
+    def _function(self, name):
+        return getattr(self._c, f'lts_{name}')

@@ -29,12 +29,12 @@ class CModel:
 
     def describe(self) -> dict:
         """What a user of the exported model must know; JSON-able."""
-        sizes = ('n_rigid', 'n_start', 'n_member')
+        sizes = ('n_rigid', 'n_start')
         return {
             'symbol': self._name,
             'digest': self._values['digest'],
             'scene': self._opened.model.simulator.scene.to_json(),
-        } | {name: self._values[name] for name in sizes if name in self._values}
+        } | {name: self._values[name] for name in sizes}
 
     def write(self, kind: str, folder: str) -> dict:
         """Writes the files of a format of `native.FORMATS`; returns how they compare.

@@ -21,8 +21,8 @@ SOURCES = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'c')
 FLAGS = ('-std=c99', '-O3', '-fPIC', '-shared', '-fvisibility=hidden')
 
 _HEADERS = (
-    'include/lts.h', 'src/lts_model.h', 'src/lts_table.h', 'include/lts_field.h',
-    'src/lts_field_model.h', 'include/lts_soil.h', 'src/lts_soil_model.h',
+    'include/lts.h', 'src/lts_model.h', 'src/lts_table.h', 'include/lts_soil.h',
+    'src/lts_soil_model.h',
 )  # fmt: skip
 _NUMBERS = {
     'int': ctypes.c_int,

@@ -11,8 +11,8 @@ from learning_to_simulate.native import c_values, library
 from learning_to_simulate.native.model_data import MOTIONS
 
 VERSION = '1.0.0'  # of the C interface; its first number is LTS_ABI
-# Template in c/ -> file of the project, of all models, of those in a subspace, of swept and of soil
-# fields; @NAME@ is the model's.
+# Template in c/ -> file of the project, of all models, of those in a subspace, of soil fields;
+# @NAME@ is the model's.
 _TEMPLATES = {
     'cmake/CMakeLists.txt.in': 'CMakeLists.txt',
     'cmake/model.h.in': 'include/@NAME@.h',
@@ -23,31 +23,17 @@ _GRAPH_TEMPLATES = {
     'examples/loop_1khz.c.in': 'examples/loop_1khz.c',
     'examples/ros2_node.cpp.in': 'examples/ros2_node.cpp',
 }
-_FIELD_TEMPLATES = {
-    'cmake/README_field.md.in': 'README.md',
-    'examples/field.cpp.in': 'examples/example.cpp',
-}
 _SOIL_TEMPLATES = {
     'cmake/README_soil.md.in': 'README.md',
     'examples/soil.cpp.in': 'examples/example.cpp',
 }
-# Sources of all kinds of models; the others belong to one, by the beginning of their names.
+# Sources of both kinds of models; those of soil fields alone begin with `lts_soil`.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')
 
 
 def is_soil(values: dict) -> bool:
     """Whether values are those of a soil field, `soil_data.values`."""
     return 'n_column' in values
-
-
-def is_field(values: dict) -> bool:
-    """Whether values are those of a swept field, `field_data.values`."""
-    return 'n_member' in values and not is_soil(values)
-
-
-def is_wheel(values: dict) -> bool:
-    """Whether values are those of a wheel's swept field."""
-    return is_field(values) and values['tool'] == library.constants()['LTS_FIELD_WHEEL']
 
 
 def symbol(model_path: str) -> str:
@@ -78,12 +64,10 @@ def write_sources(folder: str, name: str, values: dict) -> None:
     Args:
       folder: exists.
       name: of `symbol`.
-      values: of `model_data.values` or `field_data.values`.
+      values: of `model_data.values` or `soil_data.values`.
     """
-    kind = 'lts_soil' * is_soil(values) + 'lts_field' * is_field(values)
     for part in sorted(os.listdir(os.path.join(library.SOURCES, 'src'))):
-        own = next((name for name in ('lts_soil', 'lts_field') if part.startswith(name)), '')
-        if part.startswith(_SHARED) or own == kind:
+        if part.startswith(_SHARED) or part.startswith('lts_soil') == is_soil(values):
             copy(f'src/{part}', folder)
     with open(os.path.join(folder, f'{name}.c'), 'w', encoding='utf-8') as file:
         file.write(model_source(name, values))
@@ -91,8 +75,7 @@ def write_sources(folder: str, name: str, values: dict) -> None:
 
 def headers(values: dict) -> list[str]:
     """The public headers, in native/."""
-    own = ['include/lts_field.h'] * is_field(values) + ['include/lts_soil.h'] * is_soil(values)
-    return ['include/lts.h', *own]
+    return ['include/lts.h', *['include/lts_soil.h'] * is_soil(values)]
 
 
 def model_source(name: str, values: dict) -> str:
@@ -112,15 +95,14 @@ def write(folder: str, name: str, values: dict) -> None:
     Args:
       folder: exists and is empty.
       name: of `symbol`.
-      values: of `model_data.values` or `field_data.values`.
+      values: of `model_data.values` or `soil_data.values`.
     """
     for part in ('include', 'src', 'examples'):
         os.makedirs(os.path.join(folder, part))
     for header in headers(values):
         copy(header, os.path.join(folder, 'include'))
     write_sources(os.path.join(folder, 'src'), name, values)
-    more = _FIELD_TEMPLATES if is_field(values) else _GRAPH_TEMPLATES
-    more = _SOIL_TEMPLATES if is_soil(values) else more
+    more = _SOIL_TEMPLATES if is_soil(values) else _GRAPH_TEMPLATES
     for template, target in (_TEMPLATES | more).items():
         path = os.path.join(folder, target.replace('@NAME@', name))
         write_template(template, path, words(name, values))
@@ -142,32 +124,18 @@ def words(name: str, values: dict) -> dict:
             'MEMBERS': values['n_member'],
             'TOOL': 'wheel' if wheel else 'blade',
         }
-    found |= {
+    return found | {
+        'HEADER': 'lts.h',
+        'STRUCT': 'lts_model',
         'SCENE': values['name'],
         'SOIL': values.get('n_soil', 0),
         'DT': f'{values["dt"]:.6g}',
         'RATE': f'{1 / values["dt"]:.4g}',
-    }
-    if not is_field(values):
-        return found | {
-            'HEADER': 'lts.h',
-            'STRUCT': 'lts_model',
-            'RIGID': values['n_rigid'],
-            'MOTION': MOTIONS[values['motion']].value,
-            'MODES': values['n_modes'],
-            'STARTS': values['n_start'],
-            'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
-        }
-    begin = 'A run begins on the flat bed, on a height map, or on particles;'
-    if is_wheel(values):
-        begin = 'A run begins where a recorded wheel stood (`lts_field_start_wheel`);'
-    return found | {
-        'HEADER': 'lts_field.h',
-        'STRUCT': 'lts_field_model',
-        'MEMBERS': values['n_member'],
-        'TOOL': 'wheel and its load' if is_wheel(values) else 'blade',
-        'OUT': 'sinkage, force, torque' if is_wheel(values) else 'force, torque',
-        'BEGIN': begin,
+        'RIGID': values['n_rigid'],
+        'MOTION': MOTIONS[values['motion']].value,
+        'MODES': values['n_modes'],
+        'STARTS': values['n_start'],
+        'CONTEXT': values['context_names'].replace(',', ', ') or 'none',
     }
 
 

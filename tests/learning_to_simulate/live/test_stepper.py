@@ -189,7 +189,7 @@ def test_a_subspace_of_other_modes_or_particles_is_refused(made):
 
 def test_before_the_start_nothing_is_answered(made, steppers):
     stepper = Stepper(steppers('tensorflow').computing)
-    for call in (lambda: stepper.step(np.zeros(7)), stepper.particles, stepper.explain):
+    for call in (lambda: stepper.step(np.zeros(7)), stepper.particles):
         with pytest.raises(ValueError, match='start'):
             call()
     with pytest.raises(ValueError, match="engine is 'gpu'"):

@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from learning_to_simulate.native import field_data, library, soil_data
+from learning_to_simulate.native import library, soil_data
 from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
@@ -58,15 +58,6 @@ def _fuzz(folder, values, program_name, calls=CALLS):
 def test_random_calls_and_hostile_values_under_sanitizers(case, tmp_path):
     values = worlds.graph(tmp_path / 'data', **case).values
     _fuzz(tmp_path / 'project', values, 'fuzz_calls.c')
-
-
-@pytest.mark.parametrize('tool', worlds.FIELDS)
-def test_random_calls_of_a_swept_field_under_sanitizers(tool, tmp_path):
-    field, parts = worlds.field(tool)
-    if tool == 'wheel':
-        field.rest = field.rest[::5]  # starts read the whole bed: a few particles will do
-        parts['subspace'] = type(parts['subspace'])(field.rest)
-    _fuzz(tmp_path / 'project', field_data.values(field, **parts), 'fuzz_field.c')
 
 
 @pytest.mark.parametrize('tool', ['blade', 'wheel'])

@@ -16,11 +16,10 @@ from learning_to_simulate import checkpoints
 from learning_to_simulate.export import __main__ as export_command
 from learning_to_simulate.export import exporting
 from learning_to_simulate.live import starts as live_starts
-from learning_to_simulate.native import agreement, field_data, fmu, library, project
-from learning_to_simulate.native.binding import CField, CSubspace
+from learning_to_simulate.native import agreement, fmu, library, project
+from learning_to_simulate.native.binding import CSubspace
 from tests.learning_to_simulate import models
 from tests.learning_to_simulate.native import worlds
-from tests.learning_to_simulate.swept_field import small_world
 
 pytestmark = worlds.needs_c
 
@@ -70,20 +69,6 @@ def test_generated_constants_give_the_same_bits_as_those_of_python(tmp_path):
     for path, symbol in (('none.so', 'lts_small'), (built, 'lts_other')):
         with pytest.raises(ValueError, match='no library of the model'):
             CSubspace.open(path, symbol)
-
-
-def test_a_written_field_gives_the_same_bits_as_python(tmp_path):
-    field, parts = worlds.field('blade')
-    folder = worlds.written(tmp_path / 'f', 'lts_small', field_data.values(field, **parts))
-    soils = CField.open(_compiled(folder), 'lts_small'), CField.of(field, **parts)
-    poses = small_world.world_pose(small_world.path(20)[:, 0])
-    for soil in soils:
-        soil.start(poses[0])
-    for pose in poses[1:]:
-        for one, other in zip(*(soil.step(pose) for soil in soils)):
-            np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(*(soil.particles() for soil in soils))
-    assert not any('lts_step' in name for name in os.listdir(os.path.join(folder, 'src')))
 
 
 @pytest.mark.skipif(not shutil.which('cmake'), reason='no CMake')
@@ -177,7 +162,7 @@ def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
     assert project.symbol('models/excavation/pcg') == 'lts_excavation_pcg'
     assert project.symbol('/a/Wheel 2/best-one') == 'lts_wheel_2_best_one'
     # Types, a function, and files; then names that leave no letter.
-    taken = ('/model', '/field/model', '/field/frame', '/kernels', '/field/table')
+    taken = ('/model', '/soil/model', '/soil/frame', '/kernels', '/soil/table')
     others = ('/a/\u571f/\u7802', '/a/\u7802/\u571f', '/--/..-', '/')
     names = [project.symbol(path) for path in taken + others]
     assert len(set(names)) == len(names)

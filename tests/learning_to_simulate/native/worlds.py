@@ -14,13 +14,10 @@ from learning_to_simulate.soil_field import training
 from learning_to_simulate.soil_field.settings import SoilFieldConfig
 from pca_tools import subspace
 from tests.learning_to_simulate import models, synthetic
-from tests.learning_to_simulate.swept_field import small_wheel, small_world
 
 needs_c = pytest.mark.skipif(
     not any(map(shutil.which, ('cc', 'gcc', 'clang'))), reason='no C compiler'
 )
-FIELDS = {'blade': small_world, 'wheel': small_wheel}
-BOUND = [1.5, 2.0, 0.1]
 
 
 class Graph(NamedTuple):
@@ -44,17 +41,6 @@ def graph(folder, **case) -> Graph:
     starts = live_starts.collect(str(folder), model.simulator.config.nodes)
     values = model_data.values(model, group.n_rigid, space(), starts)
     return Graph(model, group, starts, values)
-
-
-def field(tool: str):
-    """A field, and its starts and subspace by name: of a wheel two sizes on two beds."""
-    found = FIELDS[tool].make_field()
-    found.calibration = {'force': BOUND}
-    # As of a model folder; places on the edge of two slabs fall to the same side then.
-    found.rest = found.rest.astype(np.float32).astype(np.float64)
-    if tool == 'wheel':
-        return found, small_wheel.two_starts(found)
-    return found, {'starts': small_world.make_starts(found), 'subspace': None}
 
 
 def soil_field(tool: str, hidden=None, members: int = 3):
