@@ -116,16 +116,14 @@ def test_two_models_live_in_one_program(small, tmp_path):
 def test_the_export_command_compares_and_refuses(saved, tmp_path, monkeypatch, capsys):
     out = str(tmp_path / 'out')
     values = types.SimpleNamespace(
-        model_path=saved[0], data_path=saved[1], output_path=out, format='c', n_rigid=None,
-        n_particles=None,
-    )  # fmt: skip
+        model_path=saved[0], data_path=saved[1], output_path=out, format='c', n_rigid=None
+    )
     export_command.run(values)
     assert 'largest difference to the source' in capsys.readouterr().out
     assert os.path.exists(os.path.join(out, 'CMakeLists.txt'))
     for change, error, message in (
         ({}, ValueError, 'not empty'),
         ({'model_path': str(tmp_path / 'none')}, FileNotFoundError, 'holds no model'),
-        ({'n_particles': 2}, ValueError, 'n_particles is for the functions'),
     ):
         if change:
             values.output_path = out + '2'

@@ -5,7 +5,6 @@ import pytest
 
 from learning_to_simulate.tool import bed
 from learning_to_simulate.tool.axes import Axes
-from tests.learning_to_simulate.swept_field import small_world as world
 
 
 def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():
@@ -20,21 +19,3 @@ def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():
     places = -np.array([0.1, 0.4, 0.7])
     profile = bed.surface_profile(points[::5], places, axes, 0.02, spacing)
     assert profile - flat == pytest.approx([0.0, 0.05, 0.0], abs=0.006)
-
-
-def test_a_bed_that_is_not_flat_is_read_where_the_tool_passes():
-    """A step half-way: the surface follows it, the level is the median, and a particle beside the
-    tool's strip counts for nothing."""
-    points = world.bed_points()
-    points[points[:, 0] < 0.5, 1] -= 0.04
-    points = np.concatenate([points, [[0.3, 0.6, world.MIDDLE + 0.27]]])
-    read = bed.ground(
-        points, -0.75, [0.3], 0.3, world.AXES, world.GRID, world.SPACING, world.SPACING
-    )
-    x, surface = 0.75 - world.GRID.offsets, read.bed.surface[0]
-    for low, high, height in ((0.12, 0.43, -0.04), (0.57, 0.88, 0.0)):
-        np.testing.assert_allclose(
-            surface[(x > low) & (x < high)], world.SURFACE + height, atol=1e-3
-        )
-    assert read.bed.level == pytest.approx(np.median(surface[(x > 0.1) & (x < 0.9)]), abs=0.02)
-    assert read.bed.end == pytest.approx(-0.1, abs=0.03)
