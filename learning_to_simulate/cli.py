@@ -20,6 +20,11 @@ COMMANDS = {
         ['--mode=eval_rollout'],
         'rolls out a split: files and errors beside the trivial predictors',
     ),
+    'fit-soil': (
+        'learning_to_simulate.soil_field.fit_soil',
+        [],
+        'finds the friction angle and density of a soil from recorded digs',
+    ),
     'rollout': ('learning_to_simulate.live.roll_out_path', [], 'rolls out a path from a file'),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
     'live': ('learning_to_simulate.live_page', [], 'a model under a tool in the browser'),

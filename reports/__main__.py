@@ -12,6 +12,7 @@ import sys
 REPORTS = {
     'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
     'times': ('times', 'error against run time: table, picture'),
+    'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),

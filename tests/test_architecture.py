@@ -53,7 +53,7 @@ LAYERS = (
     ('export', 'native'),
     ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',
      'soil_field.method'),
-    ('api', 'train', 'live.roll_out_path'),
+    ('api', 'train', 'live.roll_out_path', 'soil_field.fit_soil'),
     ('live_page', 'native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same

@@ -1,0 +1,133 @@
+"""How well `lts fit-soil` finds known soils: runs of the solver, and a published wheel.
+
+single: each test and valid run of kind `soils` alone, whose soil no other run has; with its density
+given and without. three: all sets of three test and valid runs of an operator in the usual soil.
+wheel: the smooth wheel of Ding et al. (2011), J. Terramechanics 48, 27 (as digitised in
+roverdevkit, MIT), one run per slip that rolls at its published sinkage with its published drawbar
+and load.
+
+Examples:
+    python -m reports soil_fits --output_path=docs/soil_fits.json
+"""
+
+import itertools
+
+import numpy as np
+import tqdm
+from absl import flags
+
+from learning_to_simulate import command
+from pca_tools import dataset, files
+from reports import record
+
+DATA = 'datasets/excavation'
+OPERATOR = ('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts')
+# Slip, drawbar N, sinkage m; load N, friction angle and density of the sand (cohesion 0.25 kPa).
+DING = ((0.1, 11.0, 0.0055), (0.2, 14.5, 0.0075), (0.3, 15.0, 0.01), (0.4, 15.0, 0.0125),
+        (0.6, 15.0, 0.0175))  # fmt: skip
+DING_LOAD, DING_SOIL = 80.0, (31.9, 1605.0)
+RIM_SPEED, FRAMES, STEADY = 0.04, 180, 60
+
+
+def entry(name: str, true: tuple[float, float], found) -> dict:
+    """What is kept of a fit: true and found angle (deg) and density (kg/m3), spreads, reasons."""
+    return {
+        'name': name, 'true_angle_deg': true[0], 'true_density': true[1],
+        'angle_deg': found.angle_deg, 'angle_spread_deg': found.angle_spread_deg,
+        'density': found.density, 'density_spread': found.density_spread,
+        'correlation': found.correlation, 'trade_percent': found.trade_percent,
+        'misfit': found.misfit, 'reasons': list(found.reasons),
+    }  # fmt: skip
+
+
+def summary(entries: list[dict]) -> dict:
+    """Of fits with a number: root mean square and largest error of the angle (deg), share within 2
+    deg and within two spreads, mean and spread of the density over the true one."""
+    told = [row for row in entries if row['angle_deg'] is not None]
+    if not told:
+        return {'fits': len(entries), 'told': 0}
+    off = np.array([row['angle_deg'] - row['true_angle_deg'] for row in told])
+    spread = np.array([row['angle_spread_deg'] for row in told])
+    ratio = np.array([row['density'] / row['true_density'] for row in told])
+    return {
+        'fits': len(entries), 'told': len(told), 'angle_rms_deg': float(np.sqrt(np.mean(off**2))),
+        'angle_bias_deg': float(off.mean()), 'angle_worst_deg': float(np.abs(off).max()),
+        'within_2_deg': float(np.mean(np.abs(off) <= 2.0)),
+        'within_2_spreads': float(np.mean(np.abs(off) <= 2.0 * spread)),
+        'density_ratio': float(ratio.mean()), 'density_ratio_spread': float(ratio.std()),
+    }  # fmt: skip
+
+
+def known_soils(field) -> dict[str, list[dict]]:
+    """Fits of runs of the data of record that no model was trained on."""
+    from learning_to_simulate.soil_field import digs, fit_soil
+
+    cases = {
+        str(case['case']): case
+        for split in ('valid', 'test') for case in dataset.read_metadata(DATA)['cases'][split]
+    }  # fmt: skip
+    true = {n: (c['friction_angle_deg'], c['bulk_density_kg_m3']) for n, c in cases.items()}
+    soils = [n for n, c in cases.items() if c['kind'] == 'soils']
+    usual = [n for n, c in cases.items() if c['kind'] in OPERATOR]
+    read = {dig.name: dig for dig in digs.of_dataset(DATA, soils + usual)}
+    found: dict[str, list[dict]] = {'single': [], 'single, density given': [], 'three': [],
+                                    'three, density given': []}  # fmt: skip
+    sets: list[tuple[str, tuple]] = [('single', (n,)) for n in soils]
+    sets += [('three', three) for three in itertools.combinations(usual, 3)]
+    rolled = {name: fit_soil.Rolled(field, dig) for name, dig in read.items()}
+    for kind, names in tqdm.tqdm(sets, unit='set', disable=None):
+        for given, what in ((None, ''), (true[names[0]][1], ', density given')):
+            fit = fit_soil.fit([rolled[n] for n in names], given)
+            found[kind + what].append(entry(' '.join(names), true[names[0]], fit))
+    return found
+
+
+def ding(field) -> list[dict]:
+    """Fits of the published wheel, with its density given and without, of each slip and of all."""
+    from learning_to_simulate.soil_field import fit_soil
+    from learning_to_simulate.soil_field.digs import Dig
+    from learning_to_simulate.soil_field.terrain import Terrain
+    from learning_to_simulate.soil_field.tools import Wheel
+
+    wheel, times = Wheel(width=0.165, radius=0.15735), np.arange(FRAMES) / 60.0
+    down = np.clip(times / 0.5, 0.0, 1.0)
+    digs = []
+    for slip, drawbar, sinkage in DING:
+        pose, force = np.zeros((FRAMES, 7)), np.full((FRAMES, 3), np.nan)
+        turned = RIM_SPEED * np.maximum(times - 0.5, 0.0)
+        pose[:, 0] = -(1 - slip) * turned
+        pose[:, 1] = wheel.radius + 0.002 - down * (sinkage + 0.002)
+        half = turned / wheel.radius / 2
+        pose[:, 3], pose[:, 6] = np.cos(half), np.sin(half)
+        force[-STEADY:, :2] = -drawbar, DING_LOAD
+        ground = Terrain.flat((2.0, 1.0), corner=(-1.2, -0.5))
+        digs.append(Dig(f'slip {slip}', wheel, ground, times, pose, force))
+    rolled = [fit_soil.Rolled(field, dig) for dig in digs]
+    sets = [[r] for r in rolled] + [rolled]
+    return [
+        entry(' '.join(r.dig.name for r in some), DING_SOIL, fit_soil.fit(some, given))
+        for some in sets for given in (None, DING_SOIL[1])
+    ]  # fmt: skip
+
+
+def main(values) -> None:
+    """Runs the report."""
+    command.writable_folder(str(values.output_path.rpartition('/')[0] or '.'))
+    command.import_tensorflow(1)
+    from learning_to_simulate.soil_field import method
+
+    fits = known_soils(method.load(values.blade))
+    fits['wheel of Ding'] = ding(method.load(values.wheel))
+    made: dict = record.provenance(1)
+    made |= {'summary': {name: summary(rows) for name, rows in fits.items()}}
+    kept = {name: rows for name, rows in fits.items() if not name.startswith('three')}
+    files.write_json(values.output_path, made | {'fits': kept})
+    for name, row in made['summary'].items():
+        print(name, {k: round(v, 3) for k, v in row.items()})
+
+
+if __name__ == '__main__':
+    flags.DEFINE_string('blade', 'models/excavation/soil_field', 'Soil field of the blade.')
+    flags.DEFINE_string('wheel', 'models/wheel/soil_field', 'Soil field of the wheel.')
+    flags.DEFINE_string('output_path', None, 'JSON file to write.', required=True)
+    command.start(main)
