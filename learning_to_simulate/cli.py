@@ -27,11 +27,10 @@ COMMANDS = {
     ),
     'rollout': ('learning_to_simulate.live.roll_out_path', [], 'rolls out a path from a file'),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
-    'live': ('learning_to_simulate.live_page', [], 'a model under a tool in the browser'),
     'export': (
         'learning_to_simulate.export',
         [],
-        'writes a SavedModel, LiteRT or ONNX model, a C project, an FMU or a page',
+        'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
     ),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'import': ('pca_tools.import_data', [], "raw runs from other projects' data"),

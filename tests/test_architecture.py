@@ -54,7 +54,7 @@ LAYERS = (
     ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',
      'soil_field.method'),
     ('api', 'train', 'live.roll_out_path', 'soil_field.fit_soil'),
-    ('live_page', 'native.web_page', 'export.__main__', 'cli'),
+    ('export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.

@@ -1,4 +1,4 @@
-"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project, an FMU or a page.
+"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project or an FMU.
 
 Examples:
   python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
@@ -11,10 +11,6 @@ Examples:
   # C99 source, or an FMU of FMI 2.0; see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
-
-  # one HTML file with the C library as WebAssembly inside, which needs no server
-  python -m learning_to_simulate.export --format=page --model_path=models/excavation/pcg \\
-      --data_path=datasets/excavation --output_path=soil.html
 """
 
 from absl import flags
@@ -28,19 +24,14 @@ def define_flags() -> None:
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
     flags.DEFINE_string(
-        'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
+        'output_path', None, 'Folder to write; absent or empty.', required=True
     )
-    flags.DEFINE_enum('format', 'savedmodel', [*FORMATS, 'page'], 'What to write.')
+    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
 
 
 def run(values) -> None:
     """Runs the command with its flags; raises as `export`."""
-    if values.format == 'page':
-        from learning_to_simulate.native import web_page
-
-        web_page.run(values)
-        return
     command.import_tensorflow()
     description = export(
         values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
