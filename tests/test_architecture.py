@@ -42,11 +42,9 @@ MAY_IMPORT = {
 # inside functions too. The longest name that fits says which line a module is on.
 LAYERS = (
     ('_version', 'command', 'scene', 'body_height', 'known_shapes', 'metrics', 'config',
-     'soil_truth', 'rendering', 'shipped', 'error_bound'),
+     'soil_truth', 'rendering', 'shipped', 'error_bound', 'axes', 'swept', 'bed'),
     ('render_rollout', 'connectivity_utils', 'reading_utils', 'normalization', 'loads',
      'checkpoints', 'registry'),
-    ('tool',),
-    ('ensemble',),
     ('subspace', 'rollout_status', 'rollout', 'evaluation', 'training', 'live'),
     ('soil_field', 'baselines', 'full_space', 'penetration', 'subspace.method',
      'presets'),
@@ -109,8 +107,8 @@ IMPORTS_WITHOUT = [
             'learning_to_simulate.baselines.path_ridge',
             'learning_to_simulate.baselines.earthmoving',
             'learning_to_simulate.baselines.wheel_terramechanics',
-            'learning_to_simulate.tool.path_memory',
-            'learning_to_simulate.tool.bed',
+            'learning_to_simulate.subspace.path_memory',
+            'learning_to_simulate.bed',
         ),
         ('tensorflow', 'sonnet', 'sklearn', 'mpm'),
     ),

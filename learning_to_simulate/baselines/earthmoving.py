@@ -15,12 +15,12 @@ import dataclasses
 
 import numpy as np
 
+from learning_to_simulate import swept
+from learning_to_simulate.axes import Axes, blade_pose
 from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool import swept
-from learning_to_simulate.tool.axes import Axes, blade_pose
-from learning_to_simulate.tool.blade import EDGE_RADIUS
+from learning_to_simulate.swept import EDGE_RADIUS
 
 # Failure planes that are compared, rad.
 _BETA = np.radians(np.linspace(5.0, 60.0, 111))

@@ -14,6 +14,7 @@ import numpy as np
 import tqdm
 
 from learning_to_simulate import (
+    bed,
     checkpoints,
     evaluation,
     metrics,
@@ -22,6 +23,7 @@ from learning_to_simulate import (
     reading_utils,
     rollout_status,
 )
+from learning_to_simulate.axes import Axes
 from learning_to_simulate.baselines import earthmoving, path_ridge
 from learning_to_simulate.baselines.wheel_terramechanics import WheelTerramechanics
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
@@ -29,8 +31,6 @@ from learning_to_simulate.config import OpenLoopConfig
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.rollout import Rollout
 from learning_to_simulate.scene import Scene
-from learning_to_simulate.tool import bed
-from learning_to_simulate.tool.axes import Axes
 from pca_tools import dataset, files
 from pca_tools.storage import folder_lock
 

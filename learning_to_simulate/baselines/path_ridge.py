@@ -22,12 +22,12 @@ import json
 
 import numpy as np
 
+from learning_to_simulate import swept
+from learning_to_simulate.axes import Axes, blade_pose, hidden_height, wheel_pose
 from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.tool import swept
-from learning_to_simulate.tool.axes import Axes, blade_pose, hidden_height, wheel_pose
-from learning_to_simulate.tool.blade import EDGE_RADIUS
+from learning_to_simulate.swept import EDGE_RADIUS
 
 # Widths and ridges that are chosen from; widths per number of inputs.
 GAMMAS = (0.01, 0.03, 0.1, 0.3, 1.0)

@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize
 
+from learning_to_simulate.axes import Axes, hidden_height, wheel_pose
 from learning_to_simulate.baselines import open_loop
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH as H
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool.axes import Axes, hidden_height, wheel_pose
-from learning_to_simulate.tool.wheel import CONTEXT
 
+CONTEXT = ('gravity', 'friction_angle_deg', 'load')  # of a scene: m/s2, degrees, N
 RIM_FRICTION = 0.5
 # Gravity (m/s2) and friction of the soil (28 degrees) that the default parameters were measured at.
 EARTH_GRAVITY = 9.81

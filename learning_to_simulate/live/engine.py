@@ -14,10 +14,9 @@ from learning_to_simulate.live.soil import Decoder, Soil
 from learning_to_simulate.rollout import corrected_step
 from learning_to_simulate.rollout_status import OK, Judgement, NodeRanges, RolloutStatus, worse
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.subspace import subspace_model
+from learning_to_simulate.subspace import path_memory, subspace_model
 from learning_to_simulate.subspace.learned_simulator import SimulatorState
 from learning_to_simulate.subspace.rigid_body import Correction, KnownMotion
-from learning_to_simulate.tool import path_memory
 from pca_tools import rigid_fit
 
 

@@ -1,7 +1,7 @@
-"""Tables of inputs (`tool.inputs`) as the values of `lts_table`."""
+"""Tables of inputs (`soil_field.inputs`) as the values of `lts_table`."""
 
 from learning_to_simulate.native import library
-from learning_to_simulate.tool import inputs
+from learning_to_simulate.soil_field import inputs
 
 
 def values(table: inputs.Table, scalars, channels: dict[str, int]) -> dict:
@@ -31,8 +31,6 @@ def values(table: inputs.Table, scalars, channels: dict[str, int]) -> dict:
             ops += program
     return {
         'n_row': len(rows),
-        'place': -1 if table.place == 'u' else scalars.index(table.place),
-        'unit': scalars.index(table.unit) if table.unit else -1,
         'rows': rows,
         'ops': ops,
     }

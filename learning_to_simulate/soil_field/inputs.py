@@ -1,15 +1,160 @@
-"""Inputs of the networks of a soil field, as tables (`tool.inputs`).
+"""Inputs of the networks of a soil field, as tables: what TensorFlow and C both read.
 
 Three networks see a tool's sweep: that of the load, for each strip under the tool and each of its
 two neighbours; that of the surface, for places seen from above; that of the soil, for particles.
 Heights count from the tool or from the terrain at a place, never from a level: a scene may lie
 anywhere.
+
+One row gives one input, or one for each offset along the way:
+
+    x = squash((operand - shift) / scale)
+
+An operand is a short expression of names: scalars of a frame ('tip', 'lean', see `sweep.SCALARS`);
+of a place or particle u, y, z (from the origin of the bins, the level and the middle, m of the
+field); channels of the bins at that u ('cut', see `sweep.CHANNELS`); and `at.cut`, a channel at
+each of the row's offsets from the place that the table looks at. Scales make inputs of order one.
 """
 
+import ast
+import dataclasses
+import functools
+import operator
+from collections.abc import Callable
 from typing import NamedTuple
 
+import tensorflow as tf
+
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.tool.inputs import Row, Table
+
+# Squashes of t = (operand - shift) / scale; the constants LTS_SQUASH_<NAME> of lts_table.h.
+SQUASHES: dict[str, Callable] = {
+    'plain': lambda t: t,
+    'tanh': tf.tanh,
+    'relu': tf.nn.relu,
+    'relu2': lambda t: tf.nn.relu(t) ** 2,
+    'bell': lambda t: tf.exp(-(t**2)),
+    'fade': lambda t: tf.exp(-t),
+}
+_FUNCTIONS = {'abs': tf.abs, 'relu': tf.nn.relu, 'sqrt': tf.sqrt}
+_OF_TWO: dict[str, Callable] = {'add': operator.add, 'sub': operator.sub}
+_OPERATORS: dict[type, str] = {ast.Add: 'add', ast.Sub: 'sub'}
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One row of a table: x = squash((operand - shift) / scale).
+
+    Attributes:
+      operand: an expression.
+      scale, squash, shift: a squash is a name of `SQUASHES`.
+      at: offsets of `at.` along the way, m; () without any.
+    """
+
+    operand: str
+    scale: float = 1.0
+    squash: str = 'plain'
+    shift: float = 0.0
+    at: tuple[float, ...] = ()
+
+    @property
+    def columns(self) -> int:
+        """Number of inputs."""
+        return len(self.at) or 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Inputs that are computed together.
+
+    Attributes:
+      rows: in the order of the inputs.
+    """
+
+    rows: tuple[Row, ...]
+
+    def __len__(self):
+        return sum(row.columns for row in self.rows)
+
+    def offsets(self) -> dict[tuple[float, ...], list[str]]:
+        """Offsets of rows -> the channels that are read there."""
+        found: dict[tuple[float, ...], list[str]] = {}
+        for row in self.rows:
+            seen = found.setdefault(row.at, [])
+            seen += [n[3:] for n in names(row.operand) if n.startswith('at.') and n[3:] not in seen]
+        found.pop((), None)
+        return found
+
+
+def names(expression: str) -> list[str]:
+    """The names in an expression, in their order; each once."""
+    return list(dict.fromkeys(str(v) for kind, v in program(expression) if kind == 'name'))
+
+
+def evaluate(expression: str, values, functions: dict = _FUNCTIONS):
+    """The value of an expression.
+
+    Args:
+      expression: an operand.
+      values: name -> number, array or tensor.
+      functions: abs, relu and sqrt by their names.
+    """
+    known = _OF_TWO | functions
+    stack: list = []
+    for kind, value in program(expression):
+        if kind in ('name', 'number'):
+            stack.append(values[value] if kind == 'name' else value)
+        else:
+            count = 2 if kind in _OF_TWO else 1
+            stack[-count:] = [known[kind](*stack[-count:])]
+    return stack[0]
+
+
+def column(row, values):
+    """The input of a row of a table (`Row`), of values by their names."""
+    value = evaluate(row.operand, values)
+    value = value - row.shift if row.shift else value
+    return SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value)
+
+
+@functools.cache
+def program(expression: str) -> list[tuple[str, str | float]]:
+    """An expression for a machine with a stack: ('name', name), ('number', value) or (operation,
+    ''), operands before their operation.
+
+    Raises:
+      ValueError: something else than names, numbers, + and -, abs, relu and sqrt.
+    """
+
+    def steps(node):
+        kind = None
+        if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            kind, parts = _OPERATORS[type(node.op)], [node.left, node.right]
+        elif isinstance(node, ast.Call) and node.func.id in _FUNCTIONS:
+            kind, parts = node.func.id, node.args
+        elif isinstance(node, ast.Constant):
+            yield 'number', float(node.value)
+        elif isinstance(node, ast.Name):
+            yield 'name', node.id
+        elif isinstance(node, ast.Attribute):
+            yield 'name', f'{node.value.id}.{node.attr}'
+        else:
+            raise ValueError(f'{expression!r}: {ast.unparse(node)!r} has no place in an operand')
+        if kind:
+            for part in parts:
+                yield from steps(part)
+            yield kind, ''
+
+    return list(steps(ast.parse(expression, mode='eval').body))
+
+
+def depth(expression: str) -> int:
+    """Values that a stack holds at once while it runs a `program`."""
+    most = now = 0
+    for kind, _ in program(expression):
+        now += 1 if kind in ('name', 'number') else -1 if kind in _OF_TWO else 0
+        most = max(most, now)
+    return most
+
 
 # Offsets along the way at which the bins are seen, m of the field: about a place, and about the
 # tool.
@@ -91,7 +236,7 @@ class Tables(NamedTuple):
 
 TABLES = {
     name: Tables(
-        Table((*own, *_LOAD)), Table(_SIDE), Table(_HERE, 'u'), Table(_OF_PARTICLE, 'u'),
+        Table((*own, *_LOAD)), Table(_SIDE), Table(_HERE), Table(_OF_PARTICLE),
         Table((*own, *_STANDS)),
     )
     for name, own in (('blade', _BLADE), ('wheel', _WHEEL))

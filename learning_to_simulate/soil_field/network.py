@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate.ensemble import Members, column
 from learning_to_simulate.soil_field import strips as strips_lib
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.inputs import TABLES
+from learning_to_simulate.soil_field.ensemble import Members
+from learning_to_simulate.soil_field.inputs import TABLES, column
 
 FORCE, TORQUE = 100.0, 10.0  # N, N m of the field, for a tool of this width, m
 WIDTH = {'blade': 0.4, 'wheel': 0.1}

@@ -10,7 +10,7 @@ from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.place import checked_pose, place_of
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
-from learning_to_simulate.tool.swept import check_time
+from learning_to_simulate.swept import check_time
 
 AHEAD = 0.7  # m of the field, farther walls do not matter
 EVEN = 1e-3  # m of the field by which strips may differ and count as one

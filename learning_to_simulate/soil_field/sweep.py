@@ -40,7 +40,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learning_to_simulate.tool.swept import check_time, cone, underside
+from learning_to_simulate.swept import check_time, underside
 
 WINDOW = 0.45  # m behind and before the tool that count
 FORGET = 1.0  # m
@@ -270,6 +270,15 @@ def area(state: Sweep, grid: Grid = GRID) -> np.ndarray:
 def all_cut(state: Sweep, grid: Grid = GRID) -> np.ndarray:
     """[B], m2: all that was cut, dropped bins among it."""
     return state.dropped + grid.spacing * (state.surface - state.profile).sum(axis=1)
+
+
+def cone(values, fall: float) -> np.ndarray:
+    """C: the largest of all values [B, n], each lowered by `fall` per bin of distance."""
+    # The largest so far from either side, in coordinates in which the slope of a cone is level.
+    index = fall * np.arange(values.shape[1])
+    forward = np.maximum.accumulate(values + index, axis=1) - index
+    backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
+    return np.maximum(forward, backward)
 
 
 def channels(state: Sweep, level, grid: Grid = GRID) -> np.ndarray:

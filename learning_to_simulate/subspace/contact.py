@@ -13,8 +13,8 @@ import dataclasses
 import numpy as np
 import tensorflow as tf
 
+from learning_to_simulate.axes import Axes
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool.axes import Axes
 from pca_tools.subspace import Subspace
 
 PLACES = 32

@@ -13,7 +13,7 @@ import tensorflow as tf
 from learning_to_simulate.body_height import height_of
 from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH
 from learning_to_simulate.scene import RigidMotion
-from learning_to_simulate.tool import path_memory
+from learning_to_simulate.subspace import path_memory
 
 EMBEDDING_SIZE = 16  # Sanchez-Gonzalez et al. 2020
 START_MODES = 8  # of the bed at the start of a run: more would be learned by heart

@@ -19,7 +19,7 @@ from learning_to_simulate.connectivity_utils import Adjacency
 from learning_to_simulate.scene import RigidMotion, Scene
 from learning_to_simulate.subspace import features, graph_network
 from learning_to_simulate.subspace.contact import Contact
-from learning_to_simulate.tool.path_memory import PathMemory
+from learning_to_simulate.subspace.path_memory import PathMemory
 
 RATE_FLOOR = 0.05  # of the mean speed of the body; below it the soil's own motion is not scaled
 

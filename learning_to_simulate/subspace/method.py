@@ -9,14 +9,13 @@ import os
 import numpy as np
 import tensorflow as tf
 
-from learning_to_simulate import checkpoints, evaluation, normalization, reading_utils
+from learning_to_simulate import bed, checkpoints, evaluation, normalization, reading_utils
 from learning_to_simulate.live import starts
 from learning_to_simulate.registry import OpenedModel
 from learning_to_simulate.scene import RigidMotion
 from learning_to_simulate.subspace import contact, edge_lists
+from learning_to_simulate.subspace.path_memory import PathMemory
 from learning_to_simulate.subspace.subspace_model import SIMULATORS, Model, load
-from learning_to_simulate.tool import bed
-from learning_to_simulate.tool.path_memory import PathMemory
 from pca_tools import dataset
 from pca_tools.subspace import Subspace
 

@@ -11,14 +11,13 @@ from learning_to_simulate.config import INPUT_SEQUENCE_LENGTH, TrainConfig
 from learning_to_simulate.connectivity_utils import build
 from learning_to_simulate.normalization import Statistics
 from learning_to_simulate.scene import MAX_RIGID, Scene, is_int, require
-from learning_to_simulate.subspace import whole_state
+from learning_to_simulate.subspace import path_memory, whole_state
 from learning_to_simulate.subspace.learned_simulator import (
     Layout,
     LearnedSimulator,
     SimulatorState,
 )
 from learning_to_simulate.subspace.rigid_body import KnownMotion
-from learning_to_simulate.tool import path_memory
 from pca_tools.subspace import Subspace
 
 # `TrainConfig.model` -> makes a simulator with fresh weights; arguments as of `LearnedSimulator`.

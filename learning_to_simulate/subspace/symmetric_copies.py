@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import spatial
 
-from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate.axes import Axes
 from pca_tools.subspace import Subspace
 
 _STREAM = 6  # see the random streams of `trainer`

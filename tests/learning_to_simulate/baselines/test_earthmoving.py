@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
+from learning_to_simulate.axes import Axes, blade_pose
 from learning_to_simulate.baselines import earthmoving
 from learning_to_simulate.baselines.earthmoving import BLADE, BladeSoil, EarthmovingForce
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.tool.axes import Axes, blade_pose
 from mpm import bodies
 from mpm.earthmoving import draft_force
 

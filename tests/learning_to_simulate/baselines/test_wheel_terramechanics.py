@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from learning_to_simulate.axes import Axes
 from learning_to_simulate.baselines import wheel_terramechanics
 from learning_to_simulate.baselines.wheel_terramechanics import (
     TerrainParameters,
@@ -15,7 +16,6 @@ from learning_to_simulate.baselines.wheel_terramechanics import (
 )
 from learning_to_simulate.reading_utils import RunGroup
 from learning_to_simulate.scene import RigidMotion, Scene
-from learning_to_simulate.tool.axes import Axes
 
 RADIUS, WIDTH = 0.15, 0.12
 FIRM = TerrainParameters(k_c=0.0, k_phi=2e6, n=1.0, elastic=1e4)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate.soil_field import network, strips, sweep
+from learning_to_simulate.soil_field import inputs, network, strips, sweep
 from learning_to_simulate.soil_field.inputs import TABLES
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Wheel
-from learning_to_simulate.tool import inputs
 from tests.learning_to_simulate.soil_field import scenes
 from tests.learning_to_simulate.soil_field.scenes import PATH, poses, walk
 

@@ -277,3 +277,10 @@ def test_bad_input_is_refused():
         sweep.start(pose, lambda u: ground(u) * [[np.nan], [1]])
     with pytest.raises(ValueError, match='terrain'):
         sweep.advance(state, pose + 1.0, turn, radius, DT, lambda u: ground(u) * np.nan)
+
+
+def test_cones_are_those_of_the_definition():
+    values = np.random.default_rng(1).uniform(size=(2, 37)) ** 4
+    apart = np.abs(np.arange(37)[:, None] - np.arange(37))
+    expected = (values[:, None] - 0.05 * apart).max(axis=-1)
+    np.testing.assert_allclose(sweep.cone(values, 0.05), expected, atol=1e-15)

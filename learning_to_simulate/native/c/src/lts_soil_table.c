@@ -112,7 +112,7 @@ static void operand_of(reading *r, const lts_row *row, float stack[LTS_STACK][LA
   int top = -1;
   for (int k = 0; k < row->count; ++k) {
     const lts_op *op = &r->table->ops[row->first + k];
-    const int takes_two = op->code >= LTS_OP_ADD && op->code <= LTS_OP_MAX;
+    const int takes_two = op->code >= LTS_OP_ADD && op->code <= LTS_OP_SUB;
     top += op->code < LTS_OP_ADD ? 1 : takes_two ? -1 : 0;
     float *restrict x = stack[top];
     const float *restrict y = stack[top + 1];
@@ -130,15 +130,9 @@ static void operand_of(reading *r, const lts_row *row, float stack[LTS_STACK][LA
         break;
       case LTS_OP_ADD: EACH(x[i] + y[i]); break;
       case LTS_OP_SUB: EACH(x[i] - y[i]); break;
-      case LTS_OP_MUL: EACH(x[i] * y[i]); break;
-      case LTS_OP_DIV: EACH(x[i] / y[i]); break;
-      case LTS_OP_MAX: EACH(x[i] < y[i] ? y[i] : x[i]); break;
-      case LTS_OP_SQUARE: EACH(x[i] * x[i]); break;
       case LTS_OP_ABS: EACH(fabsf(x[i])); break;
       case LTS_OP_RELU: EACH(x[i] < 0.0f ? 0.0f : x[i]); break;
       case LTS_OP_SQRT: EACH(sqrtf(x[i])); break;
-      case LTS_OP_LOG: EACH(logf(x[i])); break;
-      case LTS_OP_LOG1P: EACH(log1pf(x[i])); break;
       default: break;
     }
   }
@@ -170,8 +164,6 @@ static void squash(const reading *r, const lts_row *row, float *x) {
       exp_minus(r, x);
       break;
     case LTS_SQUASH_FADE: exp_minus(r, x); break;
-    case LTS_SQUASH_LOG: EACH(logf(x[i])); break;
-    case LTS_SQUASH_LOG1P: EACH(log1pf(x[i])); break;
     default: break;
   }
 }

@@ -1,4 +1,4 @@
-/* Tables of inputs that come with a model, see `tool/inputs.py`. */
+/* Tables of inputs that come with a model, see `soil_field/inputs.py`. */
 #ifndef LTS_TABLE_H
 #define LTS_TABLE_H
 
@@ -10,23 +10,22 @@
  * that u or at an offset; then what takes two; then what takes one. */
 enum {
   LTS_OP_SCALAR = 0, LTS_OP_NUMBER = 1, LTS_OP_REST = 2, LTS_OP_HERE = 3, LTS_OP_AT = 4,
-  LTS_OP_ADD = 5, LTS_OP_SUB = 6, LTS_OP_MUL = 7, LTS_OP_DIV = 8, LTS_OP_MAX = 9,
-  LTS_OP_SQUARE = 10, LTS_OP_ABS = 11, LTS_OP_RELU = 12, LTS_OP_SQRT = 13, LTS_OP_LOG = 14, LTS_OP_LOG1P = 15
+  LTS_OP_ADD = 5, LTS_OP_SUB = 6, LTS_OP_ABS = 7, LTS_OP_RELU = 8, LTS_OP_SQRT = 9
 };
 enum {
   LTS_SQUASH_PLAIN = 0, LTS_SQUASH_TANH = 1, LTS_SQUASH_RELU = 2, LTS_SQUASH_RELU2 = 3, LTS_SQUASH_BELL = 4,
-  LTS_SQUASH_FADE = 5, LTS_SQUASH_LOG = 6, LTS_SQUASH_LOG1P = 7
+  LTS_SQUASH_FADE = 5
 };
 typedef struct {
   int32_t code, index;
-  float value; /* a number, or an offset: m, or in the unit of the table */
+  float value; /* a number, or an offset, m */
 } lts_op;
 typedef struct {
   int32_t first, count, squash; /* operations of the operand */
   float shift, scale;
 } lts_row;
 typedef struct {
-  int32_t n_row, place, unit, unused; /* scalars: where offsets are counted from, and their unit; -1: u, m */
+  int32_t n_row, unused;
   const lts_row *rows;
   const lts_op *ops;
 } lts_table;

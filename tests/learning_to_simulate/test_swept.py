@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.tool import swept
+from learning_to_simulate import swept
 
 GRID = swept.SweptGrid(radius=0.014, spacing=0.004, behind=0.3, ahead=0.5)
 DT = 1 / 60
@@ -94,13 +94,6 @@ def test_distance_since_a_place_was_passed():
     assert state.travelled[0] == pytest.approx(0.1 + 0.2 + 0.2)
 
 
-def test_cones_are_those_of_the_definition():
-    values = np.random.default_rng(1).uniform(size=(2, 37)) ** 4
-    apart = np.abs(np.arange(37)[:, None] - np.arange(37))
-    expected = (values[:, None] - 0.05 * apart).max(axis=-1)
-    np.testing.assert_allclose(swept.cone(values, 0.05), expected, atol=1e-15)
-
-
 def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
     bed = SURFACE + 0.03 * np.sin(20 * GRID.offsets)[None]
     path = wandering_path(6)
@@ -123,3 +116,20 @@ def test_a_bed_that_is_not_flat_is_only_cut_where_the_tool_goes():
 def test_bad_input_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    'call, message',
+    [
+        (lambda s: swept.advance(GRID, s, [[1.0, 0.2]], DT), 'do not hold it'),
+        (lambda s: swept.advance(GRID, s, [[np.nan, 0.2]], DT), 'not finite'),
+        (lambda s: swept.advance(GRID, s, [[0.0, 0.2]], 0.0), 'time does not go back'),
+        (lambda s: swept.advance(GRID, s, [[0.0, 0.2]], -0.1), 'time does not go back'),
+        (lambda _: swept.SweptGrid(0.0), 'radius must be positive'),
+        (lambda _: swept.SweptGrid(0.001), 'falls between bins'),
+    ],
+)
+def test_bad_steps_and_bins_are_refused(call, message):
+    state = swept.start(GRID, [[0.0, 0.2]], SURFACE)
+    with pytest.raises(ValueError, match=message):
+        call(state)

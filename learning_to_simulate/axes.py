@@ -54,8 +54,7 @@ class Axes:
         for i, run in enumerate(runs):
             if run.rigid_pose is None or not run.n_rigid:
                 raise ValueError(
-                    f'record {i} holds no pose of a rigid body, from which a swept field learns; '
-                    f'convert runs that have one'
+                    f'record {i} holds no pose of a rigid body; convert runs that have one'
                 )
         axes = cls.of_bodies([r.rigid_pose[None, :, None, :3].astype(np.float64) for r in runs], up)
         middle = np.mean([run.rigid_pose[:, axes.across].mean() for run in runs])
@@ -89,15 +88,6 @@ class Axes:
         """Vectors [..., 3] of the world along, up, across."""
         return np.concatenate([self.plane(vectors), vectors[..., self.across, None]], axis=-1)
 
-    def world(self, vectors) -> np.ndarray:
-        """Vectors [..., 3] along, up, across in the world's axes; the inverse of `local`."""
-        vectors = np.asarray(vectors)
-        found = np.empty_like(vectors)
-        found[..., self.axis] = self.sign * vectors[..., 0]
-        found[..., self.up] = vectors[..., 1]
-        found[..., self.across] = vectors[..., 2]
-        return found
-
     def poses(self, pose) -> np.ndarray:
         """u, height (m) and lean (rad) [..., 3] of poses [..., 7]: position (m) and unit quaternion
         (w, x, y, z) of an upright tool.
@@ -110,43 +100,6 @@ class Axes:
         tilt = (a * u + u * a) - self.sign * self._turn * (w * c + c * w)
         lean = np.arctan2(-self.sign * tilt, (w * w + u * u) - (a * a + c * c))
         return np.concatenate([self.plane(pose), lean[..., None]], axis=-1)
-
-    def sideways(self, pose) -> np.ndarray:
-        """Yaw and roll [..., 2] (rad, in (-pi, pi]) of poses [..., 7]: where their rotation R takes
-        the axis across, e: atan2((R e)_along, (R e)_across) and its rise above the level. Both are
-        0 of a tool that leans or rolls in the plane of travel."""
-        pose = np.asarray(pose, np.float64)
-        w, a, u, c = (pose[..., 3 + i] for i in (0, 1 + self.axis, 1 + self.up, 1 + self.across))
-        turn = self.sign * self._turn  # +1 where axis, up, across are right-handed
-        along, rise = 2 * (a * c + turn * w * u), 2 * (u * c - turn * w * a)
-        across = w * w + c * c - a * a - u * u
-        yaw = np.arctan2(self.sign * along, across)
-        return np.stack([yaw, np.arctan2(rise, np.hypot(along, across))], axis=-1)
-
-    def velocities(self, velocity) -> np.ndarray:
-        """Velocities along the way and up (m/s) and of the lean (rad/s), [..., 3], of the world's
-        linear and angular ones [..., 6]."""
-        velocity = np.asarray(velocity, np.float64)
-        turn = self._turn * velocity[..., 3 + self.across, None]
-        return np.concatenate([self.plane(velocity), turn], axis=-1)
-
-    def loads(self, force, torque) -> np.ndarray:
-        """Force along the way and up (N) and torque in their plane (N m), [..., 3], of the world's
-        force and torque [..., 3]; without a torque it counts as 0."""
-        force = np.asarray(force, np.float64)
-        turn = 0.0 if torque is None else self._turn * np.asarray(torque)[..., self.across]
-        return np.stack(
-            np.broadcast_arrays(self.sign * force[..., self.axis], force[..., self.up], turn), -1
-        )
-
-    def world_loads(self, loads) -> tuple[np.ndarray, np.ndarray]:
-        """Force (N) and torque (N m) [..., 3] of the world; the inverse of `loads`. A tool that is
-        symmetric across the way feels nothing else."""
-        loads = np.asarray(loads)
-        zero = np.zeros_like(loads[..., 0])
-        torque = np.zeros_like(loads)
-        torque[..., self.across] = self._turn * loads[..., 2]
-        return self.world(np.stack([loads[..., 0], loads[..., 1], zero], axis=-1)), torque
 
 
 def blade_pose(body: np.ndarray, axes: Axes) -> tuple[np.ndarray, np.ndarray]:

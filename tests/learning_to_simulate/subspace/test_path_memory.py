@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from learning_to_simulate.tool import blade, path_memory
-from learning_to_simulate.tool.axes import Axes
-from learning_to_simulate.tool.path_memory import PathMemory
+from learning_to_simulate.axes import Axes
+from learning_to_simulate.subspace import path_memory
+from learning_to_simulate.subspace.path_memory import PathMemory
+from learning_to_simulate.swept import EDGE_RADIUS
 
 DT, SURFACE = 1 / 60, 0.25
 MEMORY = PathMemory(Axes(axis=0, sign=-1, up=1), SURFACE, (-0.8, -0.3), DT)
@@ -61,7 +62,7 @@ def test_a_straight_cut_has_the_depth_and_the_area_of_a_slot():
     assert values[0] == pytest.approx((-end - low) / 0.15, abs=1e-5)
     assert values[1] == pytest.approx(-depth / 0.05, abs=1e-5)
     assert values[8] == pytest.approx(0.2 / 0.1, abs=1e-6)  # half the width
-    radius = blade.EDGE_RADIUS
+    radius = EDGE_RADIUS
     inside = 2 * radius * depth + np.pi * radius**2 / 2  # both round ends
     area = (start - end) * (depth + radius) + inside
     assert values[4] * 0.01 == pytest.approx(area, rel=0.02)
@@ -80,7 +81,7 @@ def test_speed_fades_as_a_first_order_lag():
     values = MEMORY.read(_bodies(x, np.full_like(x, SURFACE + 0.1)))[0, -1]
     time = (count - 1) * DT
     rates = values[9 : 9 + 9 : 3] * 0.1
-    lags = [speed * (1 - np.exp(-time / s)) for s in blade.TIME_SCALES]
+    lags = [speed * (1 - np.exp(-time / s)) for s in path_memory.TIME_SCALES]
     np.testing.assert_allclose(rates, [speed, *lags], rtol=1e-5)
 
 

@@ -1,20 +1,13 @@
-"""What a circle has swept: the state that blade and wheel share, updated frame by frame.
+"""What a circle has swept of a bounded bed, for baselines and networks in the subspace.
 
 A tool is reduced to a circle that moves in the plane of travel: the round lower edge of a blade, or
-the rim of a wheel. Bins along the way remember how deep it has been. With the circle's centre
-c = (u_c, h) and radius rho, the bins u_k and the bed s before it (numbers of docs/swept_field.md):
-
-  underside    e(u) = min over 0 <= a <= 1 of h(a) - sqrt(rho^2 - (u - u_c(a))^2), in a step   (1)
-  profile      p(u) <- min(p(u), e(u)), p = s at first                                         (2)
-  cut          q(u) = s(u) - p(u)                                                              (3)
-  swept area   A = sum_k q(u_k) du                                                             (4)
-  since        way since e(u) last was below s(u), at most `forget`                            (5)
-  foremost     the largest u_c while e(u) < s(u) somewhere
-  cone         C(v, a)_k = max_j (v_j - a |k - j|): what reaches sideways from each bin
+the rim of a wheel. Bins along the way remember how deep it has been: (1) to (5) of
+docs/soil_field.md, with all bins in the area (4). A soil field has a state of its own, in bins that
+follow the tool (`soil_field.sweep`).
 
 Nothing is integrated over time: two calls in a row equal one call over the joined path, one frame
 costs the same however long the path is, and shifting path and bed together changes nothing.
-Coordinates: u (m) along the way, y (m) upwards. Numpy, float64; the C form is lts_field_path.c.
+Coordinates: u (m) along the way, y (m) upwards. Numpy, float64.
 """
 
 import dataclasses
@@ -22,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+EDGE_RADIUS = 0.014  # of the solver's blade: half its thickness, m
 TINY = 1e-37  # less than any length, m
 
 
@@ -76,8 +70,7 @@ class SweptGrid:
             raise ValueError(
                 f'tool {tool} is {offset[tool]:.3g} m from its first position; with its radius of '
                 f'{np.broadcast_to(radius, outside.shape)[tool]:.3g} m the bins from {low:.3g} to '
-                f'{high:.3g} m do not hold it: begin anew from here, on the bed as it now is '
-                f'(start with bed=particles)'
+                f'{high:.3g} m do not hold it'
             )
 
 
@@ -110,37 +103,6 @@ class SweptBed(NamedTuple):
     def tip(self) -> np.ndarray:
         """u [B] of the centre, m."""
         return self.position[:, 0]
-
-
-class Bed(NamedTuple):
-    """The beds that B tools begin on.
-
-    Attributes:
-      surface: float64 [B, n] height at `grid.offsets` from the tool's first position, m.
-      level: float64 [B], the height that all heights are counted from, m.
-      end: float64 [B], u of the wall that the tool drives towards, m; far away where there is none.
-    """
-
-    surface: np.ndarray
-    level: np.ndarray
-    end: np.ndarray
-
-
-class Frame(NamedTuple):
-    """What the networks see of one or more frames of B tools.
-
-    Attributes:
-      bins: float32 [B, n, C], channels of the tool; see `blade.CHANNELS` and `wheel.CHANNELS`.
-      scalars: float32 [B, S], see `blade.SCALARS` and `wheel.SCALARS`; lengths in m from the tool's
-        first place and the level of the bed.
-    """
-
-    bins: np.ndarray
-    scalars: np.ndarray
-
-    def at(self, which) -> 'Frame':
-        """Some of the frames: an index of the first axis, or of all before the last."""
-        return Frame(self.bins[which], self.scalars[which])
 
 
 def start(grid: SweptGrid, position, surface) -> SweptBed:
@@ -265,25 +227,6 @@ def underside(u, before, after, radius) -> np.ndarray:
 def swept_area(grid: SweptGrid, state: SweptBed) -> np.ndarray:
     """[B] area (m2) between the untouched surface and the deepest cut: (4)."""
     return grid.spacing * np.sum(state.surface - state.profile, axis=1)
-
-
-def cone(values, fall: float) -> np.ndarray:
-    """The largest of all values [B, n], each lowered by `fall` per bin of distance."""
-    # The largest so far from either side, in coordinates in which the slope of a cone is level.
-    index = fall * np.arange(values.shape[1])
-    forward = np.maximum.accumulate(values + index, axis=1) - index
-    backward = np.maximum.accumulate((values - index)[:, ::-1], axis=1)[:, ::-1] + index
-    return np.maximum(forward, backward)
-
-
-def faded(memory, velocity, dt, scales) -> np.ndarray:
-    """Memories m [B, K, V] after a frame of a velocity [B, V], one for each time scale (s).
-
-    It is (7): dm/dt = (v - m) / tau, solved exactly for a velocity that is constant within the
-    frame, so the frame rate hardly matters.
-    """
-    fade = np.exp(-dt / np.array(scales))[:, None]
-    return fade * memory + (1 - fade) * velocity[:, None]
 
 
 def profile_at(grid: SweptGrid, state: SweptBed, u) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from learning_to_simulate.tool import bed
-from learning_to_simulate.tool.axes import Axes
+from learning_to_simulate import bed
+from learning_to_simulate.axes import Axes
 
 
 def test_the_surface_of_a_bed_is_read_from_some_of_its_particles():

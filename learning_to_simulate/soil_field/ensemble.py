@@ -1,32 +1,7 @@
-"""Networks of several members that are evaluated together, and the tables that they read;
-TensorFlow."""
+"""Networks of several members that are evaluated together."""
 
 import numpy as np
 import tensorflow as tf
-
-from learning_to_simulate.tool import inputs
-
-_FUNCTIONS = {
-    'abs': tf.abs, 'relu': tf.nn.relu, 'sqrt': tf.sqrt, 'log': tf.math.log,
-    'log1p': tf.math.log1p, 'max': tf.maximum,
-}  # fmt: skip
-_SQUASHES = {
-    'plain': lambda t: t,
-    'tanh': tf.tanh,
-    'relu': tf.nn.relu,
-    'relu2': lambda t: tf.nn.relu(t) ** 2,
-    'bell': lambda t: tf.exp(-(t**2)),
-    'fade': lambda t: tf.exp(-t),
-    'log': tf.math.log,
-    'log1p': tf.math.log1p,
-}
-
-
-def column(row, values):
-    """The input of a row of a table (`tool.inputs.Row`), of values by their names."""
-    value = inputs.evaluate(row.operand, values, _FUNCTIONS)
-    value = value - row.shift if row.shift else value
-    return _SQUASHES[row.squash](value / row.scale if row.scale != 1.0 else value)
 
 
 class Members(tf.Module):

@@ -1,11 +1,10 @@
-"""Members and rows of tables, against numpy."""
+"""Members, against numpy."""
 
 import numpy as np
 import pytest
 import tensorflow as tf
 
-from learning_to_simulate.ensemble import Members, column
-from learning_to_simulate.tool.inputs import Row
+from learning_to_simulate.soil_field.ensemble import Members
 
 SIZES = [3, 5, 4, 2]
 
@@ -32,20 +31,3 @@ def test_first_weights_are_those_of_the_seed_and_the_last_layer_is_small():
         np.testing.assert_array_equal(a[0], b[0])
         assert not np.array_equal(a[0], c[0]) and not np.any(a[1])
     assert np.std(one[-1][0]) < 0.3 * np.std(one[0][0])
-
-
-@pytest.mark.parametrize(
-    'row, wanted',
-    [
-        (Row('a'), lambda a, b: a),
-        (Row('a - b', 2.0, shift=0.5), lambda a, b: (a - b - 0.5) / 2),
-        (Row('abs(b)', 0.1, 'tanh'), lambda a, b: np.tanh(abs(b) / 0.1)),
-        (Row('sqrt(relu(a) + 1e-6)', 1.0, 'bell'), lambda a, b: np.exp(-(np.maximum(a, 0) + 1e-6))),
-        (Row('b', 0.5, 'relu2'), lambda a, b: np.maximum(b / 0.5, 0) ** 2),
-        (Row('max(a, b)', 2.0, 'fade'), lambda a, b: np.exp(-np.maximum(a, b) / 2)),
-    ],
-)  # fmt: skip
-def test_a_row_is_its_formula(row, wanted):
-    a, b = np.random.default_rng(1).normal(size=(2, 9))
-    values = {name: tf.constant(v, tf.float32) for name, v in (('a', a), ('b', b))}
-    np.testing.assert_allclose(column(row, values), wanted(a, b), atol=1e-5)
