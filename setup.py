@@ -27,6 +27,7 @@ EXTRAS = {
     'deploy': ['ai-edge-litert>=2.0', 'onnx>=1.16', 'onnxruntime>=1.20', 'tf2onnx>=1.16'],
     'cluster': ['dask-jobqueue>=0.9', 'distributed>=2025.1'],
     'fmu': ['fmpy>=0.3.32'],
+    'mujoco': ['mujoco>=4.0'],
     'page': ['ziglang>=0.14'],
     'vtk': ['vtk>=9.4'],
     'dev': ['mypy', 'playwright', 'pre-commit', 'pytest', 'pytest-xdist', 'ruff', 'zensical'],

@@ -51,7 +51,7 @@ LAYERS = (
     ('export', 'native'),
     ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',
      'soil_field.method'),
-    ('api', 'train', 'live.roll_out_path', 'soil_field.fit_soil'),
+    ('api', 'train', 'live.roll_out_path', 'soil_field.fit_soil', 'mujoco_soil'),
     ('export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
@@ -70,6 +70,7 @@ ONLY_IN = {
     'cloudpickle': (),
     'distributed': ('pca_tools/workers.py',),
     'dask': ('pca_tools/workers.py',),
+    'mujoco': ('learning_to_simulate/mujoco_soil.py',),
     'dask_jobqueue': ('pca_tools/workers.py',),
     'h5py': ('pca_tools/formats/lagrangebench.py',),
     'vtk': ('pca_tools/formats/vtp_files.py',),

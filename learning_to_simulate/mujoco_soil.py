@@ -1,0 +1,441 @@
+"""Soil under a machine in MuJoCo: tools on a terrain, their loads back into `mjData`.
+
+MuJoCo has Z up where this project has y up: X = x, Y = -z, Z = y (docs/axes.md).
+
+The load of a soil field belongs to the frame of 1/60 s to which the tool is about to go on, as in
+the data that taught it, and it changes within half a millimetre. So a step of h solves for load and
+motion together. With w the loads of all tools, w_0 those of the step before, q_0 where MuJoCo takes
+the tools under w_0 (a trial step with its joints, contacts and actuators), q where they are now, J3
+the Jacobian of along, up and lean of the tools and J6 that of places and turns,
+
+  s = h^2 C (w(q + (q_0 + s - q) / (60 h)) - w_0),    C = J3 M^-1 J6^T,                        (1)
+
+is how far the change of the loads moves the tools within the step. Newton's method finds s with
+derivatives of w from proposed frames, kept from step to step by Broyden's update, and without what
+would push a tool on in the direction in which it goes.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
+from learning_to_simulate.soil_field.engine import SoilFrame, refuse_step
+from learning_to_simulate.soil_field.place import UP
+from learning_to_simulate.soil_field.stepper import DT, SoilStepper, turned
+from learning_to_simulate.soil_field.terrain import Terrain
+
+TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+# Of (1): tolerance and reach of differences, m (a turn counts as 0.1 m times its angle); rounds.
+TOLERANCE, REACH, ROUNDS = 2e-7, 1e-4, 12
+ARM = np.array([1.0, 1.0, 0.1])
+# m between a tool and all soil about it, from where it may move as fast as it likes.
+CLEAR = 0.1
+# m of height that a height field can show over and under the terrain as it was.
+ROOM = 1.0
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+def add_height_field(spec: mujoco.MjSpec, terrain: Terrain, name: str = 'soil') -> None:
+    """Adds a height field of a terrain to a model, which nothing collides with, for
+    `MujocoSoil.draw`."""
+    heights = terrain.heights
+    if min(heights.shape) < 2:
+        raise ValueError(f'a height field needs 2 x 2 cells, the terrain has {heights.shape}')
+    base, top = heights.min() - ROOM, heights.max() + ROOM
+    x, z = terrain.corner + terrain.cell * heights.shape / 2
+    half = terrain.cell * (np.array(heights.shape) - 1) / 2
+    spec.add_hfield(
+        name=name, ncol=heights.shape[0], nrow=heights.shape[1], size=[*half, top - base, 0.05],
+        userdata=list(_rows(heights, base, top)),
+    )  # fmt: skip
+    spec.worldbody.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=[x, -z, base],
+        contype=0, conaffinity=0, rgba=[0.62, 0.47, 0.32, 1.0],
+    )  # fmt: skip
+
+
+def _rows(heights, base, top):
+    """Heights [nx, nz] as MuJoCo keeps them: rows from the lowest Y on, from 0 to 1."""
+    return np.clip((heights.T[::-1] - base) / (top - base), 0.0, 1.0).astype(np.float32).ravel()
+
+
+class MujocoSoil:
+    """Tools of a machine in MuJoCo, on one terrain.
+
+    Args:
+      model, data: of MuJoCo.
+      tools: name of a site or body -> `SoilStepper` of the tool there. Its frame is that of the
+        tool: the origin in the reference point (edge of a blade, axle of a wheel), Z up and -X the
+        way where the tool looks when it is upright.
+      implicit: False applies the loads of the step before; for comparison.
+
+    Attributes:
+      frames: name -> newest `SoilFrame`, in axes of this project; {} before `start`.
+      wrenches: float64 [n, 6] force and torque about the centre of mass of the tools' bodies, N
+        and N m, Z up, as applied in the last step.
+      rounds, gap: evaluations of (1) in the last step, and what was left of it, m.
+
+    Raises:
+      ValueError: no tool, an unknown name, no stepper, steppers of several terrains, gravity that
+        is not that of the soil, a time step that is too long.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, tools: Mapping[str, SoilStepper],
+        implicit: bool = True,
+    ):  # fmt: skip
+        if not tools:
+            raise ValueError('tools is empty: name of a site or body -> stepper was expected')
+        for name, stepper in tools.items():
+            if not isinstance(stepper, SoilStepper):
+                raise ValueError(
+                    f'{name}: a stepper was expected, not a {type(stepper).__name__}: a model '
+                    f'knows a Blade or a Wheel, no mesh; give model.stepper(terrain, tool)'
+                )
+        self._model, self._data, self._implicit = model, data, implicit
+        self._names, self._steppers = list(tools), list(tools.values())
+        self.terrain = self._steppers[0].terrain
+        if any(stepper.terrain is not self.terrain for stepper in self._steppers):
+            raise ValueError('the steppers stand on several terrains, must share one')
+        gravity = np.array([0.0, 0.0, -self.terrain.soil.gravity])
+        if np.abs(model.opt.gravity - gravity).max() > 0.01 * self.terrain.soil.gravity:
+            raise ValueError(
+                f'gravity of the model is {model.opt.gravity}, of the soil {gravity} m/s2: set '
+                f'<option gravity=.../> or lts.Soil(gravity=...)'
+            )
+        self._check_time()
+        self._spots = [self._spot(name) for name in self._names]
+        self._bodies = [body for _, _, body in self._spots]
+        self.frames: dict[str, SoilFrame] = {}
+        self.wrenches = np.zeros((len(tools), 6))
+        self.rounds, self.gap = 0, 0.0
+        self._loads = np.zeros((len(tools), 6))  # about the places of the tools, axes of lts
+        self._slopes: list[Any] = [None] * len(tools)
+
+    def _check_time(self):
+        if not 0 < self._model.opt.timestep <= DT * (1 + 1e-6):
+            raise ValueError(
+                f'the time step is {self._model.opt.timestep} s, must lie in (0, {DT:.4f}]: a '
+                f'frame of training; set <option timestep=.../>'
+            )
+
+    def _spot(self, name):
+        """Whether a name is that of a site, its number, and the number of its body."""
+        for is_site, kind in ((True, mujoco.mjtObj.mjOBJ_SITE), (False, mujoco.mjtObj.mjOBJ_BODY)):
+            number = mujoco.mj_name2id(self._model, kind, name)
+            if number >= 0:
+                body = self._model.site_bodyid[number] if is_site else number
+                return is_site, number, int(body)
+        m = self._model
+        known = [m.site(i).name for i in range(m.nsite)] + [m.body(i).name for i in range(m.nbody)]
+        raise ValueError(f'no site or body {name!r}; there are {", ".join(filter(None, known))}')
+
+    def _pose(self, spot):
+        """Pose [7] of a tool, axes of this project, from the kinematics in `data`."""
+        is_site, number, _ = spot
+        if is_site:
+            place, quaternion = self._data.site_xpos[number], np.empty(4)
+            mujoco.mju_mat2Quat(quaternion, self._data.site_xmat[number])
+        else:
+            place, quaternion = self._data.xpos[number], self._data.xquat[number]
+        return np.concatenate([place @ TO_Z_UP, quaternion[:1], quaternion[1:] @ TO_Z_UP])
+
+    def start(self) -> dict[str, SoilFrame]:
+        """Sets the tools down where they are in `data`; loads of an earlier run leave it.
+
+        Raises:
+          ValueError: see `SoilStepper.start`; with the name of the tool.
+        """
+        self._apply(np.zeros_like(self.wrenches))
+        mujoco.mj_forward(self._model, self._data)
+        self._slopes = [None] * len(self._names)
+        found = {}
+        for name, stepper, spot in zip(self._names, self._steppers, self._spots, strict=True):
+            with _Naming(name):
+                found[name] = stepper.start(self._pose(spot))
+        self.frames = found
+        self._loads = np.stack([_load(frame) for frame in found.values()])
+        return found
+
+    @property
+    def judgement(self) -> Judgement:
+        """The worst of all tools since the start, with the name of the tool in its reason."""
+        found = OK
+        for name, frame in self.frames.items():
+            now = frame.judgement
+            if now.status != RolloutStatus.OK:
+                now = now._replace(reason=f'{name}: {now.reason}')
+            found = worse(found, now)
+        return found
+
+    def step(self) -> dict[str, SoilFrame]:
+        """One step of MuJoCo (instead of `mj_step`), with the soil.
+
+        Raises:
+          ValueError: before `start`, or a pose that a tool cannot reach in soil (see
+            `SoilStepper.step`); machine, soil and tools stay as they were.
+        """
+        if not self.frames:
+            raise ValueError('the tools stand nowhere yet: call start()')
+        self._check_time()
+        m, d = self._model, self._data
+        state = np.empty(mujoco.mj_stateSize(m, _STATE))
+        mujoco.mj_getState(m, d, state, _STATE)
+        wrenches, dt = self.wrenches, m.opt.timestep
+        try:
+            mujoco.mj_kinematics(m, d)
+            mujoco.mj_comPos(m, d)
+            levers = [self._lever(spot) for spot in self._spots]
+            loads = self._solved(state, levers, dt) if self._implicit else self._loads
+            self._apply(_about_centres(loads, levers))
+            mujoco.mj_step(m, d)
+            mujoco.mj_kinematics(m, d)
+            poses = [self._pose(spot) for spot in self._spots]
+            tools = list(zip(self._names, self._steppers, poses, strict=True))
+            airy = [self._flies(*tool, dt) for tool in tools]
+        except ValueError:
+            mujoco.mj_setState(m, d, state, _STATE)
+            self.wrenches = wrenches
+            mujoco.mj_forward(m, d)
+            raise
+        for (name, stepper, pose), flies in zip(tools, airy, strict=True):
+            self.frames[name] = stepper.start(pose) if flies else stepper.step(pose, dt)
+        self._loads = loads if self._implicit else np.stack([*map(_load, self.frames.values())])
+        return self.frames
+
+    def _lever(self, spot):
+        """From the centre of mass of the body to the tool, Z up."""
+        is_site, number, body = spot
+        place = self._data.site_xpos[number] if is_site else self._data.xpos[number]
+        return place - self._data.xipos[body]
+
+    def _apply(self, wrenches):
+        """Puts loads in the place of those of the step before; the user's own stay."""
+        np.subtract.at(self._data.xfrc_applied, self._bodies, self.wrenches)
+        np.add.at(self._data.xfrc_applied, self._bodies, wrenches)
+        self.wrenches = wrenches
+
+    def _flies(self, name, stepper, pose, dt):
+        """Whether a pose is too far for a step, in the air; ValueError where it is in soil."""
+        with _Naming(name):
+            try:
+                refuse_step(pose, stepper.frame.pose, dt, stepper.tool, stepper.terrain)
+            except ValueError:
+                if not self._is_clear(stepper, pose):
+                    raise
+                return True
+        return False
+
+    def _is_clear(self, stepper, pose):
+        terrain, tool = self.terrain, stepper.tool
+        reach = tool.width / 2 + tool.radius + CLEAR
+        i, k = ((pose[[0, 2]] - terrain.corner) / terrain.cell).astype(int)
+        a, b = np.ceil(reach / terrain.cell).astype(int)
+        rows, columns = (
+            slice(*np.clip([at - n, at + n + 1], [0, 1], [size - 1, size]))
+            for at, n, size in zip((i, k), (a, b), terrain.shape, strict=True)
+        )
+        return pose[1] - tool.radius > terrain.heights[rows, columns].max() + CLEAR
+
+    def _solved(self, state, levers, dt):
+        """Loads [n, 6] of (1)."""
+        m, d, n = self._model, self._data, len(self._names)
+        wrenches = self.wrenches
+        self._apply(_about_centres(self._loads, levers))
+        mujoco.mj_step(m, d)
+        # Jacobians and inertia in `data` are still those of the begin of the step.
+        jacobian, axes = np.zeros((2, 3, m.nv)), []
+        whole, inner = np.zeros((n, 6, m.nv)), np.zeros((n, 3, m.nv))
+        for j, ((is_site, number, _), stepper) in enumerate(
+            zip(self._spots, self._steppers, strict=True)
+        ):
+            call = mujoco.mj_jacSite if is_site else mujoco.mj_jacBody
+            call(m, d, *jacobian, number)
+            whole[j] = np.concatenate([TO_Z_UP.T @ part for part in jacobian])
+            place = stepper.place
+            axes.append(np.stack([place.along, UP, place.across]))
+            inner[j] = [place.along @ whole[j, :3], whole[j, 1], place.across @ whole[j, 3:]]
+        answer = np.zeros((6 * n, m.nv))
+        mujoco.mj_solveM(m, d, answer, whole.reshape(6 * n, m.nv))
+        give = dt * dt * inner.reshape(3 * n, m.nv) @ answer.T
+        mujoco.mj_kinematics(m, d)
+        far = max(1.0, DT / dt)
+        poses = [
+            _ahead(stepper.frame.pose, self._pose(spot), far)
+            for stepper, spot in zip(self._steppers, self._spots, strict=True)
+        ]
+        mujoco.mj_setState(m, d, state, _STATE)
+        self.wrenches = wrenches  # as `data` has them again
+
+        def loads_at(s):
+            return np.stack([
+                self._proposed(j, _moved(poses[j], axes[j], far * s[3 * j : 3 * j + 3]))
+                for j in range(n)
+            ])  # fmt: skip
+
+        before, scale = self._loads.ravel(), np.tile(ARM, n)
+
+        def gap_of(s, loads):
+            return s - give @ (loads.ravel() - before)
+
+        s = np.zeros(3 * n)
+        try:
+            loads = loads_at(s)
+        except ValueError:  # loads of the step before may throw a light tool far into the air
+            s = -give @ before
+            loads = loads_at(s)
+        gap = gap_of(s, loads)
+        fresh = [False] * n
+        for self.rounds in range(1, ROUNDS + 1):
+            self.gap = float(np.abs(scale * gap).max())
+            if self.gap <= TOLERANCE:
+                break
+            slope = np.zeros((6 * n, 3 * n))
+            for j in range(n):
+                if not loads[j].any():
+                    self._slopes[j] = None
+                    continue
+                if self._slopes[j] is None:
+                    there = _moved(poses[j], axes[j], far * s[3 * j : 3 * j + 3])
+                    self._slopes[j] = self._differences(j, there, axes[j], loads[j])
+                    fresh[j] = True
+                own = far * _resisting(self._slopes[j], axes[j])
+                slope[6 * j : 6 * j + 6, 3 * j : 3 * j + 3] = own
+            way = -np.linalg.solve(np.eye(3 * n) - give @ slope, gap)
+            share = 1.0
+            while share > 0.01:
+                try:
+                    coming = loads_at(s + share * way)
+                except ValueError:  # farther than a tool may go
+                    share /= 4
+                    continue
+                left = gap_of(s + share * way, coming)
+                self._learn(coming - loads, share * far * way)
+                if np.abs(scale * left).max() < self.gap:
+                    s, loads, gap = s + share * way, coming, left
+                    fresh = [False] * n
+                    break
+                share /= 4
+            else:
+                if all(fresh[j] or not loads[j].any() for j in range(n)):
+                    break  # as near as it gets
+                self._slopes = [None] * n
+        return loads
+
+    def _learn(self, change, way):
+        """Broyden's update of slopes: loads changed by [n, 6] along a way [3 n]."""
+        for j, step in enumerate(way.reshape(-1, 3)):
+            if self._slopes[j] is not None and step.any():
+                metric = ARM**2 * step
+                off = change[j] - self._slopes[j] @ step
+                self._slopes[j] += np.outer(off, metric) / (metric @ step)
+
+    def _proposed(self, j, pose):
+        """Load [6] of a tool that would go to a pose."""
+        stepper = self._steppers[j]
+        if self._flies(self._names[j], stepper, pose, DT):
+            return np.zeros(6)
+        with _Naming(self._names[j]):
+            return _load(stepper.propose(pose, DT))
+
+    def _differences(self, j, pose, axes, load):
+        """[6, 3] of loads by along, up and lean, N/m and so on."""
+        columns = []
+        for step in REACH * np.diag(1 / ARM):
+            there = self._proposed(j, _moved(pose, axes, step))
+            columns.append((there - load) / step.max())
+        return np.stack(columns, axis=1)
+
+    def draw(self, view=None, name: str = 'soil') -> None:
+        """Writes the terrain into the height field of a name (see `add_height_field`).
+
+        Args:
+          view: a `mujoco.Renderer` or the handle of a passive viewer that shows it; or None.
+          name: of the height field.
+        """
+        m, number = self._model, mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_HFIELD, name)
+        if number < 0 or m.hfield_ncol[number] * m.hfield_nrow[number] != np.prod(
+            self.terrain.shape
+        ):
+            raise ValueError(
+                f'the model has no height field {name!r} of {self.terrain.shape} cells: call '
+                f'add_height_field(spec, terrain) before spec.compile()'
+            )
+        base = float(m.geom(name).pos[2])
+        start, rows = (
+            m.hfield_adr[number],
+            _rows(self.terrain.heights, base, base + m.hfield_size[number][2]),
+        )
+        m.hfield_data[start : start + len(rows)] = rows
+        if hasattr(view, 'update_hfield'):
+            view.update_hfield(number)
+        elif view is not None:
+            mujoco.mjr_uploadHField(m, view._mjr_context, number)
+
+
+class _Naming:
+    """Puts the name of a tool before what is wrong with it."""
+
+    def __init__(self, name):
+        self._name = name
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        if isinstance(error, ValueError):
+            raise ValueError(f'{self._name}: {error}') from error
+
+
+def _load(frame):
+    return np.concatenate([frame.force, frame.torque])
+
+
+def _about_centres(loads, levers):
+    """Loads [n, 6] about the tools as wrenches about centres of mass, Z up."""
+    found = np.empty((len(loads), 6))
+    found[:, :3], found[:, 3:] = loads[:, :3] @ TO_Z_UP.T, loads[:, 3:] @ TO_Z_UP.T
+    for row, (x, y, z) in zip(found, levers, strict=True):
+        fx, fy, fz = row[:3]  # np.cross takes ten times as long
+        row[3:] += y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+    return found
+
+
+def _moved(pose, axes, s):
+    """A pose [7] after s [3] along, up (m) and in lean (rad)."""
+    if not s.any():
+        return pose
+    found = np.array(pose)
+    found[:3] += s[0] * axes[0] + s[1] * axes[1]
+    found[3:] = turned(found[3:], s[2] * axes[2])
+    return found
+
+
+def _ahead(last, pose, far):
+    """Where a tool that goes from one pose to another will be after so many times the way."""
+    if far == 1.0:
+        return pose
+    w, x, y, z = last[3:]
+    a, b, c, d = pose[3:]
+    turn = np.array([
+        w * b - x * a + y * d - z * c, w * c - y * a + z * b - x * d, w * d - z * a + x * c - y * b
+    ])  # fmt: skip
+    # Turns within a step are small: twice the sine of the half angle is the angle.
+    turn *= 2.0 * np.sign(w * a + x * b + y * c + z * d)
+    found = np.empty(7)
+    found[:3] = pose[:3] + (far - 1.0) * (pose[:3] - last[:3])
+    found[3:] = turned(pose[3:], (far - 1.0) * turn)
+    return found
+
+
+def _resisting(slope, axes):
+    """A slope [6, 3] without the part that pushes a tool on in the direction in which it goes."""
+    rows = np.zeros((3, 6))
+    rows[0, :3], rows[1, :3], rows[2, 3:] = axes
+    own = (rows @ slope) / np.outer(ARM, ARM)
+    values, vectors = np.linalg.eigh((own + own.T) / 2)
+    pushing = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return slope - rows.T @ (pushing * np.outer(ARM, ARM))
