@@ -12,22 +12,7 @@ which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 import numpy as np
 
 FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
-# What any frame may be wrong by, however small all that is predicted: mm of soil, N of force.
-FLOORS = {'soil': 0.3, 'force': 3.0}
-
-
-def spread(values) -> np.ndarray:
-    """Root mean square [T] of the standard deviation over members of values [M, T, ...]."""
-    return _rms(np.std(np.asarray(values, np.float64), axis=0))
-
-
-def size(values) -> np.ndarray:
-    """Root mean square [T] of the mean over members of values [M, T, ...]."""
-    return _rms(np.mean(np.asarray(values, np.float64), axis=0))
-
-
-def _rms(values):
-    return np.sqrt(np.mean(values**2, axis=tuple(range(1, values.ndim))))
+LEAST = 3.0  # N: what any frame may be wrong by, however small all that is predicted
 
 
 def bound(spreads, sizes, weights) -> np.ndarray:
@@ -35,7 +20,7 @@ def bound(spreads, sizes, weights) -> np.ndarray:
     return _signs(spreads, sizes) @ np.asarray(weights)
 
 
-def calibrate(runs, kind: str) -> list[float]:
+def calibrate(runs) -> list[float]:
     """The weights of a bound.
 
     A non-negative fit of the errors, each run counting alike, scaled by a conformal prediction over
@@ -46,7 +31,6 @@ def calibrate(runs, kind: str) -> list[float]:
 
     Args:
       runs: of valid, each (errors [F], spreads [F], sizes [F]).
-      kind: of `FLOORS`, whose unit all have.
     """
     from scipy import optimize  # a live step does not load it
 
@@ -54,7 +38,7 @@ def calibrate(runs, kind: str) -> list[float]:
     errors = np.concatenate([e for e, _, _ in runs])
     share = np.concatenate([np.full(len(e), 1.0 / len(e)) for e, _, _ in runs])
     weights, _ = optimize.nnls(np.sqrt(share)[:, None] * signs, np.sqrt(share) * errors)
-    weights[0] = max(weights[0], FLOORS[kind])
+    weights[0] = max(weights[0], LEAST)
     factor = of_runs(
         np.quantile(e / (_signs(s, z) @ weights), FRAMES_WITHIN, method='higher')
         for e, s, z in runs
@@ -67,23 +51,6 @@ def of_runs(scores) -> float:
     ordered = sorted(float(score) for score in scores)
     n = len(ordered)
     return ordered[min(int(np.ceil(RUNS_WITHIN * (n + 1))), n) - 1]
-
-
-def reliability(runs, weights, n_bin: int = 5) -> list[dict]:
-    """Share of frames within their bound, in `n_bin` groups of equal size by that bound; runs as of
-    `calibrate`."""
-    errors, spreads, sizes = (np.concatenate(column) for column in zip(*runs, strict=True))
-    limits = bound(spreads, sizes, weights)
-    order = np.argsort(limits)
-    return [
-        {
-            'bound': float(limits[part].mean()),
-            'error': float(errors[part].mean()),
-            'within': float((errors[part] <= limits[part]).mean()),
-        }
-        for part in np.array_split(order, n_bin)
-        if len(part)
-    ]
 
 
 def _signs(spreads, sizes):

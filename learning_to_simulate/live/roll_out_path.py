@@ -1,11 +1,12 @@
 """Rolls out a path of one's own: poses in, positions, forces and status out.
 
 Examples:
-  lts rollout --model=excavation --poses=path.csv --output_path=dig.npz --picture=dig.gif
-
   # a soil field, on a terrain that `lts.Terrain.save` wrote
-  lts rollout --model=my_soil_field --terrain=ground.npz --tool=width=0.4 --poses=path.csv \
+  lts rollout --model=excavation --terrain=ground.npz --tool=width=0.4 --poses=path.csv \
       --output_path=dig.npz --picture=dig.png
+
+  # a model in the subspace, on a recorded bed
+  lts rollout --model=excavation/pcg --poses=path.csv --output_path=dig.npz --picture=dig.gif
 
 The file of poses has a line a frame (1/60 s for the shipped models): x, y, z, qw, qx, qy, qz, or
 x, height, angle (rad) of a body in the plane; `.csv` (lines that begin with # are skipped) or

@@ -201,7 +201,7 @@ def bounds_of(results, rows: list[dict]) -> dict:
     if not runs:
         return {}
     return {
-        'force': error_bound.calibrate(runs, 'force'),
+        'force': error_bound.calibrate(runs),
         'near_mm': error_bound.of_runs(lengths),
     }
 

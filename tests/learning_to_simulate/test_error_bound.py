@@ -27,7 +27,7 @@ def test_nine_of_ten_new_runs_have_95_percent_of_their_frames_within(count):
     rng = np.random.default_rng(0)
     held, ratio = [], []
     for _ in range(150):
-        weights = error_bound.calibrate(made_up_runs(rng, count), 'soil')
+        weights = error_bound.calibrate(made_up_runs(rng, count))
         fresh = made_up_runs(rng, 20)
         held.append((kept(fresh, weights) >= 0.95).mean())
         ratio.append([error_bound.bound(s, z, weights).mean() / e.mean() for e, s, z in fresh])
@@ -37,10 +37,6 @@ def test_nine_of_ten_new_runs_have_95_percent_of_their_frames_within(count):
 
 def test_few_runs_give_the_bound_of_the_worst_of_them():
     runs = made_up_runs(np.random.default_rng(1), 5)
-    weights = error_bound.calibrate(runs, 'soil')
+    weights = error_bound.calibrate(runs)
     shares = kept(runs, weights)
     assert shares.min() >= 0.95 and (shares < 1.0).any()
-    groups = error_bound.reliability(runs, weights)
-    assert len(groups) == 5 and min(g['within'] for g in groups) > 0.9
-    bounds = [g['bound'] for g in groups]
-    assert bounds == sorted(bounds)
