@@ -34,7 +34,7 @@ def test_live_stepping(capsys):
 def test_rollout(tmp_path):
     pytest.importorskip('matplotlib')
     rollout, recorded = _example('rollout').main(str(tmp_path))
-    assert rollout.status == 'ok' and recorded.truth is not None
+    assert rollout.status == 'ok' and recorded.run is not None
     assert {p.name for p in tmp_path.iterdir()} == {'dig.npz', 'dig.png'}
 
 
@@ -101,5 +101,5 @@ def test_cells_of_the_tutorial_run_in_order():
             exec(compile(''.join(cell['source']), f'cell {number}', 'exec'), values)
             assert not cell['outputs'], 'is committed without outputs'
     assert set(values['states']) == {'ok'} and values['outside'].status != 'ok'
-    assert values['rollout'].force.shape == (149, 3)
+    assert values['rollout'].force.shape == (150, 3)
     assert values['error'] < 0.2 < values['held']
