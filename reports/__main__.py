@@ -10,15 +10,13 @@ import sys
 
 # Name -> module, and what it answers.
 REPORTS = {
-    'protocol': ('protocol', 'methods judged per run, over seeds, against all baselines'),
+    'protocol': ('protocol', 'methods judged run by run, against baselines and the truth'),
     'times': ('times', 'error against run time: table, picture'),
     'soil_fits': ('soil_fits', 'how well `lts fit-soil` finds known soils'),
     'explain': ('explain', 'what a rollout leaves out: edges, MFLOP, time'),
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
-    'stability': ('stability', 'long, stopped and altered rollouts, as experiments'),
-    'paper_tables': ('paper_tables', "the thesis' tables with ours beside them"),
     'fuzz': ('attacks.report', 'damaged and forged files to every reader'),
     'kills': ('attacks.kills', 'SIGKILL at every point where something is written'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),

@@ -1,19 +1,22 @@
-"""Error against run time on driven test runs: what a frame of each method costs, beside its errors.
+"""Error against run time: what a frame of each method costs, beside its errors.
 
-The errors are those of a JSON of `reports protocol`, test runs that are driven freely. The times
-are those of one such run, on one thread, all models in turns: of a whole rollout until the load of
-every frame is there, and until every particle is; of live steps from Python, one by one. What the
-solver took for its runs stands in the dataset.
+All times are of the path of one driven test run, on one thread, all methods in turns: of the force
+of a frame, and of the force and all particles that the networks' dataset follows. Whole rollouts by
+TensorFlow; in C step by step from Python. The solver's time stands in the dataset. Errors are the
+means of a JSON of `reports protocol`; those of fewer members of a soil field are taken here.
 
 Examples:
-    python -m reports times --data_path=datasets/excavation_v2 \\
-        --protocol=docs/protocol/excavation_v2.json --output_path=docs/times \\
-        --model=swept_field=models/excavation_v2/swept_field --model=mlp_driven=/tmp/mlp_driven_0
+    python -m reports times --data_path=datasets/excavation \\
+        --protocol=docs/protocol/excavation.json \\
+        --soil_field=models/excavation/soil_field --model=pcg=models/excavation/pcg \\
+        --output_path=docs/times
 
     python -m reports documents docs/results.md     # the table again, from the JSON
 """
 
 import functools
+import os
+import time
 
 import numpy as np
 from absl import flags
@@ -21,166 +24,214 @@ from absl import flags
 from learning_to_simulate.command import named_paths
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
-from reports.protocol import over_runs, tables
+from reports.protocol import tables
 
-SCHEMA_VERSION = 3
-QUANTITIES = 'soil_mm', 'force_l2'
-ROUNDS = 5
+SCHEMA_VERSION = 4
+QUANTITIES = 'soil_mm', 'force_relative_l2'
+ROUNDS, FRAMES = 5, 150
+NOBODY = 'grid', 'disturbed'  # kinds of runs that are not driven from a flat bed
+SOIL_FIELD = 'soil field'
 # Drawn as lines, where the protocol has them: nobody waits for a baseline.
-LINES = ('persistence', 'path ridge', 'earthmoving, fitted', 'Bekker-Wong-Janosi, fitted')
-COLUMNS = {
-    'load_ms': 'load, ms a frame',
-    'particles_ms': 'all particles, ms a frame',
-    'step_ms': 'live step, ms',
-    'step_p99_ms': '99 %',
-}
+LINES = ('persistence', 'earthmoving', 'Bekker-Wong-Janosi')
 
 
-def time_models(data_path: str, models: dict[str, str], rounds: int = ROUNDS) -> dict:
-    """Milliseconds of a frame, of each model.
-
-    Args:
-      data_path: dataset; the first driven test run on a flat bed gives the path.
-      models: name -> folder.
-      rounds: calls of each, in turns.
-
-    Returns:
-      name -> the keys of `COLUMNS`: medians over calls (CPU time of whole rollouts), and of live
-      steps the 99th percentile as well.
+def driven(data_path: str) -> int:
+    """The record of the first test run that is driven from a flat bed.
 
     Raises:
-      ValueError: no such run with poses.
+      ValueError: there is none.
     """
-    import learning_to_simulate as lts
-
-    poses, contexts = _driven_path(data_path)
-    jobs = {}
-    for name, folder in models.items():
-        model = lts.load(folder)
-
-        def loads(model=model):
-            return model.rollout(poses, context=contexts)
-
-        def particles(loads=loads):
-            rollout = loads()
-            for frame in range(len(rollout)):
-                rollout.particles(frame)
-
-        def steps(live):
-            return timing.stepping(live, poses, contexts)[0]
-
-        n_frame = len(poses) - 1
-        jobs[name, 'load'] = timing.Job(loads, n_frame)
-        jobs[name, 'particles'] = timing.Job(particles, n_frame)
-        jobs[name, 'step'] = timing.Job(functools.partial(steps, model.stepper()))
-    timed = timing.in_turns(jobs, rounds)
-    return {
-        name: {
-            'load_ms': float(np.median(timed[name, 'load'].processor)),
-            'particles_ms': float(np.median(timed[name, 'particles'].processor)),
-            'step_ms': float(np.median(timed[name, 'step'].clock)),
-            'step_p99_ms': float(np.percentile(timed[name, 'step'].clock, 99)),
-        }
-        for name in models
-    }
-
-
-def _runs(data_path):
-    """(run, case) of each test run whose case is stated."""
     cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
-    return list(zip(dataset.read_split(data_path, 'test'), cases, strict=False))
-
-
-def _driven_path(data_path):
-    """Poses and contexts of the first test run on a flat bed, off the grid."""
-    for run, case in _runs(data_path):
-        if case.get('kind') not in (over_runs.GRID, 'disturbed') and run.rigid_pose is not None:
-            return run.rigid_pose.astype(np.float64), run.step_context
-    raise ValueError(f'{data_path}: no test run on a flat bed, off the grid, with poses')
+    for number, case in enumerate(cases):
+        if case.get('kind') not in NOBODY:
+            return number
+    raise ValueError(f'{data_path}: no test run that is driven from a flat bed')
 
 
 def solver_ms(data_path: str) -> float | None:
     """Milliseconds of CPU of a frame of the solver, median over the runs; None if not stated."""
+    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
+    runs = dataset.read_split(data_path, 'test')
     known = [
         1e3 * case['solver_cpu_s'] / (run.n_frames - 1)
-        for run, case in _runs(data_path)
+        for run, case in zip(runs, cases, strict=False)
         if 'solver_cpu_s' in case
     ]
     return float(np.median(known)) if known else None
 
 
-def rows(times: dict, protocol: dict) -> tuple[list[dict], int]:
-    """Everything that has an error, and how many driven runs the protocol has.
+def field_jobs(folder: str, data_path: str) -> tuple[dict, dict]:
+    """Of a soil field with 1 .. M members, in C and by TensorFlow: (name, what) -> `timing.Job`;
+    and name -> mean errors, of those with fewer members than all."""
+    from learning_to_simulate.native.engines import TENSORFLOW, C
+    from learning_to_simulate.soil_field import evaluation, method
+    from learning_to_simulate.soil_field.rollout import Followed
+    from learning_to_simulate.soil_field.stepper import SoilStepper
+    from pca_tools.subspace import Subspace
 
-    Args:
-      times: JSON of this report.
-      protocol: JSON of `reports protocol`.
+    opened = method.open_model(folder, data_path, 'test')
+    field, run = opened.model, opened.groups[driven(data_path)]
+    points = Subspace.load(os.path.join(data_path, 'subspace.npz')).initial
+    path = run.pose[:FRAMES]
+    jobs, errors = {}, {}
 
-    Returns:
-      dicts of `name`, `soil_mm` and `force_l2` (one value a seed) and the times that were taken.
-      Another form of a method, named 'METHOD, in C', has its errors.
-    """
-    errors = over_runs.condense(protocol)[over_runs.DRIVEN]
-    found = []
-    for name in dict.fromkeys(name for q in QUANTITIES for name in errors[q]):
-        of_method = {q: errors[q].get(name, []) for q in QUANTITIES}
-        forms = [n for n in times['models'] if n in (name, f'{name}, in C')]
-        for form in forms or [name]:
-            found.append({'name': form} | of_method | times['models'].get(form, {}))
-    return found, errors['runs']
+    def steps(members, engine, has_particles):
+        stepper = SoilStepper(field, run.before(), run.tool, members, engine)
+        followed = Followed(stepper, path[0], points) if has_particles else None
+        stepper.start(path[0])
+        seconds, place = [], stepper.place
+        for pose in path[1:]:
+            begun = time.perf_counter()
+            stepper.step(pose, run.dt)
+            if followed is not None:
+                if stepper.place is place:
+                    followed.step(pose, run.dt)
+                else:
+                    followed.begin(pose)
+                    place = stepper.place
+                followed.points()
+            seconds.append(time.perf_counter() - begun)
+        return seconds
+
+    for members in range(1, field.networks.members + 1):
+        for engine, where in ((C, 'C'), (TENSORFLOW, 'TensorFlow')):
+            name = f'{SOIL_FIELD}, {members} of {field.networks.members} members, {where}'
+            for what, has_particles in (('load', False), ('particles', True)):
+                call = functools.partial(steps, members, engine, has_particles)
+                jobs[name, what] = timing.Job(call)
+            if members < field.networks.members:
+                if engine == C:
+                    judge = evaluation.SoilEvaluator(field, members, under_load=False)
+                    mean = judge.run(opened.groups, 'test')[1]['mean']['model']
+                errors[name] = {key: mean[key] for key in QUANTITIES}
+    return jobs, errors
 
 
-def table(times_path: str, protocol_path: str) -> str:
-    """Errors of driven test runs and times of a frame, by method; mean (low to high) over seeds."""
-    found, runs = rows(files.read_json(times_path), files.read_json(protocol_path))
-    columns = [key for key in COLUMNS if any(key in row for row in found)]
-    lines = [
-        (row['name'], *(markdown.span(row[q]) for q in QUANTITIES))
-        + tuple(row.get(key) for key in columns)
-        for row in found
-    ]
-    header = (f'{runs} driven test runs', *(tables.TITLES[q] for q in QUANTITIES))
-    return markdown.table((*header, *(COLUMNS[key] for key in columns)), lines)
+def subspace_jobs(name: str, folder: str, data_path: str) -> dict:
+    """Of a method in the subspace: (name, what) -> `timing.Job`; in C where it has that form."""
+    import learning_to_simulate as lts
+    from learning_to_simulate import evaluation, registry
+    from pca_tools.subspace import Subspace
+
+    opened = registry.open_model(folder, data_path, 'test')
+    number, space = driven(data_path), Subspace.load(os.path.join(data_path, 'subspace.npz'))
+    group = next(
+        g.select(i) for g in opened.groups for i in range(len(g.position)) if g.record[i] == number
+    )
+    roll_out = opened.evaluator.roll_out
+
+    def particles():
+        modes = group.with_left_modes(roll_out(group).position)[0, :, group.n_rigid :]
+        for frame in modes:
+            space.components[:, : len(frame)] @ frame + space.mean
+
+    count = group.position.shape[1] - evaluation.H
+    label = f'{name}, TensorFlow'
+    jobs = {
+        (label, 'load'): timing.Job(lambda: roll_out(group), count),
+        (label, 'particles'): timing.Job(particles, count),
+    }
+    if registry.of_folder(folder).steps:
+        live = lts.load(folder).stepper()
+        run = dataset.read_split(data_path, 'test')[number]
+        given = live, run.rigid_pose.astype(np.float64)[:FRAMES], run.step_context
+        jobs[f'{name}, C', 'load'] = timing.Job(lambda: timing.stepping(*given)[0])
+        jobs[f'{name}, C', 'particles'] = timing.Job(lambda: timing.stepping(*given, every=1)[1])
+    return jobs
 
 
-def draw(times_path: str, protocol_path: str, picture: str) -> None:
-    """Soil against the time of a frame with all its particles, force against that of its load."""
+def measured(data_path: str, field: str, models: dict[str, str], protocol: dict) -> list[dict]:
+    """Rows of the table: `name`, `QUANTITIES` (one value a training), `load_ms`, `particles_ms`."""
+    jobs, errors = field_jobs(field, data_path)
+    for name, folder in models.items():
+        jobs |= subspace_jobs(name, folder, data_path)
+    timed = timing.in_turns(jobs, ROUNDS)
+    rows = []
+    for name in dict.fromkeys(name for name, _ in jobs):
+        own = protocol['summary']['all'].get(name.split(', ')[0], {})
+        row = {'name': name}
+        for key in QUANTITIES:
+            given = [errors[name][key]] if name in errors else own.get(key, {}).get('mean', [])
+            row[key] = [float(f'{x:.4g}') for x in given if x is not None]
+        for what in ('load', 'particles'):
+            found = timed[name, what]
+            # CPU time of whole rollouts: on a busy machine it says more.
+            sample = found.processor if len(found.processor) else found.clock
+            row[f'{what}_ms'] = float(f'{np.median(sample):.4g}')
+        rows.append(row)
+    return rows
+
+
+def table(path: str) -> str:
+    """Errors and times of a frame, and how many times faster than the solver; from the JSON."""
+    found = files.read_json(path)
+    solver = found['solver_ms']
+    lines: list[tuple] = [('solver', '', '', solver, solver, 1)]
+    for row in found['rows']:
+        cells = (markdown.span(row[key]) for key in QUANTITIES)
+        times = row['load_ms'], row['particles_ms']
+        lines.append((row['name'], *cells, *times, solver / row['particles_ms']))
+    header = (
+        'method', *(tables.TITLES[key] for key in QUANTITIES), 'force, ms a frame',
+        'all particles, ms a frame', 'solver over it',
+    )  # fmt: skip
+    return markdown.table(header, lines)
+
+
+def draw(path: str, protocol: dict, picture: str) -> None:
+    """Soil against the time of a frame with all its particles, force against that of its force."""
     from matplotlib import figure
 
-    times = files.read_json(times_path)
-    found, runs = rows(times, files.read_json(protocol_path))
-    drawn = figure.Figure(figsize=(10, 4.6), layout='constrained')
+    found = files.read_json(path)
+    drawn = figure.Figure(figsize=(11, 5.2), layout='constrained')
     panels = zip(drawn.subplots(1, 2), QUANTITIES, ('particles_ms', 'load_ms'), strict=True)
+    methods = list(dict.fromkeys(row['name'].split(', ')[0] for row in found['rows']))
     for axes, error, clock in panels:
-        for row in (row for row in found if clock in row):
+        for row in (row for row in found['rows'] if row[error]):
+            method, *more = row['name'].split(', ')
             seeds = np.array(row[error])
             spread = [[seeds.mean() - seeds.min()], [seeds.max() - seeds.mean()]]
             axes.errorbar(
-                row[clock], seeds.mean(), spread, fmt='o', ms=5, capsize=3, label=row['name']
-            )
-        lines = [row for row in found if row['name'] in LINES and row[error]]
-        for name, height in ((row['name'], np.mean(row[error])) for row in lines):
-            axes.axhline(height, color='0.6', lw=1, ls='--')
-            place = {'xycoords': ('axes fraction', 'data'), 'ha': 'center', 'va': 'bottom'}
-            axes.annotate(name, (0.5, height), fontsize='small', color='0.4', **place)
-        if times.get('solver_ms'):
-            axes.axvline(times['solver_ms'], color='0.8', lw=1, label='solver')
+                row[clock], seeds.mean(), spread, fmt='o' if more[-1] == 'C' else 's', ms=6,
+                capsize=3, color=f'C{methods.index(method)}',
+                alpha=0.4 + 0.6 * ('of' not in row['name'] or more[0][0] == more[0][5]),
+            )  # fmt: skip
+            if len(more) > 1:
+                axes.annotate(
+                    more[0][0], (row[clock], seeds.mean()), (5, 4), textcoords='offset points',
+                    fontsize='small',
+                )  # fmt: skip
+        for name in LINES:
+            if height := protocol['summary']['all'].get(name, {}).get(error, {}).get('mean'):
+                axes.axhline(height[0], color='0.6', lw=1, ls='--')
+                place = {'xycoords': ('axes fraction', 'data'), 'ha': 'left', 'va': 'bottom'}
+                axes.annotate(name, (0.02, height[0]), fontsize='small', color='0.4', **place)
+        axes.axvline(found['solver_ms'], color='0.5', lw=1.5)
+        axes.annotate(
+            'solver', (found['solver_ms'], 0.5), xycoords=('data', 'axes fraction'), rotation=90,
+            ha='right', va='center', color='0.4', fontsize='small',
+        )  # fmt: skip
         of = 'with all particles' if clock == 'particles_ms' else 'force only'
         axes.set(xscale='log', xlabel=f'ms a frame, {of}, one thread')
         axes.set_ylabel(tables.TITLES[error])
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
-    handles, labels = axes.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc='outside lower center', ncols=4, fontsize='small')
-    drawn.suptitle(f'{runs} driven test runs: mean and range of trainings')
-    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=130))
+    from matplotlib.lines import Line2D
+
+    shown = [Line2D([], [], marker='o', ls='', color=f'C{i}') for i in range(len(methods))]
+    shown += [Line2D([], [], marker=m, ls='', color='0.4') for m in 'os']
+    labels = [*methods, 'in C, step by step', 'TensorFlow']
+    drawn.legend(shown, labels, loc='outside lower center', ncols=6, fontsize='small')
+    drawn.suptitle('Test runs: mean errors (range of trainings); numbers: members of a soil field')
+    files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=110))
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_string('data_path', None, 'Dataset of the paths.', required=True)
+    flags.DEFINE_string('data_path', None, 'Dataset of the path.', required=True)
     flags.DEFINE_string('protocol', None, 'JSON of `reports protocol` on it.', required=True)
-    flags.DEFINE_multi_string('model', None, 'NAME=FOLDER, as in the protocol.', required=True)
+    flags.DEFINE_string('soil_field', None, 'Folder of a soil field.', required=True)
+    flags.DEFINE_multi_string('model', [], 'NAME=FOLDER of other methods, as in the protocol.')
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
     flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
 
@@ -188,19 +239,20 @@ def define_flags() -> None:
 def main(values, _) -> None:
     """Runs the command."""
     models = named_paths('model', values.model, 'FOLDER')
-    methods = {m['name'] for m in files.read_json(values.protocol)['methods']}
-    if unknown := sorted(models.keys() - methods):
-        raise ValueError(f'--model: {values.protocol} judges {sorted(methods)}, no {unknown}')
+    protocol = files.read_json(values.protocol)
+    known = {method['name'] for method in protocol['methods']}
+    if unknown := sorted({SOIL_FIELD, *models} - known):
+        raise ValueError(f'--model: {values.protocol} judges {sorted(known)}, no {unknown}')
     path = f'{values.output_path}.json'
     found = {
         'schema_version': SCHEMA_VERSION,
         **record.provenance(values.num_threads),
         'solver_ms': solver_ms(values.data_path),
-        'models': time_models(values.data_path, models),
+        'rows': measured(values.data_path, values.soil_field, models, protocol),
     }
     files.write_json(path, found)
-    draw(path, values.protocol, f'{values.output_path}.png')
-    print(table(path, values.protocol))
+    draw(path, protocol, f'{values.output_path}.png')
+    print(table(path))
 
 
 if __name__ == '__main__':

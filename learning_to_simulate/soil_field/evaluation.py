@@ -14,7 +14,7 @@ the model makes of it. Errors are those of frames H on, as of all methods, and o
   loads         `metrics.load_errors` along, up and across the way
 
 Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
-frames whose force keeps its bound, and `near_95_mm`, below which the map near the tool is in 95 %
+frames inside of training whose force keeps its bound, and `near_95_mm`, below which the map near the tool is in 95 %
 of the frames, mm of the field.
 
 Beside the model stand persistence; the model under the load that moved the tool, where that was
@@ -173,10 +173,17 @@ def _bound_figures(rollout, run):
     rows = 1e3 * np.sqrt((apart.astype(np.float64) ** 2).mean(axis=1)) / run.tool.scale
     # What is not a number compares as false: it keeps no bound.
     found = {'near_95_mm': float(np.quantile(rows, error_bound.FRAMES_WITHIN))}
-    if np.isfinite(rollout.bound).any():
-        found['bound_kept'] = float((off <= rollout.bound[H:]).mean())
-        found['bound_newton'] = float(rollout.bound[H:].mean())
+    inside = _inside(rollout)
+    if np.isfinite(rollout.bound).any() and inside.any():
+        limit = rollout.bound[H:][inside]
+        found['bound_kept'] = float((off[inside] <= limit).mean())
+        found['bound_newton'] = float(limit.mean())
     return found
+
+
+def _inside(rollout) -> np.ndarray:
+    """bool [T - H]: which frames are inside of training."""
+    return np.array([status == RolloutStatus.OK for status in rollout.frame_status[H:]], bool)
 
 
 def bounds_of(results, rows: list[dict]) -> dict:
@@ -188,15 +195,16 @@ def bounds_of(results, rows: list[dict]) -> dict:
 
     Returns:
       `SoilField.bounds`; {} where the field answers none of the runs. Runs that it refuses do not
-      count.
+      count, nor do frames that it flags.
     """
     runs, lengths = [], []
     for (_, _, rollout), row in zip(results, rows, strict=True):
-        if rollout.status == RolloutStatus.NON_FINITE:
+        inside = _inside(rollout)
+        if not inside.any():
             continue
         unit = rollout.tool.units(rollout.run.soil)[0]
         columns = rollout.force - rollout.run.force, rollout.spread, rollout.force
-        runs.append(tuple(np.linalg.norm(x[H:], axis=1) / unit for x in columns))
+        runs.append(tuple(np.linalg.norm(x[H:][inside], axis=1) / unit for x in columns))
         lengths.append(row['near_95_mm'])
     if not runs:
         return {}

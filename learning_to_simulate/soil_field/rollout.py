@@ -93,6 +93,7 @@ class TerrainRollout:
             'predicted_forces': self.force,
             'predicted_torques': self.torque,
             'force_bound': self.bound,
+            'flagged': np.array([s != RolloutStatus.OK for s in self.frame_status]),
             'height_frames': self.frames,
             'heights_before': self.before.heights.astype(np.float32),
             'predicted_heights': self.heights,

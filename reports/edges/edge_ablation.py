@@ -3,14 +3,14 @@ protocol.
 
 Examples:
     # the graphs of NRI first (a list for each seed), then the comparison
-    python -m reports nri_stability --data_path=datasets/excavation_v2 --modes=8 \\
+    python -m reports nri_stability --data_path=datasets/excavation --modes=8 \\
         --work_path=/tmp/nri --output_path=nri.json
-    python -m reports edges --data_path=datasets/excavation_v2 --modes=8 --nri_path=nri.json \\
-        --work_path=/tmp/edges --output_path=/tmp/judged
+    python -m reports edges --data_path=datasets/excavation --modes=8 --nri_path=nri.json \\
+        --work_path=/tmp/edges --output_path=/tmp/edges.json
 
     # two rows of it
-    python -m reports edges --data_path=datasets/excavation_v2 --variants=none,correlation \\
-        --work_path=/tmp/edges --output_path=/tmp/judged
+    python -m reports edges --data_path=datasets/excavation --variants=none,correlation \\
+        --work_path=/tmp/edges --output_path=/tmp/edges.json
 
 Every row is a preset with another `--adjacency` and nothing else. The lists that this report makes
 (`<work_path>/lists/<variant>_<seed>.json`) have no self-edges where they have a number of edges:
@@ -25,8 +25,9 @@ from absl import flags
 
 from learning_to_simulate import connectivity_utils, reading_utils
 from learning_to_simulate.subspace import edge_lists
-from pca_tools import dataset, files
+from pca_tools import dataset, files, workers
 from reports import command
+from reports.protocol import rollouts
 
 # Whose lists every seed has of its own; the others are of the data.
 OF_SEED = ('random', 'NRI')
@@ -103,8 +104,8 @@ def write_lists(folder: str, data_path: str, modes: int, keep: int, seeds: int, 
     return list(names)
 
 
-def trainings(preset: str, folder: str, variants, known) -> list[str]:
-    """The rows as the protocol's `--train` takes them.
+def trainings(preset: str, folder: str, variants, known) -> dict[str, str]:
+    """Row -> its training, as `rollouts.trainings` takes it.
 
     Raises:
       ValueError: an unknown variant.
@@ -112,12 +113,12 @@ def trainings(preset: str, folder: str, variants, known) -> list[str]:
     known = [*NO_LIST, *known]
     if unknown := set(variants or ()) - set(known):
         raise ValueError(f'unknown variants {sorted(unknown)}; there are {known}')
-    return [
-        f'{preset} {NO_LIST[name]}'
+    return {
+        name: f'{preset} {NO_LIST[name]}'
         if name in NO_LIST
         else f'{preset} --adjacency={folder}/{name}_{"{seed}" if name in OF_SEED else 0}.json'
         for name in variants or known
-    ]
+    }
 
 
 def nri_rows_of(path: str | None, data_path: str):
@@ -141,7 +142,7 @@ def define_flags() -> None:
     flags.DEFINE_string('data_path', None, 'Dataset folder.', required=True)
     flags.DEFINE_string('nri_path', None, 'JSON of reports nri_stability; none: no NRI row.')
     flags.DEFINE_string('work_path', None, 'Folder for lists and trainings.', required=True)
-    flags.DEFINE_string('output_path', None, "Folder for the protocol's JSON.", required=True)
+    flags.DEFINE_string('output_path', None, "The protocol's JSON.", required=True)
     flags.DEFINE_string('preset', 'pcg', 'Preset of all rows.')
     flags.DEFINE_integer('modes', 0, 'How many of the modes, the first ones; 0: all.', 0)
     flags.DEFINE_list('variants', None, 'Only these rows; none: all.')
@@ -151,14 +152,22 @@ def define_flags() -> None:
 
 
 def main(v, _) -> None:
-    """Writes the lists and starts the protocol in the place of this process."""
+    """Writes the lists, trains, and starts the protocol in the place of this process."""
     folder = os.path.abspath(os.path.join(v.work_path, 'lists'))
     rows = nri_rows_of(v.nri_path, v.data_path)
     known = write_lists(folder, v.data_path, v.modes, v.keep, v.num_seeds, rows)
     preset = v.preset + (f' --modes={v.modes}' if v.modes else '')
-    shared = ('data_path', 'work_path', 'output_path', 'num_seeds', 'num_processes')
+    shared = ('data_path', 'work_path', 'output_path', 'num_processes')
     arguments = [f'--{name}={getattr(v, name)}' for name in shared]
-    arguments.append(f'--train={",".join(trainings(preset, folder, v.variants, known))}')
+    jobs, models = [], os.path.abspath(os.path.join(v.work_path, 'models'))
+    for name, training in trainings(preset, folder, v.variants, known).items():
+        made = rollouts.trainings(training, v.num_seeds, os.path.join(models, name))
+        jobs += [(v.data_path, path, given, (), '') for path, given in made]
+        arguments.append(f'--model={name}={",".join(path for path, _ in made)}')
+    with workers.start('', v.num_processes) as crew:
+        for outcome in crew.run(rollouts.make, jobs):
+            if outcome.error is not None:
+                raise ValueError(outcome.error)
     os.execv(sys.executable, [sys.executable, '-m', 'reports.protocol', *arguments])
 
 

@@ -21,8 +21,8 @@ def test_bad_input_and_a_question_for_help_are_answered_by_the_report_itself(tmp
     refused = run_command('reports', 'documents', str(tmp_path / 'none.md'))
     assert refused.returncode == 1 and 'none.md' in refused.stderr
     assert 'Traceback' not in refused.stderr
-    text = run_command('reports', 'paper_tables', '--help').stdout
-    assert '--models_path' in text and 'python -m reports paper_tables' in text
+    text = run_command('reports', 'protocol', '--help').stdout
+    assert '--work_path' in text and 'python -m reports protocol' in text
 
 
 def test_every_report_is_there_and_needs_no_tensorflow_to_begin():

@@ -1,13 +1,17 @@
 """Lists of edges that are compared, and how the protocol is asked to compare them."""
 
+import contextlib
 import json
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from learning_to_simulate.subspace import edge_lists
+from pca_tools import workers
 from reports.edges import edge_ablation
+from reports.protocol import rollouts
 from tests.learning_to_simulate import synthetic
 
 R = synthetic.N_MODES
@@ -45,18 +49,24 @@ def test_the_protocol_is_given_a_list_for_every_row_and_seed(tmp_path, monkeypat
     nri.write_text(json.dumps({'digests': digests, 'seeds': rows}))
     started = []
     monkeypatch.setattr(os, 'execv', lambda program, arguments: started.append(arguments))
+    jobs = []
+    monkeypatch.setattr(rollouts, 'make', jobs.append)
+    here = SimpleNamespace(run=lambda f, given: [SimpleNamespace(error=f(x)) for x in given])
+    monkeypatch.setattr(workers, 'start', lambda *_: contextlib.nullcontext(here))
 
     class Flags:
         data_path, work_path, nri_path, output_path = data, str(work), str(nri), 'out'
         preset, modes, variants, num_seeds, keep, num_processes = 'pcg', 0, None, 2, 4, 1
 
     edge_ablation.main(Flags, [])
-    trained = next(a for a in started[0] if a.startswith('--train=')).removeprefix('--train=')
-    names = [row.rpartition('/')[2] for row in trained.split(',')]
-    assert names[2:] == [
-        'none_0.json', 'self_0.json', 'all_0.json', 'correlation_0.json',
-        'correlation_and_self_0.json', 'random_{seed}.json', 'NRI_{seed}.json',
-    ]  # fmt: skip
+    judged = [a.removeprefix('--model=') for a in started[0] if a.startswith('--model=')]
+    lists = ['none', 'self', 'all', 'correlation', 'correlation_and_self', 'random', 'NRI']
+    assert [row.partition('=')[0] for row in judged] == ['fully_connected', 'gates', *lists]
+    models = [path for row in judged for path in row.partition('=')[2].split(',')]
+    assert models == [path for _, path, *_ in jobs] and len(set(models)) == 2 * len(judged)
+    given = [next(f for f in flags if 'adjacency' in f) for _, _, flags, *_ in jobs[4:]]
+    ends = [f'{name}_{seed * (name in ("random", "NRI"))}' for name in lists for seed in (0, 1)]
+    assert given == [f'--adjacency={work}/lists/{end}.json' for end in ends]
     for seed in range(2):
         held = edge_lists.read(str(work / 'lists' / f'NRI_{seed}.json'))
         held.check_data(data)

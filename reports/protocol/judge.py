@@ -1,0 +1,246 @@
+"""The document of one scene: what every method's models are wrong by, run by run.
+
+Errors of all methods are of the same frames, axes and particles: those of a dataset's sample, the
+solver's own (`soil_truth`). Networks in a subspace follow 5 thousand particles, too few for a map
+of heights; so they have no errors of surface, front and heap.
+"""
+
+import dataclasses
+import glob
+import os
+
+import numpy as np
+
+from pca_tools import dataset, files, workers
+from reports import record
+from reports.protocol import rollouts, truth
+
+SCHEMA_VERSION = 2
+SPLIT = 'test'
+RIDGE = 'path ridge'
+# Columns of an evaluation of a soil field that are methods of their own -> how tables call them.
+COLUMNS = {'model': '{}', 'under_load': '{}, under its load'}
+PERSISTENCE = 'persistence'
+FORMULAS = {'blade': 'earthmoving', 'wheel': 'Bekker-Wong-Janosi'}
+# Errors of a run that are kept, as `metrics.json` has them.
+QUANTITIES = (
+    'soil_mm', 'near_mm', 'surface_mm', 'front_mm', 'cut_error_litre', 'heap_error_litre',
+    *(f'{load}_{error}' for load in ('force', 'drawbar', 'vertical', 'pitch')
+      for error in ('relative_l2', 'rmse', 'peak_error')),
+    'side_rmse', 'height_mm', 'travel_mm', 'flagged_share', 'bound_kept', 'bound_newton',
+    'near_95_mm',
+)  # fmt: skip
+# What a rollout that is flagged is compared in, see `separation`.
+_SHARE = 'flagged_frames', 'error_flagged', 'error_inside'
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """What is judged: its name in tables, and the folders of its models, one a training."""
+
+    name: str
+    folders: list[str]
+
+
+def methods_of(given: list[str]) -> list[Method]:
+    """Of NAME=FOLDER[,FOLDER...].
+
+    Raises:
+      ValueError: another form, or a name that is given twice.
+    """
+    found = []
+    for item in given:
+        name, _, paths = item.partition('=')
+        folders = [os.path.abspath(path) for path in paths.split(',') if path]
+        if not folders or not name or name in [method.name for method in found]:
+            raise ValueError(
+                f'--model={item}: NAME=FOLDER[,FOLDER...] was expected, each name once'
+            )
+        found.append(Method(name, folders))
+    return found
+
+
+def judge(data_path: str, given: list[str], work_path: str, num_processes: int = 1) -> dict:
+    """The document of a scene.
+
+    Args:
+      data_path: dataset folders, separated by commas: all methods know the first; the others are
+        for soil fields.
+      given: of `methods_of`.
+      work_path: folder of rollouts and of the fitted ridge; a second call finds them there.
+      num_processes: models that are rolled out at a time.
+
+    Raises:
+      ValueError: see `methods_of`; a model failed, the others are done.
+    """
+    from learning_to_simulate.soil_field import evaluation
+    from learning_to_simulate.soil_field import runs as runs_lib
+
+    methods = methods_of(given)
+    folders = [os.path.abspath(path) for path in data_path.split(',')]
+    name = os.path.basename(folders[0])
+    ((ridge, flags),) = rollouts.trainings('path_ridge', 1, os.path.join(work_path, name))
+    jobs: dict[str, tuple] = {}
+    for path, given_flags in [(ridge, flags)] + [(p, None) for m in methods for p in m.folders]:
+        data = ','.join(folders) if given_flags is None and on_terrain(path) else folders[0]
+        jobs[path] = data, path, given_flags, (SPLIT,), os.path.join(work_path, 'rollouts', name)
+    failed = []
+    with workers.start('', num_processes) as crew:
+        for outcome in crew.run(rollouts.make, list(jobs.values())):
+            if outcome.error is not None:
+                failed.append(f'{list(jobs)[outcome.index]}: {outcome.error}')
+    if failed:
+        raise ValueError(f'{len(failed)} of {len(jobs)} models failed:\n' + '\n'.join(failed))
+
+    runs = [(i, run) for i, path in enumerate(folders) for run in runs_lib.read(path, SPLIT)]
+    tool = runs[0][1].tool.name
+    found: list[dict] = []
+    for method in [*methods, Method(RIDGE, [ridge])]:
+        # Seeds of each column; networks have one.
+        of_columns: dict[str, list] = {}
+        for path in method.folders:
+            folder = rollouts.roll_out(jobs[path][0], path, SPLIT, jobs[path][4])
+            for column, seed in _seeds(path, folder, len(runs)).items():
+                of_columns.setdefault(column.format(method.name), []).append(seed)
+        found += [{'name': n, 'seeds': seeds} for n, seeds in of_columns.items()]
+    still = [evaluation.still(run) for _, run in runs]
+    formula = [evaluation.formula(run) or {} for _, run in runs]
+    found.append({'name': FORMULAS[tool], 'seeds': [{'errors': _columns(formula)}]})
+    found.append({'name': PERSISTENCE, 'seeds': [{'errors': _columns(still)}]})
+    document = {
+        'schema_version': SCHEMA_VERSION,
+        'scene': tool,
+        'record': record.provenance(),
+        'data': [_facts(path) for path in folders],
+        'runs': [{'data': i, 'case': run.case, 'kind': run.kind} for i, run in runs],
+        'methods': found,
+        'truth': truth.errors(tool),
+    }
+    return document | {'summary': summary(document)}
+
+
+def on_terrain(model_path: str) -> bool:
+    """Whether a trained model is a soil field."""
+    from learning_to_simulate import registry
+
+    return registry.of_folder(model_path).on_terrain
+
+
+def _facts(path):
+    cases = dataset.read_metadata(path)['cases']
+    return {
+        'path': os.path.relpath(path, record.ROOT),
+        'runs': {split: len(of) for split, of in cases.items()},
+        'solver_version': cases[SPLIT][0].get('solver_version'),
+        'sha256': files.sha256_of_file(dataset.split_path(path, SPLIT)),
+    }
+
+
+def _seeds(path, folder, n_run):
+    """Column -> what the document holds of a model: where it is from, and its errors."""
+    rows = files.read_json(os.path.join(folder, 'metrics.json'))['runs']
+    config = files.read_json(os.path.join(path, 'config.json'))
+    about = {'seed': config.get('config', {}).get('seed')}
+    if os.path.commonpath([path, record.ROOT]) == record.ROOT:
+        about['folder'] = os.path.relpath(path, record.ROOT)
+    found = {}
+    for key, name in COLUMNS.items():
+        if key not in rows:
+            continue
+        of_run = {row['record']: row for row in rows[key]}
+        ordered = [of_run.get(i, {}) for i in range(n_run)]
+        found[name] = about | {'errors': _columns(ordered)}
+        if key == 'model' and (bounds := config.get('field', {}).get('bounds')):
+            found[name] |= {'bounds': bounds}
+        if key == 'model' and 'field' in config:
+            found[name] |= separation(folder)
+    return found
+
+
+def _columns(rows: list[dict]) -> dict[str, list]:
+    """Quantity -> errors of all runs, to four digits; None where there is no number."""
+    found = {}
+    for key in QUANTITIES:
+        values = [row.get(key) for row in rows]
+        known = [None if v is None or not np.isfinite(v) else float(f'{v:.4g}') for v in values]
+        if any(v is not None for v in known):
+            found[key] = known
+    if refused := [i for i, row in enumerate(rows) if row.get('status') == 'non_finite']:
+        found['refused'] = refused
+    return found
+
+
+def separation(folder: str) -> dict[str, float]:
+    """Whether the status of a soil field tells good frames from bad ones.
+
+    Args:
+      folder: rollouts of a split.
+
+    Returns:
+      `flagged_frames`, the share of frames that it flags; `error_flagged` and `error_inside`, root
+      of the sum of squared errors of the force over that of the force itself, of frames that are
+      flagged and of those that are not; without where there are none.
+    """
+    squares = np.zeros((2, 3))  # (inside, flagged) by (error, force, frames)
+    for path in glob.glob(os.path.join(folder, f'rollout_{SPLIT}_*.npz')):
+        arrays = files.read_npz(path)
+        force, true = (arrays[f'{n}_forces'][6:] for n in ('predicted', 'ground_truth'))
+        if not np.isfinite(force).all():
+            continue
+        # Runs count alike, however heavy their tool is.
+        size = np.linalg.norm(true) / np.sqrt(len(true))
+        for i, mask in enumerate((~arrays['flagged'][6:], arrays['flagged'][6:])):
+            parts = (force - true)[mask] / size, true[mask] / size
+            squares[i] += [np.sum(parts[0] ** 2), np.sum(parts[1] ** 2), mask.sum()]
+    values = squares[1, 2] / max(squares[:, 2].sum(), 1), *np.sqrt(
+        np.divide(squares[::-1, 0], squares[::-1, 1], out=np.full(2, np.nan),
+                  where=squares[::-1, 1] > 0)
+    )  # fmt: skip
+    return {k: float(f'{v:.4g}') for k, v in zip(_SHARE, values, strict=True) if np.isfinite(v)}
+
+
+def summary(document: dict) -> dict:
+    """Of the runs of the first dataset, which all methods know ('all'), of each kind of run, and of
+    all other datasets ('others'): method -> quantity -> `figures`."""
+    runs = document['runs']
+    chosen = {'all': [i for i, run in enumerate(runs) if not run['data']]}
+    if others := [i for i, run in enumerate(runs) if run['data']]:
+        chosen['others'] = others
+    for kind in sorted({run['kind'] for run in runs}):
+        chosen[kind] = [i for i, run in enumerate(runs) if run['kind'] == kind]
+    still = document['methods'][-1]['seeds'][0]['errors']
+    return {
+        name: {
+            method['name']: {
+                key: found
+                for key in QUANTITIES
+                if (found := figures(method['seeds'], key, places, still))
+            }
+            for method in document['methods']
+        }
+        for name, places in chosen.items()
+    }
+
+
+def figures(seeds: list[dict], key: str, places: list[int], still: dict) -> dict:
+    """`runs`; `mean`, `median` and `worst` over runs and `wins` against persistence, each a list
+    with a number a seed; {} where the method says nothing. A run that was refused is infinitely
+    wrong: then mean and worst are None."""
+    found: dict = {'runs': 0, 'mean': [], 'median': [], 'worst': [], 'wins': []}
+    for seed in seeds:
+        errors, refused = seed['errors'].get(key), seed['errors'].get('refused', ())
+        if errors is None:
+            return {}
+        values = {i: np.inf if i in refused else errors[i] for i in places}
+        values = {i: v for i, v in values.items() if v is not None}
+        if not values:
+            return {}
+        numbers = np.array(list(values.values()))
+        for name, figure in (('mean', np.mean), ('median', np.median), ('worst', np.max)):
+            value = float(figure(numbers))
+            found[name].append(float(f'{value:.4g}') if np.isfinite(value) else None)
+        others = still.get(key)
+        found['runs'] = len(values)
+        if others is not None:
+            found['wins'].append(sum(v < others[i] for i, v in values.items() if others[i]))
+    return found

@@ -1,1 +1,0 @@
-"""The cases of `reports stability`, one file per part of the project."""

@@ -1,0 +1,86 @@
+"""Figures over runs and trainings from known errors; what is read of rollouts; a whole scene."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pca_tools import files
+from reports.protocol import __main__ as command
+from reports.protocol import judge, tables
+from tests.learning_to_simulate.soil_field import worlds
+from tests.reports.protocol.known import document
+
+
+def test_figures_are_of_runs_that_count_and_a_refused_one_is_infinitely_wrong():
+    summary = document()['summary']
+    soil = summary['all']['soil field']['soil_mm']
+    assert soil == {
+        'runs': 2, 'mean': [1.5, None], 'median': [1.5, None], 'worst': [2.0, None], 'wins': [2, 1]
+    }  # fmt: skip
+    assert summary['all']['mlp']['soil_mm']['wins'] == [1]
+    assert summary['others']['soil field']['soil_mm']['mean'] == [9.0, 18.0]
+    assert summary['others']['mlp'] == {}  # it knows none of these runs
+    assert summary['lift']['soil field']['force_relative_l2']['mean'] == [0.3, None]
+    assert set(summary) == {'all', 'others', 'grid', 'lift', 'beside'}
+
+
+def test_columns_hold_four_digits_and_say_what_was_refused():
+    rows = [{'soil_mm': 1.23456, 'other': 1.0}, {'soil_mm': None, 'status': 'non_finite'}, {}]
+    assert judge._columns(rows) == {'soil_mm': [1.235, None, None], 'refused': [1]}
+
+
+@pytest.mark.parametrize('given', ['a', 'a=', '=b', 'a=,'])
+def test_models_have_a_name_and_folders(given):
+    with pytest.raises(ValueError, match='NAME=FOLDER'):
+        judge.methods_of([given])
+    with pytest.raises(ValueError, match='each name once'):
+        judge.methods_of(['a=/b', 'a=/c'])
+    assert judge.methods_of(['a=/b,/c']) == [judge.Method('a', ['/b', '/c'])]
+
+
+def test_the_status_is_judged_by_the_errors_of_the_frames_that_it_flags(tmp_path):
+    rng = np.random.default_rng(0)
+    true = rng.normal(size=(26, 3))
+    flagged = np.arange(26) >= 16
+    off = np.where(flagged, 0.6, 0.2)[:, None] * true
+    for i, factor in enumerate((1.0, 50.0)):  # the weight of the tool does not matter
+        files.write_npz(
+            str(tmp_path / f'rollout_test_{i}.npz'), predicted_forces=factor * (true + off),
+            ground_truth_forces=factor * true, flagged=flagged,
+        )  # fmt: skip
+    found = judge.separation(str(tmp_path))
+    assert found == pytest.approx(
+        {'flagged_frames': 0.5, 'error_flagged': 0.6, 'error_inside': 0.2}
+    )
+
+
+@pytest.mark.slow
+def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_path):
+    import learning_to_simulate as lts
+
+    data = [worlds.write_dataset(tmp_path / str(i), range(3 * i, 3 * i + 3)) for i in (0, 1)]
+    both = [lts.Dataset(path) for path in data]
+    few = {'num_steps': 6}
+    lts.train(lts.preset('soil_field', members=1, **few), both, str(tmp_path / 'field'))
+    lts.train(lts.preset('mlp', **few), both[0], str(tmp_path / 'mlp'))
+
+    class Values:
+        data_path = ','.join(data)
+        model = [f'soil field={tmp_path}/field', f'mlp={tmp_path}/mlp']
+        work_path, num_processes = str(tmp_path / 'work'), 2
+        output_path = str(tmp_path / 'judged.json')
+
+    command.main(Values, [])
+    found = files.read_json(Values.output_path)
+    assert [run['case'] for run in found['runs']] == ['2', '5']
+    methods = {m['name']: m['seeds'][0]['errors'] for m in found['methods']}
+    assert set(methods) == {'soil field', 'mlp', 'path ridge', 'earthmoving', 'persistence'}
+    assert methods['mlp']['soil_mm'][1] is None and methods['soil field']['soil_mm'][1] > 0
+    # What stays still is measured alike by both evaluations.
+    folder = next((tmp_path / 'work/rollouts/0').glob('mlp_*/test'))
+    other = json.loads((folder / 'metrics.json').read_text())['runs']['stay_still'][0]
+    assert methods['persistence']['force_relative_l2'][0] == pytest.approx(
+        other['force_relative_l2'], rel=1e-3
+    )
+    assert 'soil field' in tables.methods(Values.output_path)
