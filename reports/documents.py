@@ -2,7 +2,7 @@
 
 A table that follows a comment of this form is what the function makes of the files:
 
-    <!-- table: reports.protocol.tables:shipped docs/protocol/wheel_v2.json -->
+    <!-- table: reports.protocol.tables:shipped docs/protocol/wheel.json -->
 
 Arguments are paths below the root of the project, or words; the table ends at an empty line. A
 table with measured numbers and no such comment says why: `<!-- no record: ... -->` before it.

@@ -14,8 +14,8 @@ the model makes of it. Errors are those of frames H on, as of all methods, and o
   loads         `metrics.load_errors` along, up and across the way
 
 Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
-frames inside of training whose force keeps its bound, and `near_95_mm`, below which the map near the tool is in 95 %
-of the frames, mm of the field.
+frames inside of training whose force keeps its bound, and `near_95_mm`, below which the map near
+the tool is in 95 % of the frames, mm of the field.
 
 Beside the model stand persistence; the model under the load that moved the tool, where that was
 recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for

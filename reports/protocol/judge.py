@@ -201,7 +201,7 @@ def separation(folder: str) -> dict[str, float]:
 
 def summary(document: dict) -> dict:
     """Of the runs of the first dataset, which all methods know ('all'), of each kind of run, and of
-    all other datasets ('others'): method -> quantity -> `figures`."""
+    all other datasets ('others'): method -> quantity -> `figures`, of kinds their means alone."""
     runs = document['runs']
     chosen = {'all': [i for i, run in enumerate(runs) if not run['data']]}
     if others := [i for i, run in enumerate(runs) if run['data']]:
@@ -214,7 +214,7 @@ def summary(document: dict) -> dict:
             method['name']: {
                 key: found
                 for key in QUANTITIES
-                if (found := figures(method['seeds'], key, places, still))
+                if (found := figures(method['seeds'], key, places, still, name == 'all'))
             }
             for method in document['methods']
         }
@@ -222,7 +222,7 @@ def summary(document: dict) -> dict:
     }
 
 
-def figures(seeds: list[dict], key: str, places: list[int], still: dict) -> dict:
+def figures(seeds, key: str, places: list[int], still: dict, whole: bool = True) -> dict:
     """`runs`; `mean`, `median` and `worst` over runs and `wins` against persistence, each a list
     with a number a seed; {} where the method says nothing. A run that was refused is infinitely
     wrong: then mean and worst are None."""
@@ -243,4 +243,4 @@ def figures(seeds: list[dict], key: str, places: list[int], still: dict) -> dict
         found['runs'] = len(values)
         if others is not None:
             found['wins'].append(sum(v < others[i] for i, v in values.items() if others[i]))
-    return found
+    return found if whole else {'runs': found['runs'], 'mean': found['mean']}

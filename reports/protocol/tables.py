@@ -33,7 +33,7 @@ COLUMNS = {
 
 def methods(path: str, kind: str = 'all') -> str:
     """All methods over the runs of a kind: mean errors, (lowest to highest) over trainings, on how
-    many runs soil and force are nearer than persistence; and below them the truth's own errors."""
+    many runs soil and force are nearer than persistence (medians where a run was refused); and below them the truth's own errors."""
     document = files.read_json(path)
     summary, columns = document['summary'][kind], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])
@@ -44,9 +44,11 @@ def methods(path: str, kind: str = 'all') -> str:
             continue
         runs = max(figure['runs'] for figure in found.values())
         seeds = len(method['seeds'])
+        refused = sum(len(s['errors'].get('refused', ())) for s in method['seeds'])
         about = ', '.join(
             [f'{seeds} trainings'] * (seeds > 1)
             + [f'{runs} runs'] * (kind == 'all' and runs < count)
+            + [f'{refused} refused'] * bool(refused)
         )
         cells = [_cell(found.get(key)) for key in columns]
         wins = [_wins(found.get(key), method) for key in ('soil_mm', 'force_relative_l2')]
@@ -65,7 +67,10 @@ def methods(path: str, kind: str = 'all') -> str:
 def _cell(figure):
     if figure is None:
         return ''
-    return 'failed' if None in figure['mean'] else markdown.span(figure['mean'])
+    if None not in figure['mean']:
+        return markdown.span(figure['mean'])
+    medians = markdown.span(figure.get('median', []))
+    return f'median {medians}' if medians else 'failed'
 
 
 def _wins(figure, method):

@@ -1,97 +1,78 @@
 """Error against time: which times are taken, and the table and picture from known errors."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-import learning_to_simulate as lts
 from pca_tools import dataset, files
 from reports import times, timing
+from tests.learning_to_simulate.soil_field import worlds
 from tests.reports.protocol.known import document
 
 
 @pytest.fixture
-def timed(monkeypatch):
-    """(paths and contexts that were rolled out or stepped, frames whose particles were asked)."""
-    paths, asked = [], []
-    runs = [
-        SimpleNamespace(rigid_pose=np.full((6, 7), i, np.float32), step_context=None, n_frames=6)
-        for i in range(3)
-    ]
-    kinds = [{'kind': kind} for kind in ('grid', 'disturbed', 'lift')]
-    kinds[0]['solver_cpu_s'], kinds[1]['solver_cpu_s'] = 5.0, 6.0
-
-    class Rollout:
-        particles = staticmethod(asked.append)
-
-        def __len__(self):
-            return 5
-
-    def rollout(poses, context):
-        paths.append((poses[0, 0], context))
-        return Rollout()
-
-    def stepping(live, poses, contexts):
-        paths.append((poses[0, 0], contexts))
-        return [0.001 * n for n in range(1, 101)], []
-
-    monkeypatch.setattr(dataset, 'read_metadata', lambda path: {'cases': {'test': kinds}})
+def recorded(monkeypatch):
+    """Cases of three runs of six frames."""
+    cases = [{'kind': kind} for kind in ('grid', 'disturbed', 'lift')]
+    cases[0]['solver_cpu_s'], cases[1]['solver_cpu_s'] = 5.0, 6.0
+    monkeypatch.setattr(dataset, 'read_metadata', lambda path: {'cases': {'test': cases}})
+    runs = [SimpleNamespace(n_frames=6)] * 3
     monkeypatch.setattr(dataset, 'read_split', lambda path, split: runs)
-    monkeypatch.setattr(timing, 'stepping', stepping)
-    model = SimpleNamespace(rollout=rollout, stepper=lambda: None)
-    monkeypatch.setattr(lts, 'load', lambda folder: model, raising=False)
-    return paths, asked
+    return cases
 
 
-def test_the_path_is_a_driven_one_on_a_flat_bed_and_all_frames_are_decoded(timed, monkeypatch):
-    paths, asked = timed
-    found = times.time_models('data', {'field': 'folder'}, rounds=1)['field']
-    assert set(paths) == {(2.0, None)} and asked == 3 * [0, 1, 2, 3, 4]  # two calls to warm up
-    assert set(found) == set(times.COLUMNS) and min(found.values()) > 0
-    assert found['step_ms'] == pytest.approx(50.5) and found['step_p99_ms'] > 99
+def test_the_path_is_a_driven_one_on_a_flat_bed(recorded):
+    assert times.driven('data') == 2
     assert times.solver_ms('data') == pytest.approx(1100.0)  # 5 and 6 s of five frames
-    monkeypatch.setattr(dataset, 'read_metadata', lambda path: {})
-    assert times.solver_ms('data') is None
-    with pytest.raises(ValueError, match='no test run on a flat bed'):
-        times.time_models('data', {'field': 'folder'})
+    recorded.pop()
+    with pytest.raises(ValueError, match='no test run that is driven'):
+        times.driven('data')
 
 
-@pytest.fixture
-def judged(timed, tmp_path):
-    """Flags of the command, whose protocol is known."""
-    protocol = str(tmp_path / 'protocol.json')
-    files.write_json(protocol, document(7, 1.0))
-    return SimpleNamespace(
-        data_path='data', protocol=protocol, model=['field=folder'], num_threads=1,
-        output_path=str(tmp_path / 'times'),
+def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch):
+    protocol = tmp_path / 'protocol.json'
+    protocol.write_text(json.dumps(document()))
+    names = ('soil field, 1 of 2 members, C', 'soil field, 2 of 2 members, C', 'mlp, TensorFlow')
+    jobs = {(name, what): name for name in names for what in ('load', 'particles')}
+    monkeypatch.setattr(
+        times, 'field_jobs', lambda *_: (jobs, {names[0]: dict.fromkeys(times.QUANTITIES, 7.0)})
+    )
+    monkeypatch.setattr(times, 'subspace_jobs', lambda *_: {})
+    clock, processor = np.array([2.0, 2.0, 9.0]), np.array([4.0])
+    monkeypatch.setattr(
+        timing, 'in_turns',
+        lambda jobs, _: {j: timing.Timing(clock, processor[: 'mlp' in j[0]]) for j in jobs},
     )  # fmt: skip
-
-
-def test_table_and_picture_join_errors_and_times(judged, tmp_path):
-    times.main(judged, None)
-    path = f'{judged.output_path}.json'
-    found = files.read_json(path)
-    assert found['solver_ms'] > 0 and list(found['models']) == ['field']
-    found['models'] = {
-        'field': {'load_ms': 0.25, 'particles_ms': 11.0},
-        'field, in C': {'load_ms': 0.002, 'particles_ms': 2.0},
-    }
-    files.write_json(path, found)
-    lines = times.table(path, judged.protocol).splitlines()
-    assert lines[0].startswith('| 2 driven test runs | soil, mm | force, rel. L2 | load')
-    assert lines[2:] == [
-        '| field | 8 (4 to 12) | 0.6 (0.3 to 0.9) | 0.25 | 11 |',
-        '| field, in C | 8 (4 to 12) | 0.6 (0.3 to 0.9) | 0.002 | 2 |',
-        '| path ridge | 4 | 0.3 |  |  |',
-    ]
+    values = SimpleNamespace(
+        data_path='data', protocol=str(protocol), soil_field='folder', model=['mlp=folder'],
+        num_threads=1, output_path=str(tmp_path / 'times'),
+    )  # fmt: skip
+    times.main(values, None)
+    lines = times.table(f'{values.output_path}.json').splitlines()[2:]
+    assert lines[0] == '| solver |  |  | 1.1e+03 | 1.1e+03 | 1 |'
+    assert lines[1] == '| soil field, 1 of 2 members, C | 7 | 7 | 2 | 2 | 550 |'
+    # Its own errors: of the training that refused no run; medians of steps, CPU time of rollouts.
+    assert lines[2] == '| soil field, 2 of 2 members, C | 1.5 | 0.2 | 2 | 2 | 550 |'
+    assert lines[3] == '| mlp, TensorFlow | 2.5 | 1 | 4 | 4 | 275 |'
     assert (tmp_path / 'times.png').read_bytes().startswith(b'\x89PNG')
+    values.model = ['other=folder']
+    with pytest.raises(ValueError, match=r"no \['other'\]"):
+        times.main(values, None)
 
 
-@pytest.mark.parametrize(
-    'given, reason', [(['other=folder'], r"no \['other'\]"), (['field='], 'NAME=FOLDER')]
-)
-def test_names_that_are_not_there_are_refused_before_the_work(judged, given, reason):
-    judged.model = given
-    with pytest.raises(ValueError, match=reason):
-        times.main(judged, None)
+@pytest.mark.slow
+def test_a_soil_field_is_timed_with_each_number_of_members(tmp_path):
+    import learning_to_simulate as lts
+
+    data = worlds.write_dataset(tmp_path / 'data', range(3))
+    model = str(tmp_path / 'field')
+    lts.train(lts.preset('soil_field', members=2, num_steps=6), lts.Dataset(data), model)
+    jobs, errors = times.field_jobs(model, data)
+    engines = [f'soil field, {m} of 2 members, {e}' for m in (1, 2) for e in ('C', 'TensorFlow')]
+    assert list(dict.fromkeys(name for name, _ in jobs)) == engines
+    assert set(errors) == set(engines[:2]) and errors[engines[0]] == errors[engines[1]]
+    for job in jobs.values():
+        assert len(job.call()) == 48
+    assert files.read_json(f'{model}/metrics.json')['runs']
