@@ -32,8 +32,9 @@ COLUMNS = {
 
 
 def methods(path: str, kind: str = 'all') -> str:
-    """All methods over the runs of a kind: mean errors, (lowest to highest) over trainings, on how
-    many runs soil and force are nearer than persistence (medians where a run was refused); and below them the truth's own errors."""
+    """All methods over the runs of a kind: mean errors (medians where a run was refused), lowest to
+    highest over trainings; on how many runs soil and force are nearer than persistence; below them
+    the truth's own errors."""
     document = files.read_json(path)
     summary, columns = document['summary'][kind], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])

@@ -51,7 +51,7 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     )  # fmt: skip
     times.main(values, None)
     lines = times.table(f'{values.output_path}.json').splitlines()[2:]
-    assert lines[0] == '| solver |  |  | 1.1e+03 | 1.1e+03 | 1 |'
+    assert lines[0] == '| solver |  |  | 1100 | 1100 | 1 |'
     assert lines[1] == '| soil field, 1 of 2 members, C | 7 | 7 | 2 | 2 | 550 |'
     # Its own errors: of the training that refused no run; medians of steps, CPU time of rollouts.
     assert lines[2] == '| soil field, 2 of 2 members, C | 1.5 | 0.2 | 2 | 2 | 550 |'
