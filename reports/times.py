@@ -134,7 +134,7 @@ def subspace_jobs(name: str, folder: str, data_path: str) -> dict:
     if registry.of_folder(folder).steps:
         live = lts.load(folder).stepper()
         run = dataset.read_split(data_path, 'test')[number]
-        given = live, run.rigid_pose.astype(np.float64)[:FRAMES], run.step_context
+        given = live, np.asarray(run.rigid_pose, np.float64)[:FRAMES], run.step_context
         jobs[f'{name}, C', 'load'] = timing.Job(lambda: timing.stepping(*given)[0])
         jobs[f'{name}, C', 'particles'] = timing.Job(lambda: timing.stepping(*given, every=1)[1])
     return jobs

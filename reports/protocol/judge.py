@@ -48,7 +48,7 @@ def methods_of(given: list[str]) -> list[Method]:
     Raises:
       ValueError: another form, or a name that is given twice.
     """
-    found = []
+    found: list[Method] = []
     for item in given:
         name, _, paths = item.partition('=')
         folders = [os.path.abspath(path) for path in paths.split(',') if path]
@@ -159,7 +159,7 @@ def _seeds(path, folder, n_run):
 
 def _columns(rows: list[dict]) -> dict[str, list]:
     """Quantity -> errors of all runs, to four digits; None where there is no number."""
-    found = {}
+    found: dict[str, list] = {}
     for key in QUANTITIES:
         values = [row.get(key) for row in rows]
         known = [None if v is None or not np.isfinite(v) else float(f'{v:.4g}') for v in values]

@@ -114,9 +114,9 @@ def bounds(*paths: str) -> str:
             ]  # fmt: skip
             rows.append([
                 f'{document["scene"]}: {method["name"]}',
-                markdown.span([100 * np.mean(np.array(k) >= 0.95) for k in kept]),
+                markdown.span([float(100 * np.mean(np.array(k) >= 0.95)) for k in kept]),
                 markdown.span([float(np.median(s)) for s in sizes]),
-                markdown.span([100 * np.mean(n) for n in near]),
+                markdown.span([float(100 * np.mean(n)) for n in near]),
                 markdown.span([s['bounds']['near_mm'] for s in seeds]),
                 markdown.span([100 * s['flagged_frames'] for s in seeds]),
                 markdown.span(ratios),
