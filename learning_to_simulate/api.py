@@ -278,7 +278,7 @@ class TrainedModel:
     def export(self, path: str, data: Dataset, kind: str = 'savedmodel') -> dict:
         """Writes a model that runs without this project; see `export`.
 
-        A soil field has the form in C alone.
+        A soil field has the forms in C and as an FMU alone.
 
         Args:
           path: folder to write; absent or empty.

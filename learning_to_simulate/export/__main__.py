@@ -11,6 +11,10 @@ Examples:
   # C99 source, or an FMU of FMI 2.0; see docs/native.md
   python -m learning_to_simulate.export --format=c --model_path=models/excavation/pcg \\
       --data_path=datasets/excavation --output_path=/tmp/soil
+
+  # an FMU of two blades on one terrain
+  python -m learning_to_simulate.export --format=fmu --n_tools=2 --output_path=/tmp/blades \\
+      --model_path=models/excavation/soil_field --data_path=datasets/excavation
 """
 
 from absl import flags
@@ -23,19 +27,19 @@ def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
     flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string(
-        'output_path', None, 'Folder to write; absent or empty.', required=True
-    )
+    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
     flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
+    flags.DEFINE_integer('n_tools', None, 'Tools on the terrain of a soil field as an FMU.', 1)
 
 
 def run(values) -> None:
     """Runs the command with its flags; raises as `export`."""
     command.import_tensorflow()
     description = export(
-        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid
-    )
+        values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,
+        values.n_tools,
+    )  # fmt: skip
     print(summary(description, values.output_path))
 
 

@@ -31,6 +31,7 @@ def export(
     output_path: str,
     kind: str,
     n_rigid: int | None = None,
+    n_tools: int | None = None,
 ) -> dict:
     """Writes an exported model, compares it with its source and describes it.
 
@@ -41,6 +42,7 @@ def export(
       kind: one of `FORMATS`.
       n_rigid: R of the exported graph, for data with bodies of several sizes; None for the largest,
         in C for that of the first start.
+      n_tools: of a soil field as an FMU, how many tools work on its terrain; None for one.
 
     Returns:
       the description that is also in `export.json`.
@@ -53,7 +55,7 @@ def export(
     """
     if os.path.exists(output_path) and (not os.path.isdir(output_path) or os.listdir(output_path)):
         raise ValueError(f'{output_path}: is there and not empty; nothing was written')
-    exported = _exported(model_path, data_path, kind, n_rigid)
+    exported = _exported(model_path, data_path, kind, n_rigid, n_tools)
 
     from learning_to_simulate import checkpoints
 
@@ -75,16 +77,20 @@ def export(
     return description
 
 
-def _exported(model_path, data_path, kind, n_rigid):
+def _exported(model_path, data_path, kind, n_rigid, n_tools):
     """What is exported, for a format."""
     from learning_to_simulate import registry
 
     if registry.of_folder(model_path).on_terrain:
-        if kind != 'c' or n_rigid is not None:
-            raise ValueError(f'{model_path}: of a soil field there is --format=c alone')
+        if kind not in native.FORMATS or n_rigid is not None:
+            raise ValueError(f'{model_path}: a soil field has --format=c and fmu, without n_rigid')
+        if n_tools is not None and kind != 'fmu':
+            raise ValueError(f'n_tools is {n_tools}: in C each tool has an instance of its own')
         from learning_to_simulate.native.exporting import CSoilField
 
-        return CSoilField(model_path, data_path)
+        return CSoilField(model_path, data_path, n_tools or 1)
+    if n_tools is not None:
+        raise ValueError(f'n_tools is {n_tools}: only a soil field has several tools on a terrain')
     if kind in native.FORMATS:
         from learning_to_simulate.native.exporting import CModel
 

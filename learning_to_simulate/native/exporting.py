@@ -52,9 +52,15 @@ class CModel:
 
 
 class CSoilField:
-    """A soil field on its way to C, as `CModel`; arguments as there."""
+    """A soil field on its way to C, as `CModel`.
 
-    def __init__(self, model_path: str, data_path: str):
+    Args:
+      model_path, data_path: as there.
+      tools: of an FMU, how many tools work on its terrain.
+    """
+
+    def __init__(self, model_path: str, data_path: str, tools: int = 1):
+        self._tools = tools
         self._field = registry.of_folder(model_path).load_code().load(model_path)
         self._data_path, self._name = data_path.split(',')[0], project.symbol(model_path)
         self._values = soil_data.values(self._field)
@@ -69,15 +75,21 @@ class CSoilField:
         }
 
     def write(self, kind: str, folder: str) -> dict:
-        """Writes the project; returns how it compares.
+        """Writes the files of a format of `native.FORMATS`; returns how they compare.
 
         Raises:
-          ValueError: another format, C that does not compile, or outputs beyond the tolerance.
+          ValueError: C that does not compile, a number of tools that no FMU has, or outputs beyond
+            the tolerance.
         """
-        if kind != 'c':
-            raise ValueError(f'a soil field has no export as {kind}; --format=c')
-        project.write(folder, self._name, self._values)
-        return {'compared': self._compared(folder)}
+        with tempfile.TemporaryDirectory() as scratch:
+            project.write(scratch, self._name, self._values)
+            compared = self._compared(scratch)
+        if kind == 'fmu':
+            path = os.path.join(folder, f'{self._name}.fmu')
+            fmu.write(path, self._name, self._values, self._tools)
+        else:
+            project.write(folder, self._name, self._values)
+        return {'compared': compared}
 
     def _compared(self, project_folder):
         """Differences of the project to TensorFlow over the first test run."""

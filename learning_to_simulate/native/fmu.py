@@ -1,18 +1,15 @@
-"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine.
+"""Writes a model as an FMU of FMI 2.0 (co-simulation): sources, and a binary for this machine."""
 
-Names of the variables follow Chrono's tyre FMU (`wheel_state.pos.x`, `wheel_load.force.x`); a tool
-whose pose is prescribed is called `tool` instead of `wheel`.
-"""
-
+import math
 import os
 import platform
 import tempfile
 import uuid
 import zipfile
-from typing import NamedTuple
 from xml.etree import ElementTree
 
-from learning_to_simulate.native import library, project
+from learning_to_simulate.native import fmu_variables, library, project
+from learning_to_simulate.native.fmu_variables import Layout
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file: equal models give equal FMUs
 _SYSTEM = platform.system()
@@ -27,6 +24,9 @@ _UNITS = {
     'N': {'kg': '1', 'm': '1', 's': '-2'},
     'N.m': {'kg': '1', 'm': '2', 's': '-2'},
     's': {'s': '1'},
+    'deg': {'rad': '1', 'factor': repr(math.pi / 180)},
+    'kg/m3': {'kg': '1', 'm': '-3'},
+    'm/s2': {'m': '1', 's': '-2'},
 }
 _LOG_CATEGORIES = {
     'logStatusWarning': 'when the model is used outside its training runs',
@@ -41,94 +41,35 @@ _CAUSALITIES = {
     'constant': {'causality': 'local', 'variability': 'constant', 'initial': 'exact'},
     'parameter': {'causality': 'parameter', 'variability': 'fixed', 'initial': 'exact'},
 }
-_BOOLEANS = {
-    'ok': 'nothing of the following has held since the start',
-    'extrapolating': 'context, start, pose or speed lies outside the training runs',
-    'left_bounds': 'the soil left twice the hull of its training positions',
-    'non_finite': 'a position or force is not finite',
-}
 
 
-class Variable(NamedTuple):
-    """A scalar variable.
-
-    Attributes:
-      name, unit, causality, text: as modelDescription.xml has them; causality 'constant' is a local
-        one.
-      start: None where it is calculated.
-    """
-
-    name: str
-    unit: str | None
-    causality: str
-    text: str
-    start: float | None = None
+def guid(values: dict, layout: Layout) -> str:
+    """The FMU's GUID: it follows the numbers of the model and its variables."""
+    what = values['digest'] + ''.join(layout.lines)
+    return '{' + str(uuid.uuid5(uuid.NAMESPACE_OID, what)) + '}'
 
 
-def guid(values: dict) -> str:
-    """The FMU's GUID: it follows the numbers of the model."""
-    return '{' + str(uuid.uuid5(uuid.NAMESPACE_OID, values['digest'])) + '}'
-
-
-def body(values: dict) -> str:
-    """What the variables call the body."""
-    return 'tool' if values['motion'] == library.constants()['LTS_PRESCRIBED'] else 'wheel'
-
-
-def reals(values: dict) -> list[Variable]:
-    """The real variables in the order of fmu_core.h."""
-    state, load = f'{body(values)}_state', f'{body(values)}_load'
-    point, moment = 'the mean of the body points', '0: the model has learned no torque'
-    sinkage = 'output' if body(values) == 'wheel' else 'local'
-    place = values['starts'][0]['points'].mean(axis=0)
-    return [
-        *(Variable(f'{state}.pos.{a}', 'm', 'input', f'reference point: {point}', v)
-          for a, v in zip('xyz', place)),
-        *(Variable(f'{state}.rot.e{i}', None, 'input', 'rotation from the start attitude',
-                   float(i == 0)) for i in range(4)),
-        *_vector(f'{state}.lin_vel', 'm/s', 'input', 'of the reference point', 0.0),
-        *_vector(f'{state}.ang_vel', 'rad/s', 'input', 'in the world frame', 0.0),
-        *_vector(f'{load}.point', 'm', 'output', 'where the load is applied'),
-        *_vector(f'{load}.force', 'N', 'output', 'of the soil on the body'),
-        *_vector(f'{load}.moment', 'N.m', 'output', moment),
-        Variable('sinkage', 'm', sinkage, 'height lost since the start'),
-        Variable('drawbar_pull', 'N', 'output', 'force along the horizontal velocity'),
-        Variable('step_size', 's', 'constant', 'a frame of the model; never split', values['dt']),
-        *_context(values),
-    ]  # fmt: skip
-
-
-def _vector(name, *rest):
-    return [Variable(f'{name}.{axis}', *rest) for axis in 'xyz']
-
-
-def _context(values):
-    names = values['context_names'].split(',') if values['n_context'] else []
-    return [
-        Variable(name, None, 'parameter', 'of the scene', value)
-        for name, value in zip(names, values['starts'][0]['context'])
-    ]
-
-
-def description(name: str, values: dict, sources) -> bytes:
+def description(name: str, values: dict, layout: Layout, sources) -> bytes:
     """modelDescription.xml of FMI 2.0.
 
     Args:
       name: of the model.
-      values: of `model_data.values`.
+      values: of `model_data.values` or `soil_data.values`.
+      layout: its variables.
       sources: names of the C files.
     """
     sub = ElementTree.SubElement
     root = ElementTree.Element(
-        'fmiModelDescription', fmiVersion='2.0', modelName=name, guid=guid(values),
-        description=f'Soil under a moving body, scene {values["name"]}',
+        'fmiModelDescription', fmiVersion='2.0', modelName=name, guid=guid(values, layout),
+        description=f'Soil under a moving {layout.body}',
         generationTool='learning_to_simulate', variableNamingConvention='structured',
         numberOfEventIndicators='0',
     )  # fmt: skip
     can = ('HandleVariableCommunicationStepSize', 'GetAndSetFMUstate', 'SerializeFMUstate')
-    simulation = sub(
-        root, 'CoSimulation', modelIdentifier=name, **{f'can{what}': 'true' for what in can}
-    )
+    able = {f'can{what}': 'true' for what in can}
+    if layout.derivatives:
+        able['providesDirectionalDerivative'] = 'true'
+    simulation = sub(root, 'CoSimulation', modelIdentifier=name, **able)
     listed = sub(simulation, 'SourceFiles')
     for file in sources:
         sub(listed, 'File', name=file)
@@ -138,29 +79,31 @@ def description(name: str, values: dict, sources) -> bytes:
     categories = sub(root, 'LogCategories')
     for category, text in _LOG_CATEGORIES.items():
         sub(categories, 'Category', name=category, description=text)
-    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(values['dt']))
+    sub(root, 'DefaultExperiment', startTime='0', stopTime='1', stepSize=repr(layout.dt))
     outputs, variables = [], sub(root, 'ModelVariables')
 
-    def scalar(vr, kind, variable, **more):
-        label, unit, causality, text, start = variable
-        attributes = {'name': label, 'valueReference': str(vr), 'description': text}
-        found = sub(variables, 'ScalarVariable', **attributes, **_CAUSALITIES[causality])
-        more |= {} if unit is None else {'unit': unit}
-        if start is not None:
+    def scalar(vr, kind, variable):
+        attributes = {
+            'name': variable.name, 'valueReference': str(vr), 'description': variable.text
+        }  # fmt: skip
+        attributes |= _CAUSALITIES[variable.causality]
+        if kind == 'Real' and variable.causality == 'output' and layout.derivatives:
+            attributes['variability'] = 'continuous'
+        found = sub(variables, 'ScalarVariable', **attributes)
+        more = dict(variable.limits or {})
+        if variable.unit is not None:
+            more['unit'] = variable.unit
+        if (start := variable.start) is not None:
             more['start'] = start if isinstance(start, str) else repr(float(start))
         sub(found, kind, **more)
-        if causality == 'output':
+        if variable.causality == 'output':
             outputs.append(str(len(variables)))
 
-    for vr, variable in enumerate(reals(values)):
+    for vr, variable in layout.reals.items():
         scalar(vr, 'Real', variable)
-    text = 'which training start; -1: the one whose parameters are nearest'
-    most = str(values['n_start'] - 1)
-    scalar(0, 'Integer', Variable('start', None, 'parameter', text, '-1'), min='-1', max=most)
-    for vr, (label, text) in enumerate(_BOOLEANS.items()):
-        scalar(vr, 'Boolean', Variable(f'status.{label}', None, 'output', text))
-    text = 'sha256 of the numbers of the model'
-    scalar(0, 'String', Variable('digest', None, 'constant', text, values['digest']))
+    for kind in ('Integer', 'Boolean', 'String'):
+        for vr, variable in enumerate(getattr(layout, f'{kind.lower()}s')):
+            scalar(vr, kind, variable)
     structure = sub(root, 'ModelStructure')
     for part in ('Outputs', 'InitialUnknowns'):
         parent = sub(structure, part)
@@ -170,30 +113,31 @@ def description(name: str, values: dict, sources) -> bytes:
     return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True)
 
 
-def write(path: str, name: str, values: dict) -> None:
+def write(path: str, name: str, values: dict, tools: int = 1) -> None:
     """Writes the FMU; without a C compiler it holds sources only.
 
     Args:
       path: of the file.
       name: of `project.symbol`.
-      values: of `model_data.values`, with at least one start.
+      values: of `model_data.values`, with at least one start, or of `soil_data.values`.
+      tools: number of tools on the terrain of a soil field.
 
     Raises:
-      ValueError: no start, a model without a body, or sources that do not compile.
+      ValueError: no start, a model without a body, another number of tools, or sources that do not
+        compile.
     """
-    if not (values['n_start'] and values['n_rigid']):
-        raise ValueError('an FMU needs a body, and a start from the training runs')
+    layout = fmu_variables.of(values, tools)
     with tempfile.TemporaryDirectory() as folder:
         sources = os.path.join(folder, 'sources')
         os.makedirs(sources)
-        _write_sources(sources, name, values)
+        _write_sources(sources, name, values, layout)
         names = sorted(file for file in os.listdir(sources) if file.endswith('.c'))
         with open(os.path.join(folder, 'modelDescription.xml'), 'wb') as out:
-            out.write(description(name, values, names))
+            out.write(description(name, values, layout, names))
         os.makedirs(os.path.join(folder, 'documentation'))
         project.write_template(
             'fmi/index.html.in', os.path.join(folder, 'documentation', 'index.html'),
-            {'NAME': name, 'BODY': body(values), 'DT': f'{values["dt"]:.6g}'},
+            {'NAME': name, 'BODY': layout.body} | _about(values),
         )  # fmt: skip
         try:
             binaries = os.path.join(folder, 'binaries', _PLATFORM)
@@ -204,23 +148,38 @@ def write(path: str, name: str, values: dict) -> None:
         _zip(folder, path)
 
 
-def _write_sources(folder, name, values):
+def _about(values):
+    """What the documentation says of a kind of model."""
+    if project.is_soil(values):
+        return {
+            'MOMENT': 'The moment is about the point.',
+            'STEPS': 'A communication step may last any time. The terrain is level at first and '
+            'consists of what the parameters say; heights are told about each tool. Directional '
+            'derivatives are those of force and moment in the coming step, which lasts as long as '
+            'the last one, by the inputs of the same tool.',
+        }
+    return {
+        'MOMENT': 'The model has learned no torque, and the moment is 0.',
+        'STEPS': f'A frame of the model is {values["dt"]:.6g} s and is never split. Shorter '
+        'communication steps hold the force, longer ones take several frames.',
+    }
+
+
+def _write_sources(folder, name, values, layout):
     project.write_sources(folder, name, values)
-    parts = [f'fmi/{part}' for part in ('fmu_core.h', 'fmu_core.c', 'fmi2.c')]
-    for part in [*project.headers(values), *parts]:
+    parts = ('fmu_core.h', 'fmu_core.c', f'fmu_{layout.kind}.h', f'fmu_{layout.kind}.c', 'fmi2.c')
+    for part in [*project.headers(values), *(f'fmi/{part}' for part in parts)]:
         project.copy(part, folder)
     project.write_template(
         'cmake/model.h.in', os.path.join(folder, f'{name}.h'), project.words(name, values)
     )
-    c = library.constants()
-    given = values['motion'] in (c['LTS_PRESCRIBED'], c['LTS_DRIVEN'])
     lines = [
         f'/* Generated: what the FMI layer must know of {name}. */',
         f'#include "{name}.h"',
         f'#define FMU_MODEL {name}',
-        f'#define FMU_GUID "{guid(values)}"',
-        f'#define FMU_CONTEXT {values["n_context"]}',
-        f'#define FMU_GIVEN {int(given)}',
+        f'#define FMU_GUID "{guid(values, layout)}"',
+        f'#define FMU_LAYOUT "fmu_{layout.kind}.h"',
+        *layout.lines,
     ]
     with open(os.path.join(folder, 'fmu_model.h'), 'w', encoding='utf-8') as file:
         file.write('\n'.join([*lines, '']))

@@ -113,7 +113,7 @@ def values(field) -> dict:
         'judged_near': soil_field.NEAR,
         'least_soil': soil_field.LEAST_SOIL,
         'apart': soil_field.APART,
-        'bound': field.bounds.get('force', (np.nan,) * 3),
+        'bound': field.bounds.get('force', (-1.0,) * 3),
     }
     channels = {n: c[f'LTS_SOIL_{n.upper()}'] for n in (*sweep.CHANNELS, 'beside')}
     for name, table in tabled._asdict().items():

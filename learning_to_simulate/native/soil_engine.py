@@ -214,6 +214,13 @@ class CEngine(_Instance):
         self._go('propose', pose, dt)
         return self._frame()
 
+    def tangent(self, direction, dt: float, reach: float):
+        """See `engine.TfEngine`."""
+        self.settle()
+        found = np.empty(6)
+        self.call('tangent', None, dt, np.array(direction, np.float64), reach, found)
+        return found
+
     def _go(self, name, pose, dt):
         try:
             self._pose[:] = pose

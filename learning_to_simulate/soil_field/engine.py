@@ -12,7 +12,7 @@ from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, wo
 from learning_to_simulate.soil_field import sweep
 from learning_to_simulate.soil_field.field import APART, LEAST_SOIL
 from learning_to_simulate.soil_field.passage import Passage
-from learning_to_simulate.soil_field.place import Place, checked_pose, place_of
+from learning_to_simulate.soil_field.place import Place, checked_pose, place_of, turned
 
 # A pose that is farther than this from the one before is a jump, m/s and rad/s.
 FASTEST, FASTEST_TURN = 3.0, 20.0
@@ -158,6 +158,24 @@ class TfEngine:
             self._terrain.settle(passage.gone, keep=passage.surroundings()[0])
         self._number += 1
         return frame
+
+    def tangent(self, direction, dt: float, reach: float) -> np.ndarray:
+        """[6]: derivative of force and torque in the coming frame along a direction [6] of its pose
+        from the newest on, a shift (m) and a turn about the axes of the world (rad).
+
+        Args:
+          dt: duration of the coming frame, s.
+          reach: m on either side of the difference; of a turn tenths of a rad per m.
+        """
+        pose, ends = self._frame.pose, []
+        shift, turn = np.reshape(direction, (2, 3))
+        step = reach / (np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
+        for way in (step, -step):
+            frame = self.propose(
+                np.append(pose[:3] + way * shift, turned(pose[3:], way * turn)), dt
+            )
+            ends.append(np.concatenate([frame.force, frame.torque]))
+        return (ends[0] - ends[1]) / (2.0 * step)
 
     def _proposed(self, pose, dt):
         last, pose = self._frame, unit_pose(pose)

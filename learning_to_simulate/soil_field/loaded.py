@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning_to_simulate.soil_field.place import UP
-from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper, turned
+from learning_to_simulate.soil_field.place import UP, turned
+from learning_to_simulate.soil_field.stepper import DT, SoilFrame, SoilStepper
 
 COORDINATES = ('along', 'up', 'lean')
 # Tolerance of a coordinate: m, m, rad; sweeps over all of them.

@@ -98,3 +98,12 @@ def rotation(pose) -> np.ndarray:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def turned(quaternion, rotation) -> np.ndarray:
+    """A quaternion [4] (w, x, y, z) after a further rotation by a vector [3], rad."""
+    angle = np.linalg.norm(rotation)
+    axis = np.asarray(rotation) / max(angle, 1e-300)
+    w, v = np.cos(angle / 2), np.sin(angle / 2) * axis
+    w0, v0 = quaternion[0], np.asarray(quaternion[1:])
+    return np.append(w * w0 - v @ v0, w * v0 + w0 * v + np.cross(v, v0))

@@ -137,26 +137,7 @@ class SoilStepper:
           dt: duration of the coming frame, s.
           reach: m, and rad times 0.1 m, of the differences.
         """
-        place = self.place
-        pose, columns = self.frame.pose, []
-        for way in (place.along, UP, None):
-            ends = []
-            for sign in (1.0, -1.0):
-                there = pose.copy()
-                if way is None:
-                    there[3:] = turned(pose[3:], sign * reach / 0.1 * place.across)
-                else:
-                    there[:3] += sign * reach * way
-                frame = self.propose(there, dt)
-                ends.append(np.concatenate([frame.force, frame.torque]))
-            columns.append((ends[0] - ends[1]) / (2.0 * reach / (0.1 if way is None else 1.0)))
+        place, nowhere = self.place, np.zeros(3)
+        ways = [[place.along, nowhere], [UP, nowhere], [nowhere, place.across]]
+        columns = [self._engine.tangent(np.concatenate(way), dt, reach) for way in ways]
         return np.stack(columns, axis=1)
-
-
-def turned(quaternion, rotation) -> np.ndarray:
-    """A quaternion [4] (w, x, y, z) after a further rotation by a vector [3], rad."""
-    angle = np.linalg.norm(rotation)
-    axis = np.asarray(rotation) / max(angle, 1e-300)
-    w, v = np.cos(angle / 2), np.sin(angle / 2) * axis
-    w0, v0 = quaternion[0], np.asarray(quaternion[1:])
-    return np.append(w * w0 - v @ v0, w * v0 + w0 * v + np.cross(v, v0))

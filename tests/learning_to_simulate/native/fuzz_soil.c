@@ -32,7 +32,7 @@ int main(int argc, char **argv) {
   }
   float *bins = malloc(16 * (size_t)(d.n_bin * d.n_channel) * sizeof *bins), loads[6 * 8], risen[MOST];
   float scalars[16 * 64];
-  double points[3 * MOST], place[9];
+  double points[3 * MOST], place[9], loads6[6];
   lts_pose pose = {{0.0, 0.02, 0.0}, {1.0, 0.0, 0.0, 0.0}};
   long good = 0, bad = 0;
   for (long call = 0; call < atol(argv[2]); ++call) {
@@ -48,7 +48,7 @@ int main(int argc, char **argv) {
     memset(&result, 0, sizeof result);
     result.now.axis = (int)pick(70) - 2;
     result.now.status = (int)pick(50);
-    switch (pick(18)) {
+    switch (pick(21)) {
       case 0:
         code = lts_soil_start(one, maybe(&p), maybe(&result));
         pose = code < 0 ? pose : p;
@@ -85,6 +85,16 @@ int main(int argc, char **argv) {
         } else {
           code = lts_soil_size(model, &other, &ground) ? 0 : -1;
         }
+        break;
+      }
+      case 16: code = lts_soil_tangent(one, maybe(&p), hostile(0.02), maybe(points), hostile(1e-4), maybe(loads6)); break;
+      case 17: {
+        const size_t needed = lts_soil_state_size(one);
+        unsigned char *bytes = malloc(needed);
+        code = lts_soil_save(one, maybe(bytes), needed - pick(2));
+        if (code >= 0) bytes[pick((unsigned)needed)] ^= pick(2) ? 1 : 0;
+        if (code >= 0) code = lts_soil_restore(soil[pick(TOOLS)], bytes, needed - (pick(9) ? 0 : pick((unsigned)needed)));
+        free(bytes);
         break;
       }
       default:

@@ -11,7 +11,8 @@ import pytest
 from learning_to_simulate.native import library, soil_data, soil_engine
 from learning_to_simulate.native.binding import KERNELS
 from learning_to_simulate.soil_field.loaded import LoadedTool
-from learning_to_simulate.soil_field.stepper import SoilStepper, turned
+from learning_to_simulate.soil_field.place import turned
+from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import Blade, Soil, Wheel
 from tests.learning_to_simulate.native import worlds
@@ -273,9 +274,69 @@ def test_a_proposal_changes_nothing_and_clones_go_on_to_the_same_bits():
         assert_frame(frame, tf.step(pose, DT))
     np.testing.assert_array_equal(copied.terrain.heights, c.terrain.heights)
     assert_ground(c, tf)
-    np.testing.assert_allclose(
-        c.stiffness(reach=1e-3), tf.stiffness(reach=1e-3), atol=1e-3 * np.abs(tf.stiffness()).max()
-    )
+    np.testing.assert_array_equal(copied.terrain.heights, c.terrain.heights)
+
+
+def test_stiffness_is_the_difference_of_proposals_and_changes_nothing():
+    c, tf = pair = both(hills())
+    drive(pair, path(30, 0.5), yaw=0.3)
+    pose, place, reach = c.frame.pose, c.place, 1e-3
+    stiff = c.stiffness(DT, reach)
+    np.testing.assert_allclose(stiff, tf.stiffness(DT, reach), atol=1e-3 * np.abs(stiff).max())
+    for column, change in enumerate((place.along, [0.0, 1.0, 0.0], None)):
+        ends = []
+        for sign in (reach, -reach):
+            there = pose.copy()
+            if change is None:
+                there[3:] = turned(pose[3:], sign / 0.1 * place.across)
+            else:
+                there[:3] += sign * np.asarray(change)
+            frame = c.propose(there, DT)
+            ends.append(np.append(frame.force, frame.torque))
+        wanted = (ends[0] - ends[1]) / (2 * reach / (0.1 if change is None else 1.0))
+        np.testing.assert_allclose(stiff[:, column], wanted, rtol=1e-6, atol=1e-3)
+    assert np.abs(stiff).max() > 100
+    aside = c._engine.tangent([0, 0, 0, 0, 2.0, 0], DT, reach)  # all six: twice a turn about up
+    half = tf._engine.tangent([0, 0, 0, 0, 1.0, 0], DT, reach)
+    np.testing.assert_allclose(aside / 2, half, atol=1e-3 * np.abs(stiff).max())
+    assert c.frame.pose is pose
+    with pytest.raises(ValueError):
+        c._engine.tangent(np.zeros(6), DT, reach)
+
+
+def test_bytes_of_an_instance_go_on_to_the_same_bits():
+    for ground in (flat(), hills()):
+        c, _ = both(ground)
+        way = poses(path(60, 0.9))
+        other = SoilStepper(c.field, ground.clone(), BLADE, engine='c')
+        one, two = c._engine, other._engine
+        saved = np.empty(one.call('state_size'), np.uint8)
+        one.call('save', saved, saved.nbytes)
+        c.start(way[0])
+        two.call('restore', saved, saved.nbytes)  # of one that stands nowhere
+        with pytest.raises(ValueError):
+            two.call('newest', np.empty(60))
+        for pose in way[1:30]:
+            c.step(pose, DT)
+        small, saved = saved, np.empty(one.call('state_size'), np.uint8)
+        assert saved.nbytes > small.nbytes + 8000
+        one.call('save', saved, saved.nbytes)
+        heights = ground.seen.copy()
+        frames = [c.step(pose, DT) for pose in way[30:]]
+        for bad in (small[:50], saved[:-1], np.where(np.arange(saved.size) == 3000, 1, saved)):
+            with pytest.raises(ValueError):
+                two.call('restore', np.ascontiguousarray(bad, np.uint8), len(bad))
+        with pytest.raises(ValueError):
+            one.call('save', saved, one.call('state_size') - 1)
+        for engine in (one, two):
+            engine.terrain._heights[:] = heights
+            engine.call('restore', saved, saved.nbytes)
+            for pose, frame in zip(way[30:], frames, strict=True):
+                again = engine.step(pose, DT)
+                np.testing.assert_array_equal(again.force, frame.force)
+                assert again.judgement == frame.judgement
+        two.update()
+        np.testing.assert_array_equal(other.terrain.seen, c.terrain.heights)
 
 
 def test_under_a_load():

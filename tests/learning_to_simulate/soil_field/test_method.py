@@ -161,7 +161,7 @@ def test_a_tool_works_on_a_given_terrain(model, tmp_path):
         (lambda: model.rollout(plane, ground, under_load=True), 'lts.LoadedTool moves others'),
         (lambda: model.scene, 'has no scene'),
         (lambda: model.starts, 'begins on a terrain'),
-        (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'format=c alone'),
+        (lambda: model.export(str(tmp_path / 'x'), lts.Dataset('excavation')), 'format=c and fmu'),
     ):
         with pytest.raises(ValueError, match=message):
             call()

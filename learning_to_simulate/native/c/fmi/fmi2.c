@@ -92,9 +92,9 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
                                             : "the GUID is not that of this FMU");
     return NULL;
   }
-  /* One block: the component, its name, the model. */
-  const size_t length = strlen(name) + 1, size = lts_size(&FMU_MODEL);
-  char *block = (char *)call->allocateMemory(1, sizeof(component) + length + size);
+  /* One block: the component and its name. */
+  const size_t length = strlen(name) + 1;
+  char *block = (char *)call->allocateMemory(1, sizeof(component) + length);
   if (!block) {
     refuse(&probe, "out of memory");
     return NULL;
@@ -104,9 +104,12 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
   c->name = (fmi2String)memcpy(block + sizeof *c, name, length);
   c->logs = logs;
   c->core.warn = warn;
-  const char *wrong = fmu_make(&c->core, block + sizeof *c + length, size);
+  c->core.allocate = call->allocateMemory;
+  c->core.release = call->freeMemory;
+  const char *wrong = fmu_make(&c->core);
   if (wrong) {
     refuse(c, wrong);
+    fmu_free(&c->core);
     call->freeMemory(block);
     return NULL;
   }
@@ -125,7 +128,9 @@ FMI2_EXPORT fmi2Component FMI2(fmi2Instantiate)(fmi2String name, fmi2Type type, 
 
 FMI2_EXPORT void FMI2(fmi2FreeInstance)(fmi2Component instance) {
   component *c = (component *)instance;
-  if (c) c->call.freeMemory(c);
+  if (!c) return;
+  fmu_free(&c->core);
+  c->call.freeMemory(c);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetDebugLogging)(fmi2Component instance, fmi2Boolean on, size_t n,
@@ -148,7 +153,7 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetupExperiment)(fmi2Component instance, fmi2Boo
 
 FMI2_EXPORT fmi2Status FMI2(fmi2EnterInitializationMode)(fmi2Component instance) {
   OPEN(c);
-  return done(c, fmu_initialise(&c->core, c->core.v.time));
+  return done(c, fmu_initialise(&c->core));
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2ExitInitializationMode)(fmi2Component instance) {
@@ -185,21 +190,16 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetReal)(fmi2Component instance, const fmi2Value
 FMI2_EXPORT fmi2Status FMI2(fmi2GetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, fmi2Integer value[]) {
   OPEN_VALUES(c);
-  for (size_t i = 0; i < n; ++i) {
-    if (vr[i]) return refuse(c, "no integer variable of this value reference");
-    value[i] = c->core.v.start;
-  }
-  return fmi2OK;
+  const char *wrong = NULL;
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_integer(&c->core, vr[i], &value[i]);
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetInteger)(fmi2Component instance, const fmi2ValueReference vr[],
                                             size_t n, const fmi2Integer value[]) {
   OPEN_VALUES(c);
   const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) {
-    wrong = vr[i] ? "no integer variable of this value reference"
-                  : fmu_set_start(&c->core, value[i]);
-  }
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_set_integer(&c->core, vr[i], value[i]);
   return done(c, wrong);
 }
 
@@ -207,7 +207,7 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetBoolean)(fmi2Component instance, const fmi2Va
                                             size_t n, fmi2Boolean value[]) {
   OPEN_VALUES(c);
   const char *wrong = NULL;
-  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_status(&c->core, vr[i], &value[i]);
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_boolean(&c->core, vr[i], &value[i]);
   return done(c, wrong);
 }
 
@@ -220,11 +220,9 @@ FMI2_EXPORT fmi2Status FMI2(fmi2SetBoolean)(fmi2Component instance, const fmi2Va
 FMI2_EXPORT fmi2Status FMI2(fmi2GetString)(fmi2Component instance, const fmi2ValueReference vr[],
                                            size_t n, fmi2String value[]) {
   OPEN_VALUES(c);
-  for (size_t i = 0; i < n; ++i) {
-    if (vr[i]) return refuse(c, "no string variable of this value reference");
-    value[i] = fmu_described().digest;
-  }
-  return fmi2OK;
+  const char *wrong = NULL;
+  for (size_t i = 0; i < n && !wrong; ++i) wrong = fmu_get_string(&c->core, vr[i], &value[i]);
+  return done(c, wrong);
 }
 
 FMI2_EXPORT fmi2Status FMI2(fmi2SetString)(fmi2Component instance, const fmi2ValueReference vr[],
@@ -267,7 +265,8 @@ FMI2_EXPORT fmi2Status FMI2(fmi2GetDirectionalDerivative)(
     const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],
     fmi2Real d_unknown[]) {
   OPEN(c);
-  return refuse(c, "no directional derivatives");
+  if (n_unknown && (!unknown || !d_unknown || (n_known && (!known || !d_known)))) return fmi2Error;
+  return done(c, fmu_derivative(&c->core, unknown, n_unknown, known, n_known, d_known, d_unknown));
 }
 
 /* Steps are never pending: a status is asked for in vain, but for the time and the end. */

@@ -1,126 +1,18 @@
-/* The FMU apart from the standard. Inputs are the pose and the velocity of the body at the
- * beginning of a communication step. The model wants the coming pose: the velocity leads to it. */
+/* The life of an FMU. Inputs are the pose and the velocity of each body at the beginning of a communication step. A
+ * model wants the coming pose: the velocity leads to it. */
 #include "fmu_core.h"
 
 #include <math.h>
-#include <stdio.h>
-#include <string.h>
 
-const char *fmu_make(fmu_core *c, void *memory, size_t size) {
-  const int code = lts_init(&FMU_MODEL, memory, size, LTS_BEST, &c->soil);
-  return code < 0 ? lts_error_text(code) : NULL;
-}
-
-lts_description fmu_described(void) {
-  lts_description model;
-  lts_describe(&FMU_MODEL, &model);
-  return model;
-}
-
-static lts_pose pose_of(const fmu_core *c) {
-  lts_pose pose;
-  memcpy(pose.position, c->v.real + VR_POSITION, sizeof pose.position);
-  memcpy(pose.rotation, c->v.real + VR_ROTATION, sizeof pose.rotation);
-  return pose;
-}
-
-static lts_twist twist_of(const fmu_core *c) {
-  lts_twist twist;
-  memcpy(twist.linear, c->v.real + VR_LINEAR, sizeof twist.linear);
-  memcpy(twist.angular, c->v.real + VR_ANGULAR, sizeof twist.angular);
-  return twist;
-}
-
-/* Force along the travel, across the up axis; 0 at rest. */
-static double drawbar_of(const double *linear, const double *force, int up) {
-  double along = 0.0, square = 0.0;
-  for (int i = 0; i < 3; ++i) {
-    if (i == up) continue;
-    along += linear[i] * force[i];
-    square += linear[i] * linear[i];
-  }
-  return square > 0.0 ? along / sqrt(square) : 0.0;
-}
-
-static void take(fmu_core *c, const lts_result *answer) {
-  double *real = c->v.real;
-  const int up = fmu_described().up_axis;
-  memcpy(real + VR_POINT, answer->point, sizeof answer->point);
-  memcpy(real + VR_FORCE, answer->force, sizeof answer->force);
-  real[VR_SINKAGE] = c->v.first_height - answer->point[up];
-  real[VR_DRAWBAR] = drawbar_of(real + VR_LINEAR, answer->force, up);
-}
-
-/* Says once when a kind of status begins, and why where it is what the frame is judged by. */
-static void tell(fmu_core *c, int status, int frame) {
-  static const char *const texts[FMU_STATUS_BITS] = {
-      "the context lies outside the training runs",
-      "the start lies outside the training runs",
-      "the pose lies outside the training runs",
-      "the speed lies outside the training runs",
-      "the soil left the bounds of the training runs",
-      "a position or force is not finite"};
-  char text[320], why[200] = "";
-  lts_judgement judged = {0};
-  if (status) lts_judge(c->soil, &judged);
-  if (status) lts_reason(c->soil, why, sizeof why);
-  for (int i = 0; i < FMU_STATUS_BITS; ++i) {
-    if (!((status & ~c->v.told) >> i & 1)) continue;
-    snprintf(text, sizeof text, "frame %d: %s", frame, texts[i]);
-    const size_t n = strlen(text);
-    if (judged.status >> i & 1) snprintf(text + n, sizeof text - n, ": %s", why);
-    c->warn(c, text);
-  }
-  c->v.told |= status;
-}
-
-/* Goes on by h s from the current values. Frames stay whole: see lts_advance. */
-static int go_on(fmu_core *c, double h, lts_result *answer) {
-  const lts_pose pose = pose_of(c);
-  const lts_twist twist = twist_of(c);
-  return lts_advance(c->soil, h, FMU_GIVEN ? &pose : NULL, FMU_GIVEN ? &twist : NULL, answer);
-}
-
-/* Starts the model from the current values, once they have changed. */
-static const char *begin(fmu_core *c) {
-  if (c->v.begun) return NULL;
-  const lts_pose pose = pose_of(c);
-  const lts_twist twist = twist_of(c);
-  lts_result answer;
-  int status = lts_start(c->soil, c->v.start, &pose, &twist, c->v.real + VR_CONTEXT);
-  if (status >= 0) status = go_on(c, 0.0, &answer);
-  if (status < 0) return lts_error_text(status);
-  c->v.first_height = answer.point[fmu_described().up_axis];
-  c->v.told = 0;
-  take(c, &answer);
-  tell(c, status, 0);
-  c->v.begun = 1;
-  return NULL;
-}
-
-void fmu_defaults(fmu_core *c) {
-  memset(&c->v, 0, sizeof c->v);
-  double *real = c->v.real;
-  lts_pose pose;
-  lts_start_pose(&FMU_MODEL, 0, &pose);
-  memcpy(real + VR_POSITION, pose.position, sizeof pose.position);
-  memcpy(real + VR_ROTATION, pose.rotation, sizeof pose.rotation);
-  real[VR_FRAME_TIME] = fmu_described().dt;
-  lts_start_context(&FMU_MODEL, 0, real + VR_CONTEXT);
-  memcpy(real + VR_POINT, real + VR_POSITION, 3 * sizeof(double));
-  c->v.start = -1;
-}
-
-const char *fmu_initialise(fmu_core *c, double time) {
+const char *fmu_initialise(fmu_core *c) {
   if (c->v.now != FMU_CREATED) return "the initialisation is entered twice";
   c->v.now = FMU_INITIALISING;
-  c->v.time = time;
   return NULL;
 }
 
 const char *fmu_start_stepping(fmu_core *c) {
   if (c->v.now != FMU_INITIALISING) return "the initialisation is left out of turn";
-  const char *wrong = begin(c);
+  const char *wrong = fmu_begin(c);
   if (!wrong) c->v.now = FMU_STEPPING;
   return wrong;
 }
@@ -128,73 +20,12 @@ const char *fmu_start_stepping(fmu_core *c) {
 const char *fmu_step(fmu_core *c, double time, double h) {
   if (c->v.now != FMU_STEPPING) return "a step before the end of the initialisation";
   if (!(h > 0.0) || !isfinite(time)) return "the step has no positive length";
-  lts_result answer;
-  const int status = go_on(c, h, &answer);
-  if (status < 0) return lts_error_text(status);
-  c->v.time = time + h;
-  take(c, &answer);
-  tell(c, status, answer.frame);
-  return status & LTS_NON_FINITE ? "the soil has left all numbers" : NULL;
-}
-
-const char *fmu_get_reals(fmu_core *c, const unsigned *vr, size_t n, double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    if (vr[i] >= N_REAL) return "no real variable of this value reference";
-    if (c->v.now == FMU_INITIALISING && vr[i] >= VR_POINT && vr[i] < VR_FRAME_TIME) {
-      const char *wrong = begin(c);
-      if (wrong) return wrong;
-    }
-    value[i] = c->v.real[vr[i]];
-  }
-  return NULL;
-}
-
-const char *fmu_set_reals(fmu_core *c, const unsigned *vr, size_t n, const double *value) {
-  for (size_t i = 0; i < n; ++i) {
-    const int is_context = vr[i] >= VR_CONTEXT && vr[i] < N_REAL;
-    if (vr[i] >= VR_POINT && !is_context) return "this real variable cannot be set";
-    if (is_context && c->v.now >= FMU_STEPPING) {
-      return "a fixed parameter is set after the initialisation";
-    }
-    if (!isfinite(value[i])) return "an input or parameter is not finite";
-  }
-  for (size_t i = 0; i < n; ++i) c->v.real[vr[i]] = value[i];
-  if (c->v.now < FMU_STEPPING) c->v.begun = 0;
-  return NULL;
-}
-
-const char *fmu_set_start(fmu_core *c, int start) {
-  if (c->v.now >= FMU_STEPPING) return "a fixed parameter is set after the initialisation";
-  if (start < -1 || start >= fmu_described().n_start) return "the model has no such start";
-  c->v.start = start;
-  c->v.begun = 0;
-  return NULL;
-}
-
-const char *fmu_status(fmu_core *c, unsigned which, int *value) {
-  static const int bits[N_BOOLEAN] = {0, LTS_EXTRAPOLATING, LTS_LEFT_BOUNDS, LTS_NON_FINITE};
-  if (which >= N_BOOLEAN) return "no Boolean variable of this value reference";
-  const char *wrong = c->v.now == FMU_INITIALISING ? begin(c) : NULL;
-  *value = which ? (c->v.told & bits[which]) != 0 : !c->v.told;
+  const char *wrong = fmu_go(c, h);
+  if (!wrong) c->v.time = time + h;
   return wrong;
 }
 
-size_t fmu_state_size(const fmu_core *c) {
-  return sizeof c->v + lts_state_size(&FMU_MODEL);
-}
-
-const char *fmu_write_state(fmu_core *c, void *bytes) {
-  memcpy(bytes, &c->v, sizeof c->v);
-  const size_t size = fmu_state_size(c) - sizeof c->v;
-  const int code = lts_save(c->soil, (char *)bytes + sizeof c->v, size);
-  return code < 0 ? lts_error_text(code) : NULL;
-}
-
-const char *fmu_read_state(fmu_core *c, const void *bytes, size_t size) {
-  if (size <= sizeof c->v) return "the bytes are no state of this FMU";
-  const int code = lts_load(c->soil, (const char *)bytes + sizeof c->v, size - sizeof c->v);
-  if (code < 0) return lts_error_text(code);
-  memcpy(&c->v, bytes, sizeof c->v);
-  if (c->v.start < -1) c->v.start = -1; /* of forged bytes; the model refuses what is too large */
-  return NULL;
+const char *fmu_check_set(const fmu_core *c, int is_parameter, double value) {
+  if (is_parameter && c->v.now >= FMU_STEPPING) return "a fixed parameter is set after the initialisation";
+  return isfinite(value) ? NULL : "an input or parameter is not finite";
 }

@@ -110,6 +110,12 @@ LTS_API int lts_soil_newest(const lts_soil *soil, lts_soil_result *result);
 LTS_API int lts_soil_reason(const lts_soil *soil, const lts_judgement *judgement, char *text,
                             size_t size);
 
+/* How force and torque [6] answer to where the tool goes next: their derivative along a direction [6], a shift (m)
+ * and a turn about the axes of the world (rad), of the pose that it reaches within dt s; null: where it is now. From
+ * the frames at `reach` m (of a turn tenths of a rad per m) on either side; nothing changes. */
+LTS_API int lts_soil_tangent(lts_soil *soil, const lts_pose *pose, double dt, const double *direction, double reach,
+                             double *out);
+
 /* Whether a step to a pose reads heights, 0 or 1: bins move on, or a new passage begins. Of an anchor it is a good
  * moment to begin a new one. */
 LTS_API int lts_soil_reads(const lts_soil *soil, const lts_pose *pose);
@@ -122,6 +128,8 @@ LTS_API int lts_soil_footprint(const lts_soil *soil, double *out);
 
 /* Writes what tools have done into the heights; heights are as all tools have left them then. */
 LTS_API int lts_terrain_update(lts_terrain *terrain);
+/* Height (m) at a place, between the middles of cells; beyond the map that of its edge. */
+LTS_API double lts_terrain_at(const lts_terrain *terrain, double x, double z);
 
 /* Particles. An anchor is a passage that leaves the terrain alone: `displacement` tells how far particles have moved
  * since. set_down: whether the tool comes from above; else it stands in soil that it has not moved. */
@@ -143,6 +151,12 @@ LTS_API int lts_soil_rise(lts_soil *soil, const double *places, size_t n, float 
 /* Gives `to` the state of `from`: one of the same model and tool, on a terrain of the same cells that has the
  * content of the other. */
 LTS_API int lts_soil_clone(lts_soil *to, const lts_soil *from);
+
+/* Saves and restores an instance of the same model and tool, on a terrain of the same cells; heights are the
+ * caller's to save and to restore. The size grows where the ground becomes uneven. LTS_ERROR_STATE: other bytes. */
+LTS_API size_t lts_soil_state_size(const lts_soil *soil);
+LTS_API int lts_soil_save(const lts_soil *soil, void *bytes, size_t size);
+LTS_API int lts_soil_restore(lts_soil *soil, const void *bytes, size_t size);
 
 #ifdef __cplusplus
 }

@@ -177,7 +177,7 @@ int lts_write_state(uint32_t magic, const char *digest, const void *state, size_
   if (size < LTS_HEADER_SIZE + n) return LTS_ERROR_MEMORY;
   const saved header = header_of(magic, digest, state, n);
   memcpy(bytes, &header, sizeof header);
-  memcpy((char *)bytes + LTS_HEADER_SIZE, state, n);
+  memmove((char *)bytes + LTS_HEADER_SIZE, state, n); /* it may lie there already */
   return LTS_OK;
 }
 

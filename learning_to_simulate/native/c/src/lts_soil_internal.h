@@ -101,10 +101,9 @@ void lts_place_vector(const lts_place *place, const double vector[3], double out
 /* Lean, yaw and roll, rad. */
 void lts_place_turns(const lts_place *place, const lts_pose *pose, double out[3]);
 
-/* lts_soil_terrain.c: the height at a place of the world, bilinear; the distance to the wall; the mean height of a
+/* lts_soil_terrain.c: the distance to the wall; the mean height of a
  * strip at u; whether a terrain can be one. */
 int lts_terrain_usable(const lts_terrain *terrain);
-double lts_terrain_at(const lts_terrain *terrain, double x, double z);
 double lts_terrain_ahead(const lts_terrain *terrain, const lts_place *place, double u);
 double lts_soil_read(const lts_soil *soil, const lts_terrain *terrain, const lts_place *place, int n_strip,
                      int strip, double u);

@@ -76,7 +76,7 @@ struct lts_soil_model {
   const double *limits, *middle;
   const int32_t *bits;
   double judged_here, judged_near, least_soil, apart;
-  double bound[3]; /* of the force: a constant (N of the field), of the spread, of the size; not a number: none */
+  double bound[3]; /* of the force: a constant (N of the field), of the spread, of the size; below 0: none */
 };
 
 #endif

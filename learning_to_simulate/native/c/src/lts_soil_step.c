@@ -157,7 +157,7 @@ static void answer(lts_soil *soil, const lts_passage *p, const lts_pose *pose, c
   const double *weights = soil->model->bound, *spread = out->spread;
   const double apart = sqrt(spread[0] * spread[0] + spread[1] * spread[1] + spread[2] * spread[2]);
   const double size = sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
-  out->bound = members < soil->model->n_member
+  out->bound = members < soil->model->n_member || weights[0] < 0.0
                    ? NAN
                    : weights[0] * soil->units[0] + weights[1] * apart + weights[2] * size;
   lts_place_vector(&p->s.place, mean, out->force);
@@ -308,6 +308,36 @@ int lts_soil_propose(lts_soil *soil, const lts_pose *pose, double dt, lts_soil_r
   soil->seen = NULL; /* the next trial takes the same place */
   if (result) *result = found;
   return found.status;
+}
+
+int lts_soil_tangent(lts_soil *soil, const lts_pose *pose, double dt, const double *direction, double reach,
+                     double *out) {
+  LTS_TRY(lts_soil_check_started(soil));
+  if (!direction || !out) return LTS_ERROR_NULL;
+  const lts_pose from = pose ? *pose : soil->pose;
+  lts_pose unit, there;
+  lts_twist way;
+  double shift = 0.0, turn = 0.0;
+  if (!lts_soil_unit_pose(&from, &unit)) return LTS_ERROR_VALUE;
+  for (int i = 0; i < 3; ++i) {
+    way.linear[i] = direction[i];
+    way.angular[i] = direction[3 + i];
+    shift = hypot(shift, direction[i]);
+    turn = hypot(turn, direction[3 + i]);
+  }
+  const double step = reach / (shift + 0.1 * turn);
+  if (!(step > 0.0 && isfinite(step))) return LTS_ERROR_VALUE;
+  lts_soil_result ends[2];
+  for (int end = 0; end < 2; ++end) {
+    lts_moved_pose(&unit, &way, end ? -step : step, &there);
+    LTS_TRY(lts_soil_propose(soil, &there, dt, &ends[end]));
+  }
+  for (int i = 0; i < 6; ++i) {
+    const double high = i < 3 ? ends[0].force[i] : ends[0].torque[i - 3];
+    const double low = i < 3 ? ends[1].force[i] : ends[1].torque[i - 3];
+    out[i] = (high - low) / (2.0 * step);
+  }
+  return LTS_OK;
 }
 
 int lts_soil_newest(const lts_soil *soil, lts_soil_result *result) {
