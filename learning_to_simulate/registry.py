@@ -70,6 +70,7 @@ class TrainOptions:
     save_every: int | None = None  # steps between checkpoints; None for a tenth of all
     take_over_lock: bool = False  # that a process of another machine left
     raw_path: str | None = None  # raw runs, for models on particles; None to decode the records
+    initial_weights: str | None = None  # folder of a soil field that another one starts from
 
 
 _SUBSPACE = 'learning_to_simulate.subspace.method'
@@ -123,6 +124,8 @@ def train(data_path: str, model_path: str, config, **options) -> dict:
     """
     method, how = METHODS[config.model], TrainOptions(**options)
     method.check_raw_path(how.raw_path)
+    if how.initial_weights and not method.on_terrain:
+        raise ValueError(f'--initial_weights is for a soil field, not for {config.model}')
     return method.load_code().train(data_path, model_path, config, how)
 
 

@@ -35,7 +35,7 @@ model, and one that contradicts them is refused.
 import tqdm
 from absl import flags
 
-from learning_to_simulate import checkpoints, command, presets, registry
+from learning_to_simulate import checkpoints, command, presets, registry, shipped
 from pca_tools import files
 
 flags.DEFINE_enum(
@@ -66,6 +66,9 @@ _RIGID_MOTION = flags.DEFINE_string(
 )
 _SAVE_EVERY = flags.DEFINE_integer(
     'save_every', None, 'Steps between checkpoints; default: a tenth of all steps.', 1
+)
+_INITIAL_WEIGHTS = flags.DEFINE_string(
+    'initial_weights', None, 'Soil field (folder, or a shipped one) that a soil field starts from.'
 )
 _TAKE_OVER_LOCK = flags.DEFINE_bool(
     'take_over_lock',
@@ -193,6 +196,7 @@ def run(values) -> None:
         command.writable_folder(_OUTPUT_PATH.value)
     command.import_tensorflow(values.num_threads)
     if values.mode == 'train':
+        first = _INITIAL_WEIGHTS.value
         registry.train(
             _DATA_PATH.value,
             _MODEL_PATH.value,
@@ -201,6 +205,7 @@ def run(values) -> None:
             save_every=_SAVE_EVERY.value,
             take_over_lock=_TAKE_OVER_LOCK.value,
             raw_path=_RAW_PATH.value,
+            initial_weights=first and shipped.find(first, 'models'),
         )
     elif values.mode == 'eval':
         _evaluate_one_step(overrides)

@@ -41,6 +41,10 @@ def train(data_path, model_path, config, options) -> dict:
         'path': data_path,
         'sha256': [checkpoints.digests(folder, _LEARNED) for folder in folders],
     }
+    first = None
+    if options.initial_weights:
+        first = load(options.initial_weights)
+        data['initial_weights'] = checkpoints.folder_digest(options.initial_weights)
     parts = {'config': dataclasses.asdict(config), 'data': data}
     own = METRICS, checkpoints.WEIGHTS_FILE, TRAINING
     with folder_lock.locked(model_path, options.take_over_lock):
@@ -49,7 +53,7 @@ def train(data_path, model_path, config, options) -> dict:
             valid = _read(folders, 'valid', is_needed=False)
             runs = _read(folders, 'train')
             tool = one_tool(runs + valid, data_path)
-            made = training.make_field(config, tool)
+            made = training.make_field(config, tool, first=first)
             print(f'{config.preset}: {len(runs)} runs of a {tool}, three networks')
             pools = training.parts_of(made, runs, _bar('samples'))
             with StopSignals() as saved.stop:

@@ -22,10 +22,32 @@ COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
-def make_field(config: SoilFieldConfig, tool_name: str, hidden=None) -> SoilField:
-    """A field with fresh networks, of some hidden layers, for tools of a name."""
+def make_field(
+    config: SoilFieldConfig, tool_name: str, hidden=None, first: SoilField | None = None
+) -> SoilField:
+    """A field for tools of a name, with fresh networks of some hidden layers, or those of another
+    field to start from.
+
+    Raises:
+      ValueError: that field is of other tools, or of another number of members.
+    """
     tool = TOOLS[tool_name]
-    return SoilField(config, network.SoilNetworks(tool, config.members, config.seed, hidden))
+    if first is not None:
+        known = first.networks
+        if (known.tool, known.members) != (tool, config.members):
+            raise ValueError(
+                f'the initial weights are of {known.members} members for a {known.tool.name}, '
+                f'those of {config.members} for a {tool_name} were expected'
+            )
+        hidden = known.hidden
+    networks = network.SoilNetworks(tool, config.members, config.seed, hidden)
+    if first is not None:
+        for name in network.HIDDEN:
+            variables = getattr(networks, name).trainable_variables
+            known_ones = getattr(first.networks, name).trainable_variables
+            for variable, value in zip(variables, known_ones, strict=True):
+                variable.assign(value)
+    return SoilField(config, networks)
 
 
 def parts_of(field: SoilField, runs: list[Run], progress=iter) -> dict[str, list]:

@@ -80,6 +80,17 @@ def test_a_killed_training_goes_on_to_the_same_weights(model, folders, tmp_path,
     assert same(path, model.path) and not (tmp_path / 'killed' / 'training.npz').exists()
 
 
+def test_a_training_goes_on_from_the_same_first_weights_alone(model, folders, tmp_path):
+    path, own = str(tmp_path / 'next'), registry.train
+    made = own(folders[0], path, model.config, initial_weights=model.path)
+    assert made['training'] and not same(path, model.path)
+    assert own(folders[0], path, model.config, initial_weights=model.path) == made
+    with pytest.raises(ValueError, match='initial_weights'):
+        own(folders[0], path, model.config, initial_weights=path)
+    with pytest.raises(ValueError, match='for a soil field, not for mlp'):
+        own(folders[0], path, lts.preset('mlp'), initial_weights=model.path)
+
+
 def test_a_signal_ends_a_training_after_the_step_at_hand(model, folders, tmp_path):
     saved = method.Saved(str(tmp_path), {}, every=100)
 

@@ -1,5 +1,7 @@
 """Training on a soil whose law is known: what is learned holds on a path that was not seen."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,20 @@ def test_two_trainings_are_equal_and_bad_ones_refused():
     pools['load'][0].target[:] = np.nan
     with pytest.raises(ValueError, match='loss of the load is nan at step 0'):
         training.fit(field, pools, progress=False)
+
+
+def test_a_training_that_starts_from_another_field():
+    first, _, pools = worlds.trained()
+    frames, _, _ = samples.frames_of(worlds.run(17))
+    other = training.make_field(worlds.CONFIG, 'blade', first=first)
+    assert (other.loads(frames) == first.loads(frames)).all()
+    before = first.networks.load.layers[0][0].numpy().copy()
+    config = dataclasses.replace(worlds.CONFIG, num_steps=1, learning_rate=1e-4)
+    near = training.make_field(config, 'blade', first=first)
+    training.fit(near, pools, progress=False)
+    moved = np.abs(near.networks.load.layers[0][0].numpy() - before).max()
+    assert 0 < moved < 1.01e-4  # a step of Adam
+    assert (first.networks.load.layers[0][0].numpy() == before).all()
+    for other, tool in ((dataclasses.replace(config, members=1), 'blade'), (config, 'wheel')):
+        with pytest.raises(ValueError, match='initial weights are of 2 members for a blade'):
+            training.make_field(other, tool, first=first)
