@@ -32,6 +32,7 @@ COMMANDS = {
         [],
         'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
     ),
+    'new-tool': ('mpm.new_tool', [], 'a model of a tool of your own, from its outline to C'),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),
     'import': ('pca_tools.import_data', [], "raw runs from other projects' data"),
     'export-data': ('pca_tools.export_data', [], 'a dataset or rollouts in their formats'),

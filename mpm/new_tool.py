@@ -1,0 +1,248 @@
+"""A model of a tool of one's own, from its outline to C, in one command.
+
+Examples:
+    lts new-tool bucket.json --output_path=bucket
+    lts new-tool bucket.json --output_path=bucket --runs=48 --num_processes=16
+    lts new-tool bucket.json --output_path=/shared/bucket --cluster=slurm:48
+
+The outline is that of `mpm/bodies.py`. Runs of the solver with that tool (`mpm.generate`) become a
+dataset (`pca_tools.convert`); a soil field is trained on it, from the weights of a shipped one, and
+judged beside that one on runs that were kept back; then it is written as a C project and a page.
+
+    raw/  data/  model/  judged/  judged_as_it_is/  c/  page.html  new_tool.json
+
+Each step is a command of its own, that goes on where it stopped: so does this one, given again.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from absl import flags
+
+from mpm import bodies, run, scenes
+from mpm.motions import catalogue
+from mpm.simulation import Settings
+from pca_tools import command, files
+from pca_tools.storage.folder_lock import locked
+
+FIRST_SEED = 9000  # nobody has seen these (`splits.RUNS`)
+KINDS = {'excavation': 'smooth,stops,reverse,lift', 'wheel': 'slip,stops,reverse,load'}
+WIDE = 0.5  # m; wider tools need the wide bin
+STATE = 'new_tool.json'
+ERRORS = ('soil_mm', 'force_relative_l2')
+
+
+class Work:
+    """A tool's folder, and what was done in it.
+
+    Args:
+        path: folder, made if absent.
+        asked: what the model is made of, JSON-compatible.
+
+    Raises:
+        ValueError: a folder of something else, or of another tool or other settings.
+    """
+
+    def __init__(self, path: str, asked: dict):
+        self.path, self._file = path, os.path.join(path, STATE)
+        self.state: dict = {'asked': asked, 'seconds': {}}
+        if os.path.exists(self._file):
+            self.state = files.read_json(self._file)
+            # JSON may write a number in another way.
+            there, now = self.state.get('asked', {}), json.loads(json.dumps(asked))
+            other = sorted(name for name in now if there.get(name) != now[name])
+            if other:
+                raise ValueError(
+                    f'{path}: was begun with another {", ".join(other)}; give another '
+                    f'--output_path (its raw/ may be copied there to keep the runs)'
+                )
+        elif os.path.isdir(path) and set(os.listdir(path)) - {'raw'}:
+            raise ValueError(f'{path}: holds something else; give another --output_path')
+        os.makedirs(path, exist_ok=True)
+        self.save()
+
+    def save(self) -> None:
+        """Writes the state."""
+        files.write_json(self._file, self.state)
+
+    def at(self, *names: str) -> str:
+        """The path of something in the folder."""
+        return os.path.join(self.path, *names)
+
+    def do(self, step: str, module: str, *arguments: str) -> None:
+        """Runs a command to its end; its time is kept, of a part as well.
+
+        Raises:
+            ValueError: it failed; it has said why.
+            SystemExit: this program was told to end; so was the command.
+        """
+        print(f'--- {step}: python -m {module} {" ".join(arguments)}', flush=True)
+        started = time.monotonic()
+        # It ends with this process, however that one ends: it would hold its folder. In a session
+        # of its own, so that Ctrl-C comes to it once.
+        parent = [sys.executable, '-m', 'pca_tools.storage.parent', str(os.getpid())]
+        child = subprocess.Popen([*parent, module, *arguments], start_new_session=True)
+        told: list[int] = []
+
+        def end(number, _):
+            told.append(number)
+            child.send_signal(number)
+
+        before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            code = child.wait()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            seconds = self.state['seconds']
+            seconds[step] = seconds.get(step, 0.0) + time.monotonic() - started
+            self.save()
+        if told:
+            print('stopped; the same command goes on', flush=True)
+            raise SystemExit(128 + told[0])
+        if code:
+            raise ValueError(f'{step} failed, see above; the same command goes on from there')
+
+
+def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
+    """The scene, the kinds and the ids of the runs of a tool, all checked.
+
+    Raises:
+        ValueError: a tool that does not fit into its bin.
+    """
+    scene = scenes.SCENES['wheel' if 'radius' in tool else 'excavation']
+    is_wide = scene.name == 'excavation' and tool['width'] > WIDE
+    kinds = 'tools' if is_wide else KINDS[scene.name]
+    cases = catalogue.select_seeds(scene, f'{FIRST_SEED}-{FIRST_SEED + count - 1}', kinds)
+    box = catalogue.in_bin(scene, catalogue.bin_name(scene, cases[0]))
+    for case in cases:
+        run.prepared(box, case, Settings(), tool)
+    return scene, kinds, list(cases)
+
+
+def errors(metrics: dict) -> str:
+    """What a `metrics.json` says of soil and force, in words."""
+    soil, force = (metrics['mean']['model'].get(name) for name in ERRORS)
+    if soil is None or force is None:
+        return 'refused some of them'
+    return f'soil {soil:.2f} mm, force {force:.3f}'
+
+
+def duration(seconds: float) -> str:
+    """Hours and minutes."""
+    minutes = round(seconds / 60)
+    return f'{minutes // 60} h {minutes % 60} min' if minutes >= 60 else f'{minutes} min'
+
+
+def verdict(work: Work, kept: int, where: str) -> str:
+    """The last line: errors on the runs kept back, those of the shipped model, time."""
+    own, usual = (
+        errors(files.read_json(work.at(folder, 'metrics.json')))
+        for folder in ('judged', 'judged_as_it_is')
+    )
+    time_taken = duration(sum(work.state['seconds'].values()))
+    page = '' if os.path.exists(work.at('page.html')) else '; no page'
+    return (
+        f'{own} on {kept} runs kept back; shipped model as it is: {usual}; {time_taken} on '
+        f'{where}{page}'
+    )
+
+
+def main(values, arguments) -> None:
+    """Runs the command."""
+    if len(arguments) != 1:
+        raise ValueError('one JSON file of a tool was expected (mpm/README.md)')
+    tool, count, kept = bodies.read_tool(arguments[0]), values.runs, values.kept
+    kept = kept or max(count // 6, 1)
+    if count - kept < 1:
+        raise ValueError(f'of {count} runs {kept} are kept back: none is left to learn from')
+    scene, kinds, cases = planned(tool, count)
+    first = folder_of(values.initial_weights or scene.name)
+    asked = {
+        'tool': tool, 'runs': count, 'kept': kept, 'kinds': kinds, 'initial_weights': first,
+        'num_steps': values.num_steps, 'learning_rate': values.learning_rate,
+    }  # fmt: skip
+    lts = 'learning_to_simulate.'
+    work = Work(values.output_path, asked)
+    with locked(work.path):
+        tool_file = work.at('tool.json')
+        files.write_json(tool_file, tool)
+        data, model = f'--data_path={work.at("data")}', f'--model_path={work.at("model")}'
+        inside = catalogue.bin_name(scene, cases[0])
+        raw = work.at('raw', *filter(None, [inside]))
+        work.do(
+            '1 of 6, runs of the solver', 'mpm.generate', f'--scene={scene.name}',
+            f'--operator_seeds={FIRST_SEED}-{FIRST_SEED + count - 1}', f'--kinds={kinds}',
+            f'--tool={tool_file}', f'--output_path={work.at("raw")}',
+            f'--num_processes={values.num_processes}', f'--cluster={values.cluster}',
+        )  # fmt: skip
+        if not os.path.exists(work.at('data', 'metadata.json')):
+            # Runs of all kinds are kept back; some are for validation where there are enough.
+            held, valid = cases[-kept:], 1 / count if count >= 8 else 0.0
+            share = kept / count
+            work.do(
+                '2 of 6, dataset', 'pca_tools.convert', f'--raw_path={raw}',
+                f'--output_path={work.at("data")}', f'--hold_out={",".join(held)}',
+                f'--split={1 - share - valid!r},{valid!r},{share!r}', '--frame_stride=4',
+            )  # fmt: skip
+        if not os.path.exists(work.at('model', 'config.json')):
+            work.do(
+                '3 of 6, training', lts + 'train', '--model=soil_field', data, model,
+                f'--initial_weights={first}', f'--num_steps={values.num_steps}',
+                f'--set=learning_rate={values.learning_rate}',
+            )  # fmt: skip
+        for name, of in (('judged', model), ('judged_as_it_is', f'--model_path={first}')):
+            if not os.path.exists(work.at(name, 'metrics.json')):
+                work.do(
+                    f'4 of 6, runs kept back, {name}', lts + 'train', '--mode=eval_rollout', data,
+                    of, f'--output_path={work.at(name)}',
+                )  # fmt: skip
+        for number, kind, name, last in (
+            (5, 'c', 'c', 'c/export.json'), (6, 'page', 'page.html', 'page.html'),
+        ):  # fmt: skip
+            if os.path.exists(work.at(last)):
+                continue
+            shutil.rmtree(work.at(name), ignore_errors=True)  # what a killed step left
+            try:
+                work.do(
+                    f'{number} of 6, {kind}', lts + 'export', f'--format={kind}', data, model,
+                    f'--output_path={work.at(name)}',
+                )  # fmt: skip
+            except ValueError:
+                if kind != 'page':  # which needs a compiler for WebAssembly
+                    raise
+        where = values.cluster or f'{values.num_processes} processes'
+        work.state['verdict'] = verdict(work, kept, where)
+        work.save()
+    print(work.state['verdict'])
+
+
+def folder_of(model: str) -> str:
+    """The folder of a model that is named by its path, or by its name among those that ship.
+
+    Raises:
+        ValueError: there is none.
+    """
+    code = 'import sys; from learning_to_simulate import shipped as s; print(s.find(*sys.argv[1:]))'
+    command_line = [sys.executable, '-c', code, model, 'models']
+    done = subprocess.run(command_line, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValueError(done.stderr.strip().splitlines()[-1].partition(': ')[2])
+    return done.stdout.strip()
+
+
+if __name__ == '__main__':
+    flags.DEFINE_string('output_path', None, 'Folder of all that is made.', required=True)
+    flags.DEFINE_integer('runs', 24, 'Runs of the solver, about two minutes of one core each.', 2)
+    flags.DEFINE_integer('kept', None, 'Of them, kept back to judge; default: a sixth.', 1)
+    flags.DEFINE_string('initial_weights', None, 'Model to start from; default: the shipped one.')
+    flags.DEFINE_integer('num_steps', 2000, 'Training steps of each network.', 1)
+    flags.DEFINE_float('learning_rate', 1e-3, 'The first one.')
+    flags.DEFINE_integer('num_processes', 2, 'Runs of the solver at a time.', 1)
+    flags.DEFINE_string('cluster', '', 'Where runs are made: local:4, slurm:64, tcp://host:port.')
+    command.start(main, n_argument=1)

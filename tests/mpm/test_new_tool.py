@@ -1,0 +1,118 @@
+"""A model of a tool of one's own: what is refused before any work, and the whole way on a coarse
+grid, with a kill in between."""
+
+import json
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from mpm import batch, bodies, new_tool
+from mpm.simulation import Settings
+from tests.mpm import small
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+SCOOP = {
+    'name': 'bucket', 'edge_radius': 0.004, 'width': 0.35,
+    'outline': [[0, 0], [0.16, 0.01], [0.2, 0.06], [0.2, 0.17], [0.176, 0.17], [0.176, 0.07],
+                [0.148, 0.036], [0.02, 0.018]],
+}  # fmt: skip
+
+
+def started(tool, out, *more, **options):
+    command = [sys.executable, '-m', 'learning_to_simulate.cli', 'new-tool', str(tool)]
+    return subprocess.Popen(
+        [*command, f'--output_path={out}', *more], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    'changed, more, words',
+    [
+        ({'outline': [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]}, (), 'crosses itself'),
+        ({'width': 1.19}, (), 'does not fit|none of 200 motions'),
+        ({'colour': 'red'}, (), r"unknown entries \['colour'\]"),
+        ({}, ('--runs=2', '--kept=2'), 'none is left to learn from'),
+        ({}, ('--initial_weights=none_such',), 'none_such: no folder with a config.json'),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_refused_before_any_work(tmp_path, changed, more, words):
+    tool = tmp_path / 'tool.json'
+    tool.write_text(json.dumps(SCOOP | changed))
+    _, error = started(tool, tmp_path / 'out', *more).communicate()
+    assert re.search(f'^error: .*({words})', error), error
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_folder_belongs_to_one_tool(tmp_path):
+    (tmp_path / 'raw').mkdir()
+    asked = {'tool': SCOOP, 'runs': 4, 'learning_rate': 1e-3}
+    new_tool.Work(str(tmp_path), asked)
+    new_tool.Work(str(tmp_path), asked)
+    with pytest.raises(ValueError, match='with another runs; give another'):
+        new_tool.Work(str(tmp_path), asked | {'runs': 5})
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'letter.txt').write_text('')
+    with pytest.raises(ValueError, match='holds something else'):
+        new_tool.Work(str(tmp_path / 'other'), asked)
+
+
+def test_the_bin_fits_the_tool():
+    tool = bodies.check_tool(SCOOP)
+    cases = ['smooth_9000', 'stops_9001']
+    assert new_tool.planned(tool, 2)[1:] == ('smooth,stops,reverse,lift', cases)
+    wide = bodies.check_tool(SCOOP | {'width': 0.55})
+    assert new_tool.planned(wide, 1)[1:] == ('tools', ['tools_9000'])
+    wheel = bodies.check_tool({'name': 'wheel', 'radius': 0.1, 'width': 0.1})
+    assert new_tool.planned(wheel, 1)[0].name == 'wheel'
+
+
+def test_the_last_line(tmp_path):
+    work = new_tool.Work(str(tmp_path), {})
+    work.state['seconds'] = {'a': 3600.0 * 2, 'b': 40 * 60.0}
+    for name, soil, force in (('judged', 3.1, 0.16), ('judged_as_it_is', None, 0.3)):
+        (tmp_path / name).mkdir()
+        mean = {'mean': {'model': {'soil_mm': soil, 'force_relative_l2': force}}}
+        (tmp_path / name / 'metrics.json').write_text(json.dumps(mean))
+    assert new_tool.verdict(work, 4, '2 processes') == (
+        'soil 3.10 mm, force 0.160 on 4 runs kept back; shipped model as it is: refused some of '
+        'them; 2 h 40 min on 2 processes; no page'
+    )
+
+
+@pytest.mark.slow
+def test_from_an_outline_to_c_with_a_kill_in_between(tmp_path):
+    tool, out = tmp_path / 'scoop.json', tmp_path / 'out'
+    tool.write_text(json.dumps(SCOOP))
+    checked, count = bodies.check_tool(SCOOP), 3
+    # Runs of a coarse grid count as made.
+    cases = tuple(new_tool.planned(checked, count)[2])
+    raw = str(out / 'raw')
+    batch.generate(small.BLADE, cases, raw, Settings(), tool=checked, show_progress=False)
+    more = (f'--runs={count}', '--num_steps=40', '--num_processes=1')
+    first = started(tool, out, *more)
+    saved = out / 'model' / 'training.npz'
+    while not saved.exists():
+        assert first.poll() is None, first.communicate()
+        time.sleep(0.1)
+    os.kill(first.pid, signal.SIGKILL)
+    first.communicate()
+    time.sleep(1.0)
+    second = started(tool, out, *more)
+    printed, error = second.communicate()
+    assert second.returncode == 0, error
+    assert 'goes on at step' in printed and '2 of 6' not in printed
+    last = printed.strip().splitlines()[-1]
+    assert last.startswith('soil ') and 'on 1 runs kept back; shipped model as it is: soil ' in last
+    assert (out / 'c' / 'export.json').exists()
+    third = started(tool, out, *more)
+    printed, _ = third.communicate()
+    assert third.returncode == 0 and '3 of 6' not in printed and '4 of 6' not in printed
+    fourth = started(tool, out, '--runs=4')
+    assert 'begun with another' in fourth.communicate()[1]
