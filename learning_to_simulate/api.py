@@ -345,8 +345,8 @@ class TerrainModel(TrainedModel):
 
         if not isinstance(terrain, Terrain):
             raise ValueError(
-                f'terrain is {terrain!r}: a soil field works on a terrain, '
-                f'model.stepper(lts.Terrain.flat((12.0, 3.0), height=0.25)) or lts.Terrain(heights)'
+                f'terrain is {terrain!r}: an lts.Terrain was expected, such as '
+                f'model.stepper(lts.Terrain.flat((12.0, 3.0), height=0.25))'
             )
         return SoilStepper(self.model, terrain, tool, members)
 

@@ -115,7 +115,7 @@ _FLAGS = [
         'rigid_particles', None, 'Number of particles of a blade that become nodes, lowest first.'
     ),
     flags.DEFINE_integer('latent_size', None, 'Width of the network.'),
-    flags.DEFINE_integer('members', None, 'Networks of a swept or soil field that are averaged.'),
+    flags.DEFINE_integer('members', None, 'Networks of a soil field that are averaged.'),
     flags.DEFINE_integer('num_steps', None, 'Training steps in all.'),
     flags.DEFINE_integer('batch_size', None, 'Windows in a batch.'),
     flags.DEFINE_float('noise_std', None, 'Random-walk noise of the last input step.'),

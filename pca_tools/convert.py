@@ -100,7 +100,7 @@ def convert(
     if without_pose and runs.scene['rigid_motion'] != 'none':
         warnings.warn(
             f'{raw_path}: its runs have no `pose` [T, 7] of the body: models of modes can be '
-            'trained on them, the swept field cannot',
+            'trained on them, the soil field cannot',
             stacklevel=2,
         )
     if base is None:

@@ -276,7 +276,7 @@ def test_conversion_says_what_cannot_be_trained_without_a_pose(tmp_path):
     raw = write_raw_folder(
         tmp_path / 'raw', 'excavation', range(5), change=lambda case, arrays: arrays.pop('pose')
     )
-    with pytest.warns(UserWarning, match='no `pose` .* the swept field cannot'):
+    with pytest.warns(UserWarning, match='no `pose` .* the soil field cannot'):
         metadata = convert.convert(raw, str(tmp_path / 'out'), modes=3)
     run = dataset.read_split(str(tmp_path / 'out'), 'train')[0]
     body = raw_of(raw, metadata['dataset_split']['train'][0])['rigid_positions']

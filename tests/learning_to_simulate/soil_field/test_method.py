@@ -166,6 +166,7 @@ def test_a_tool_works_on_a_given_terrain(model, tmp_path):
     np.testing.assert_allclose(short.force, made.force, atol=1e-4)
     for call, message in (
         (lambda: model.stepper('flat'), 'an lts.Terrain was expected'),
+        (lambda: model.stepper(), r'is None: .* model.stepper\(lts.Terrain.flat\('),
         (lambda: model.stepper(ground, lts.Wheel()), 'knows a blade, not a wheel'),
         (lambda: model.rollout(plane), 'an lts.Terrain was expected'),
         (lambda: model.rollout(plane[:, :2], ground), 'path has shape'),
