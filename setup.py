@@ -35,7 +35,7 @@ EXTRAS = {
 
 
 class BuildWithModels(build_py):
-    """Puts the shipped models into the package that is built: 16 MB, where `shipped.py` looks."""
+    """Puts the shipped models into the package that is built: 8 MB, where `shipped.py` looks."""
 
     def run(self):
         """Copies the modules, then the models; an editable install finds these in the sources."""

@@ -389,7 +389,7 @@ class TerrainModel(TrainedModel):
         """Rolls out every run of a split, or of a list of splits of several datasets.
 
         Args:
-          split: such as `Dataset('datasets/excavation_v5').test`.
+          split: such as `Dataset('excavation').test`.
           progress: wraps the iterable of runs, e.g. `tqdm.tqdm`.
 
         Raises:
@@ -411,8 +411,8 @@ def load(name: str) -> TrainedModel:
     """A trained model.
 
     Args:
-      name: a model folder, or a shipped model: 'excavation/mlp_driven'; the name of a dataset
-        alone means its soil field where one ships, else its `pcg`.
+      name: a model folder, or a shipped model: 'excavation/pcg'; the name of a scene alone
+        ('excavation', 'wheel') means its soil field.
 
     Raises:
       FileNotFoundError: no such model; the message lists those that ship.

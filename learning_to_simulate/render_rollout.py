@@ -12,7 +12,7 @@ Examples:
     # two models beside the truth
     python -m learning_to_simulate.render_rollout --rollout_path=field/rollout_test_0.npz \\
         --label=swept_field --beside=mlp_driven=mlp/rollout_test_0.npz \\
-        --data_path=datasets/excavation_v2 --output_path=pictures
+        --data_path=datasets/excavation --output_path=pictures
 
     # for ParaView: open truth.pvd and prediction.pvd of pictures/rollout_test_0_vtk
     python -m learning_to_simulate.render_rollout --rollout_path=rollouts/rollout_test_0.npz \\

@@ -1,6 +1,6 @@
 """Models and datasets that come with the project, by their names.
 
-An installed copy holds the models (16 MB) inside of the package. The datasets (98 MB) are not
+An installed copy holds the models (8 MB) inside of the package. The datasets (20 MB) are not
 installed: they lie beside the models in the source tree only.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 MARKERS = {'models': 'config.json', 'datasets': 'metadata.json'}
-# What the name of a dataset alone means as a model: the first of these that ships with it.
+# What the name of a scene alone means as a model: the first of these that ships with it.
 DEFAULT_MODELS = 'soil_field', 'pcg'
 _REMEDIES = {
     'models': 'this copy has none: install it again (pip install .), its wheel holds them',
@@ -47,7 +47,7 @@ def find(name: str, kind: str) -> str:
     """A folder that is given by its path, or by its name among those that ship.
 
     Args:
-      name: path or name; the name of a dataset stands for its best model.
+      name: path or name; the name of a scene stands for its best model.
       kind: 'models' or 'datasets'.
 
     Raises:

@@ -22,7 +22,7 @@ Examples:
 
   # a tool anywhere on a terrain, from several datasets with height maps
   python -m learning_to_simulate.train --model=soil_field --model_path=... \\
-      --data_path=datasets/excavation_v5,datasets/excavation_v5_wide
+      --data_path=datasets/excavation,datasets/excavation_wide
 
   # a setting without a flag of its own, by name; or all of them from a file
   python -m learning_to_simulate.train --set=hidden_layers=3 --data_path=... --model_path=...

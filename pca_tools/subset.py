@@ -5,8 +5,8 @@ for cross-validation. Subspace, statistics and sampled particles stay those of t
 so errors of both are of one truth.
 
 Examples:
-    python -m pca_tools.subset --data_path=datasets/excavation_v2 --train_runs=28 --output_path=few
-    python -m pca_tools.subset --data_path=datasets/excavation_v2 --kinds=grid --output_path=grid
+    python -m pca_tools.subset --data_path=datasets/excavation --train_runs=28 --output_path=few
+    python -m pca_tools.subset --data_path=datasets/excavation --kinds=grid --output_path=grid
     python -m pca_tools.subset --data_path=whole --kinds=grid:20,lift,stops --output_path=thinned
 
     # judged on these kinds alone, too

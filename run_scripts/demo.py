@@ -1,112 +1,132 @@
 """Compares the shipped models with one run of the solver per scene that no model has seen.
 
 The runs are of the test split of the data of record: a blade that cuts, lifts and cuts again, and a
-wheel under a load that changes. The models predict them from the motion of the tool; the table
-holds their errors next to those of the trivial predictors, and their times as a user gets them,
-stepping from Python, next to the solver's CPU time.
+wheel under a load that changes. The soil field predicts them on their terrain, a graph network in
+the subspace beside it, from the motion of the tool. The table holds their errors next to those of
+persistence, and their times as a user gets them, stepping from Python, next to the solver's.
 
 Examples:
     python -m run_scripts.demo --output_path=demo_output
 
     # another test run: a kind and a seed, or a case of the grid
-    python -m run_scripts.demo --scenes=excavation --cases=reverse_0007 --output_path=demo_output
+    python -m run_scripts.demo --scenes=excavation --cases=reverse_0001 --output_path=demo_output
 """
 
+import dataclasses
 import os
-import shutil
 import statistics
 import time
 
+import numpy as np
 import tqdm
 from absl import flags
 
 from mpm import scenes
 from mpm.motions import catalogue
 from pca_tools import files
-from reports import command, markdown, timing
+from reports import command, markdown
 from reports.record import ROOT
 
-# Of each scene: the data of record, the models, and a test run of it.
-DATA = {'excavation': 'excavation_v2', 'wheel': 'wheel_v2'}
-MODELS = {'excavation': ('pcg', 'mlp_driven', 'swept_field'), 'wheel': ('pcg', 'swept_field')}
-LABELS = {'swept_field': 'swept field', 'pcg': 'graph network (pcg)'}
-CASES = {'excavation': 'lift_0158', 'wheel': 'load_0007'}
+MODELS = {'soil_field': 'soil field', 'pcg': 'graph network (pcg)'}
+CASES = {'excavation': 'lift_0001', 'wheel': 'load_0001'}
 SOIL, FORCE, DRAWBAR = 'soil error, mm', 'force error, N', 'along the way (drawbar), N'
-STEP, PARTICLES, FASTER = 'step and force, ms', 'and all particles, ms', 'times faster'
-COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES, FASTER
-# Steps after which the particles are asked for, too; a whole run of them takes long in TensorFlow.
+STEP, PARTICLES = 'step and force, ms', 'and all particles, ms'
+COLUMNS = 'method', SOIL, DRAWBAR, FORCE, STEP, PARTICLES
+# Frames in which a soil field, or after which a network, is asked for all particles, too.
 EVERY = 20
 
 
-def single_run(name: str, case: int | str, folder: str) -> dict:
-    """Writes a dataset whose only test run is one of the data of record.
-
-    Returns:
-        The run's parameters.
+def test_run(name: str, case: int | str) -> tuple[int, dict]:
+    """Number and parameters of a test run of the shipped data.
 
     Raises:
-        ValueError: it is no test run of the data of record.
+        ValueError: it is none.
     """
-    from pca_tools import dataset, subset
+    from pca_tools import dataset
 
-    data = os.path.join(ROOT, 'datasets', DATA[name])
-    cases = dataset.read_metadata(data)['cases']
-    found = [run['case'] for run in cases['test']]
+    cases = dataset.read_metadata(os.path.join(ROOT, 'datasets', name))['cases']['test']
+    found = [run['case'] for run in cases]
     if case not in found:
         raise ValueError(f'{name} has no test run {case!r}; there are {", ".join(map(str, found))}')
-    first = sum(len(cases[split]) for split in ('train', 'valid'))
-    shutil.rmtree(folder, ignore_errors=True)
-    places = {'train': [0], 'valid': [len(cases['train'])], 'test': [first + found.index(case)]}
-    subset.deal(data, folder, places)
-    return cases['test'][found.index(case)]
+    return found.index(case), cases[found.index(case)]
 
 
-def evaluate(name: str, run: dict, data: str, out: str) -> list[dict]:
-    """Rolls out the shipped models on a run of the solver.
+def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str]]:
+    """Rolls out the shipped models on a run of the solver, and draws them.
 
     Args:
         name: scene.
-        run: its parameters.
-        data: dataset with the run.
+        case: test run.
         out: folder for rollouts and pictures.
 
     Returns:
-        One dict per row of the table.
+        One dict per row of the table, and the pictures.
     """
-    from learning_to_simulate import evaluation, registry
-    from pca_tools import dataset
+    import learning_to_simulate as lts
+    from learning_to_simulate import registry
+    from learning_to_simulate.soil_field.evaluation import SoilEvaluator
 
-    (record,) = dataset.read_split(data, 'test')
-    solver = 1e3 * run['solver_cpu_s'] / scenes.FRAMES
-    rows = [{'method': 'solver (ground truth)', PARTICLES: solver, FASTER: 1}]
-    for preset in MODELS[name]:
-        path = os.path.join(ROOT, 'models', DATA[name], preset)
-        opened = registry.open_model(path, data, 'test')
-        results, summary = opened.evaluator.run(opened.groups, 'test')
-        folder = os.path.join(out, preset)
-        evaluation.save_rollouts(folder, 'test', results, summary, opened.metadata)
-        mean = summary['mean']
+    data = lts.Dataset(os.path.join(ROOT, 'datasets', name))
+    number, parameters = test_run(name, case)
+    solver = 1e3 * parameters['solver_cpu_s'] / scenes.FRAMES
+    rows = [{'method': 'solver (ground truth)', PARTICLES: solver}]
+    rollouts = []
+    for preset in MODELS:
+        is_field = preset == 'soil_field'
+        model = lts.load(os.path.join(ROOT, 'models', name, preset))
+        opened = registry.open_model(model.path, data.path, 'test')
+        if is_field:
+            groups = [opened.groups[number]]
+            evaluator = SoilEvaluator(model.model, under_load=False)
+        else:
+            found = (g.take(np.flatnonzero(g.record == number)) for g in opened.groups)
+            groups = [group for group in found if len(group.record)]
+            evaluator = opened.evaluator
+        results, summary = evaluator.run(groups, 'test')
+        rollouts.append(results[0][-1] if is_field else model.rollout(data.test[number]))
         if len(rows) == 1:
-            rows += [_row(label, mean[key]) for key, label in markdown.TRIVIAL.items()]
-        row = _row(preset, mean['model']) | stepping_ms(path, record)
-        rows.append(row | {FASTER: solver / row[PARTICLES]})
-    return rows
+            rows.append(_row(markdown.TRIVIAL['stay_still'], summary['mean']['stay_still']))
+        record = data.test.records[number]
+        times = field_ms(model, rollouts[0]) if is_field else network_ms(model, record)
+        rows.append(_row(MODELS[preset], summary['mean']['model']) | times)
+    return rows, draw(name, *rollouts, out)
 
 
-def stepping_ms(path: str, record) -> dict:
-    """Milliseconds of a frame of a model that is stepped from Python by the poses of a run.
+def field_ms(model, rollout) -> dict:
+    """Milliseconds of a frame of a soil field that is stepped from Python along a rollout.
 
     Args:
-      path: model folder.
-      record: `dataset.Trajectory` with poses.
+      model: `api.TerrainModel`.
+      rollout: `soil_field.rollout.TerrainRollout` of it.
 
     Returns:
       medians: of a step with its force, and of a step with its force and all particles.
     """
-    import learning_to_simulate as lts
+    live = model.stepper(rollout.before.clone(), rollout.tool)
+    live.start(rollout.pose[0])
+    steps, wholes, middle = [], [], len(rollout) // 2
+    for frame, pose in enumerate(rollout.pose[1 : middle + EVERY], 1):
+        start = time.perf_counter()
+        live.step(pose, rollout.dt)
+        if frame < middle:
+            steps.append(time.perf_counter() - start)
+        else:  # the first call chooses the particles, which then are followed
+            live.particles()
+            wholes.append(time.perf_counter() - start)
+    return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
 
-    live, poses = lts.load(path).stepper(), record.rigid_pose.astype(float)
-    steps, wholes = timing.stepping(live, poses, record.step_context, EVERY)
+
+def network_ms(model, record) -> dict:
+    """As `field_ms`, of a model in the subspace along a recorded run.
+
+    Args:
+      model: `api.TrainedModel`.
+      record: `dataset.Trajectory` with poses.
+    """
+    from reports import timing
+
+    poses = record.rigid_pose.astype(float)
+    steps, wholes = timing.stepping(model.stepper(), poses, record.step_context, EVERY)
     # The first ones compile.
     return {STEP: 1e3 * statistics.median(steps), PARTICLES: 1e3 * statistics.median(wholes[1:])}
 
@@ -125,25 +145,49 @@ def table(name: str, case: int | str, rows: list[dict]) -> str:
     return f'{name}, {case}\n{markdown.table(COLUMNS, cells, aligned=True)}'
 
 
-def draw(name: str, out: str) -> list[str]:
-    """A picture and a film of the swept field beside the graph network; returns the files.
+def draw(name: str, field, network, out: str) -> list[str]:
+    """Draws both rollouts of a run; returns the files.
 
-    Those of the README, `docs/lift.gif` and `docs/wheel.gif`, are made this way.
+    `terrain` shows the soil field on its terrain: sections, maps and forces beside the solver's.
+    `particles` shows it and the graph network beside the solver's own particles. The films of the
+    README, `docs/lift.gif` and `docs/wheel.gif`, are made this way.
+
+    Args:
+        name: scene.
+        field: `soil_field.rollout.TerrainRollout`.
+        network: `paths.SoilRollout` of the same run.
+        out: folder.
     """
-    from learning_to_simulate import render_rollout
+    from learning_to_simulate import metrics, render_rollout
+    from learning_to_simulate.rendering import rollout_frames
 
-    beside, shown = MODELS[name][0], MODELS[name][-1]
-    _, paths = render_rollout.render(
-        os.path.join(out, shown, 'rollout_test_0.npz'),
-        os.path.join(out, 'dataset'),
-        out,
-        formats=['png', 'gif'],
-        step_stride=4,
-        label=LABELS[shown],
-        progress=lambda drawn, label: tqdm.tqdm(drawn, label, unit='frame', disable=None),
-        beside={LABELS[beside]: os.path.join(out, beside, 'rollout_test_0.npz')},
+    def progress(drawn, label):
+        return tqdm.tqdm(drawn, label, unit='frame', disable=None)
+
+    os.makedirs(out, exist_ok=True)
+    paths = [os.path.join(out, f'terrain.{kind}') for kind in ('png', 'gif')]
+    for path in paths:
+        field.render(path, progress=progress)
+    other = rollout_frames.of_rollout(network)
+    title = f'{name.capitalize()}: test run {field.run.case}, seen by no model'
+    other = dataclasses.replace(other, label=MODELS['pcg'], title=title)
+    truth = network.soil_truth
+    places = [list(field.frames).index(frame) for frame in truth.frames]
+    predicted = field.particles[places]
+    shown = dataclasses.replace(
+        other,
+        label=MODELS['soil_field'],
+        soil=other.soil | {'prediction': predicted},
+        rigid=other.rigid | {'prediction': other.rigid['truth']},
+        force=other.force | {'prediction': field.force},
+        soil_mm=truth.soil_mm(predicted),
+        soil_rms_mm=other.soil_rms_mm
+        | {'prediction': metrics.rms_mm(truth.mean_square(predicted))},
+        notes=(),
     )
-    return paths
+    target = os.path.join(out, 'particles')
+    options = {'step_stride': 8, 'progress': progress, 'beside': [other]}
+    return paths + render_rollout.render_frames(shown, target, ['png', 'gif'], **options)
 
 
 def define_flags() -> None:
@@ -169,19 +213,16 @@ def main(values, _) -> None:
     print('learned simulators: rolling out', flush=True)
     results, pictures = {}, []
     for scene, case in zip(chosen, cases):
-        target = os.path.join(out, scene.name)
-        data = os.path.join(target, 'dataset')
-        run = single_run(scene.name, case, data)
-        results[scene.name] = {'case': case, 'rows': evaluate(scene.name, run, data, target)}
-        pictures += draw(scene.name, target)
+        rows, drawn = evaluate(scene.name, case, os.path.join(out, scene.name))
+        results[scene.name], pictures = {'case': case, 'rows': rows}, pictures + drawn
     text = '\n\n'.join(table(name, r['case'], r['rows']) for name, r in results.items())
     files.write_text(os.path.join(out, 'table.txt'), text + '\n')
     files.write_json(os.path.join(out, 'table.json'), results)
     print('\n' + text + '\n')
     print("soil error: root mean square over the solver's own particles. Forces: root mean square")
-    print('per component, and its share of the true force; persistence: the last known force,')
-    print('constant velocity: the mean force of the training runs. Times: medians of steps from')
-    print("Python, in C where a compiler is at hand; the solver's CPU time of a frame, one core.\n")
+    print('per component, and its share of the true force; persistence: soil and force stay.')
+    print('Times: medians of steps from Python, in C where a compiler is at hand; the CPU time of')
+    print('a frame of the solver, one core.\n')
     for path in pictures:
         print(os.path.relpath(path))
     print(f'everything is in {os.path.relpath(out)}; {time.perf_counter() - started:.0f} s')

@@ -18,10 +18,10 @@ CHECKS = """
 import pytest
 import learning_to_simulate as lts
 assert 'venv' in lts.__file__, lts.__file__
-assert 'excavation_v2/swept_field' in lts.list() and 'wheel_v2/swept_field' in lts.list()
+assert 'excavation/soil_field' in lts.list() and 'wheel/soil_field' in lts.list()
 for name in lts.list():
     assert lts.load(name).path.startswith(lts.__path__[0])
-with pytest.raises(FileNotFoundError, match='shipped are .*wheel_v2/swept_field'):
+with pytest.raises(FileNotFoundError, match='shipped are .*wheel/soil_field'):
     lts.load('moon')
 with pytest.raises(FileNotFoundError, match='installed copy has none: name a folder'):
     lts.Dataset('excavation')
@@ -84,4 +84,4 @@ def test_models_come_with_it_and_the_python_of_the_readme_runs(run):
 def test_commands(run):
     said = run('lts', '--help')
     assert 'train' in said and 'rollout' in said
-    assert 'excavation_v2/swept_field' in run('lts', 'list').split()
+    assert 'excavation/soil_field' in run('lts', 'list').split()

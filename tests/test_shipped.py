@@ -6,24 +6,27 @@ import pathlib
 import numpy as np
 import pytest
 
-from learning_to_simulate import evaluation, presets, registry
+from learning_to_simulate import evaluation, presets, reading_utils, registry, shipped
 from learning_to_simulate.subspace import edge_lists
 from pca_tools import dataset
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-# Error over the best trivial predictor, and relative L2 of the force, on the test split. Measured
-# 0.073 / 0.24 and 0.18 / 0.11 when the models were trained; these are the promised bounds.
-PROMISED = {'excavation': (1 / 5, 0.25), 'wheel': (1 / 2, 0.25)}
-PRESETS = ('fcg_original', 'pcg_thesis', 'pcg')
+# Error of the soil in the subspace over that of the best trivial predictor, and relative L2 of the
+# force, of the graph network on the validation split. Measured 0.26 / 0.62 and 0.56 / 0.19 when it
+# was trained; these are the promised bounds.
+PROMISED = {'excavation': (1 / 2, 0.75), 'wheel': (3 / 4, 0.25)}
+# Models in the subspace, those of published methods trained on the grid runs of their dataset.
+WHOLE = ('excavation/mlp_driven', 'excavation/pcg', 'wheel/pcg')
+OF_GRID = ('excavation/fcg_original', 'excavation/pcg_thesis')
 
 
 @pytest.mark.parametrize('scene', PROMISED)
-def test_default_model_keeps_its_promise(scene):
+def test_graph_network_keeps_its_promise(scene):
     """Rolled out here and now, and equal to the table that ships beside the weights."""
     folder = ROOT / 'models' / scene / 'pcg'
-    opened = registry.open_model(str(folder), str(ROOT / 'datasets' / scene), 'test')
+    opened = registry.open_model(str(folder), str(ROOT / 'datasets' / scene), 'valid')
     model, metadata, groups = opened.model, opened.metadata, opened.groups
-    _, summary = evaluation.Evaluator(model, metadata).run(groups, 'test')
+    _, summary = evaluation.Evaluator(model, metadata).run(groups, 'valid')
     mean = summary['mean']['model']
     soil, force = PROMISED[scene]
     assert summary['soil_mse_over_best_trivial'] <= soil
@@ -35,54 +38,57 @@ def test_default_model_keeps_its_promise(scene):
         assert mean[key] == pytest.approx(shipped[key], rel=1e-2, abs=1e-12), key
 
 
-@pytest.mark.parametrize('scene', PROMISED)
-@pytest.mark.parametrize('preset', PRESETS)
-def test_model_folder_is_small_and_belongs_to_the_dataset(scene, preset):
-    folder = ROOT / 'models' / scene / preset
-    assert sum(p.stat().st_size for p in folder.iterdir()) < 2 * 2**20
-    config = json.loads((folder / 'config.json').read_text())
-    manifest = json.loads((ROOT / 'datasets' / scene / 'manifest.json').read_text())
-    text = json.dumps(manifest)
-    for name, digest in config['data']['sha256'].items():
-        assert digest in text, f'{name} of {folder} is not the shipped one'
+@pytest.mark.parametrize('name', shipped.names())
+def test_model_folders_are_small(name):
+    assert sum(p.stat().st_size for p in (ROOT / 'models' / name).iterdir()) < 2 * 2**20
+
+
+@pytest.mark.parametrize('name', WHOLE + OF_GRID)
+def test_model_belongs_to_its_dataset(name):
+    config = json.loads((ROOT / 'models' / name / 'config.json').read_text())
+    data = ROOT / 'datasets' / name.split('/')[0]
+    metadata = dataset.read_metadata(str(data))
+    assert config['data']['subspace'] == metadata['pca']['digest']
+    manifest = (data / 'manifest.json').read_text()
+    for digest in config['data']['sha256'].values() if name in WHOLE else ():
+        assert digest in manifest
 
 
 @pytest.mark.parametrize('scene', PROMISED)
-def test_edge_lists_belong_to_the_dataset_and_the_default_is_that_of_the_model(scene):
-    """The list that a new `pcg` takes, and the one that NRI found."""
-    folder = str(ROOT / 'datasets' / scene)
-    for path in (f'{folder}/edges.json', f'{ROOT}/docs/edges/{scene}_nri/edges.json'):
-        edges = edge_lists.read(path)
-        edges.check_data(folder)
-        assert edges.node_names == edge_lists.mode_names(8)
-    chosen = edge_lists.choose(presets.make_config('pcg'), folder, 8, None)
-    assert chosen.source.startswith('edges.json of the dataset')
-    config = json.loads((ROOT / 'models' / scene / 'pcg' / 'config.json').read_text())
-    assert chosen.mode_mask.astype(int).tolist() == config['mode_mask']
+def test_edges_of_the_graph_network_are_those_that_its_data_give(scene):
+    folder, config = str(ROOT / 'datasets' / scene), presets.make_config('pcg', modes=8)
+    groups = reading_utils.read_groups(
+        folder, 'train', dataset.read_metadata(folder), **config.nodes
+    )
+    velocities = [g.velocity[:, :, g.n_rigid :] for g in groups]
+    chosen = edge_lists.choose(config, folder, 8, velocities)
+    stored = json.loads((ROOT / 'models' / scene / 'pcg' / 'config.json').read_text())
+    assert chosen.mode_mask.astype(int).tolist() == stored['mode_mask']
 
 
-@pytest.mark.parametrize('scene', PROMISED)
-def test_no_case_is_in_two_splits_and_none_is_the_demo_case(scene):
+@pytest.mark.parametrize('scene', ['excavation', 'excavation_wide', 'wheel'])
+def test_no_case_is_in_two_splits(scene):
     from mpm import scenes
 
     metadata = dataset.read_metadata(str(ROOT / 'datasets' / scene))
-    cases = [run['case'] for split in dataset.SPLITS for run in metadata['cases'][split]]
-    assert len(cases) == len(set(cases)) == 40
-    assert scenes.SCENES[scene].demo_case not in cases
-    levels = scenes.SCENES[scene].levels
-    for name, values in levels.items():
-        used = {run[name] for split in dataset.SPLITS for run in metadata['cases'][split]}
-        assert used == set(values), f'{name}: the cases do not cover the grid'
+    runs = [run for split in dataset.SPLITS for run in metadata['cases'][split]]
+    assert len({run['case'] for run in runs}) == len(runs)
+    levels = scenes.SCENES[metadata['scene']['name']].levels
+    for run in runs:
+        if run['kind'] == 'grid':
+            assert all(run[name] in values for name, values in levels.items()), run['case']
 
 
 def test_records_hold_what_the_solver_recorded():
-    """Blade points of the records move as the scene prescribes, to float32."""
+    """Blade points of the grid's records move as the scene prescribes, to float32."""
     from mpm.motions import grid
 
     metadata = dataset.read_metadata(str(ROOT / 'datasets' / 'excavation'))
     runs = dataset.read_split(str(ROOT / 'datasets' / 'excavation'), 'test')
     times = np.arange(321) * metadata['dt']
-    for run, case in zip(runs, metadata['cases']['test']):
+    pairs = [p for p in zip(runs, metadata['cases']['test'], strict=True) if p[1]['kind'] == 'grid']
+    assert len(pairs) == 6
+    for run, case in pairs:
         expected = grid.blade_displacement(
             case['motion'], case['depth_m'], case['speed_m_s'], times
         )

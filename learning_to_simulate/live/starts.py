@@ -3,7 +3,7 @@
 Beside the weights lie, so that the model runs without its dataset:
 
   start.npz      the body's particles in its own frame, which of them are nodes, and beds at rest
-  subspace.npz   a copy of the dataset's
+  subspace.npz   the dataset's, of the modes that the model predicts
 
 Beds, and bodies where their size differs by case, are those of the first frames of the records; of
 records that start alike one is kept. The digests of both files are in `config.json`.
@@ -12,7 +12,6 @@ records that start alike one is kept. The digests of both files are in `config.j
 import dataclasses
 import json
 import os
-import shutil
 from typing import Any
 
 import numpy as np
@@ -176,12 +175,9 @@ def write(model_path: str, data_path: str, nodes: dict) -> dict[str, str]:
     written = [START_FILE]
     source = os.path.join(data_path, SUBSPACE_FILE)
     if os.path.exists(source):
-        target = os.path.join(model_path, SUBSPACE_FILE)
-
-        def copy(name: str) -> None:
-            shutil.copyfile(source, name)
-
-        files.write_atomically(target, copy)
+        space = Subspace.load(source)
+        kept = space.truncated(nodes['modes'] or space.n_modes)
+        kept.save(os.path.join(model_path, SUBSPACE_FILE))
         written.append(SUBSPACE_FILE)
     return {n: files.sha256_of_file(os.path.join(model_path, n)) for n in written}
 

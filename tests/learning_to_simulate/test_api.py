@@ -26,8 +26,8 @@ VELOCITY = np.array([-0.05, -0.03, 0.0])
 
 @pytest.fixture(scope='module')
 def blade():
-    """The shipped excavation, its stepper and a path within the training runs."""
-    model = lts.load('excavation')
+    """The shipped graph network of the blade, its stepper and a path within the training runs."""
+    model = lts.load('excavation/pcg')
     path = np.tile(model.starts.pose[0], (90, 1))
     path[:, :3] += np.arange(90)[:, None] * VELOCITY * DT
     return model, model.stepper(), path
@@ -68,7 +68,7 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
     assert recorded.truth is not None and made.truth is None
     whole = recorded.particles(-1)
     np.testing.assert_allclose(
-        whole, data.subspace.decode(recorded.modes[-1]).astype(np.float32), atol=1e-6
+        whole, model.subspace.decode(recorded.modes[-1]).astype(np.float32), atol=1e-6
     )
     from learning_to_simulate.rendering import rollout_frames
 
@@ -78,14 +78,16 @@ def test_recorded_run_saved_and_drawn_again(blade, tmp_path):
         frames = rollout_frames.load(name, data.path)
         assert frames.has_truth == (rollout.truth is not None)
         modes = rollout.modes[frames.frames - H]
-        soil = data.subspace.decode(modes)
+        soil = model.subspace.decode(modes)
+        if rollout.truth is not None:  # of the particles that the dataset holds a sample of
+            soil = soil[:, rollout.soil_truth.indices]
         np.testing.assert_allclose(frames.soil['prediction'], soil, atol=1e-5)
         if rollout.truth is not None:
             assert frames.soil_mm == pytest.approx(rollout.soil_mm, rel=1e-5)
         np.testing.assert_allclose(frames.force['prediction'][H:], rollout.force, atol=1e-4)
-    assert len(data.test) == 4 and data.test[-1].index == 3
-    with pytest.raises(IndexError, match='has 4 runs'):
-        data.test[4]
+    assert len(data.test) == 26 and data.test[-1].index == 25
+    with pytest.raises(IndexError, match='has 26 runs'):
+        data.test[26]
 
 
 def test_recorded_runs_of_a_split_are_opened_once_and_those_of_a_new_dataset_anew(
@@ -187,7 +189,7 @@ def test_frames_cannot_be_written_to_and_one_thread_at_a_time(blade):
 
 
 def test_wheel_has_its_cases_and_its_context():
-    model = lts.load('wheel')
+    model = lts.load('wheel/pcg')
     live, starts = model.stepper(), model.starts
     case = starts.cases[3]['case']
     assert live.start(case=case).status == RolloutStatus.OK
@@ -206,8 +208,11 @@ def test_wheel_has_its_cases_and_its_context():
         live.start(case=1000)
 
 
-def test_predicted_wheel_takes_no_pose_and_says_where_it_is():
-    model = lts.load('wheel/pcg_thesis')
+def test_predicted_body_takes_no_pose_and_says_where_it_is(tmp_path):
+    folder = synthetic.write_dataset(tmp_path / 'data', motion='predicted')
+    synthetic.write_subspace(folder)
+    config = lts.preset('pcg_thesis', latent_size=8, num_steps=2, mode_edges=4)
+    model = lts.train(config, lts.Dataset(folder), tmp_path / 'model')
     live = model.stepper()
     live.start(velocity=(2e-2, 0, 0))
     frame = live.step()
@@ -290,10 +295,10 @@ def test_what_is_printed_fits_on_a_line(blade):
     assert repr(rollout) == "<rollout 'rollout': 7 frames, ok>"
     assert repr(model) == f"<gns model {model.path!r} of the scene 'excavation'>"
     data = lts.Dataset('excavation')
-    assert repr(data) == f"<dataset {data.path!r}: {{'train': 32, 'valid': 4, 'test': 4}}>"
+    assert repr(data) == f"<dataset {data.path!r}: {{'train': 59, 'valid': 14, 'test': 26}}>"
 
 
 def test_public_names():
-    assert 'excavation_v2/swept_field' in lts.list() and set(lts.__all__) < set(dir(lts))
+    assert 'excavation/soil_field' in lts.list() and set(lts.__all__) < set(dir(lts))
     with pytest.raises(AttributeError, match='no attribute'):
         lts.stpper  # noqa: B018

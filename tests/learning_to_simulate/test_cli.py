@@ -76,7 +76,7 @@ def test_rollout_of_a_file_of_poses(tmp_path):
     np.savetxt(tmp_path / 'path.csv', path, delimiter=',', header='x,y,z,qw,qx,qy,qz')
     np.testing.assert_allclose(roll_out_path.read_poses(str(tmp_path / 'path.csv')), path)
     out = tmp_path / 'new' / 'dig.npz'
-    done = lts('rollout', '--model=excavation', f'--poses={tmp_path / "path.csv"}',
+    done = lts('rollout', '--model=excavation/pcg', f'--poses={tmp_path / "path.csv"}',
                f'--output_path={out}', absent=())  # fmt: skip
     assert (done.returncode, done.stderr) == (0, '')
     assert '8 frames' in done.stdout and 'status ok' in done.stdout

@@ -37,7 +37,7 @@ def test_settings_by_name_have_their_type():
 
 def test_settings_come_from_a_file_a_flag_or_by_name(tmp_path):
     """A flag beats the file; a setting given twice, or unknown, is refused. Without TensorFlow."""
-    model = 'models/excavation_v2/mlp_driven/config.json'
+    model = 'models/excavation/mlp_driven/config.json'
     code = 'import sys; from absl import flags; from learning_to_simulate.train import _overrides; '
     code += 'flags.FLAGS(sys.argv); print(_overrides())'
 

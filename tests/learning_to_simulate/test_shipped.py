@@ -13,9 +13,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize(
     'name, kind, place',
     [
-        ('excavation', 'models', 'excavation/pcg'),
-        ('excavation_v2', 'models', 'excavation_v2/swept_field'),
-        ('wheel_v2/pcg', 'models', 'wheel_v2/pcg'),
+        ('excavation', 'models', 'excavation/soil_field'),
+        ('wheel/pcg', 'models', 'wheel/pcg'),
         ('wheel', 'datasets', 'wheel'),
     ],
 )
@@ -26,16 +25,16 @@ def test_name_means_a_folder(name, kind, place, tmp_path, monkeypatch):
 
 def test_a_path_goes_before_a_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    os.makedirs('wheel/pcg')
-    (tmp_path / 'wheel' / 'pcg' / 'config.json').touch()
-    assert shipped.find('./wheel/pcg', 'models') == os.path.join('wheel', 'pcg')
-    assert shipped.find('wheel', 'models') == str(ROOT / 'models' / 'wheel' / 'pcg')
+    os.makedirs('wheel/soil_field')
+    (tmp_path / 'wheel' / 'soil_field' / 'config.json').touch()
+    assert shipped.find('./wheel/soil_field', 'models') == os.path.join('wheel', 'soil_field')
+    assert shipped.find('wheel', 'models') == str(ROOT / 'models' / 'wheel' / 'soil_field')
 
 
 def test_what_is_not_there_is_refused_with_what_is(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match='moon: .*; shipped are .*excavation/pcg'):
         shipped.find('moon', 'models')
-    with pytest.raises(FileNotFoundError, match='shipped are excavation, excavation_v2, .*wheel'):
+    with pytest.raises(FileNotFoundError, match='shipped are excavation, excavation_wide, wheel$'):
         shipped.find('moon', 'datasets')
     monkeypatch.setattr(shipped, '_PACKAGE', str(tmp_path / 'package'))
     with pytest.raises(FileNotFoundError, match=r'pip install \.'):

@@ -149,8 +149,8 @@ def test_statistics_divided_by_dt(copy, excavation, tmp_path):
     assert ' times that of the training records (1 / dt is 60)' in texts(few, ERROR)
 
 
-@pytest.mark.parametrize('name', ['excavation_v2', 'wheel_v2'])
-def test_shipped_datasets_that_grew_pass(name):
+@pytest.mark.parametrize('name', ['excavation', 'excavation_wide', 'wheel'])
+def test_shipped_datasets_pass(name):
     inspection = inspect_folder(str(REPOSITORY / 'datasets' / name))
     assert not inspection.failed, inspection.findings
 

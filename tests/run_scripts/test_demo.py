@@ -16,7 +16,7 @@ def test_demo_table_leaves_out_what_a_row_lacks():
     text = demo.table('wheel', 7, [{'method': 'solver', demo.PARTICLES: 12.0}])
     title, _, _, row = text.splitlines()
     cells = [cell.strip() for cell in row.strip('|').split('|')]
-    assert title == 'wheel, 7' and cells == ['solver', '-', '-', '-', '-', '12', '-']
+    assert title == 'wheel, 7' and cells == ['solver', '-', '-', '-', '-', '12']
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, messa
 
 @pytest.mark.parametrize('scene', sorted(demo.CASES))
 def test_no_model_has_seen_the_runs_of_the_demo(scene):
-    cases = dataset.read_metadata(str(ROOT / 'datasets' / demo.DATA[scene]))['cases']
+    cases = dataset.read_metadata(str(ROOT / 'datasets' / scene))['cases']
     assert demo.CASES[scene] in [case['case'] for case in cases['test']]
-    for preset in demo.MODELS[scene]:
-        assert (ROOT / 'models' / demo.DATA[scene] / preset / 'config.json').exists()
+    for preset in demo.MODELS:
+        assert (ROOT / 'models' / scene / preset / 'config.json').exists()

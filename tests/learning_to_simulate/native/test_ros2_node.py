@@ -38,7 +38,7 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
         check=True,
     )  # fmt: skip
     assert name in pathlib.Path(folder, 'examples', 'ros2_node.cpp').read_text()
-    model = lts.load('excavation')
+    model = lts.load('excavation/pcg')
     live, pose = model.stepper(), model.starts.pose[0]
     path = [pose + [-8e-4 * k, -8e-4 * k, 0, 0, 0, 0, 0] for k in range(1, 41)]
     path.append(pose + [0.5, 0, 0, 0, 0, 0, 0])  # a jump: unlike the training runs

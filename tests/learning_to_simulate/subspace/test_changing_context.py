@@ -153,7 +153,7 @@ def test_a_rollout_says_in_which_frame_it_leaves_the_training_runs(made):
 
 def test_paths_and_live_poses_take_a_load_that_changes():
     """The shipped wheel under 120 N, then under 180 N."""
-    model = lts.load('wheel')
+    model = lts.load('wheel/pcg')
     path = model.starts.pose[0] + np.arange(9)[:, None] * [1e-3, 0, 0, 0, 0, 0, 0]
     context = np.tile(model.starts.context[0], (9, 1))
     context[:, model.scene.context_names.index('load')] = [120.0] * 4 + [180.0] * 5

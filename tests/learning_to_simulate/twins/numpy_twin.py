@@ -87,7 +87,7 @@ class Twin:
             found['embedding'] = np.broadcast_to(table, (len(position), *table.shape))
         if context is not None:
             values = [(context - s.context_mean) / s.context_std]
-            if self.is_ours:
+            if self.is_ours and s.log_context_mean is not None:  # no load of 0 in the data
                 values.append((np.log(context) - s.log_context_mean) / s.log_context_std)
             found['context'] = np.concatenate(values, -1)[:, None]
         return found
