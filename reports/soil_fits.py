@@ -8,6 +8,7 @@ and load.
 
 Examples:
     python -m reports soil_fits --output_path=docs/soil_fits.json
+    python -m reports documents docs/guide.md     # the table again, from the JSON
 """
 
 import itertools
@@ -18,7 +19,7 @@ from absl import flags
 
 from learning_to_simulate import command
 from pca_tools import dataset, files
-from reports import record
+from reports import markdown, record
 
 DATA = 'datasets/excavation'
 OPERATOR = ('smooth', 'stops', 'reverse', 'lift', 'disturbed', 'halts')
@@ -108,6 +109,21 @@ def ding(field) -> list[dict]:
         entry(' '.join(r.dig.name for r in some), DING_SOIL, fit_soil.fit(some, given))
         for some in sets for given in (None, DING_SOIL[1])
     ]  # fmt: skip
+
+
+def table(path: str) -> str:
+    """The summary of the JSON as a table."""
+    rows = []
+    for name, found in files.read_json(path)['summary'].items():
+        cells: tuple = ('', '', '')
+        if found['told']:
+            cells = (
+                found['angle_rms_deg'], found['angle_worst_deg'],
+                f'{found["density_ratio"]:.2f} ({found["density_ratio_spread"]:.2f})',
+            )  # fmt: skip
+        rows.append((name, f'{found["told"]} of {found["fits"]}', *cells))
+    header = ('digs', 'told', 'angle off, RMS deg', 'worst', 'density over the true one (spread)')
+    return markdown.table(header, rows)
 
 
 def main(values) -> None:
