@@ -151,8 +151,8 @@ def over_frames(ours: Stepper, theirs: Stepper, group, limit: int | None = None)
         if frame.now not in (RolloutStatus.OK, RolloutStatus.EXTRAPOLATING):
             break
         same += mine.now == frame.now and mine.judgement[:3] == frame.judgement[:3]
-        shown = [np.concatenate([f.rigid_pose, f.modes]) for f in (mine, frame, first)]
-        note('position', *shown[:2], shown[1] - shown[2])
+        one, other, start = (np.concatenate([f.rigid_pose, f.modes]) for f in (mine, frame, first))
+        note('position', one, other, other - start)
         if frame.force is not None:
             note('force', mine.force, frame.force, frame.force)
         if first.soil.has_particles and count % every == 0:

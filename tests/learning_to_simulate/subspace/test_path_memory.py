@@ -72,6 +72,11 @@ def test_a_straight_cut_has_the_depth_and_the_area_of_a_slot():
     outer = (places < -start - 2 * radius) | (places > -end + 2 * radius)
     np.testing.assert_allclose(cut[inner], depth + radius, atol=1e-5)
     np.testing.assert_array_equal(cut[outer], 0.0)
+    # How much had been swept when the edge's front first reached a place, to a frame of travel.
+    before = (values[PLACES][2 * path_memory.PLACES :][: path_memory.PLACES] * 0.05) ** 2 - 1e-6
+    wanted = (places + start - radius) * (depth + radius) + inside
+    np.testing.assert_allclose(before[inner], wanted[inner], atol=4e-4)
+    assert np.ptp(wanted[inner]) > 4e-3
 
 
 def test_speed_fades_as_a_first_order_lag():
