@@ -10,8 +10,8 @@ Examples:
         --data_path=datasets/excavation --output_path=pictures --color_by=error --plane=xz
 
     # two models beside the truth
-    python -m learning_to_simulate.render_rollout --rollout_path=field/rollout_test_0.npz \\
-        --label=swept_field --beside=mlp_driven=mlp/rollout_test_0.npz \\
+    python -m learning_to_simulate.render_rollout --rollout_path=pcg/rollout_test_0.npz \\
+        --label=pcg --beside=mlp_driven=mlp/rollout_test_0.npz \\
         --data_path=datasets/excavation --output_path=pictures
 
     # for ParaView: open truth.pvd and prediction.pvd of pictures/rollout_test_0_vtk
