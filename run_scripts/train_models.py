@@ -1,4 +1,4 @@
-"""Trains every preset on the shipped datasets and copies what a model needs into `models/`.
+"""Trains the shipped models on the shipped datasets and copies what a model needs into `models/`.
 
 The checkpoints with the optimiser's state stay in the work folder, so that training can go on
 there; TensorBoard shows how far it is.
@@ -6,55 +6,91 @@ there; TensorBoard shows how far it is.
 Examples:
     python -m run_scripts.train_models --work_path=/tmp/training
 
-    # one scene, two presets, side by side on two cores
-    python -m run_scripts.train_models --scenes=wheel --presets=pcg,pcg_thesis --num_processes=2 \\
+    # two of them, side by side on two cores
+    python -m run_scripts.train_models --models=excavation/pcg,wheel/pcg --num_processes=2 \\
         --work_path=/tmp/training
 """
 
 import os
 import shutil
+from typing import NamedTuple
 
 from absl import flags
 
-from learning_to_simulate import checkpoints
-from pca_tools import files, workers
+from pca_tools import workers
 from reports import command
-from reports.protocol import rollouts
 from reports.record import ROOT
 
-SHIPPED = ['fcg_original', 'pcg_thesis', 'pcg']
+
+class Recipe(NamedTuple):
+    """How a model is trained.
+
+    Attributes:
+      data: names of its datasets.
+      preset: of its settings.
+      settings: that differ from those of the preset.
+      kinds: of runs that it knows; () for all.
+    """
+
+    data: tuple[str, ...]
+    preset: str
+    settings: dict = {}
+    kinds: tuple[str, ...] = ()
 
 
-def train(job: tuple[str, str, str]) -> str:
-    """Trains one model (or finishes its training) and returns its table on the test split; `job`:
-    scene, preset, folder for the work."""
-    from learning_to_simulate import evaluation  # TensorFlow, which help does not wait for
+_PUBLISHED = {'modes': 8, 'num_steps': 10_000}
+SHIPPED = {
+    'excavation/soil_field': Recipe(('excavation', 'excavation_wide'), 'soil_field'),
+    'wheel/soil_field': Recipe(('wheel',), 'soil_field'),
+    'excavation/mlp_driven': Recipe(('excavation',), 'mlp_driven', {'num_steps': 4000}),
+    'excavation/pcg': Recipe(('excavation',), 'pcg', {'modes': 8}),
+    'wheel/pcg': Recipe(('wheel',), 'pcg', {'modes': 8}),
+    'excavation/fcg_original': Recipe(('excavation',), 'fcg_original', _PUBLISHED, ('grid',)),
+    'excavation/pcg_thesis': Recipe(('excavation',), 'pcg_thesis', _PUBLISHED, ('grid',)),
+}
+FILES = 'config.json', 'weights.npz', 'start.npz', 'subspace.npz', 'metrics.json'
 
-    scene, preset, work = job
-    data, folder = os.path.join(ROOT, 'datasets', scene), os.path.join(work, 'rollouts', scene)
-    ((model, given),) = rollouts.trainings(preset, 1, os.path.join(work, scene))
-    rollouts.make((data, model, given, ('test',), folder))
-    metrics = os.path.join(rollouts.roll_out(data, model, 'test', folder), 'metrics.json')
-    target = os.path.join(ROOT, 'models', scene, preset)
+
+def train(job: tuple[str, str]) -> str:
+    """Trains one model, or finishes its training, and says where it is; `job`:
+    its name, folder for the work."""
+    import learning_to_simulate as lts  # TensorFlow, which help does not wait for
+    from pca_tools import subset
+
+    name, work = job
+    recipe, path = SHIPPED[name], os.path.join(work, name)
+    folders = [os.path.join(ROOT, 'datasets', data) for data in recipe.data]
+    if recipe.kinds:
+        (whole,), folders = folders, [os.path.join(work, f'data_of_{name.replace("/", "_")}')]
+        subset.subset(whole, folders[0], kinds=recipe.kinds, overwrite=True, every_split=True)
+    data = [lts.Dataset(folder) for folder in folders]
+    model = lts.train(lts.preset(recipe.preset, **recipe.settings), data, path)
+    if recipe.preset != 'soil_field':  # its training writes the errors
+        model.evaluate(data[0].valid).save(os.path.join(path, 'metrics.json'))
+    target = os.path.join(ROOT, 'models', name)
     os.makedirs(target, exist_ok=True)
-    names = checkpoints.CONFIG_FILE, checkpoints.WEIGHTS_FILE
-    for path in (metrics, *(os.path.join(model, name) for name in names)):
-        shutil.copy(path, target)
-    return f'{scene} {preset}\n{evaluation.table(files.read_json(metrics))}'
+    for file in FILES:
+        if os.path.exists(os.path.join(path, file)):
+            shutil.copy(os.path.join(path, file), target)
+    return f'{name} is in {target}'
 
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_list('scenes', ['excavation', 'wheel'], 'Folders of datasets/ to train on.')
-    flags.DEFINE_list('presets', SHIPPED, 'Presets to train.')
+    flags.DEFINE_list('models', list(SHIPPED), 'Models to train.')
     flags.DEFINE_string('work_path', None, 'Folder for training states.', required=True)
     command.define_workers('Models trained at a time.')
 
 
 def main(values, _) -> None:
-    """Runs the command."""
-    work = os.path.abspath(values.work_path)
-    jobs = [(scene, preset, work) for preset in values.presets for scene in values.scenes]
+    """Runs the command.
+
+    Raises:
+        ValueError: a model that does not ship.
+    """
+    if unknown := set(values.models) - SHIPPED.keys():
+        raise ValueError(f'no models {sorted(unknown)}; there are {", ".join(SHIPPED)}')
+    jobs = [(name, os.path.abspath(values.work_path)) for name in values.models]
     with workers.start(values.cluster, values.num_processes) as crew:
         for outcome in crew.run(train, jobs):
             print(outcome.error or outcome.value, flush=True)
