@@ -60,7 +60,7 @@ def test_the_guard_sees_what_it_guards():
     assert not list(unnamed_tables('<!-- no record: why -->\n| a |\n|---|\n| 1.5 |\n'))
     with pytest.raises(ValueError, match=r'<!-- table: reports.markdown:table a -->'):
         documents.render('<!-- table: reports.markdown:table a -->\n| a |\n|---|\n')
-    named = '<!-- table: reports.protocol.tables:shipped docs/protocol/wheel_v2.json -->'
+    named = '<!-- table: reports.protocol.tables:shipped docs/protocol/wheel.json -->'
     made = documents.render(f'{named}\n| wrong |\n\nafter\n')
     assert 'wrong' not in made and made.endswith(' |\n\nafter\n')
     assert documents.render(made) == made
