@@ -15,6 +15,7 @@ Each step is a command of its own, that goes on where it stopped: so does this o
 """
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -125,12 +126,13 @@ def planned(tool: dict, count: int) -> tuple[scenes.Scene, str, list[str]]:
     return scene, kinds, list(cases)
 
 
-def errors(metrics: dict) -> str:
-    """What a `metrics.json` says of soil and force, in words."""
-    soil, force = (metrics['mean']['model'].get(name) for name in ERRORS)
+def errors(folder: str) -> tuple[str, float]:
+    """Soil and force of a judged model, in words; the force error, infinite of one that refused."""
+    mean = files.read_json(os.path.join(folder, 'metrics.json'))['mean']['model']
+    soil, force = (mean.get(name) for name in ERRORS)
     if soil is None or force is None:
-        return 'refused some of them'
-    return f'soil {soil:.2f} mm, force {force:.3f}'
+        return 'refused some of them', math.inf
+    return f'soil {soil:.2f} mm, force {force:.3f}', force
 
 
 def duration(seconds: float) -> str:
@@ -141,15 +143,13 @@ def duration(seconds: float) -> str:
 
 def verdict(work: Work, kept: int, where: str) -> str:
     """The last line: errors on the runs kept back, those of the shipped model, time."""
-    own, usual = (
-        errors(files.read_json(work.at(folder, 'metrics.json')))
-        for folder in ('judged', 'judged_as_it_is')
-    )
+    own, usual = (errors(work.at(folder)) for folder in ('judged', 'judged_as_it_is'))
+    worse = '' if own[1] < usual[1] else '; its force is no better: make more --runs, or keep that'
     time_taken = duration(sum(work.state['seconds'].values()))
     page = '' if os.path.exists(work.at('page.html')) else '; no page'
     return (
-        f'{own} on {kept} runs kept back; shipped model as it is: {usual}; {time_taken} on '
-        f'{where}{page}'
+        f'{own[0]} on {kept} runs kept back; shipped model as it is: {usual[0]}{worse}; '
+        f'{time_taken} on {where}{page}'
     )
 
 

@@ -184,8 +184,13 @@ def summary(description: dict, output_path: str) -> str:
         return f'{wrote}not compared with TensorFlow: {compared["skipped"]}'
     apart = ', '.join(f'{k} {v:.2g}' for k, v in compared['relative_difference'].items())
     times = [f'{name} {ms:.3g} ms' for name, ms in compared.get('ms_per_call', {}).items()]
+    places = ', '.join(
+        f'{name} {compared[f"{name}_difference_m"]:.2g} m'
+        for name in ('particles', 'heights')
+        if f'{name}_difference_m' in compared
+    )
     return (
         f'{wrote}largest difference to the source over {compared["calls"]} calls: {apart} (allowed '
-        f'{compared["tolerance"]:g}), particles {compared["particles_difference_m"]:.2g} m\n'
+        f'{compared["tolerance"]:g}), {places}\n'
         f'{", ".join(times) or compared["engine"]}'
     )

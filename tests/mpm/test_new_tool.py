@@ -84,6 +84,12 @@ def test_the_last_line(tmp_path):
         'soil 3.10 mm, force 0.160 on 4 runs kept back; shipped model as it is: refused some of '
         'them; 2 h 40 min on 2 processes; no page'
     )
+    mean['mean']['model']['soil_mm'] = 2.0
+    (tmp_path / 'judged_as_it_is' / 'metrics.json').write_text(json.dumps(mean))
+    assert 'no better' not in new_tool.verdict(work, 4, 'here')
+    mean['mean']['model']['force_relative_l2'] = 0.15
+    (tmp_path / 'judged_as_it_is' / 'metrics.json').write_text(json.dumps(mean))
+    assert 'force 0.150; its force is no better' in new_tool.verdict(work, 4, 'here')
 
 
 @pytest.mark.slow
