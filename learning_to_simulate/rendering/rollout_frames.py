@@ -390,7 +390,9 @@ def _reader(data_path: str | None, metadata) -> soil_truth.TruthReader:
     space, path = reader.subspace, os.path.join(data_path, 'subspace.npz')
     if space is None:
         return reader
-    if space.n_modes != metadata['mode_number']:
+    if space.n_modes < metadata['mode_number'] or (
+        'bounds' in metadata and space.n_modes != metadata['mode_number']
+    ):
         raise ValueError(
             f'{path}: has {space.n_modes} modes, the rollout has {metadata["mode_number"]}; give '
             'the dataset folder that the rollout was made from'
