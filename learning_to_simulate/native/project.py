@@ -26,6 +26,8 @@ _GRAPH_TEMPLATES = {
 _SOIL_TEMPLATES = {
     'cmake/README_soil.md.in': 'README.md',
     'examples/soil.cpp.in': 'examples/example.cpp',
+    'examples/loop_soil.c.in': 'examples/loop_1khz.c',
+    'examples/ros2_soil.cpp.in': 'examples/ros2_node.cpp',
 }
 # Sources of both kinds of models; those of soil fields alone begin with `lts_soil`.
 _SHARED = ('lts_common', 'lts_kernels', 'lts_model.', 'lts_table')

@@ -11,7 +11,11 @@ import pytest
 import learning_to_simulate as lts
 from learning_to_simulate.export import exporting
 from learning_to_simulate.live.soil import surface
-from learning_to_simulate.native import library, project
+from learning_to_simulate.native import library, project, soil_data
+from learning_to_simulate.soil_field.stepper import SoilStepper
+from learning_to_simulate.soil_field.terrain import Terrain
+from tests.learning_to_simulate.native import worlds
+from tests.learning_to_simulate.soil_field.scenes import poses
 
 STAND_IN = pathlib.Path(__file__).with_name('ros_stand_in')
 COMPILERS = [x for x in map(shutil.which, ('g++', 'clang++')) if x]
@@ -79,3 +83,54 @@ def test_the_node_sends_what_the_stepper_says(tmp_path):
         assert same.mean() > 0.99  # a particle on the line between two cells may fall into either
     assert sent['status'][0] == ['0', 'within', 'the', 'training', 'runs']
     assert sent['status'][-1][0] in '12'
+
+
+@pytest.mark.skipif(not COMPILERS, reason='no C++ compiler')
+def test_the_node_of_a_soil_field_sends_what_the_stepper_says(tmp_path):
+    field = worlds.soil_field('blade', {'load': (6, 5), 'surface': (6,), 'soil': (5,)})
+    folder = worlds.written(tmp_path / 'project', 'lts_blade', soil_data.values(field))
+    printed = _run(folder, tmp_path, way := poses(PATH))
+    terrain = Terrain.flat((4.0, 2.0), corner=(-2.0, -1.0))
+    live, frames, maps = SoilStepper(field, terrain, engine='c'), [], []
+    live.start(way[0])
+    for pose in way[:-1]:
+        frames.append(live.step(pose, 1 / 60))
+        maps.append(terrain.heights.copy())
+    wrench = np.array([line.split()[1:] for line in printed if line[:3] == 'wre'], float)
+    force, torque = (np.array([getattr(f, name) for f in frames]) for name in ('force', 'torque'))
+    torque += np.cross([frame.pose[:3] for frame in frames], force)
+    largest = np.abs(force).max()
+    assert largest > 1
+    np.testing.assert_allclose(wrench[:, :3], to_ros(force), atol=1e-6 * largest)
+    np.testing.assert_allclose(wrench[:, 3:], to_ros(torque), atol=1e-6 * largest)
+    cell, x, y, nx, ny, *heights = map(
+        float, [s for s in printed if s[:3] == 'map'][-1].split()[1:]
+    )
+    assert (cell, x, y, nx, ny) == (0.02, 0, 0, 200, 100)
+    # Cell (0, 0) of grid_map is at the largest x and y, which is the least z.
+    theirs = np.reshape(heights, (100, 200)).T[::-1]
+    np.testing.assert_allclose(theirs, maps[-1], atol=1e-6)
+    assert np.ptp(theirs) > 1e-3
+    status = [line.split(None, 1)[1] for line in printed if line[:3] == 'sta']
+    assert status[0] == '0 within the training runs' and status[-1].startswith('2 ')
+
+
+PATH = [(0.0, 0.03, 0.0), *((0.01 * k, 0.03 - 0.004 * k, 0.0) for k in range(1, 20)), (1.5, 0.3, 0)]
+
+
+def _run(folder, tmp_path, way):
+    """What the node prints for poses [T, 7], built without a remark."""
+    built, program = str(tmp_path / 'lib.so'), str(tmp_path / 'node')
+    library.compile_sources(built, *library.parts_of(folder))
+    strict = ['-std=c++17', '-Wall', '-Wextra', '-Werror']
+    source = os.path.join(folder, 'examples', 'ros2_node.cpp')
+    subprocess.run(
+        [COMPILERS[0], *strict, f'-I{STAND_IN}', f'-I{folder}/include', source, built,
+         '-o', program], check=True,
+    )  # fmt: skip
+    lines = '\n'.join(
+        ' '.join(f'{x:.17g}' for x in (*to_ros(p[:3]), p[3], *to_ros(p[4:]))) for p in way
+    )
+    return subprocess.run(
+        [program], input=lines, capture_output=True, text=True, check=True
+    ).stdout.splitlines()

@@ -332,10 +332,9 @@ int lts_soil_tangent(lts_soil *soil, const lts_pose *pose, double dt, const doub
     lts_moved_pose(&unit, &way, end ? -step : step, &there);
     LTS_TRY(lts_soil_propose(soil, &there, dt, &ends[end]));
   }
-  for (int i = 0; i < 6; ++i) {
-    const double high = i < 3 ? ends[0].force[i] : ends[0].torque[i - 3];
-    const double low = i < 3 ? ends[1].force[i] : ends[1].torque[i - 3];
-    out[i] = (high - low) / (2.0 * step);
+  for (int i = 0; i < 3; ++i) {
+    out[i] = (ends[0].force[i] - ends[1].force[i]) / (2.0 * step);
+    out[3 + i] = (ends[0].torque[i] - ends[1].torque[i]) / (2.0 * step);
   }
   return LTS_OK;
 }
