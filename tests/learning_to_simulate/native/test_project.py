@@ -161,7 +161,7 @@ def test_names_of_models_are_not_those_of_the_library(small, tmp_path):
     assert project.symbol('models/excavation/pcg') == 'lts_excavation_pcg'
     assert project.symbol('/a/Wheel 2/best-one') == 'lts_wheel_2_best_one'
     # Types, a function, and files; then names that leave no letter.
-    taken = ('/model', '/soil/model', '/soil/frame', '/kernels', '/soil/table')
+    taken = ('/model', '/soil/model', '/soil/step', '/kernels', '/soil/table')
     others = ('/a/\u571f/\u7802', '/a/\u7802/\u571f', '/--/..-', '/')
     names = [project.symbol(path) for path in taken + others]
     assert len(set(names)) == len(names)
