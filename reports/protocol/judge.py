@@ -201,7 +201,7 @@ def separation(folder: str) -> dict[str, float]:
 
 def summary(document: dict) -> dict:
     """Of the runs of the first dataset, which all methods know ('all'), of each kind of run, and of
-    all other datasets ('others'): method -> quantity -> `figures`, of kinds their means alone."""
+    all other datasets ('others'): method -> quantity -> `figures`, of kinds means and medians."""
     runs = document['runs']
     chosen = {'all': [i for i, run in enumerate(runs) if not run['data']]}
     if others := [i for i, run in enumerate(runs) if run['data']]:
@@ -243,4 +243,4 @@ def figures(seeds, key: str, places: list[int], still: dict, whole: bool = True)
         found['runs'] = len(values)
         if others is not None:
             found['wins'].append(sum(v < others[i] for i, v in values.items() if others[i]))
-    return found if whole else {'runs': found['runs'], 'mean': found['mean']}
+    return found if whole else {key: found[key] for key in ('runs', 'mean', 'median')}

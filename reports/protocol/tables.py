@@ -16,12 +16,14 @@ TITLES = {
     'force_relative_l2': 'force, rel. L2',
     'force_rmse': 'force, N',
     'force_peak_error': 'its peak, N',
-    'drawbar_relative_l2': 'drawbar, rel. L2',
+    'drawbar_relative_l2': 'drawbar, rel. L2 (median)',
     'drawbar_rmse': 'drawbar, N',
-    'vertical_relative_l2': 'vertical, rel. L2',
-    'pitch_relative_l2': 'torque in plane, rel. L2',
+    'vertical_relative_l2': 'vertical, rel. L2 (median)',
+    'pitch_relative_l2': 'torque in plane, rel. L2 (median)',
     'height_mm': 'height, mm',
 }
+# Of a part of a load a run may have next to nothing; then its relative error is a huge number.
+MEDIANS = 'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2'
 # The columns of the page; forces along the way first, where these are what matters.
 COLUMNS = {
     'blade': ('soil_mm', 'near_mm', 'front_mm', 'heap_error_litre', 'force_relative_l2',
@@ -32,9 +34,9 @@ COLUMNS = {
 
 
 def methods(path: str, kind: str = 'all') -> str:
-    """All methods over the runs of a kind: mean errors (medians where a run was refused), lowest to
-    highest over trainings; on how many runs soil and force are nearer than persistence; below them
-    the truth's own errors."""
+    """All methods over the runs of a kind: mean errors (medians of parts of a load, and where one
+    was refused), lowest to highest over trainings; wins of soil and force over persistence; below
+    them the truth's own errors."""
     document = files.read_json(path)
     summary, columns = document['summary'][kind], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])
@@ -51,12 +53,15 @@ def methods(path: str, kind: str = 'all') -> str:
             + [f'{runs} runs'] * (kind == 'all' and runs < count)
             + [f'{refused} refused'] * bool(refused)
         )
-        cells = [_cell(found.get(key)) for key in columns]
+        cells = [_cell(found.get(key), key) for key in columns]
         wins = [_wins(found.get(key), method) for key in ('soil_mm', 'force_relative_l2')]
         rows.append([method['name'] + (f' ({about})' if about else ''), *cells, *wins])
     if kind == 'all':
         own = document['truth']
-        cells = [markdown.cell(float(np.mean(own[k]))) if k in own else '' for k in columns]
+        cells = [
+            markdown.cell(float((np.median if k in MEDIANS else np.mean)(own[k])))
+            if k in own else '' for k in columns
+        ]  # fmt: skip
         # Of the whole bed; near the tool it is larger.
         whole = markdown.cell(float(np.mean(own['surface_mm'])))
         cells[columns.index('near_mm')] = f'over {whole}'
@@ -65,13 +70,13 @@ def methods(path: str, kind: str = 'all') -> str:
     return markdown.table(header, rows)
 
 
-def _cell(figure):
+def _cell(figure, key=''):
     if figure is None:
         return ''
-    if None not in figure['mean']:
-        return markdown.span(figure['mean'])
-    medians = markdown.span(figure.get('median', []))
-    return f'median {medians}' if medians else 'failed'
+    medians = markdown.span(figure['median'])
+    if key in MEDIANS:
+        return medians or 'failed'
+    return f'median {medians}' if None in figure['mean'] else markdown.span(figure['mean'])
 
 
 def _wins(figure, method):
@@ -80,7 +85,7 @@ def _wins(figure, method):
     return f'{markdown.span(figure["wins"])} of {figure["runs"]}'
 
 
-def kinds(path: str, name: str) -> str:
+def kinds(path: str, name: str = 'soil field') -> str:
     """Means of one method by kind of run."""
     document = files.read_json(path)
     columns = COLUMNS[document['scene']]
@@ -88,7 +93,7 @@ def kinds(path: str, name: str) -> str:
     for kind, of in document['summary'].items():
         if found := of.get(name):
             runs = max(figure['runs'] for figure in found.values())
-            rows.append([kind, runs, *(_cell(found.get(key)) for key in columns)])
+            rows.append([kind, runs, *(_cell(found.get(key), key) for key in columns)])
     return markdown.table(['runs', 'count', *(TITLES[key] for key in columns)], rows)
 
 
