@@ -36,7 +36,9 @@ def of_rollouts(path: str) -> str:
     data_path = 'datasets/' + path.split('/')[1]
     opened = registry.open_model(path, data_path, 'test')
     rollouts = [opened.evaluator.roll_out(group) for group in opened.groups]
-    return _digest(*(a for r in rollouts for a in (r.position, r.force)))
+    # Of a soil field the terrain, of a network the modes and the body.
+    soils = [r.heights if hasattr(r, 'heights') else r.position for r in rollouts]
+    return _digest(*soils, *(r.force for r in rollouts))
 
 
 def of_training(data_path: str, steps: int = 3) -> str:
