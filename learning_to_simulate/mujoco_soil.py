@@ -23,8 +23,8 @@ import numpy as np
 
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field.engine import SoilFrame, refuse_step
-from learning_to_simulate.soil_field.place import UP
-from learning_to_simulate.soil_field.stepper import DT, SoilStepper, turned
+from learning_to_simulate.soil_field.place import UP, turned
+from learning_to_simulate.soil_field.stepper import DT, SoilStepper
 from learning_to_simulate.soil_field.terrain import Terrain
 
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -89,7 +89,8 @@ def evaluate(name: str, case: int | str, out: str) -> tuple[list[dict], list[str
         record = data.test.records[number]
         times = field_ms(model, rollouts[0]) if is_field else network_ms(model, record)
         rows.append(_row(MODELS[preset], summary['mean']['model']) | times)
-    return rows, draw(name, *rollouts, out)
+    field, network = rollouts
+    return rows, draw(name, field, network, out)
 
 
 def field_ms(model, rollout) -> dict:
@@ -179,15 +180,16 @@ def draw(name: str, field, network, out: str) -> list[str]:
         label=MODELS['soil_field'],
         soil=other.soil | {'prediction': predicted},
         rigid=other.rigid | {'prediction': other.rigid['truth']},
-        force=other.force | {'prediction': field.force},
+        force=(other.force or {}) | {'prediction': field.force},
         soil_mm=truth.soil_mm(predicted),
         soil_rms_mm=other.soil_rms_mm
         | {'prediction': metrics.rms_mm(truth.mean_square(predicted))},
         notes=(),
     )
     target = os.path.join(out, 'particles')
-    options = {'step_stride': 8, 'progress': progress, 'beside': [other]}
-    return paths + render_rollout.render_frames(shown, target, ['png', 'gif'], **options)
+    return paths + render_rollout.render_frames(
+        shown, target, ['png', 'gif'], step_stride=8, progress=progress, beside=[other]
+    )
 
 
 def define_flags() -> None:
@@ -211,7 +213,8 @@ def main(values, _) -> None:
         raise ValueError(f'{len(names)} cases for {len(chosen)} scenes')
     cases = [catalogue.select_runs(scene, [name])[0] for scene, name in zip(chosen, names)]
     print('learned simulators: rolling out', flush=True)
-    results, pictures = {}, []
+    results: dict = {}
+    pictures: list[str] = []
     for scene, case in zip(chosen, cases):
         rows, drawn = evaluate(scene.name, case, os.path.join(out, scene.name))
         results[scene.name], pictures = {'case': case, 'rows': rows}, pictures + drawn
