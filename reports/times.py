@@ -120,19 +120,23 @@ def subspace_jobs(name: str, folder: str, data_path: str) -> dict:
     )
     roll_out = opened.evaluator.roll_out
 
+    def whole():
+        roll_out(group)
+
     def particles():
         modes = group.with_left_modes(roll_out(group).position)[0, :, group.n_rigid :]
         for frame in modes:
             space.components[:, : len(frame)] @ frame + space.mean
 
     count = group.position.shape[1] - evaluation.H
-    label = f'{name}, TensorFlow'
+    steps = registry.of_folder(folder).steps
+    label = f'{name}, {"TensorFlow" if steps else "NumPy"}'
     jobs = {
-        (label, 'load'): timing.Job(lambda: roll_out(group), count),
+        (label, 'load'): timing.Job(whole, count),
         (label, 'particles'): timing.Job(particles, count),
     }
-    if registry.of_folder(folder).steps:
-        live = lts.load(folder).stepper()
+    live = lts.load(folder).stepper() if steps else None
+    if live is not None and live.engine.startswith('C '):
         run = dataset.read_split(data_path, 'test')[number]
         given = live, np.asarray(run.rigid_pose, np.float64)[:FRAMES], run.step_context
         jobs[f'{name}, C', 'load'] = timing.Job(lambda: timing.stepping(*given)[0])
@@ -198,8 +202,8 @@ def draw(path: str, protocol: dict, picture: str) -> None:
             )  # fmt: skip
             if len(more) > 1:
                 axes.annotate(
-                    more[0][0], (row[clock], seeds.mean()), (5, 4), textcoords='offset points',
-                    fontsize='small',
+                    more[0][0], (row[clock], seeds.mean()), (5, 9 * int(more[0][0]) - 18),
+                    textcoords='offset points', fontsize='small',
                 )  # fmt: skip
         for name in LINES:
             if height := protocol['summary']['all'].get(name, {}).get(error, {}).get('mean'):
@@ -220,7 +224,7 @@ def draw(path: str, protocol: dict, picture: str) -> None:
 
     shown = [Line2D([], [], marker='o', ls='', color=f'C{i}') for i in range(len(methods))]
     shown += [Line2D([], [], marker=m, ls='', color='0.4') for m in 'os']
-    labels = [*methods, 'in C, step by step', 'TensorFlow']
+    labels = [*methods, 'in C, step by step', 'in Python']
     drawn.legend(shown, labels, loc='outside lower center', ncols=6, fontsize='small')
     drawn.suptitle('Test runs: mean errors (range of trainings); numbers: members of a soil field')
     files.write_atomically(picture, lambda name: drawn.savefig(name, format='png', dpi=110))
