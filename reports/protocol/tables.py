@@ -136,7 +136,7 @@ def bounds(*paths: str) -> str:
 # What ships of the judged methods: its name in the documents, its folder, what it is made for.
 SHIPPED = {
     'soil field': ('soil_field', 'recommended'),
-    'mlp': ('mlp_driven', 'all particles at once, in the subspace'),
+    'mlp_driven': ('mlp_driven', 'all particles at once, in the subspace'),
     'pcg': ('pcg', 'graph network, to compare with'),
 }
 

@@ -34,7 +34,11 @@ def test_the_path_is_a_driven_one_on_a_flat_bed(recorded):
 def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch):
     protocol = tmp_path / 'protocol.json'
     protocol.write_text(json.dumps(document()))
-    names = ('soil field, 1 of 2 members, C', 'soil field, 2 of 2 members, C', 'mlp, TensorFlow')
+    names = (
+        'soil field, 1 of 2 members, C',
+        'soil field, 2 of 2 members, C',
+        'mlp_driven, TensorFlow',
+    )
     jobs = {(name, what): name for name in names for what in ('load', 'particles')}
     monkeypatch.setattr(
         times, 'field_jobs', lambda *_: (jobs, {names[0]: dict.fromkeys(times.QUANTITIES, 7.0)})
@@ -46,7 +50,7 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
         lambda jobs, _: {j: timing.Timing(clock, processor[: 'mlp' in j[0]]) for j in jobs},
     )  # fmt: skip
     values = SimpleNamespace(
-        data_path='data', protocol=str(protocol), soil_field='folder', model=['mlp=folder'],
+        data_path='data', protocol=str(protocol), soil_field='folder', model=['mlp_driven=folder'],
         num_threads=1, output_path=str(tmp_path / 'times'),
     )  # fmt: skip
     times.main(values, None)
@@ -55,7 +59,7 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     assert lines[1] == '| soil field, 1 of 2 members, C | 7 | 7 | 2 | 2 | 550 |'
     # Its own errors: of the training that refused no run; medians of steps, CPU time of rollouts.
     assert lines[2] == '| soil field, 2 of 2 members, C | 1.5 | 0.2 | 2 | 2 | 550 |'
-    assert lines[3] == '| mlp, TensorFlow | 2.5 | 1 | 4 | 4 | 275 |'
+    assert lines[3] == '| mlp_driven, TensorFlow | 2.5 | 1 | 4 | 4 | 275 |'
     assert (tmp_path / 'times.png').read_bytes().startswith(b'\x89PNG')
     values.model = ['other=folder']
     with pytest.raises(ValueError, match=r"no \['other'\]"):

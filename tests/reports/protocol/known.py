@@ -38,7 +38,7 @@ def document() -> dict:
     mlp = {'soil_mm': [4.0, 1.0, None], 'force_relative_l2': [0.5, 1.5, None]}
     methods = [
         {'name': 'soil field', 'seeds': seeds},
-        {'name': 'mlp', 'seeds': [{'seed': 0, 'errors': mlp}]},
+        {'name': 'mlp_driven', 'seeds': [{'seed': 0, 'errors': mlp}]},
         {'name': 'persistence', 'seeds': [{'errors': still}]},
     ]
     found = {

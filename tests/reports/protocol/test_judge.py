@@ -18,9 +18,9 @@ def test_figures_are_of_runs_that_count_and_a_refused_one_is_infinitely_wrong():
     assert soil == {
         'runs': 2, 'mean': [1.5, None], 'median': [1.5, None], 'worst': [2.0, None], 'wins': [2, 1]
     }  # fmt: skip
-    assert summary['all']['mlp']['soil_mm']['wins'] == [1]
+    assert summary['all']['mlp_driven']['soil_mm']['wins'] == [1]
     assert summary['others']['soil field']['soil_mm']['mean'] == [9.0, 18.0]
-    assert summary['others']['mlp'] == {}  # it knows none of these runs
+    assert summary['others']['mlp_driven'] == {}  # it knows none of these runs
     assert summary['lift']['soil field']['force_relative_l2']['mean'] == [0.3, None]
     assert set(summary) == {'all', 'others', 'grid', 'lift', 'beside'}
 

@@ -24,8 +24,11 @@ def test_methods_stand_on_the_runs_that_all_know_beside_the_truth(path):
     header = found['method']
     soil, force = header.index('soil, mm'), header.index('force, rel. L2')
     assert found['soil field (2 trainings, 1 refused)'][soil] == 'median 1.5'
-    assert found['mlp'][soil] == '2.5' and found['mlp'][force] == '1'
-    assert found['mlp'][-2:] == ['1 of 2', '1 of 2'] and found['persistence'][-2:] == ['', '']
+    assert found['mlp_driven'][soil] == '2.5' and found['mlp_driven'][force] == '1'
+    assert found['mlp_driven'][-2:] == ['1 of 2', '1 of 2'] and found['persistence'][-2:] == [
+        '',
+        '',
+    ]
     own = found["*truth's own error* (2 cases)"]
     assert own[force] == '0.2' and own[header.index('drawbar, rel. L2 (median)')] == '0.6'
     assert own[header.index('surface near the tool, mm')] == 'over 2' and own[soil] == ''
