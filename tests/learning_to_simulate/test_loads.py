@@ -23,7 +23,6 @@ from learning_to_simulate.rollout import RolloutFunction, roll_out
 from learning_to_simulate.rollout_status import NodeRanges, RolloutStatus, judge
 from learning_to_simulate.subspace import subspace_model
 from pca_tools import files
-from reports.protocol import rollouts
 from tests.learning_to_simulate import models, synthetic
 
 TORQUE = {'predict_torque': True}
@@ -100,13 +99,13 @@ def test_a_trained_model_follows_a_known_torque(rolled):
     assert 'torque in the plane of travel' in evaluation.table(summary)
 
 
-def test_rollout_files_hold_it_and_the_protocol_reads_it(rolled, tmp_path):
+def test_rollout_files_hold_it_and_metrics_say_it(rolled, tmp_path):
     opened, results, summary = rolled
     evaluation.save_rollouts(str(tmp_path), 'test', results, summary, opened.metadata)
-    said = rollouts.read(str(tmp_path))
+    said = files.read_json(str(tmp_path / 'metrics.json'))['runs']['model']
     for (record, group, rollout), errors in zip(results, said, strict=True):
         share = relative(rollout.torque[0], group.torque[0, H:])
-        assert errors['torque_l2'] == pytest.approx(share, rel=1e-4)
+        assert errors['torque_relative_l2'] == pytest.approx(share, rel=1e-4)
         arrays = files.read_npz(str(tmp_path / f'rollout_test_{record}.npz'))
         np.testing.assert_array_equal(arrays['predicted_torques'], rollout.torque[0])
         both = np.concatenate([arrays['initial_torques'], arrays['ground_truth_torques']])

@@ -9,7 +9,6 @@ from learning_to_simulate.live import paths
 from learning_to_simulate.rendering import rollout_figures, rollout_frames
 from pca_tools import dataset, files
 from pca_tools.subspace import Subspace
-from reports.protocol import rollouts
 from tests.learning_to_simulate import models, synthetic
 
 H, FRAMES, N_SOIL = 6, synthetic.N_FRAMES, synthetic.N_SOIL
@@ -92,7 +91,8 @@ def test_every_printout_has_the_same_number(tmp_path, sampled):
     assert f'{np.mean(numbers):.4g}' in text and summary['soil_error'] in text
     assert summary['soil_error'] == (soil_truth.PARTICLES if sampled else soil_truth.SUBSPACE)
     scene = model.simulator.scene
-    for record, (judged, number) in enumerate(zip(rollouts.read(out), numbers, strict=True)):
+    said = files.read_json(f'{out}/metrics.json')['runs']['model']
+    for record, (judged, number) in enumerate(zip(said, numbers, strict=True)):
         same = pytest.approx(number, rel=1e-5)
         assert judged['soil_mm'] == same
         frames = rollout_frames.load(f'{out}/rollout_test_{record}.npz', data)
