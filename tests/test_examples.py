@@ -82,6 +82,26 @@ def test_wrench_with_z_up_is_that_about_the_centre_of_mass():
     np.testing.assert_allclose(turn.T @ torque, moved, atol=1e-12)
 
 
+def test_excavator():
+    """The first two seconds: the bucket is in the soil, borne by it and held back."""
+    pytest.importorskip('mujoco')
+    ground, judgement, rows = _example('excavator').main(seconds=2.2)
+    assert judgement.status == 'ok' and ground.heights.min() < -0.01
+    time, pose, force = rows[:, 0], rows[:, 1:4], rows[:, 4:]
+    assert not force[time < 0.5].any()
+    assert pose[-1, 1] < -0.04 and force[-1, 0] > 50.0  # it digs towards the house
+
+
+def test_rover():
+    """The first second: it stands on its weight, then drives on."""
+    pytest.importorskip('mujoco')
+    example = _example('rover')
+    _, _, rows = example.main(seconds=1.0)
+    assert rows[-1, 1] < -0.03 and abs(rows[-1, 2]) < 0.3
+    assert 0.0 < rows[-1, 5] < 0.01
+    assert example.drawn_plan(4.0 + 1.5) == (1, 7.0)
+
+
 @pytest.mark.slow
 def test_data_of_ones_own(tmp_path, capsys):
     settings = {'num_steps': 4, 'unroll_steps': 0, 'latent_size': 8}
