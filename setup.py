@@ -69,7 +69,9 @@ setuptools.setup(
             for pattern in (name, f'{name}.*')
         ]
     ),
-    package_data={'learning_to_simulate': ['**/*.c', '**/*.h', '**/*.inc', '**/*.in']},
+    package_data={
+        'learning_to_simulate': [f'**/*.{end}' for end in ('c', 'h', 'inc', 'in', 'js', 'css')]
+    },
     cmdclass={'build_py': BuildWithModels},
     install_requires=[
         'absl-py>=2.1',

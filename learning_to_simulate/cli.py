@@ -27,10 +27,11 @@ COMMANDS = {
     ),
     'rollout': ('learning_to_simulate.live.roll_out_path', [], 'rolls out a path from a file'),
     'render': ('learning_to_simulate.render_rollout', [], 'draws a rollout: PNG, GIF, MP4, VTP'),
+    'live': ('learning_to_simulate.native.web_page', [], 'a soil field in the browser'),
     'export': (
         'learning_to_simulate.export',
         [],
-        'writes a SavedModel, LiteRT or ONNX model, a C project or an FMU',
+        'writes a SavedModel, LiteRT or ONNX model, a C project, an FMU or a page',
     ),
     'new-tool': ('mpm.new_tool', [], 'a model of a tool of your own, from its outline to C'),
     'generate': ('mpm.generate', [], 'runs the solver: raw runs of a scene'),

@@ -52,7 +52,7 @@ LAYERS = (
     ('soil_field.stepper', 'soil_field.loaded', 'soil_field.rollout', 'soil_field.evaluation',
      'soil_field.method'),
     ('api', 'train', 'live.roll_out_path', 'soil_field.fit_soil', 'mujoco_soil'),
-    ('export.__main__', 'cli'),
+    ('native.web_page', 'export.__main__', 'cli'),
 )  # fmt: skip
 CLIMBS: dict[tuple[str, str], str] = {}  # (importing, imported) -> why it climbs all the same
 # Folder -> outside packages it must not name anywhere.

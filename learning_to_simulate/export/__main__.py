@@ -1,4 +1,4 @@
-"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project or an FMU.
+"""Writes a trained model as SavedModel, LiteRT or ONNX, as a C project, an FMU or a page.
 
 Examples:
   python -m learning_to_simulate.export --model_path=models/excavation/pcg \\
@@ -15,6 +15,10 @@ Examples:
   # an FMU of two blades on one terrain
   python -m learning_to_simulate.export --format=fmu --n_tools=2 --output_path=/tmp/blades \\
       --model_path=models/excavation/soil_field --data_path=datasets/excavation
+
+  # one HTML file with a soil field inside, which needs no server; a recorded run beside is optional
+  python -m learning_to_simulate.export --format=page --model_path=excavation \\
+      --data_path=datasets/excavation --output_path=blade.html
 """
 
 from absl import flags
@@ -26,15 +30,24 @@ from learning_to_simulate.export.exporting import FORMATS, export, summary
 def define_flags() -> None:
     """Defines the flags of the command."""
     flags.DEFINE_string('model_path', None, 'Trained model.', required=True)
-    flags.DEFINE_string('data_path', None, 'Dataset folder of the model.', required=True)
-    flags.DEFINE_string('output_path', None, 'Folder to write; absent or empty.', required=True)
-    flags.DEFINE_enum('format', 'savedmodel', FORMATS, 'What to write.')
+    flags.DEFINE_string('data_path', None, 'Dataset folder of the model; a page needs none.')
+    flags.DEFINE_string(
+        'output_path', None, 'Folder (page: file) to write; absent or empty.', required=True
+    )
+    flags.DEFINE_enum('format', 'savedmodel', [*FORMATS, 'page'], 'What to write.')
     flags.DEFINE_integer('n_rigid', None, 'Rigid nodes of the graph; default: the largest.', 0)
     flags.DEFINE_integer('n_tools', None, 'Tools on the terrain of a soil field as an FMU.', 1)
 
 
 def run(values) -> None:
     """Runs the command with its flags; raises as `export`."""
+    if values.format == 'page':
+        from learning_to_simulate.native import web_page
+
+        web_page.export(values.model_path, values.output_path, values.data_path)
+        return
+    if values.data_path is None:
+        raise ValueError(f'--data_path is missing: --format={values.format} is compared on it')
     command.import_tensorflow()
     description = export(
         values.model_path, values.data_path, values.output_path, values.format, values.n_rigid,

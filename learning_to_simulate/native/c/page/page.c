@@ -1,0 +1,158 @@
+/* The soil field behind a page: what JavaScript calls, over memory of its own. Compiled with LTS_MODEL, the symbol of
+ * the model. There is one terrain with one tool. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lts_soil.h"
+
+#define EXPORT(name) __attribute__((export_name(#name))) name
+
+extern const lts_soil_model LTS_MODEL;
+
+static lts_terrain ground;
+static lts_soil_tool tool;
+static lts_soil *soil;
+static lts_soil *traced; /* the same tool, whose anchors tell where particles are */
+static void *memory, *more;
+static lts_soil_result result;
+static double pose[7]; /* x y z, w x y z: JavaScript writes it */
+static double numbers[24];
+static char words[256];
+static double rate; /* m/s, up, of a tool that is free in height */
+
+double *EXPORT(page_pose)(void) { return pose; }
+/* What `page_make` reads: width, radius, length, bucket, plates, lugs, lug height of the tool; cells (2), corner (2),
+ * sides (2), walls, floor, friction angle, density and gravity of the terrain. */
+double *EXPORT(page_numbers)(void) { return numbers; }
+double *EXPORT(page_heights)(void) { return ground.heights; }
+double *EXPORT(page_force)(void) { return result.force; }
+double *EXPORT(page_torque)(void) { return result.torque; }
+double *EXPORT(page_place)(void) { return result.pose.position; }
+double EXPORT(page_bound)(void) { return result.bound; }
+int EXPORT(page_passage)(void) { return result.passage; }
+int EXPORT(page_status)(void) { return result.now.status; }
+double *EXPORT(page_points)(int n) { return malloc(sizeof(double) * 3 * (size_t)n); }
+void EXPORT(page_free)(void *points) { free(points); }
+
+static lts_pose coming(void) {
+  lts_pose to;
+  memcpy(to.position, pose, sizeof to.position);
+  memcpy(to.rotation, pose + 3, sizeof to.rotation);
+  return to;
+}
+
+/* A tool on a terrain, whose heights are to be written before `page_start`. */
+int EXPORT(page_make)(void) {
+  if (soil) lts_soil_close(soil);
+  if (traced) lts_soil_close(traced);
+  soil = traced = NULL;
+  free(memory);
+  free(more);
+  free(ground.heights);
+  memset(&ground, 0, sizeof ground);
+  const double *v = numbers;
+  const lts_soil_tool given = {v[0], v[1], v[2], v[3], v[4], v[5], v[6]};
+  tool = given;
+  for (int i = 0; i < 2; ++i) {
+    ground.n[i] = (int32_t)v[7 + i];
+    ground.corner[i] = v[9 + i];
+    ground.cell[i] = v[11 + i];
+  }
+  ground.walled = v[13] != 0.0;
+  ground.floor = v[14];
+  ground.friction_angle_deg = v[15];
+  ground.density = v[16];
+  ground.gravity = v[17];
+  ground.heights = calloc((size_t)ground.n[0] * (size_t)ground.n[1], sizeof(double));
+  const size_t size = lts_soil_size(&LTS_MODEL, &tool, &ground);
+  memory = size ? malloc(size) : NULL;
+  more = size ? malloc(size) : NULL;
+  if (size == 0) return LTS_ERROR_VALUE;
+  if (!ground.heights || !memory || !more) return LTS_ERROR_MEMORY;
+  const int code = lts_soil_init(&LTS_MODEL, &tool, &ground, memory, size, LTS_BEST, &soil);
+  return code < 0 ? code : lts_soil_init(&LTS_MODEL, &tool, &ground, more, size, LTS_BEST, &traced);
+}
+
+int EXPORT(page_start)(void) {
+  const lts_pose to = coming();
+  rate = 0.0;
+  return lts_soil_start(soil, &to, &result);
+}
+
+/* To the pose within dt s. */
+int EXPORT(page_step)(double dt) {
+  const lts_pose to = coming();
+  rate = 0.0;
+  return lts_soil_step(soil, &to, dt, &result);
+}
+
+/* By how much a mass at a height is held too little within dt s, N: backward Euler. */
+static int residual(lts_pose *to, double height, double mass, double weight, double dt, double *out) {
+  lts_soil_result there;
+  to->position[1] = height;
+  const int code = lts_soil_propose(soil, to, dt, &there);
+  const double last = result.pose.position[1];
+  *out = mass * ((height - last) / dt - rate) / dt - there.force[1] + weight;
+  return code;
+}
+
+/* To the pose within dt s, at the height that a weight (N) takes: the residual grows with the height, so a bracket
+ * that doubles holds the root, and regula falsi (Illinois) finds it. */
+int EXPORT(page_sink)(double weight, double dt) {
+  const double last = result.pose.position[1], mass = weight / ground.gravity;
+  lts_pose to = coming();
+  double a = last + dt * rate, fa, b = a, fb;
+  int code = residual(&to, a, mass, weight, dt, &fa);
+  if (code < 0) return code;
+  double step = fa > 0.0 ? -1e-5 : 1e-5;
+  for (;;) {
+    b += step;
+    if ((code = residual(&to, b, mass, weight, dt, &fb)) < 0) return code;
+    if (fa * fb <= 0.0) break;
+    a = b;
+    fa = fb;
+    step *= 2.0;
+    if (fabs(step) > 1.0) return LTS_ERROR_PLACE; /* the soil does not carry it */
+  }
+  for (int i = 0; i < 60 && fabs(b - a) > 1e-7 && fb != 0.0; ++i) {
+    const double middle = b - fb * (b - a) / (fb - fa);
+    double fm;
+    if ((code = residual(&to, middle, mass, weight, dt, &fm)) < 0) return code;
+    if (fm * fb < 0.0) {
+      a = b;
+      fa = fb;
+    } else {
+      fa *= 0.5;
+    }
+    b = middle;
+    fb = fm;
+  }
+  to.position[1] = b;
+  code = lts_soil_step(soil, &to, dt, &result);
+  if (code >= 0) rate = (b - last) / dt;
+  return code;
+}
+
+int EXPORT(page_update)(void) { return lts_terrain_update(&ground); }
+double *EXPORT(page_sight)(void) {
+  lts_soil_footprint(soil, numbers);
+  return numbers;
+}
+
+/* Of the newest frame, or of an error; "" while all is well. */
+char *EXPORT(page_reason)(int code) {
+  words[0] = 0;
+  if (code < 0) {
+    strncpy(words, lts_error_text(code), sizeof words - 1);
+  } else if (result.now.status) {
+    lts_soil_reason(soil, &result.now, words, sizeof words);
+  }
+  return words;
+}
+
+int EXPORT(page_anchor)(void) { return lts_soil_anchor(traced, &result.pose, 0); }
+int EXPORT(page_follow)(double dt) { return lts_soil_follow(traced, &result.pose, dt); }
+int EXPORT(page_displace)(const double *from, int n, double *to) {
+  return lts_soil_displacement(traced, from, (size_t)n, to);
+}

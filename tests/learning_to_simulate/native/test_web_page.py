@@ -1,0 +1,233 @@
+"""The page without a server, in a browser: its frames against the stepper, its controls."""
+
+import contextlib
+import csv
+import io
+import shutil
+
+import numpy as np
+import pytest
+
+from learning_to_simulate.native import soil_data, web_page
+from learning_to_simulate.soil_field.loaded import LoadedTool
+from learning_to_simulate.soil_field.stepper import SoilStepper
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Blade, Wheel
+from tests.learning_to_simulate.native import worlds
+from tests.learning_to_simulate.soil_field import worlds as soil_worlds
+
+SMALL = {'load': (20, 24), 'surface': (24, 20), 'soil': (24, 16, 20)}
+PRESETS = {
+    'blade': ('Slice', 'Trench', 'Cut beside', 'Press and hold'),
+    'wheel': ('Drive under load', 'Spin with slip'),
+}
+# Steps without drawing; what they were.
+STEPS = """(count) => {
+  const seen = [], m = page.machine;
+  for (let k = 0; k < count; k++) {
+    page.advance(1 / 60);
+    seen.push([...m.pose, ...m.force, ...m.torque, m.code]);
+  }
+  m.c.page_update();
+  return { seen, heights: [...m.heights()] };
+}"""
+needs_compiler = pytest.mark.skipif(
+    not web_page.is_available(), reason=f'needs {web_page.MISSING}'
+)
+
+
+FIELDS = {
+    'blade': lambda: soil_worlds.trained()[0],
+    'wheel': lambda: worlds.soil_field('wheel', SMALL),
+}
+
+
+def terrain_of(ground):
+    """The terrain of `page.flat()`."""
+    size = tuple(np.multiply(ground['cell'], ground['n']))
+    made = Terrain.flat(
+        size, cell=tuple(ground['cell']), corner=tuple(ground['corner']), floor=ground['floor']
+    )
+    assert made.shape == tuple(ground['n'])
+    return made
+
+
+def run_of_blade():
+    """A recorded run, of which nothing is predicted here."""
+    return soil_worlds.run(3)
+
+
+@pytest.fixture(scope='module')
+def pages(tmp_path_factory):
+    """Paths of the pages of small fields; that of the blade has a recorded run."""
+    if not web_page.is_available():
+        pytest.skip(f'needs {web_page.MISSING}')
+    folder = tmp_path_factory.mktemp('pages')
+    for kind in PRESETS:
+        run = run_of_blade() if kind == 'blade' else None
+        web_page.write(str(folder / f'{kind}.html'), f'lts_small_{kind}', FIELDS[kind](), run)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def browser():
+    api = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    chromium = shutil.which('chromium') or shutil.which('chromium-browser')
+    if chromium is None:
+        pytest.skip('no chromium here: apt install chromium')
+    arguments = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
+                 '--enable-unsafe-swiftshader']  # fmt: skip
+    with api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield found
+        found.close()
+
+
+@contextlib.contextmanager
+def opened(browser, path):
+    """A tab with a page that has started and waits; it must neither complain nor load anything."""
+    said, asked = [], []
+    tab = browser.new_page(viewport={'width': 500, 'height': 640})
+    tab.set_default_timeout(120_000)
+    tab.on('console', lambda message: said.append(message.text))
+    tab.on('pageerror', lambda error: said.append(str(error)))
+    tab.on('request', lambda request: asked.append(request.url))
+    tab.goto(path.as_uri())
+    tab.wait_for_function('window.page && page.frame > 1')
+    tab.evaluate('page.pause(true)')
+    yield tab
+    tab.close()
+    assert said == [] and asked == [path.as_uri()]
+
+
+@pytest.mark.parametrize('kind', PRESETS)
+def test_presets_give_the_frames_of_the_stepper(browser, pages, kind):
+    with opened(browser, pages / f'{kind}.html') as tab:
+        assert tab.evaluate(
+            'unpacked(packed).then((b) => WebAssembly.Module.imports(new WebAssembly.Module(b)))'
+        ) == []  # it can call nothing outside of itself
+        for name in PRESETS[kind]:
+            tab.get_by_role('button', name=name, exact=True).click()
+            tab.evaluate('page.pause(true); page.reset()')
+            if kind == 'wheel':  # networks without training bear no load
+                tab.locator('#loaded').uncheck()
+                tab.evaluate('page.driver.target.depth = 0.02')
+            first = tab.evaluate('[...page.machine.pose]')
+            ground, tool = tab.evaluate('[page.flat(), page.machine.tool]')
+            answer = tab.evaluate(STEPS, 200)
+            seen = np.array(answer['seen'])
+            assert (seen[:, -1] >= 0).all(), name
+            made = Wheel(*tool[:2], *tool[5:]) if kind == 'wheel' else Blade(*tool[:5])
+            terrain = terrain_of(ground)
+            live = SoilStepper(FIELDS[kind](), terrain, made)
+            live.start(first)
+            frames = [live.step(pose) for pose in seen[:, :7]]
+            for part, at in (('force', 7), ('torque', 10)):
+                wanted = np.array([getattr(frame, part) for frame in frames])
+                assert np.abs(wanted).max() > 0
+                np.testing.assert_allclose(
+                    seen[:, at : at + 3], wanted, atol=2e-5 * np.abs(wanted).max(), err_msg=name
+                )
+            heights = np.reshape(answer['heights'], terrain.shape)
+            np.testing.assert_allclose(heights, terrain.heights, atol=1e-6, err_msg=name)
+
+
+def test_a_load_is_borne_as_by_a_loaded_tool(browser, pages):
+    with opened(browser, pages / 'blade.html') as tab:
+        tab.evaluate("page.play('Press and hold'); page.pause(true); page.script = null")
+        first = tab.evaluate('[...page.machine.pose]')
+        ground, tool = tab.evaluate('[page.flat(), page.machine.tool]')
+        tab.locator('#loaded').check()
+        tab.evaluate('page.driver.target.load = 60; page.driver.target.speed = 0.05')
+        seen = np.array(tab.evaluate(STEPS, 60)['seen'])
+    assert (seen[:, -1] >= 0).all()
+    live = SoilStepper(FIELDS['blade'](), terrain_of(ground), Blade(*tool[:5]))
+    live.start(first)
+    loaded = LoadedTool(live, mass=60 / live.terrain.soil.gravity)
+    heights = [loaded.step(pose).pose[1] for pose in seen[:, :7]]
+    np.testing.assert_allclose(seen[:, 1], heights, atol=1e-5)
+    assert seen[-1, 8] > 30  # N, up: it does not fall any more
+
+
+def test_reset_gives_the_first_frame_again(browser, pages):
+    with opened(browser, pages / 'blade.html') as tab:
+        runs = []
+        for _ in range(2):
+            tab.get_by_role('button', name='Reset').click()
+            assert tab.evaluate('page.frame') == 0
+            assert not np.any(tab.evaluate('[...page.machine.heights()]'))
+            runs.append(tab.evaluate(STEPS, 90))
+    assert runs[0] == runs[1]
+    assert np.any(runs[0]['heights'])
+
+
+def test_a_recorded_run_is_played_beside(browser, pages):
+    run = run_of_blade()
+    with opened(browser, pages / 'blade.html') as tab:
+        tab.get_by_role('button', name='Beside the solver').click()
+        tab.evaluate('page.pause(true); page.reset()')
+        tab.evaluate(STEPS, len(run.pose) + 5)
+        tab.evaluate('page.draw()')
+        rows, maps, status = tab.evaluate(
+            '[page.rows, config.ghost.maps.map((m) => [...m]), page.machine.reason()]'
+        )
+        tab.evaluate('page.show()')
+        assert 'over' in tab.inner_text('#status') or status
+    ghost = np.array([row['ghost'] for row in rows])
+    np.testing.assert_allclose(ghost[:, 1], run.force[1:, 1][-len(ghost) :], atol=0.01)
+    np.testing.assert_allclose(ghost[:, 0], run.force[1:, 0][-len(ghost) :], atol=0.01)
+    np.testing.assert_allclose(np.reshape(maps, run.heights.shape), run.heights, atol=1e-4)
+
+
+def test_steering_recording_and_what_is_refused(browser, pages):
+    with opened(browser, pages / 'blade.html') as tab:
+        tab.evaluate('page.reset(); page.script = null')
+        tab.keyboard.down('w')
+        tab.keyboard.down('f')
+        tab.evaluate('page.held(); page.held()')
+        assert tab.evaluate('page.driver.target.speed') > 0
+        tab.keyboard.up('w')
+        tab.keyboard.up('f')
+        box = tab.locator('#pad').bounding_box()
+        tab.mouse.move(box['x'] + box['width'] / 2, box['y'] + 5)
+        tab.mouse.down()
+        pushed = tab.evaluate('page.pushed')
+        assert pushed[1] > 0.8
+        tab.mouse.up()
+        assert tab.evaluate('[page.pushed, page.driver.target.speed]') == [None, 0]
+        tab.get_by_role('button', name='Record').click()
+        tab.evaluate('page.driver.target.depth = 0.02; page.driver.target.speed = 0.1')
+        seen = np.array(tab.evaluate(STEPS, 60)['seen'])
+        tab.get_by_role('button', name='Stop').click()
+        rows = list(csv.DictReader(io.StringIO(tab.evaluate('page.csv()'))))
+        assert len(rows) == 60 and tab.locator('#download').is_enabled()
+        kept = [[float(row[f'f{i}_N']) for i in 'xyz'] for row in rows]
+        np.testing.assert_allclose(kept, seen[:, 7:10])
+        before = tab.evaluate('[...page.machine.pose]')
+        tab.evaluate('page.driver.state.x = NaN; page.advance(1 / 60); page.show()')
+        assert 'Held back' in tab.inner_text('#status')
+        assert tab.evaluate('[...page.machine.pose]') == before
+        tab.evaluate('page.reset(); page.show()')
+        assert 'Held back' not in tab.inner_text('#status')
+        assert tab.evaluate('page.grains, page.machine.grains().count') >= 0
+        times = tab.evaluate('page.frameTimes()')
+        assert 0 < times['median'] <= times['high']
+
+
+def test_what_a_page_needs_is_named(monkeypatch, tmp_path):
+    field = worlds.soil_field('blade', SMALL)
+    monkeypatch.setattr(web_page, 'is_available', lambda: False)
+    with pytest.raises(ValueError, match='no compiler for WebAssembly.*pip install ziglang'):
+        web_page.write(str(tmp_path / 'page'), 'lts_small', field)
+    monkeypatch.setattr(web_page, 'compile_model', lambda name, values: b'')
+    monkeypatch.setattr(web_page, 'MAX_BYTES', 1000)
+    with pytest.raises(ValueError, match='more than 1000'):
+        web_page.write(str(tmp_path / 'page'), 'lts_small', field)
+    assert not list(tmp_path.iterdir())
+
+
+@needs_compiler
+def test_c_that_does_not_compile_says_why(monkeypatch):
+    monkeypatch.setattr(web_page, 'TARGET', ('--no-such-flag',))
+    with pytest.raises(ValueError, match='cannot be compiled for a page.*no-such-flag'):
+        web_page.compile_model('lts_small', soil_data.values(worlds.soil_field('blade', SMALL)))
