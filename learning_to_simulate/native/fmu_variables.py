@@ -13,7 +13,7 @@ from learning_to_simulate.soil_field.tools import TOOLS, Soil
 # terrain is at first, m.
 HEIGHTS = (9, 5)
 TERRAIN = {'size': (4.0, 2.0), 'cell': 0.02, 'height': 0.0, 'depth': 1.0, 'grid': 0.1}
-STEP = 0.01  # s, the step that an importer is told to take
+STEP = 0.01  # s, step of the default experiment
 
 
 class Variable(NamedTuple):
@@ -40,7 +40,7 @@ class Layout(NamedTuple):
     Attributes:
       body: what its variables call the body.
       reals, integers, booleans, strings: variables by value reference.
-      dt: step that an importer is told to take, s.
+      dt: step of the default experiment, s.
       derivatives: whether there are directional ones.
       kind: of the C files, `fmu_<kind>.c`.
       lines: of fmu_model.h.

@@ -45,7 +45,7 @@ def dig(field, depth=0.05, speed=0.1, angle=ANGLE, density=DENSITY, gravity=9.81
     stepper = SoilStepper(field, ground.clone(), blade)
     frames = [stepper.start(way[0]), *(stepper.step(pose, DT) for pose in way[1:])]
     force = np.array([frame.force for frame in frames])
-    # What it starts from is told by nothing but its gravity.
+    # Of the soil that it starts from only gravity may count.
     ground.soil = Soil(gravity=gravity)
     return Dig(f'{depth} {speed}', blade, ground, DT * np.arange(FRAMES), way, force)
 
