@@ -17,8 +17,6 @@ REPORTS = {
     'edges': ('edges.edge_ablation', 'what edges between modes are worth'),
     'nri_proof': ('edges.nri_proof', 'edges of known systems, found without labels'),
     'nri_stability': ('edges.nri_stability', 'how far seeds of NRI agree'),
-    'fuzz': ('attacks.report', 'damaged and forged files to every reader'),
-    'kills': ('attacks.kills', 'SIGKILL at every point where something is written'),
     'documents': ('documents', 'tables of the documents, again from their JSON'),
 }
 

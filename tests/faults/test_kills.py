@@ -1,8 +1,13 @@
-"""A bounded part of `python -m reports kills`, in a process of its own: it forks before TensorFlow
-computes anything. One task more than there are must lose something: results written file by file,
-of which a kill leaves a mixture."""
+"""Kills in a process of their own: it forks before TensorFlow computes anything. One task more than
+there are must lose something: results written file by file, of which a kill leaves a mixture.
 
+KILLS in the environment is the number of kills at random moments and at named points of each task,
+for a long run.
+"""
+
+import collections
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -11,8 +16,8 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 CODE = """
-import os, sys, types
-from reports.attacks import kill_tasks, kills
+import json, os, sys
+from tests.faults import kill_tasks, kills
 def broken(folder):
     os.makedirs(f'{folder}/results', exist_ok=True)
     for name in 'ab':
@@ -23,22 +28,29 @@ def broken(folder):
                 file.flush()
                 open(f'{folder}/results/c', 'w').close()
                 file.write('y' * 100)
-kill_tasks.TASKS['broken'] = kill_tasks.Task(broken, 'results')
 tasks = ['training', 'conversion over an older dataset', 'results over older ones', 'solver runs']
-sys.exit(kills.main(types.SimpleNamespace(
-    tasks=[*tasks, 'broken'], count=5, points=4, seed=0, output_path=sys.argv[1]), []))
+moments, points = map(int, sys.argv[2:])
+if moments > 1:
+    tasks = list(kill_tasks.TASKS)
+kill_tasks.TASKS['broken'] = kill_tasks.Task(broken, 'results')
+with open(sys.argv[1], 'w') as file:
+    json.dump(list(kills.run(dict.fromkeys([*tasks, 'broken'], moments), 0, points)), file)
 """
 
 
 @pytest.mark.slow
 def test_kills_lose_nothing_but_what_is_not_written_whole(tmp_path):
+    many = int(os.environ.get('KILLS', '0'))
+    moments, points = (many, many) if many else (1, 4)
     done = subprocess.run(
-        [sys.executable, '-c', CODE, str(tmp_path)], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 1, done.stdout + done.stderr  # something was lost, of one task
+        [sys.executable, '-c', CODE, str(tmp_path / 'kills.json'), str(moments), str(points)],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads((tmp_path / 'kills.json').read_text())
-    tasks = found['tasks']
-    assert {loss['task'] for loss in found['losses']} == {'broken'}
-    assert tasks['broken']['lost'] == len(found['losses']) > 0
-    assert [(row['named'], row['random']) for row in tasks.values()] == [(4, 1)] * 5
-    assert all(row['points'] > 5 for name, row in tasks.items() if name != 'broken')
+    losses = collections.Counter(task for task, *_, lost in found if lost)
+    assert losses.keys() == {'broken'}, [row for row in found if row[-1]]
+    counts = collections.Counter((task, bool(point)) for task, _, point, _ in found)
+    for task, n_points, _, _ in found:
+        assert counts[task, False] == moments and counts[task, True] == min(points, n_points)
+        assert n_points > 5 or task == 'broken'

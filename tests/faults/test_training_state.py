@@ -25,7 +25,7 @@ from learning_to_simulate.subspace.trainer import Trainer
 from learning_to_simulate.training import loop, training_state
 from pca_tools import dataset, files
 from pca_tools.storage import whole_files
-from reports.attacks.small import cheap_step
+from tests.faults.small import cheap_step
 from tests.learning_to_simulate import synthetic
 
 TINY = {'latent_size': 4, 'num_steps': 12, 'unroll_steps': 0, 'mode_edges': 5}

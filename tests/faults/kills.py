@@ -5,11 +5,6 @@ Named points are all moments before a file of the work folder is opened for writ
 removed or made, as Python's audit events name them; beside them lie random moments. After every
 kill the task is given again, without one, and must end with the bytes of an undisturbed run. All
 runs are forks of one process, which has imported what they need.
-
-Examples:
-    python -m reports kills --count=200 --output_path=docs
-
-    python -m reports kills --count=40 --points=0 --tasks=training --seed=1
 """
 
 import contextlib
@@ -28,10 +23,8 @@ import traceback
 from collections.abc import Iterator
 
 import tqdm
-from absl import flags
 
 from pca_tools import files
-from reports import command, markdown, record
 
 _EVENTS = ('open', 'os.rename', 'os.mkdir', 'os.remove', 'os.rmdir', 'shutil.rmtree', 'os.truncate')
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
@@ -164,7 +157,7 @@ def run(
     Raises:
         OSError: a task fails without a kill.
     """
-    from reports.attacks import kill_tasks  # here: all forks find it imported
+    from tests.faults import kill_tasks  # here: all forks find it imported
 
     with tempfile.TemporaryDirectory() as folder:
         folder = os.path.realpath(folder)
@@ -186,58 +179,3 @@ def run(
                 yield name, n, plan.points[point], plan.kill_at(point)
             for _ in range(count):
                 yield name, n, '', plan.kill_at_random(rng)
-
-
-_COLUMNS = {
-    'points': 'named points', 'named': 'kills there', 'random': 'kills at random moments',
-    'lost': 'something lost',
-}  # fmt: skip
-
-
-def table(rows: dict) -> str:
-    """The kills by task, as Markdown."""
-    cells = [[name, *(row[key] for key in _COLUMNS)] for name, row in rows.items()]
-    sums = [sum(row[key] for row in rows.values()) for key in _COLUMNS]
-    return markdown.table(('task', *_COLUMNS.values()), [*cells, ['**all**', *sums]])
-
-
-def define_flags() -> None:
-    """Defines the flags of the command."""
-    flags.DEFINE_integer('count', 200, 'Kills at random moments in all, dealt to the tasks.', 0)
-    flags.DEFINE_integer('points', None, 'Named points of each task; default: every one.', 0)
-    flags.DEFINE_integer('seed', 0, 'Seed of points and moments.')
-    flags.DEFINE_list('tasks', None, 'Names as in the table; default: all.')
-    flags.DEFINE_string('output_path', None, 'Folder for kills.json.')
-
-
-def main(values, _) -> int:
-    """Runs the command; exit code 1 if anything was lost."""
-    from reports.attacks import kill_tasks
-
-    names = values.tasks or list(kill_tasks.TASKS)
-    if unknown := set(names) - set(kill_tasks.TASKS):
-        raise ValueError(f'no tasks named {sorted(unknown)}; there are {list(kill_tasks.TASKS)}')
-    path = values.output_path and os.path.join(values.output_path, 'kills.json')
-    if path:
-        os.makedirs(values.output_path, exist_ok=True)
-    share, more = divmod(values.count, len(names))
-    moments = {name: share + (i < more) for i, name in enumerate(names)}
-    document: dict = {'tasks': {}, 'losses': []}
-    killed = run(moments, values.seed, values.points)
-    for name, count, point, lost in tqdm.tqdm(killed, unit='kill'):
-        row = document['tasks'].setdefault(name, dict.fromkeys(_COLUMNS, 0) | {'points': count})
-        row['named' if point else 'random'] += 1
-        row['lost'] += bool(lost)
-        if lost:
-            at = point or 'a random moment'
-            document['losses'].append({'task': name, 'at': at, 'lost': lost})
-        if path:
-            files.write_json(path, document | record.provenance())
-    print(table(document['tasks']))
-    for loss in document['losses'][:20]:
-        print(f'{loss["task"]}, killed at {loss["at"]}: {loss["lost"]}')
-    return int(bool(document['losses']))
-
-
-if __name__ == '__main__':
-    command.start(define_flags, main)

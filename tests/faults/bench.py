@@ -1,4 +1,10 @@
-"""One fuzzed input after another, in this process: outcome by outcome."""
+"""One fuzzed input after another, in this process: outcome by outcome.
+
+A reader may refuse (ValueError or OSError with the name of the file in its message) or return a
+value: the original one, or, where the files carry no checksum, one that some valid file could hold.
+Everything else is a failure: another exception, more than `SECONDS`, more than `MEMORY`, a damaged
+file that passes. Inputs are functions of (target, seed, number).
+"""
 
 import contextlib
 import dataclasses
@@ -8,18 +14,15 @@ import os
 import random
 import resource
 import signal
-import tempfile
 import traceback
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import tensorflow as tf
 
-from reports.attacks import mutations
-from reports.attacks.targets import TARGETS, Promise, Target
+from tests.faults import mutations
+from tests.faults.targets import Promise, Target
 
-OUTCOMES = ('refused', 'equal', 'possible', 'failed')
 # Limits of one input, far above the milliseconds and kilobytes of the valid ones. Seconds of CPU:
 # a busy machine is no fault of a reader.
 SECONDS, MEMORY = 10, 2**30
@@ -68,7 +71,7 @@ class Bench:
         return name, data, forged
 
     def run(self, seed: int, number: int) -> tuple[str, str]:
-        """Outcome of input `number`, and what there is to say about a failure."""
+        """'refused', 'equal', 'possible' or 'failed', and what there is to say about a failure."""
         name, data, forged = self.make(seed, number)
         self._write(name, data)
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
@@ -89,7 +92,6 @@ class Bench:
             self._restore()
 
     def _judged(self, name, value, forged):
-        """The outcome of an input that was read."""
         target = self.target
         if fingerprint(value) == self._original:
             return 'equal', ''
@@ -129,74 +131,15 @@ def _raise_hang(*_):
     raise Hang
 
 
-def turns(names: list[str]) -> list[Target]:
-    """A round of inputs: some targets, each as often as its share. Number n goes to the n-th."""
-    chosen = (target for target in TARGETS if target.name in names)
-    return [target for target in chosen for _ in range(target.share)]
-
-
-def dealt(names: list[str], number: int) -> Target:
-    """The target of input `number`."""
-    order = turns(names)
-    return order[number % len(order)]
-
-
 @contextlib.contextmanager
-def benches(names: list[str]) -> Iterator[list[Bench]]:
-    """A round of benches, their folders in memory where that can be."""
+def limited() -> Iterator[None]:
+    """This process may take `MEMORY` bytes more than it has; a hang is told by a signal."""
     signal.signal(signal.SIGPROF, _raise_hang)
-    memory = '/dev/shm' if os.access('/dev/shm', os.W_OK) else None
-    with tempfile.TemporaryDirectory(dir=memory) as work:
-        order = turns(names)
-        made: dict[str, Bench] = {}
-        for target in order:
-            if target.name not in made:
-                made[target.name] = Bench(target, os.path.join(work, str(len(made))))
-        yield [made[target.name] for target in order]
-
-
-def run_block(made: list[Bench], seed: int, first: int, last: int, note: str) -> dict:
-    """Runs inputs `first` .. `last` - 1; number n goes to bench n of the round.
-
-    Args:
-      made: of `benches`.
-      seed, first, last: of the inputs.
-      note: file that always holds the number at hand, for whoever finds this process dead.
-
-    Returns:
-      `counts`: target -> outcome -> number; `failures`: list of dicts.
-    """
-    counts = {bench.target.name: dict.fromkeys(OUTCOMES, 0) for bench in made}
-    failures = []
-    with open(note, 'w', encoding='utf-8') as progress:
-        for number in range(first, last):
-            progress.seek(0)
-            progress.write(f'{number:12d}')
-            progress.flush()
-            bench = made[number % len(made)]
-            outcome, text = bench.run(seed, number)
-            counts[bench.target.name][outcome] += 1
-            if outcome == 'failed':
-                failures.append({'target': bench.target.name, 'number': number, 'why': text})
-    return {'counts': counts, 'failures': failures}
-
-
-def run_alone(names: list[str], seed: int, first: int, last: int, note: str) -> dict:
-    """`run_block` in a process that has nothing else to do: it may take `MEMORY` bytes more than it
-    has, and ends where all inputs together take more CPU than they may."""
-    tf.constant(0)  # TensorFlow's threads and arenas come first
     with open('/proc/self/statm', encoding='utf-8') as file:
         size = int(file.read().split()[0]) * resource.getpagesize()
-    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    seconds = int(used) + SECONDS * (last - first + 10)
-    for kind, limit in ((resource.RLIMIT_AS, size + MEMORY), (resource.RLIMIT_CPU, seconds)):
-        resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
-    with benches(names) as made:
-        return run_block(made, seed, first, last, note)
-
-
-def make_input(names: list[str], seed: int, number: int) -> tuple[str, bytes]:
-    """File name and content of input `number`."""
-    with tempfile.TemporaryDirectory() as work:
-        bench = Bench(dealt(names, number), os.path.join(work, '0'))
-        return bench.make(seed, number)[:2]
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)

@@ -24,7 +24,7 @@ from learning_to_simulate.native import agreement, library
 from learning_to_simulate.training import loop
 from mpm import raw_run, scenes
 from pca_tools import convert, files
-from reports.attacks import small
+from tests.faults import small
 
 SOLVER_FRAMES, SOLVER_CASES = 12, (22, 100, 186)
 

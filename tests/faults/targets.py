@@ -1,7 +1,7 @@
 """The readers that are fuzzed: a small valid folder for each, and what may come out of it.
 
 Whole models build what a forged `config.json` asks for, so they show what it costs: tens of
-milliseconds an input, hence their small share.
+milliseconds an input.
 """
 
 import base64
@@ -28,8 +28,8 @@ from nri.config import NriConfig
 from pca_tools import dataset, files, legacy_pickles, packing, particles, raw_runs, subspace
 from pca_tools.formats import detect, full_space
 from pca_tools.storage import folder_lock
-from reports.attacks import small
-from reports.attacks.small import FRAMES, MODES, N_SOIL, R, copies
+from tests.faults import small
+from tests.faults.small import FRAMES, MODES, N_SOIL, R, copies
 
 # numpy.array([3.0, 2.0, 1.0]) in the form of the authors' files, pickle protocol 3.
 _PICKLE = (
@@ -78,7 +78,6 @@ class Target:
       possible: whether a value could be that of some valid file, judged apart from the reader.
       parts: splits a value into parts; of a CHECKSUM file without a list of its parts, damage may
         lose or repeat whole ones.
-      share: turns in each round of inputs; fewer for a reader that costs many times the others.
     """
 
     name: str
@@ -88,7 +87,6 @@ class Target:
     read: Callable[[str], Any]
     possible: Callable[[Any], bool] = is_finite
     parts: Callable[[Any], list] = lambda value: [value]
-    share: int = 16
 
 
 def _rng():
@@ -260,7 +258,7 @@ def _full_space_data() -> full_space.FullSpaceData:
     )
 
 
-def _import(name: str, changed: tuple[str, ...], share: int = Target.share) -> Target:
+def _import(name: str, changed: tuple[str, ...]) -> Target:
     """The reader of a foreign format. Shapes must fit each other; values are the business of
     `write_raw`."""
 
@@ -281,7 +279,7 @@ def _import(name: str, changed: tuple[str, ...], share: int = Target.share) -> T
     def write(folder):
         detect.FORMATS[name].write(folder, _full_space_data())
 
-    return Target(f'import {name}', Promise.OPEN, write, changed, read, possible, share=share)
+    return Target(f'import {name}', Promise.OPEN, write, changed, read, possible)
 
 
 def _write_sample(folder):
@@ -344,8 +342,7 @@ TARGETS = (
     Target('dataset with manifest', Promise.SEALED, copies('data'), (*_RECORDS, 'manifest.json'),
            lambda folder: dataset.read_split(folder, 'train')),
     Target('records without manifest', Promise.CHECKSUM, copies('data', *_RECORDS), _RECORDS[1:],
-           lambda folder: dataset.read_split(folder, 'train'), _possible_trajectories, list,
-           share=2),
+           lambda folder: dataset.read_split(folder, 'train'), _possible_trajectories, list),
     Target('metadata.json', Promise.OPEN, copies('data', *_RECORDS), _RECORDS[:1], _read_metadata,
            _possible_metadata),
     Target('subspace.npz', Promise.CHECKSUM, copies('data', 'subspace.npz'), ('subspace.npz',),
@@ -376,10 +373,10 @@ TARGETS = (
            _newest_whole_checkpoint, _possible_checkpoint),
     Target('folder lock', Promise.OPEN, _write_lock, (folder_lock.LOCK_NAME,), _take_lock),
     # MPM-NGF and VTP keep folders of files, the bench single ones.
-    _import('deepmind', ('train.tfrecord', 'metadata.json'), share=2),
+    _import('deepmind', ('train.tfrecord', 'metadata.json')),
     _import('geoelements', ('train.npz', 'metadata.json')),
     _import('lagrangebench', ('train.h5', 'metadata.json')),
-    _import('npz', ('train_0.npz',), share=4),
+    _import('npz', ('train_0.npz',)),
     Target('particle sample', Promise.CHECKSUM, _write_sample, ('particles_train.npz',),
            lambda folder: list(particles.ParticleSample(f'{folder}/particles_train.npz')),
            _possible_sample),
@@ -388,7 +385,6 @@ TARGETS = (
     Target('model weights.npz', Promise.CHECKSUM, copies('model', *_MODEL), _MODEL[1:],
            _read_weights),
     Target('load_model', Promise.OPEN, copies('model', *_MODEL), _MODEL, _read_model,
-           _possible_model, share=1),
-    Target('load_model of NRI', Promise.OPEN, _write_nri, _MODEL, _read_nri, _possible_nri,
-           share=1),
+           _possible_model),
+    Target('load_model of NRI', Promise.OPEN, _write_nri, _MODEL, _read_nri, _possible_nri),
 )  # fmt: skip

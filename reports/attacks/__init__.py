@@ -1,1 +1,0 @@
-"""Damaged and forged files for every reader."""
