@@ -14,6 +14,7 @@ from learning_to_simulate.soil_field import field as soil_field
 _BITS = {
     'LTS_OUTSIDE_CONTEXT': (
         'half_width', 'friction', 'radius', 'length', 'bucket', 'plates', 'lugs', 'lug_height',
+        'stress',
     ),
     'LTS_OUTSIDE_START': (
         'bed_low', 'bed_high', 'uneven', 'beyond_map', 'thin_soil', 'other_tool', 'cell'
@@ -67,6 +68,7 @@ def values(field) -> dict:
         'standard_density': tools.STANDARD_DENSITY,
         'standard_gravity': tools.STANDARD_GRAVITY,
         'ahead': passage.AHEAD,
+        'below_tool': passage.BELOW,
         'even': passage.EVEN,
         'max_step': passage.MAX_STEP,
         'set_down': passage.SET_DOWN,
@@ -111,7 +113,7 @@ def values(field) -> dict:
         'bits': np.array([c[_bit(name)] for name in limits.names]),
         'judged_here': soil_field.HERE,
         'judged_near': soil_field.NEAR,
-        'least_soil': soil_field.LEAST_SOIL,
+        'least_soil': tool.least_soil,
         'apart': soil_field.APART,
         'bound': field.bounds.get('force', (-1.0,) * 3),
     }

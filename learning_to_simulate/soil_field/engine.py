@@ -10,7 +10,7 @@ import numpy as np
 
 from learning_to_simulate.rollout_status import OK, Judgement, RolloutStatus, worse
 from learning_to_simulate.soil_field import sweep
-from learning_to_simulate.soil_field.field import APART, LEAST_SOIL
+from learning_to_simulate.soil_field.field import APART
 from learning_to_simulate.soil_field.passage import Passage
 from learning_to_simulate.soil_field.place import Place, checked_pose, place_of, turned
 
@@ -211,7 +211,7 @@ class TfEngine:
             for spot, w in spots
         ]
         found = [place.local(pose[:3])[2], max(beyond, 0.0),
-                 max(passage.scale * LEAST_SOIL - over_floor, 0.0), max([0.0, *others]),
+                 max(passage.scale * self._tool.least_soil - over_floor, 0.0), max([0.0, *others]),
                  t.cell.max()]  # fmt: skip
         return np.append([yaw, roll], np.array(found) / passage.scale)
 

@@ -21,8 +21,8 @@ from pca_tools import files
 MARGIN = 0.05
 # What no network sees and all of training had as it should be, in the soil: name -> (least, most).
 # Yaw and roll, rad; all others in m of the field: distance of the tool from the plane of its
-# passage; how far its ends stand out of the map; what is missing of `LEAST_SOIL` between it and the
-# floor; by how much another tool is nearer than `APART`; the side of a cell.
+# passage; how far its ends stand out of the map; what is missing of the tool's `least_soil` between
+# it and the floor; by how much another tool is nearer than `APART`; the side of a cell.
 CONDITIONS = {
     'yaw': (-0.035, 0.035),
     'roll': (-0.035, 0.035),
@@ -32,7 +32,7 @@ CONDITIONS = {
     'other_tool': (0.0, 0.0),
     'cell': (0.0, 0.04),
 }
-LEAST_SOIL, APART = 0.06, 0.1
+APART = 0.1
 # Numbers of a frame that are judged: scalars, and what follows from bins about the tool.
 _SCALARS = ('lean', 'area', 'carried', 'speed')
 _OF_BINS = ('depth', 'bed_low', 'bed_high', 'uneven')

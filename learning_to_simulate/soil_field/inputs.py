@@ -179,7 +179,8 @@ _BLADE = (
 )  # fmt: skip
 _WHEEL = (
     Row('half_width', 0.05, shift=0.06), Row('friction', 0.15, shift=0.76), Row('lugs', 16.0),
-    Row('lug_height', 0.01),
+    Row('lug_height', 0.01), Row('stress'),
+    Row('below', 0.1, 'tanh'), Row('below', 0.03, 'tanh'), Row('below', 0.01, 'fade'),
 )  # fmt: skip
 _LOAD = (
     *_AREA, Row('foremost - tip', 0.1), Row('foremost - tip', 0.002, 'tanh'),

@@ -12,7 +12,8 @@ from learning_to_simulate.soil_field.terrain import Terrain
 from learning_to_simulate.soil_field.tools import STANDARD_GRAVITY, Tool
 from learning_to_simulate.swept import check_time
 
-AHEAD = 0.7  # m of the field, farther walls do not matter
+# m of the field: walls farther ahead do not matter, nor floors farther below.
+AHEAD, BELOW = 0.7, 0.2
 EVEN = 1e-3  # m of the field by which strips may differ and count as one
 # m of the field along the way in one frame: farther, cells would go by that no frame saw.
 MAX_STEP = sweep.WINDOW
@@ -282,7 +283,11 @@ class Passage:
         """What the networks see now, [1, J, ...]."""
         s, level = self.state, np.full(len(self.strips.centres), self.level)
         ahead = self.terrain.ahead(self.place, self.scale * s.tip[0]) / self.scale
-        of_passage = np.stack([self.carried, np.full(len(level), min(ahead, AHEAD))], axis=1)
+        below = s.pose[:, 1] - self._radius - self.terrain.floor / self.scale
+        of_passage = np.stack(
+            [self.carried, np.clip(below, 0.0, BELOW), np.full(len(level), min(ahead, AHEAD))],
+            axis=1,
+        )
         scalars = np.concatenate(
             [
                 sweep.scalars(s, level, self._grid),

@@ -42,6 +42,7 @@ class Run(NamedTuple):
       particles: [F, P, 3] m, or None.
       dt: s of a frame.
       machine: of a tool that was not moved along a given path; else None.
+      floor: of the bed, m; far below where it is not known.
     """
 
     case: str
@@ -59,12 +60,13 @@ class Run(NamedTuple):
     particles: np.ndarray | None
     dt: float = 1.0 / 60.0
     machine: Machine | None = None
+    floor: float = -1e3
 
     def terrain(self, frame: int = 0) -> Terrain:
         """The bed in a frame with heights."""
         return Terrain(
-            self.heights[frame // self.stride], self.cell, self.corner, self.soil, floor=-1e3,
-            walled=True,
+            self.heights[frame // self.stride], self.cell, self.corner, self.soil,
+            floor=min(self.floor, float(self.heights.min())), walled=True,
         )  # fmt: skip
 
     def before(self) -> Terrain:
@@ -129,10 +131,15 @@ def read(folder: str, split: str) -> list[Run]:
                     record.torque, np.asarray(maps[i]), maps.frame_stride,
                     np.asarray(maps.corner), np.asarray(maps.cell),
                     None if sample is None else sample[i], float(metadata['dt']),
-                    machine_of(case, record),
+                    machine_of(case, record), floor_of(case, maps[i]),
                 )
             )  # fmt: skip
     return found
+
+
+def floor_of(case: dict, maps) -> float:
+    """Floor of the bin of a run, m: its depth below most of the first of maps [F, nx, nz]."""
+    return float(np.median(maps[0])) - float(case['bin_m'][1]) if 'bin_m' in case else -1e3
 
 
 def machine_of(case: dict, record: dataset.Trajectory) -> Machine | None:

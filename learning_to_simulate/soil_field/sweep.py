@@ -62,8 +62,9 @@ SCALARS = (
     *(f'{name}_{i}' for i in range(len(MEMORIES)) for name in MOTIONS),
 )  # fmt: skip
 
-# Soil that the tool has moved and not left behind, m2 (`passage`); distance to a wall ahead, m.
-OF_PASSAGE = ('carried', 'ahead')
+# Soil that the tool has moved and not left behind, m2 (`passage`); how far below the tool the floor
+# is, and a wall ahead, m.
+OF_PASSAGE = ('carried', 'below', 'ahead')
 
 Read = Callable[[np.ndarray], np.ndarray]
 

@@ -5,6 +5,9 @@ gravity is the same scene in other units (`mpm.verification.similarity` checks i
 So a field works in the units of a tool: lengths in `scale` m, forces in rho g scale^3 of the
 standard soil, times in the root of scale over g. A blade's scale is 1 as long as its width lies
 within those taught, else the factor that brings it there; a wheel's is its radius over 0.1 m.
+
+Only the stiffness of grains keeps soil from that: where rho g scale is large against it, a wheel
+sinks farther before the soil yields. A wheel knows the logarithm of rho g scale (`stress`).
 """
 
 import abc
@@ -46,6 +49,11 @@ class Soil:
         """Tangent of the friction angle."""
         return float(np.tan(np.radians(self.friction_angle_deg)))
 
+    @property
+    def weight(self) -> float:
+        """rho g, in that of the standard soil."""
+        return self.density * self.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
+
 
 @dataclasses.dataclass(frozen=True)
 class Tool(abc.ABC):
@@ -63,6 +71,7 @@ class Tool(abc.ABC):
     columns: ClassVar[int]  # under the tool; 1 where it has no neighbours that it knows
     scalars: ClassVar[tuple[str, ...]]  # names of `values`
     bears: ClassVar[bool]  # whether its loads are shares of the force up
+    least_soil: ClassVar[float]  # over the floor that it was taught, m of the field
 
     def __post_init__(self):
         _check_positive(self, 'width', 'radius')
@@ -74,8 +83,7 @@ class Tool(abc.ABC):
 
     def units(self, soil: Soil) -> np.ndarray:
         """[6] N (three times) and N m of the world to one of the field."""
-        weight = soil.density * soil.gravity / (STANDARD_DENSITY * STANDARD_GRAVITY)
-        force = weight * self.scale**3
+        force = soil.weight * self.scale**3
         return np.array([force] * 3 + [force * self.scale] * 3)
 
     @abc.abstractmethod
@@ -107,6 +115,7 @@ class Blade(Tool):
     name = 'blade'
     columns = 5
     bears = False
+    least_soil = 0.05
     taught_widths: ClassVar = (0.15, 0.6)
     scalars = ('half_width', 'friction', 'radius', 'length', 'bucket', 'plates')
 
@@ -150,8 +159,9 @@ class Wheel(Tool):
     name = 'wheel'
     columns = 1
     bears = True
+    least_soil = 0.008
     RIM: ClassVar = 0.1  # m of the field
-    scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height')
+    scalars = ('half_width', 'friction', 'radius', 'lugs', 'lug_height', 'stress')
 
     def __post_init__(self):
         super().__post_init__()
@@ -171,8 +181,9 @@ class Wheel(Tool):
     def values(self, soil):
         s = self.scale
         return np.array(
-            [self.width / 2 / s, soil.friction, self.RIM, float(self.lugs), self.lug_height / s]
-        )
+            [self.width / 2 / s, soil.friction, self.RIM, float(self.lugs), self.lug_height / s,
+             np.log(soil.weight * s)]
+        )  # fmt: skip
 
 
 TOOLS = {tool.name: tool for tool in (Blade, Wheel)}

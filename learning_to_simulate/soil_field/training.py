@@ -2,7 +2,8 @@
 
 Every draw is a function of (seed, step). With the errors e of the members,
 
-  L_load = sum over members of the mean of weight |COMPONENTS e|^2                            (16)
+  L_load = sum over members of the mean of H(weight |COMPONENTS e|^2),
+           H(q) = q, beyond ROBUST^2 of a run's mean square 2 ROBUST sqrt(q) - ROBUST^2       (16)
   L_surface, L_soil = sum over members of the mean of weight |e / LENGTH|^2                   (17)
 """
 
@@ -19,6 +20,8 @@ from learning_to_simulate.soil_field.tools import TOOLS
 CLIP_NORM = 1.0
 # How much errors of the six components of a load count: a torque by a lever of 0.1 to 0.3 m.
 COMPONENTS = {'blade': (1, 1, 0.5, 1, 1, 3), 'wheel': (1, 1, 0, 0, 0, 8)}
+# Share of a run's root mean square of force beyond which errors of the load count by their length.
+ROBUST = 0.3
 _STREAMS = {'load': 1, 'surface': 2, 'soil': 3}
 
 
@@ -129,6 +132,8 @@ def _fit(part, call, scale, name, pools, config, progress, saved=None):
     counts = np.array([len(pool.weight) for pool in pools])
     mean = sum(pool.weight.sum(dtype=np.float64) for pool in pools) / counts.sum()
     batch = BATCHES[name]
+    # ROBUST in the unit of errors: weights of a load are 1 over the mean square of a run.
+    limit = float((ROBUST / network.FORCE) ** 2 / mean) if name == 'load' else 0.0
     # Pools are drawn from by their shares.
     sizes = np.maximum(np.rint(batch * counts / counts.sum()), 1).astype(int)
 
@@ -141,8 +146,12 @@ def _fit(part, call, scale, name, pools, config, progress, saved=None):
                 square = error**2
                 if len(target.shape) > 1:
                     square = tf.reduce_sum(square, axis=-1)
+                square *= weight
+                if limit:
+                    far = 2.0 * tf.sqrt(limit * tf.maximum(square, limit)) - limit
+                    square = tf.where(square < limit, square, far)
                 # Summed over members, which know nothing of each other.
-                total += tf.reduce_sum(square * weight)
+                total += tf.reduce_sum(square)
             loss = total / batch
         gradient = tape.gradient(loss, variables)
         optimizer.apply_gradients(zip(gradient, variables, strict=True))

@@ -41,6 +41,14 @@ def test_a_soil_is_that_of_the_parameters():
     assert runs.soil_of({}) == Soil()
 
 
+def test_a_floor_lies_as_deep_as_the_bin_is_filled():
+    maps = np.full((2, 5, 5), 0.25)
+    maps[0, 0] = 0.31, 0.1, 0.25, 0.25, 0.25  # a heap, a trench
+    maps[1] = 0.0
+    assert runs.floor_of({'bin_m': [0.8, 0.15, 0.6]}, maps) == pytest.approx(0.1)
+    assert runs.floor_of({}, maps) < -100
+
+
 def test_what_moved_a_tool_is_read_from_its_record():
     pose = np.tile([0.4, 0.3, 0.2, 1.0, 0, 0, 0], (5, 1)).astype(np.float32)
     target = np.stack([np.linspace(0.4, 0.5, 5), np.full(5, 0.25), np.full(5, -0.3)], axis=1)

@@ -18,13 +18,17 @@ def test_tools_of_one_form_are_one_tool_of_the_field(factor):
     blade = Blade(0.6, 0.012, 0.3, 1.0, 1.0), Blade(*factor * np.array([0.6, 0.012, 0.3]), 1.0, 1.0)
     wheel = Wheel(0.1, 0.1, 12, 0.01), Wheel(factor * 0.1, factor * 0.1, 12, factor * 0.01)
     for one, other in (blade, wheel):
-        np.testing.assert_allclose(other.values(soil), one.values(soil))
+        # Grains as stiff against the soil's weight.
+        as_stiff = Soil(33.0, gravity=soil.gravity / factor)
+        np.testing.assert_allclose(other.values(as_stiff), one.values(soil), atol=1e-12)
         named = dict(zip(one.scalars, one.values(soil)))
         assert named['half_width'] == one.width / 2 and named['radius'] == one.radius
         assert named['friction'] == pytest.approx(np.tan(np.radians(33.0)))
         assert len(one.scalars) == len(one.values(soil))
     assert dict(zip(Blade.scalars, blade[0].values(soil)))['length'] == 0.3
     assert dict(zip(Wheel.scalars, wheel[0].values(soil)))['lug_height'] == 0.01
+    heavy = dict(zip(Wheel.scalars, wheel[1].values(Soil(density=2 * soil.density))))
+    assert heavy['stress'] == pytest.approx(np.log(2 * factor))
 
 
 def test_turns():

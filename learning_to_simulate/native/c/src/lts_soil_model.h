@@ -49,7 +49,7 @@ struct lts_soil_model {
   /* Tool and soil, see `tools.py`. */
   double taught_widths[2], rim, lean_length, standard_density, standard_gravity;
   /* Passage. */
-  double ahead, even, max_step, set_down, factor[2]; /* factor: of (20) */
+  double ahead, below_tool, even, max_step, set_down, factor[2]; /* factor: of (20) */
   /* Terrain: of soil that slides. */
   int32_t slides, unused_slides;
   double slope_tolerance;

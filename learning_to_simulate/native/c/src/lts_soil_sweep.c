@@ -204,6 +204,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const lts_soil_model *m = soil->model;
   const lts_way *w = &p->s;
   const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * w->pose[0]);
+  const double below = w->pose[1] - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
   for (int j = 0; j < w->n_strip; ++j) {
     float *s = soil->scalars[j];
@@ -222,7 +223,8 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     const double cut = m->spacing * sum_of_cuts(p->surface + LTS_SOIL_ROW(soil, j),
                                                 p->profile + LTS_SOIL_ROW(soil, j), 0, m->n_bin);
     s[LTS_SOIL_OWN + m->n_own] = (float)(w->dropped[j] + cut + owed); /* (19) */
-    s[LTS_SOIL_OWN + m->n_own + 1] = (float)fmin(ahead / soil->scale, m->ahead);
+    s[LTS_SOIL_OWN + m->n_own + 1] = (float)fmin(fmax(below, 0.0), m->below_tool);
+    s[LTS_SOIL_OWN + m->n_own + 2] = (float)fmin(ahead / soil->scale, m->ahead);
   }
 }
 
