@@ -6,9 +6,6 @@ hostile pickles have their tests beside the readers in `tests/pca_tools`; README
 
 import io
 import json
-import pathlib
-import subprocess
-import sys
 import threading
 import zipfile
 
@@ -21,11 +18,9 @@ from learning_to_simulate.subspace import edge_lists
 from nri import data as nri_data
 from pca_tools import dataset, files, subspace
 from pca_tools.formats import full_space, lagrangebench
-from pca_tools.storage.folder_lock import locked
 from tests.faults.test_training_state import files_up_to
 from tests.learning_to_simulate import synthetic
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
 MARK = 'this_file_must_not_appear'
 READERS = {
     'arrays': files.read_npz,
@@ -139,28 +134,6 @@ def test_full_disk_leaves_the_old_file(tmp_path, ending):
     assert path.read_bytes() == before
 
 
-def test_oversized_record_does_not_end_the_process(tmp_path):
-    """In a process of its own: TensorFlow alone ends with a segmentation fault on this file."""
-    code = """
-import struct, sys
-from pca_tools import dataset
-from pca_tools.tfrecord_io import masked_crc32c
-header = struct.pack('<Q', 2**40)
-with open(sys.argv[1], 'wb') as file:
-    file.write(header + struct.pack('<I', masked_crc32c(header)) + bytes(100))
-try:
-    dataset.read_records_as_trajectories(sys.argv[1])
-except ValueError as error:
-    print(error)
-"""
-    path = tmp_path / 'train.tfrecord'
-    done = subprocess.run(
-        [sys.executable, '-c', code, str(path)], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert f'{path}: record 0 at offset 0: the header promises {2**40} bytes' in done.stdout
-
-
 def test_second_converter_does_not_replace_the_first(tmp_path):
     """Both found the output free when they started; the faster one keeps the name."""
     path = str(tmp_path / 'set')
@@ -176,28 +149,6 @@ def test_second_converter_does_not_replace_the_first(tmp_path):
         files.write_folder_atomically(path, slow, replace=False)
     assert json.loads((tmp_path / 'set' / 'a.json').read_text()) == 'fast'
     assert [p.name for p in tmp_path.iterdir()] == ['set']
-
-
-def test_second_solver_in_a_folder_is_refused(tmp_path):
-    code = """
-import sys
-from pca_tools.storage.folder_lock import locked
-with locked(sys.argv[1]):
-    print('held', flush=True)
-    sys.stdin.read()
-"""
-    holder = subprocess.Popen(
-        [sys.executable, '-c', code, str(tmp_path)],
-        cwd=ROOT, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert holder.stdout.readline() == 'held\n'
-    refusal = pytest.raises(ValueError, match=f'process {holder.pid} on .* writes')
-    with refusal, locked(str(tmp_path)):
-        raise AssertionError('two writers')
-    holder.kill()
-    holder.wait()
-    with locked(str(tmp_path)):  # the system released the lock with the process
-        pass
 
 
 def test_reader_beside_a_writer_sees_one_version_or_the_other(tmp_path):

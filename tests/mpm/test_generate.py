@@ -1,16 +1,12 @@
 """What the flags of the command name, and what it refuses."""
 
-import pathlib
-import subprocess
-import sys
 import types
 
 import pytest
 
 from mpm import generate, scenes
 from mpm.motions.recording import Recording
-
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+from tests.pca_tools.commands import run_command
 
 
 def chosen(scene, **values):
@@ -46,7 +42,6 @@ def test_bad_choices_are_refused(values, words):
 
 def test_command_ends_in_one_line(tmp_path):
     out = f'--output_path={tmp_path / "out"}'
-    command = [sys.executable, '-m', 'mpm.generate', '--scene=excavation', '--gravity=0', out]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    done = run_command('mpm.generate', '--scene=excavation', '--gravity=0', out)
     assert done.returncode == 1 and not list(tmp_path.iterdir())
     assert done.stderr.startswith('error: gravity is 0.0, must lie in')

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpm import batch, bodies, picture, scenes
-from mpm.motions import catalogue, drawn_tools
+from mpm.motions import drawn_tools
 from mpm.motions.recording import Recording
 from mpm.simulation import Settings
 from tests.mpm import small
@@ -27,25 +27,6 @@ def test_outline_lies_on_the_surface(body):
     wide = body._replace(half_width=9.0, plates=np.zeros((0, 2)))
     for x, y in ring - pose[:2]:
         assert abs(bodies.signed_distance(wide, sine, cosine, x, y, 0.0)[0]) < 1e-12
-
-
-@pytest.mark.parametrize(
-    ('scene', 'cases'),
-    [(scenes.EXCAVATION, (22, 'disturbed_0004')), (scenes.WHEEL, ('load_0003',))],
-)
-def test_strips_show_path_and_outlines(scene, cases, tmp_path):
-    pyplot = pytest.importorskip('matplotlib.pyplot')
-    figure, axes = pyplot.subplots()
-    motion = catalogue.motion_of(scene, cases[-1])
-    picture.draw_motion(axes, scene, motion)
-    path = axes.lines[2].get_xydata()
-    assert len(path) == motion.frames + 1
-    np.testing.assert_allclose(
-        path[-1, 0], motion.drive.pose(np.array([motion.simulated_frames / 60]))[0, 0]
-    )
-    pyplot.close(figure)
-    picture.draw(scene, cases, str(tmp_path / 'a.png'))
-    assert (tmp_path / 'a.png').read_bytes()[:4] == b'\x89PNG'
 
 
 def test_runs_are_drawn_whatever_moved_the_tool(tmp_path, monkeypatch):

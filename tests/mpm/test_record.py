@@ -1,16 +1,12 @@
 """The data of record: its list, its order, its digests."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from mpm import batch, record, scenes, splits
 from tests.mpm import small
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.pca_tools.commands import run_command
 
 
 @pytest.fixture
@@ -92,8 +88,7 @@ def test_unknown_parts_and_splits_are_refused(part, splits, words):
 
 
 def test_command_ends_in_one_line():
-    command = [sys.executable, '-m', 'mpm.record']
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    done = run_command('mpm.record')
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr == 'error: give --output_path, or --list to see what would be made\n'
 

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import shutil
 
 import numpy as np
 import pytest
@@ -177,23 +176,3 @@ def test_writer_refuses_what_does_not_fit(tmp_path):
             runs = [run, dataclasses.replace(run, **change)]
             dataset.write_split(str(tmp_path / 'train.tfrecord'), runs)
     assert not os.listdir(tmp_path)
-
-
-def test_authors_folder_is_read_as_it_is(original, tmp_path):
-    for split, runs in (('train', (8, 9)), ('valid', (3,))):
-        read = dataset.read_split(original, split)
-        assert len(read) in runs
-        for run in read:
-            assert run.n_rigid in (15, 16, 20)
-            assert run.n_modes == 8
-            assert run.position.shape == (321, run.n_rigid + 8, 3)
-            assert run.force.shape == (321, 3)
-        # what we write of it has the same bytes of data, in the same places up to the order of maps
-        path = str(tmp_path / f'{split}.tfrecord')
-        dataset.write_split(path, read)
-        assert os.path.getsize(path) == os.path.getsize(f'{original}/{split}.tfrecord')
-        for first, second in zip(read, dataset.read_records_as_trajectories(path), strict=True):
-            assert_equal(first, second)
-    with pytest.raises(ValueError, match='git-lfs pointer'):
-        shutil.copy(f'{original}/pca_eigen_vectors.pkl', tmp_path / 'train.tfrecord')
-        dataset.read_records_as_trajectories(str(tmp_path / 'train.tfrecord'))

@@ -35,14 +35,6 @@ def test_reductions_are_measured_on_held_out_runs(space, raw_excavation):
     assert kernel['test_mse'] > 10 * stored['test_mse']
 
 
-def test_both_kinds_of_runs_are_needed(space, raw_excavation):
-    runs = RawRuns(raw_excavation)
-    runs.cases = [int(case) for case in space.runs]
-    runs._entries = runs._entries[: len(runs.cases)]
-    with pytest.raises(ValueError, match='10 training and 0 held-out runs'):
-        plot_modes.compare_reductions(space, runs, 0.04, [1.0], 100)
-
-
 def test_pictures_and_numbers(excavation, raw_excavation, tmp_path, capsys):
     values = types.SimpleNamespace(
         output_path=str(tmp_path), raw_path=raw_excavation, kernel_gamma=0.04,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from pca_tools import decompose, files
+from pca_tools import files
 from pca_tools.subspace import CENTERINGS, Subspace, fit
 
 # small enough that the matrix does not fit but the covariance of 140 particles does
@@ -58,13 +58,6 @@ def test_projection_is_idempotent_and_splits_the_energy(centering):
     total, kept, left = (np.sum(y**2) for y in (x - space.mean, once - space.mean, x - once))
     assert total == pytest.approx(kept + left, rel=1e-12)
     assert np.sum(space.encode(x) ** 2) == pytest.approx(kept, rel=1e-12)
-
-
-def test_mode_is_shared_by_the_axes():
-    space = fit(make_runs(), 3)
-    x = make_runs(1)[0][0]
-    expected = np.stack([space.components.T @ (x - space.mean)[:, axis] for axis in range(3)], -1)
-    np.testing.assert_allclose(space.encode(x), expected, atol=1e-14)
 
 
 def test_signs_and_order_of_rows_do_not_matter():
@@ -150,10 +143,3 @@ def test_save_and_load(tmp_path):
     files.write_npz(path, **arrays)
     with pytest.raises(ValueError, match=r"lacks \['mean'\]"):
         Subspace.load(path)
-
-
-def test_rows_of_the_matrix_are_those_of_the_format():
-    run = make_runs(1)[0]
-    rows = decompose.rows(run, np.zeros(()))
-    for frame, axis in ((0, 0), (3, 2), (19, 1)):
-        np.testing.assert_array_equal(rows[axis + 3 * frame], run[frame, :, axis])

@@ -1,13 +1,12 @@
 """The demonstration: its table, and what it refuses."""
 
 import pathlib
-import subprocess
-import sys
 
 import pytest
 
 from pca_tools import dataset
 from run_scripts import demo
+from tests.pca_tools.commands import run_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -28,8 +27,7 @@ def test_demo_table_leaves_out_what_a_row_lacks():
     ],
 )
 def test_demo_refuses_bad_choices_before_it_simulates(tmp_path, arguments, message):
-    command = [sys.executable, '-m', 'run_scripts.demo', f'--output_path={tmp_path}', *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = run_command('run_scripts.demo', f'--output_path={tmp_path}', *arguments)
     assert done.returncode != 0 and message in done.stderr and 'Traceback' not in done.stderr
     assert not list(tmp_path.iterdir())
 

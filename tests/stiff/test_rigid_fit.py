@@ -31,18 +31,6 @@ def poses(count, seed):
 
 
 @pytest.mark.parametrize('shape', SHAPES.values(), ids=SHAPES)
-def test_random_poses_are_never_reflected(shape):
-    """1000 poses: proper rotations, also where the body does not fix them."""
-    worst = 0.0
-    for rotation in poses(1000, 1):
-        motion = fit_rigid_motion(shape, shape @ rotation.T + [0.5, -1.0, 2.0])
-        worst = max(worst, abs(np.linalg.det(motion.rotation) - 1.0))
-        assert motion.residual < 1e-12
-    # Measured 2.4e-15; an uncorrected SVD mirrors 515 of 1000 coplanar poses.
-    assert worst < 2e-14
-
-
-@pytest.mark.parametrize('shape', SHAPES.values(), ids=SHAPES)
 def test_compiled_correction_places_every_body(shape):
     """The rollout's own fit, as XLA compiles it, recovers exact poses of degenerate bodies too."""
     centred = shape - shape.mean(axis=0)
@@ -81,20 +69,3 @@ def test_rotation_is_continuous_over_two_turns(way):
     steps = np.linalg.norm(np.diff(placed, axis=0), axis=-1).max()
     farthest = np.linalg.norm(np.cross(axis, centred), axis=-1).max()
     assert steps <= 1.001 * 2 * np.sin(np.radians(0.5)) * farthest
-
-
-def test_fit_after_fit_does_not_drift():
-    """10,000 small turns, each fitted from the body before: no re-orthonormalisation is needed.
-
-    The product of the matrices drifts (3e-12), the fitted body does not: each fit is proper anew,
-    and the rollout places the first shape, not the last one.
-    """
-    step = Rotation.from_euler('xyz', [0.01, 0.02, 0.003]).as_matrix()
-    body = RING.copy()
-    for _ in range(10_000):
-        motion = fit_rigid_motion(RING, body @ step.T)
-        body = motion.apply(RING)
-    assert np.abs(motion.rotation.T @ motion.rotation - np.eye(3)).max() <= 1e-14
-    exact = Rotation.from_rotvec(10_000 * Rotation.from_matrix(step).as_rotvec()).as_matrix()
-    # The angle is a sum of 10,000 rounded steps: measured 8e-14.
-    assert np.abs(motion.rotation - exact).max() < 1e-12

@@ -47,19 +47,6 @@ def test_spectrum_of_eight_decades(memory, offset):
     assert (space.singular_values >= 0).all() and space.components.dtype == np.float64
 
 
-def test_float32_records_give_the_subspace_of_what_they_hold():
-    """Nothing is squared in float32: the fit of float32 positions is that of the same in float64.
-
-    Measured against the exact spectrum: what the rounding of the records themselves costs.
-    """
-    values = 10.0 ** -np.arange(0.0, 3.0, 0.5)
-    run, _ = run_with_spectrum(values)
-    single = subspace.fit([run.astype(np.float32)], 5)
-    double = subspace.fit([run.astype(np.float32).astype(np.float64)], 5)
-    np.testing.assert_array_equal(single.components, double.components)
-    np.testing.assert_allclose(single.singular_values[:5], values[:5], rtol=7e-6)  # 6.5e-7
-
-
 def test_cluster_is_compared_as_a_subspace():
     """Two modes 0.01 % apart: single vectors turn with the noise, their plane does not."""
     values = np.array([1.0, 0.5, 0.49995, 0.1, 0.01])
@@ -76,16 +63,6 @@ def test_cluster_is_compared_as_a_subspace():
     assert angle(spaces[0].components, shapes[:, :3]) < 1e-6
     with pytest.warns(UserWarning, match='cut after mode 2 lies inside a cluster'):
         subspace.fit([run], 2)
-
-
-def test_duplicated_particles_lower_the_rank_and_nothing_else():
-    run, _ = run_with_spectrum(np.array([1.0, 0.5, 0.2]))
-    doubled = np.concatenate([run, run], axis=1)
-    space = subspace.fit([doubled], 3)
-    assert np.isrealobj(space.singular_values) and (space.singular_values >= 0).all()
-    np.testing.assert_allclose(space.singular_values[:3], [2**0.5, 0.5**0.5, 0.08**0.5], rtol=1e-9)
-    with pytest.raises(ValueError, match='asked for 4 modes, data rank is 3'):
-        subspace.fit([doubled], 4)
 
 
 @pytest.mark.parametrize('scene', PROMISED)

@@ -1,8 +1,6 @@
 """Results are kept, made once, chosen by name, and judged."""
 
 import pathlib
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from mpm import verify
 from mpm.verification import anchors, ladder, rows, similarity
 from mpm.verification.rows import Check
+from tests.pca_tools.commands import run_command
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 
@@ -98,7 +97,6 @@ def test_kept_results_are_those_that_a_report_makes(report, made):
 def test_command_keeps_rows_and_tells_of_a_failure(tmp_path):
     path = str(tmp_path / 'v.json')
     rows.make(path, {('entries', 'free_fall'): rows.kept_checks(lambda: [Check('a', 2.0, 1.0)])})
-    command = [sys.executable, '-m', 'mpm.verify', f'--json={path}', '--rows=free_fall']
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = run_command('mpm.verify', f'--json={path}', '--rows=free_fall')
     assert done.returncode == 1 and '0 of 1 checks pass' in done.stdout
     assert done.stdout.endswith('failed: a\n')

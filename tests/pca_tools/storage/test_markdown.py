@@ -21,9 +21,3 @@ def test_rows_are_filled_up_and_bars_in_a_cell_are_kept_apart():
     assert text.splitlines() == ['| a | \\|b\\| |', '|---|---|', '| x |  |', '| 1 | y |']
     with pytest.raises(ValueError, match='3 cells under 2 titles'):
         markdown.table(('a', 'b'), [[1, 2, 3]])
-
-
-def test_aligned_columns_stand_in_line():
-    lines = markdown.table(('name', 'n'), [['long name', 1], ['b', 123456]], True).splitlines()
-    places = [[i for i, c in enumerate(line) if c == '|'] for line in lines]
-    assert places[0] == places[1] == places[2] == places[3]
