@@ -9,9 +9,10 @@ Examples:
     python -m reports times --data_path=datasets/excavation \\
         --protocol=docs/protocol/excavation.json \\
         --soil_field=models/excavation/soil_field --model=pcg=models/excavation/pcg \\
-        --output_path=docs/times
+        --training_s='soil field=5000' --output_path=docs/times
 
-    python -m reports documents docs/results.md     # the table again, from the JSON
+    # what tells the force, or all particles, best within half a millisecond a frame
+    python -m reports times --budget_ms=0.5 --output_path=docs/times
 """
 
 import functools
@@ -24,9 +25,9 @@ from absl import flags
 from learning_to_simulate.command import named_paths
 from pca_tools import dataset, files
 from reports import command, markdown, record, timing
-from reports.protocol import tables
+from reports.protocol import judge, tables
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 QUANTITIES = 'soil_mm', 'force_relative_l2'
 ROUNDS, FRAMES = 5, 150
 NOBODY = 'grid', 'disturbed'  # kinds of runs that are not driven from a flat bed
@@ -41,20 +42,31 @@ def driven(data_path: str) -> int:
     Raises:
       ValueError: there is none.
     """
-    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
+    cases = _cases(data_path, 'test')
     for number, case in enumerate(cases):
         if case.get('kind') not in NOBODY:
             return number
     raise ValueError(f'{data_path}: no test run that is driven from a flat bed')
 
 
+def _cases(data_path, split):
+    return dataset.read_metadata(data_path).get('cases', {}).get(split, [])
+
+
+def runs_s(data_path: str) -> float:
+    """Seconds of CPU that the solver took for the runs of train and valid, of datasets separated by
+    commas."""
+    folders = data_path.split(',')
+    cases = [c for f in folders for split in ('train', 'valid') for c in _cases(f, split)]
+    return float(sum(case.get('solver_cpu_s', 0.0) for case in cases))
+
+
 def solver_ms(data_path: str) -> float | None:
     """Milliseconds of CPU of a frame of the solver, median over the runs; None if not stated."""
-    cases = dataset.read_metadata(data_path).get('cases', {}).get('test', [])
     runs = dataset.read_split(data_path, 'test')
     known = [
         1e3 * case['solver_cpu_s'] / (run.n_frames - 1)
-        for run, case in zip(runs, cases, strict=False)
+        for run, case in zip(runs, _cases(data_path, 'test'), strict=False)
         if 'solver_cpu_s' in case
     ]
     return float(np.median(known)) if known else None
@@ -182,6 +194,43 @@ def table(path: str) -> str:
     return markdown.table(header, lines)
 
 
+def picked(path: str, *budgets: str) -> str:
+    """The method with the smallest mean error of those whose frame takes at most so many ms, for
+    the force alone and for soil with all particles; from the JSON.
+
+    Raises:
+      ValueError: a budget that is no number.
+    """
+    rows, lines = files.read_json(path)['rows'], []
+    for budget in budgets:
+        line = [float(budget)]
+        for clock, error in (('load_ms', 'force_relative_l2'), ('particles_ms', 'soil_mm')):
+            within = [row for row in rows if row[error] and row[clock] <= float(budget)]
+            best = min(within, key=lambda row: np.mean(row[error]), default=None)
+            line += ['', ''] if best is None else [best['name'], markdown.span(best[error])]
+        lines.append(line)
+    header = (
+        'a frame may take, ms', 'for the force', tables.TITLES['force_relative_l2'],
+        'for all particles', tables.TITLES['soil_mm'],
+    )  # fmt: skip
+    return markdown.table(header, lines)
+
+
+def break_even(path: str) -> str:
+    """What methods cost before their first frame, in CPU time: the solver's runs that they learn
+    from, and training; and after how much motion with all particles the solver had cost more; from
+    the JSON."""
+    found = files.read_json(path)
+    lines = []
+    for name, trained in found['training_s'].items():
+        runs = found['runs_s'][name]
+        fastest = min(r['particles_ms'] for r in found['rows'] if r['name'].split(', ')[0] == name)
+        frames = 1e3 * (runs + trained) / (found['solver_ms'] - fastest)
+        lines.append((name, runs / 3600, trained / 3600, frames * found['frame_s'] / 60))
+    header = ('method', "the solver's runs, h", 'training, h', 'break-even, minutes of motion')
+    return markdown.table(header, lines)
+
+
 def draw(path: str, protocol: dict, picture: str) -> None:
     """Soil against the time of a frame with all its particles, force against that of its force."""
     from matplotlib import figure
@@ -232,31 +281,48 @@ def draw(path: str, protocol: dict, picture: str) -> None:
 
 def define_flags() -> None:
     """Defines the flags of the command."""
-    flags.DEFINE_string('data_path', None, 'Dataset of the path.', required=True)
-    flags.DEFINE_string('protocol', None, 'JSON of `reports protocol` on it.', required=True)
-    flags.DEFINE_string('soil_field', None, 'Folder of a soil field.', required=True)
+    flags.DEFINE_string(
+        'data_path', None, 'Datasets, separated by commas: the path is of the first; a soil field '
+        'has learned from all.',
+    )  # fmt: skip
+    flags.DEFINE_string('protocol', None, 'JSON of `reports protocol` on it.')
+    flags.DEFINE_string('soil_field', None, 'Folder of a soil field.')
     flags.DEFINE_multi_string('model', [], 'NAME=FOLDER of other methods, as in the protocol.')
+    flags.DEFINE_multi_string('training_s', [], 'NAME=SECONDS of CPU that its training took.')
+    flags.DEFINE_multi_string('budget_ms', [], 'Only picks, from the JSON that is there.')
     flags.DEFINE_string('output_path', None, 'Path of .json and .png, without it.', required=True)
     flags.DEFINE_integer('num_threads', 1, 'Threads of TensorFlow.', lower_bound=1)
 
 
 def main(values, _) -> None:
     """Runs the command."""
-    models = named_paths('model', values.model, 'FOLDER')
-    protocol = files.read_json(values.protocol)
-    known = {method['name'] for method in protocol['methods']}
-    if unknown := sorted({SOIL_FIELD, *models} - known):
-        raise ValueError(f'--model: {values.protocol} judges {sorted(known)}, no {unknown}')
     path = f'{values.output_path}.json'
+    if values.budget_ms:
+        print(picked(path, *values.budget_ms))
+        return
+    for name in ('data_path', 'protocol', 'soil_field'):
+        if not getattr(values, name):
+            raise ValueError(f'--{name} is needed, or --budget_ms')
+    first = values.data_path.split(',')[0]
+    models = named_paths('model', values.model, 'FOLDER')
+    trained = named_paths('training_s', values.training_s, 'SECONDS')
+    protocol = judge.read(values.protocol)
+    known = {method['name'] for method in protocol['methods']}
+    if unknown := sorted({SOIL_FIELD, *models, *trained} - known):
+        raise ValueError(f'--model: {values.protocol} judges {sorted(known)}, no {unknown}')
+    data = {name: values.data_path if name == SOIL_FIELD else first for name in trained}
     found = {
         'schema_version': SCHEMA_VERSION,
         **record.provenance(values.num_threads),
-        'solver_ms': solver_ms(values.data_path),
-        'rows': measured(values.data_path, values.soil_field, models, protocol),
+        'solver_ms': solver_ms(first),
+        'frame_s': dataset.read_metadata(first)['dt'],
+        'training_s': {name: float(seconds) for name, seconds in trained.items()},
+        'runs_s': {name: runs_s(folders) for name, folders in data.items()},
+        'rows': measured(first, values.soil_field, models, protocol),
     }
     files.write_json(path, found)
     draw(path, protocol, f'{values.output_path}.png')
-    print(table(path))
+    print(f'{table(path)}\n{break_even(path)}')
 
 
 if __name__ == '__main__':

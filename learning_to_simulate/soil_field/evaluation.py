@@ -350,17 +350,23 @@ def formula(run: Run) -> dict | None:
     return load_errors(run, place.vectors(force)[H:], None if torque is None else torque[H:])
 
 
+def edge_depth(run: Run, frames: sweep.Frame) -> np.ndarray:
+    """[T] m: how deep the lowest point of a tool lies under the terrain right ahead of it; frames
+    of `samples.frames_of`."""
+    tip, height = (frames.scalars[:, 0, sweep.SCALARS.index(n)] for n in ('tip', 'height'))
+    scale, grid = run.tool.scale, sweep.GRID
+    ahead = tip.astype(np.float64) + run.tool.radius / scale + grid.spacing
+    profile = (frames.bins[..., sweep.SURFACE] - frames.bins[..., sweep.CUT]).mean(axis=1)
+    found = [np.interp(x, grid.offsets, p) for x, p in zip(ahead, profile, strict=True)]
+    return scale * (np.array(found) - height.astype(np.float64)) + run.tool.radius
+
+
 def _earthmoving(run):
-    """[T, 3] N along, up, across, of `earthmoving.cutting_force`: the depth is that of the edge
-    under the terrain right ahead, the heap all that was cut."""
+    """[T, 3] N along, up, across, of `earthmoving.cutting_force`: the depth is `edge_depth`, the
+    heap all that was cut."""
     frames, passage, _ = samples.frames_of(run)
     scalars = {n: frames.scalars[:, 0, i].astype(np.float64) for i, n in enumerate(sweep.SCALARS)}
     tool, scale = run.tool, run.tool.scale
-    grid = sweep.GRID
-    ahead = scalars['tip'] + tool.radius / scale + grid.spacing
-    profile = (frames.bins[..., sweep.SURFACE] - frames.bins[..., sweep.CUT]).mean(axis=1)
-    lowest = scalars['height'] - tool.radius / scale
-    depth = [np.interp(x, grid.offsets, p) for x, p in zip(ahead, profile, strict=True)] - lowest
     friction = run.soil.friction
     soil = earthmoving.BladeSoil(
         run.soil.density * run.soil.gravity, float(np.arcsin(min(friction, 0.999))),
@@ -368,7 +374,7 @@ def _earthmoving(run):
         tool.length,
     )  # fmt: skip
     parts = earthmoving.cutting_force(
-        scale * depth, np.pi / 2 - scalars['lean'], scale**2 * scalars['area'], soil
+        edge_depth(run, frames), np.pi / 2 - scalars['lean'], scale**2 * scalars['area'], soil
     )
     u = passage.place.local(run.pose[:, :3])[:, 0]
     step, forward = np.diff(u, prepend=u[0]), np.zeros(len(u), bool)

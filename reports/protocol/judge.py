@@ -15,13 +15,15 @@ from pca_tools import dataset, files, workers
 from reports import record
 from reports.protocol import rollouts, truth
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 SPLIT = 'test'
 RIDGE = 'path ridge'
 # Columns of an evaluation of a soil field that are methods of their own -> how tables call them.
 COLUMNS = {'model': '{}', 'under_load': '{}, under its load'}
 PERSISTENCE = 'persistence'
 FORMULAS = {'blade': 'earthmoving', 'wheel': 'Bekker-Wong-Janosi'}
+# With the soil's own parameters, and times the one factor that fits the train runs best.
+RESISTIVE = '3D-RFT', '3D-RFT, fitted'
 # Errors of a run that are kept, as `metrics.json` has them.
 QUANTITIES = (
     'soil_mm', 'near_mm', 'surface_mm', 'front_mm', 'cut_error_litre', 'heap_error_litre',
@@ -75,11 +77,13 @@ def judge(data_path: str, given: list[str], work_path: str, num_processes: int =
     """
     from learning_to_simulate.soil_field import evaluation
     from learning_to_simulate.soil_field import runs as runs_lib
+    from reports.protocol import resistive_force
 
     methods = methods_of(given)
     folders = [os.path.abspath(path) for path in data_path.split(',')]
     name = os.path.basename(folders[0])
-    ((ridge, flags),) = rollouts.trainings('path_ridge', 1, os.path.join(work_path, name))
+    fitted = os.path.join(work_path, f'{name}_{rollouts.digest(folders[0], "train")[:12]}')
+    ((ridge, flags),) = rollouts.trainings('path_ridge', 1, fitted)
     jobs: dict[str, tuple] = {}
     for path, given_flags in [(ridge, flags)] + [(p, None) for m in methods for p in m.folders]:
         data = ','.join(folders) if given_flags is None and on_terrain(path) else folders[0]
@@ -106,8 +110,13 @@ def judge(data_path: str, given: list[str], work_path: str, num_processes: int =
     still = [evaluation.still(run) for _, run in runs]
     formula = [evaluation.formula(run) or {} for _, run in runs]
     found.append({'name': FORMULAS[tool], 'seeds': [{'errors': _columns(formula)}]})
+    factors = 1.0, resistive_force.gain(runs_lib.read(folders[0], 'train'))
+    theory = zip(*(resistive_force.errors(run, factors) for _, run in runs), strict=True)
+    for name, factor, rows in zip(RESISTIVE, factors, theory, strict=True):
+        about = {'factor': float(f'{factor:.4g}'), 'errors': _columns(list(rows))}
+        found.append({'name': name, 'seeds': [about]})
     found.append({'name': PERSISTENCE, 'seeds': [{'errors': _columns(still)}]})
-    document = {
+    return {
         'schema_version': SCHEMA_VERSION,
         'scene': tool,
         'record': record.provenance(),
@@ -116,7 +125,6 @@ def judge(data_path: str, given: list[str], work_path: str, num_processes: int =
         'methods': found,
         'truth': truth.errors(tool),
     }
-    return document | {'summary': summary(document)}
 
 
 def on_terrain(model_path: str) -> bool:
@@ -197,6 +205,12 @@ def separation(folder: str) -> dict[str, float]:
                   where=squares[::-1, 1] > 0)
     )  # fmt: skip
     return {k: float(f'{v:.4g}') for k, v in zip(_SHARE, values, strict=True) if np.isfinite(v)}
+
+
+def read(path: str) -> dict:
+    """A document from its JSON, with its `summary`."""
+    document = files.read_json(path)
+    return document | {'summary': summary(document)}
 
 
 def summary(document: dict) -> dict:

@@ -1,6 +1,7 @@
 """Models as the protocol judges them: trained and rolled out by the commands that a user types,
 each in a process of its own. The errors are those that an evaluation writes (`metrics.json`)."""
 
+import hashlib
 import os
 import re
 import shlex
@@ -8,7 +9,7 @@ import subprocess
 import sys
 
 from learning_to_simulate import checkpoints, presets
-from pca_tools import files
+from pca_tools import dataset, files
 from reports.record import ROOT
 
 _TRAIN = 'learning_to_simulate.train'
@@ -50,6 +51,12 @@ def trainings(name: str, n_seed: int, folder: str) -> list[tuple[str, list[str]]
     return found
 
 
+def digest(data_path: str, split: str) -> str:
+    """Of the records of a split of datasets, separated by commas."""
+    paths = [dataset.split_path(path, split) for path in data_path.split(',')]
+    return hashlib.sha256(''.join(map(files.sha256_of_file, paths)).encode()).hexdigest()
+
+
 def _is_trained(model_path):
     """Whether a network has the checkpoint of its last step, and what is fitted at once is there; a
     process that only says so would take as long to start as a rollout."""
@@ -63,10 +70,11 @@ def _is_trained(model_path):
 def roll_out(data_path: str, model_path: str, split: str, folder: str) -> str:
     """Rolls a model out over a split; returns the folder of its files.
 
-    The folder is named by what the model is, so a second call finds it done; metrics.json is the
-    last file to be written.
+    The folder is named by what model and runs are, so a second call finds it done; metrics.json is
+    the last file to be written.
     """
-    name = f'{os.path.basename(model_path)}_{checkpoints.folder_digest(model_path)[:12]}'
+    digests = [checkpoints.folder_digest(model_path), digest(data_path, split)]
+    name = '_'.join([os.path.basename(model_path), *(d[:12] for d in digests)])
     output = os.path.join(folder, name, split)
     if not os.path.exists(os.path.join(output, 'metrics.json')):
         _run(

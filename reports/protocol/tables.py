@@ -4,8 +4,8 @@ import os
 
 import numpy as np
 
-from pca_tools import files
 from reports import markdown
+from reports.protocol import judge
 
 TITLES = {
     'soil_mm': 'soil, mm',
@@ -24,10 +24,12 @@ TITLES = {
 }
 # Of a part of a load a run may have next to nothing; then its relative error is a huge number.
 MEDIANS = 'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2'
+BOTH = 'soil_mm', 'force_relative_l2'
 # The columns of the page; forces along the way first, where these are what matters.
 COLUMNS = {
     'blade': ('soil_mm', 'near_mm', 'front_mm', 'heap_error_litre', 'force_relative_l2',
-              'drawbar_relative_l2', 'pitch_relative_l2', 'force_rmse', 'force_peak_error'),
+              'drawbar_relative_l2', 'vertical_relative_l2', 'pitch_relative_l2', 'force_rmse',
+              'force_peak_error'),
     'wheel': ('soil_mm', 'near_mm', 'height_mm', 'drawbar_relative_l2', 'force_relative_l2',
               'vertical_relative_l2', 'pitch_relative_l2', 'drawbar_rmse', 'force_peak_error'),
 }  # fmt: skip
@@ -35,9 +37,9 @@ COLUMNS = {
 
 def methods(path: str, kind: str = 'all') -> str:
     """All methods over the runs of a kind: mean errors (medians of parts of a load, and where one
-    was refused), lowest to highest over trainings; wins of soil and force over persistence; below
-    them the truth's own errors."""
-    document = files.read_json(path)
+    was refused), lowest to highest over trainings; of soil and force also medians, and wins over
+    persistence; below them the truth's own errors."""
+    document = judge.read(path)
     summary, columns = document['summary'][kind], COLUMNS[document['scene']]
     count = sum(not run['data'] for run in document['runs'])
     rows = []
@@ -54,8 +56,10 @@ def methods(path: str, kind: str = 'all') -> str:
             + [f'{refused} refused'] * bool(refused)
         )
         cells = [_cell(found.get(key), key) for key in columns]
-        wins = [_wins(found.get(key), method) for key in ('soil_mm', 'force_relative_l2')]
-        rows.append([method['name'] + (f' ({about})' if about else ''), *cells, *wins])
+        both = [found.get(key) for key in BOTH]
+        medians = [figure and markdown.span(figure['median']) for figure in both]
+        wins = [_wins(figure, method) for figure in both]
+        rows.append([method['name'] + (f' ({about})' if about else ''), *cells, *medians, *wins])
     if kind == 'all':
         own = document['truth']
         cells = [
@@ -65,8 +69,9 @@ def methods(path: str, kind: str = 'all') -> str:
         # Of the whole bed; near the tool it is larger.
         whole = markdown.cell(float(np.mean(own['surface_mm'])))
         cells[columns.index('near_mm')] = f'over {whole}'
-        rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells, '', ''])
-    header = ['method', *(TITLES[key] for key in columns), 'wins: soil', 'force']
+        rows.append([f"*truth's own error* ({len(own['cases'])} cases)", *cells, *4 * ['']])
+    header = ['method', *(TITLES[key] for key in columns), 'medians: soil', 'force']
+    header += ['wins: soil', 'force']
     return markdown.table(header, rows)
 
 
@@ -87,7 +92,7 @@ def _wins(figure, method):
 
 def kinds(path: str, name: str = 'soil field') -> str:
     """Means of one method by kind of run."""
-    document = files.read_json(path)
+    document = judge.read(path)
     columns = COLUMNS[document['scene']]
     rows = []
     for kind, of in document['summary'].items():
@@ -101,7 +106,7 @@ def bounds(*paths: str) -> str:
     """Of each soil field with a bound: how many test runs keep it, and what the status tells."""
     rows = []
     for path in paths:
-        document = files.read_json(path)
+        document = judge.read(path)
         for method in document['methods']:
             seeds = [seed for seed in method['seeds'] if 'bounds' in seed]
             if not seeds:
@@ -146,16 +151,15 @@ def shipped(*paths: str) -> str:
     persistence."""
     rows = []
     for path in paths:
-        document = files.read_json(path)
+        document = judge.read(path)
         scene = os.path.basename(document['data'][0]['path'])
         figures = document['summary']['all']
 
         def cells(name, figures=figures):
-            return [_cell(figures[name].get(q)) for q in ('soil_mm', 'force_relative_l2')]
+            return [_cell(figures[name].get(q)) for q in BOTH]
 
         for name, (folder, purpose) in SHIPPED.items():
             if name in figures:
                 rows.append((f'`{scene}/{folder}`', purpose, *cells(name)))
         rows.append((f'*{scene}: persistence*', 'soil and force stay', *cells('persistence')))
-    titles = TITLES['soil_mm'], TITLES['force_relative_l2']
-    return markdown.table(('model', 'for', *titles), rows)
+    return markdown.table(('model', 'for', *(TITLES[q] for q in BOTH)), rows)

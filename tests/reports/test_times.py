@@ -17,7 +17,9 @@ def recorded(monkeypatch):
     """Cases of three runs of six frames."""
     cases = [{'kind': kind} for kind in ('grid', 'disturbed', 'lift')]
     cases[0]['solver_cpu_s'], cases[1]['solver_cpu_s'] = 5.0, 6.0
-    monkeypatch.setattr(dataset, 'read_metadata', lambda path: {'cases': {'test': cases}})
+    learned = {'train': [{'solver_cpu_s': 1000.0}, {}], 'valid': [{'solver_cpu_s': 90.0}]}
+    metadata = {'cases': {'test': cases} | learned, 'dt': 0.02}
+    monkeypatch.setattr(dataset, 'read_metadata', lambda path: metadata)
     runs = [SimpleNamespace(n_frames=6)] * 3
     monkeypatch.setattr(dataset, 'read_split', lambda path, split: runs)
     return cases
@@ -50,7 +52,8 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
         lambda jobs, _: {j: timing.Timing(clock, processor[: 'mlp' in j[0]]) for j in jobs},
     )  # fmt: skip
     values = SimpleNamespace(
-        data_path='data', protocol=str(protocol), soil_field='folder', model=['mlp_driven=folder'],
+        data_path='data,wide', protocol=str(protocol), soil_field='folder',
+        model=['mlp_driven=folder'], training_s=['soil field=98', 'mlp_driven=6'], budget_ms=[],
         num_threads=1, output_path=str(tmp_path / 'times'),
     )  # fmt: skip
     times.main(values, None)
@@ -61,8 +64,20 @@ def test_table_and_picture_join_errors_and_times(recorded, tmp_path, monkeypatch
     assert lines[2] == '| soil field, 2 of 2 members, C | 1.5 | 0.2 | 2 | 2 | 550 |'
     assert lines[3] == '| mlp_driven, TensorFlow | 2.5 | 1 | 4 | 4 | 275 |'
     assert (tmp_path / 'times.png').read_bytes().startswith(b'\x89PNG')
+    # A soil field has learned from both datasets: 2180 + 98 s, at 1098 ms a frame.
+    lines = times.break_even(f'{values.output_path}.json').splitlines()[2:]
+    assert lines[0] == '| soil field | 0.606 | 0.0272 | 0.692 |'
+    frames = 1e3 * (1090 + 6) / (1100 - 4)
+    assert float(lines[1].split('|')[-2]) == pytest.approx(frames * 0.02 / 60, rel=1e-2)
+    lines = times.picked(f'{values.output_path}.json', '1', '2', '5').splitlines()[2:]
+    assert lines[0] == '| 1 |  |  |  |  |'
+    second = 'soil field, 2 of 2 members, C'
+    assert lines[1] == f'| 2 | {second} | 0.2 | {second} | 1.5 |' and lines[2][3:] == lines[1][3:]
     values.model = ['other=folder']
     with pytest.raises(ValueError, match=r"no \['other'\]"):
+        times.main(values, None)
+    values.protocol = None
+    with pytest.raises(ValueError, match='--protocol is needed'):
         times.main(values, None)
 
 

@@ -13,7 +13,7 @@ from tests.reports.protocol.known import document
 
 
 def test_figures_are_of_runs_that_count_and_a_refused_one_is_infinitely_wrong():
-    summary = document()['summary']
+    summary = judge.summary(document())
     soil = summary['all']['soil field']['soil_mm']
     assert soil == {
         'runs': 2, 'mean': [1.5, None], 'median': [1.5, None], 'worst': [2.0, None], 'wins': [2, 1]
@@ -75,7 +75,15 @@ def test_a_scene_with_a_soil_field_and_a_network_is_judged_on_the_same_runs(tmp_
     found = files.read_json(Values.output_path)
     assert [run['case'] for run in found['runs']] == ['2', '5']
     methods = {m['name']: m['seeds'][0]['errors'] for m in found['methods']}
-    assert set(methods) == {'soil field', 'mlp', 'path ridge', 'earthmoving', 'persistence'}
+    assert set(methods) == {
+        'soil field',
+        'mlp',
+        'path ridge',
+        'earthmoving',
+        '3D-RFT',
+        '3D-RFT, fitted',
+        'persistence',
+    }
     assert methods['mlp']['soil_mm'][1] is None and methods['soil field']['soil_mm'][1] > 0
     # What stays still is measured alike by both evaluations.
     folder = next((tmp_path / 'work/rollouts/0').glob('mlp_*/test'))

@@ -32,3 +32,14 @@ def test_what_is_fitted_at_once_is_trained_when_it_is_there(tmp_path):
     assert not rollouts._is_trained(str(tmp_path))
     (tmp_path / 'ckpt-20.json').touch()
     assert rollouts._is_trained(str(tmp_path))
+
+
+def test_other_runs_have_another_digest(tmp_path):
+    for name, text in (('a', 'one'), ('b', 'two')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'test.tfrecord').write_text(text)
+    a, b = f'{tmp_path}/a', f'{tmp_path}/b'
+    found = [rollouts.digest(path, 'test') for path in (a, b, f'{a},{b}', f'{b},{a}')]
+    assert len(set(found)) == 4
+    (tmp_path / 'b' / 'test.tfrecord').write_text('one')
+    assert rollouts.digest(b, 'test') == found[0]

@@ -29,6 +29,9 @@ def test_methods_stand_on_the_runs_that_all_know_beside_the_truth(path):
         '',
         '',
     ]
+    medians = header.index('medians: soil')
+    assert found['mlp_driven'][medians : medians + 2] == ['2.5', '1']
+    assert found['soil field (2 trainings, 1 refused)'][medians] == '1.5'
     own = found["*truth's own error* (2 cases)"]
     assert own[force] == '0.2' and own[header.index('drawbar, rel. L2 (median)')] == '0.6'
     assert own[header.index('surface near the tool, mm')] == 'over 2' and own[soil] == ''
