@@ -15,6 +15,7 @@ x, height, angle (rad) of a body in the plane; `.csv` (lines that begin with # a
 
 import dataclasses
 import os
+import warnings
 
 import numpy as np
 from absl import flags
@@ -28,15 +29,17 @@ def read_poses(path: str) -> np.ndarray:
 
     Raises:
       FileNotFoundError: there is none.
-      ValueError: not a table of numbers.
+      ValueError: not a table of numbers, or an empty one.
     """
     if not os.path.isfile(path):
         raise FileNotFoundError(f'{path}: no such file')
     if path.endswith('.npy'):
         return files.read_npy(path)
     try:
-        return np.loadtxt(path, delimiter=',', ndmin=2)
-    except ValueError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter('error')  # numpy's of a file without data
+            return np.loadtxt(path, delimiter=',', ndmin=2)
+    except (ValueError, UserWarning) as error:
         raise ValueError(f'{path}: is not a table of numbers, x,y,z,qw,... ({error})') from error
 
 

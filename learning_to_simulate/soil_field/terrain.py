@@ -158,7 +158,10 @@ class Terrain:
         arrays = files.read_npz(path)
         try:
             soil = Soil(*map(float, arrays['soil']))
-            heights, cell, corner = (arrays[name] for name in ('heights', 'cell', 'corner'))
+            heights, cell, corner = (
+                arrays[name].astype(np.float64, casting='same_kind')
+                for name in ('heights', 'cell', 'corner')
+            )
             floor, walled = float(arrays['floor']), bool(arrays['walled'])
             return cls(heights, cell, corner, soil, floor, walled)
         except (KeyError, TypeError, ValueError) as error:

@@ -10,22 +10,36 @@ import enum
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from learning_to_simulate import checkpoints
+from learning_to_simulate import checkpoints, shipped
+from learning_to_simulate.live import roll_out_path
 from learning_to_simulate.rendering import rollout_frames
 from learning_to_simulate.scene import RigidMotion, Scene
+from learning_to_simulate.soil_field import digs, field
+from learning_to_simulate.soil_field.terrain import Terrain
+from learning_to_simulate.soil_field.tools import Blade
 from learning_to_simulate.subspace import edge_lists, subspace_model
 from learning_to_simulate.training import training_state
-from mpm import raw_run
+from mpm import bodies, raw_run
 from mpm.run import RawRun
 from nri import data as nri_data
 from nri import model as nri_model
 from nri.config import NriConfig
-from pca_tools import dataset, files, legacy_pickles, packing, particles, raw_runs, subspace
+from pca_tools import (
+    dataset,
+    files,
+    heights,
+    legacy_pickles,
+    packing,
+    particles,
+    raw_runs,
+    subspace,
+)
 from pca_tools.formats import detect, full_space
 from pca_tools.storage import folder_lock
 from tests.faults import small
@@ -293,6 +307,90 @@ def _possible_sample(runs):
     return all(run.ndim == 3 and run.dtype == np.float64 for run in runs)
 
 
+def _write_heights(folder):
+    grid = heights.Grid((5, 4), (0.1, 0.1), (0.01, 0.02))
+    packed = [heights.pack(_rng().uniform(0.2, 0.3, (9, *grid.shape))) for _ in range(2)]
+    heights.write(f'{folder}/heights_train.npz', packed, grid)
+
+
+def _read_heights(folder):
+    maps = heights.Heights(f'{folder}/heights_train.npz')
+    return list(maps), maps.corner, maps.cell, maps.frame_stride
+
+
+def _possible_heights(value):
+    maps, corner, cell, stride = value
+    return is_finite(value) and all(m.ndim == 3 for m in maps) and (cell > 0).all() and stride > 0
+
+
+def _read_terrain(folder):
+    t = Terrain.load(f'{folder}/ground.npz')
+    return t.heights, t.cell, t.corner, t.floor, t.walled, t.soil
+
+
+def _possible_terrain(value):
+    surface, cell, _, floor, _, soil = value
+    return (
+        is_finite(value) and surface.ndim == 2 and surface.size and (cell > 0).all()
+        and -np.inf < floor <= surface.min() and 0 < soil.friction < np.inf
+    )  # fmt: skip
+
+
+def _write_table(folder):
+    """A dig as `lts fit-soil` reads it, and its poses as `lts rollout` does."""
+    rows = [
+        f'{i / 60:.4f},{1 - 0.01 * i},{0.2 - 0.003 * i},{0.5 * i},{-3.0 * i},{2.0 * i}'
+        for i in range(8)
+    ]
+    text = ['time_s,x_m,y_m,angle_deg,force_x_N,force_y_N', *rows]
+    files.write_text(f'{folder}/dig.csv', '\n'.join(text) + '\n')
+    poses = [','.join(row.split(',')[1:4]) for row in rows]
+    files.write_text(f'{folder}/path.csv', '# x, y, angle\n' + '\n'.join(poses) + '\n')
+
+
+def _read_digs(folder):
+    found = digs.read(f'{folder}/dig.csv', Blade(), None, 0.2, 9.81)
+    return [(d.name, d.times, d.pose, d.force, d.terrain.heights) for d in found]
+
+
+def _possible_digs(found):
+    return all(
+        is_finite([times, pose, ground]) and (np.diff(times) > 0).all()
+        and pose.shape == (len(times), 7) and force.shape == (len(times), 3)
+        for _, times, pose, force, ground in found
+    )  # fmt: skip
+
+
+def _write_tools(folder):
+    outline = [[0.0, 0.0], [0.02, 0.12], [-0.03, 0.2]]
+    bucket = {'name': 'bucket', 'outline': outline, 'edge_radius': 0.004, 'width': 0.3,
+              'side_plates': {'thickness': 0.01}, 'friction': 0.3}  # fmt: skip
+    lugs = {'count': 12, 'height': 0.01, 'thickness': 0.004}
+    wheel = {'name': 'wheel', 'radius': 0.15, 'width': 0.12, 'friction': 0.5, 'grousers': lugs}
+    for tool in (bucket, wheel):
+        files.write_json(f'{folder}/{tool["name"]}.json', tool)
+
+
+def _possible_tools(tools):
+    return all(bodies.check_tool(tool) == tool and tool['width'] > 0 for tool in tools)
+
+
+def _write_field(folder):
+    for name in _MODEL:
+        shutil.copy(os.path.join(shipped.find('excavation', 'models'), name), folder)
+
+
+def _read_field(folder):
+    found = field.load(folder)
+    weights = {n: v.numpy() for n, v in field._weights(found.networks).items()}
+    return found.config, found.ranges, found.bounds, found.limits, weights
+
+
+def _possible_field(value):
+    config, _, bounds, _, weights = value
+    return is_finite(list(weights.values())) and config.members > 0 and is_finite(bounds)
+
+
 def _read_model(folder):
     model = subspace_model.load(folder)
     s = model.simulator
@@ -386,5 +484,20 @@ TARGETS = (
            _read_weights),
     Target('load_model', Promise.OPEN, copies('model', *_MODEL), _MODEL, _read_model,
            _possible_model),
+    Target('height maps', Promise.CHECKSUM, _write_heights, ('heights_train.npz',), _read_heights,
+           _possible_heights),
+    Target('saved terrain', Promise.CHECKSUM,
+           lambda folder: Terrain(_rng().uniform(0.2, 0.3, (6, 5)), 0.02).save(
+               f'{folder}/ground.npz'),
+           ('ground.npz',), _read_terrain, _possible_terrain),
+    Target('csv of fit-soil', Promise.OPEN, _write_table, ('dig.csv',), _read_digs,
+           _possible_digs),
+    Target('csv of poses', Promise.OPEN, _write_table, ('path.csv',),
+           lambda folder: roll_out_path.read_poses(f'{folder}/path.csv'),
+           lambda poses: poses.ndim == 2 and poses.dtype == np.float64 and poses.size),
+    Target('tool of new-tool', Promise.OPEN, _write_tools, ('bucket.json', 'wheel.json'),
+           lambda folder: [bodies.read_tool(f'{folder}/{n}.json') for n in ('bucket', 'wheel')],
+           _possible_tools),
+    Target('soil field', Promise.OPEN, _write_field, _MODEL, _read_field, _possible_field),
     Target('load_model of NRI', Promise.OPEN, _write_nri, _MODEL, _read_nri, _possible_nri),
 )  # fmt: skip
