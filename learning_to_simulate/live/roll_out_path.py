@@ -37,7 +37,7 @@ def read_poses(path: str) -> np.ndarray:
         return files.read_npy(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('error')  # numpy's of a file without data
+            warnings.simplefilter('error', UserWarning)  # numpy's of a file without data
             return np.loadtxt(path, delimiter=',', ndmin=2)
     except (ValueError, UserWarning) as error:
         raise ValueError(f'{path}: is not a table of numbers, x,y,z,qw,... ({error})') from error
