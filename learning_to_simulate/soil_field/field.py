@@ -141,9 +141,13 @@ class SoilField:
         return call(*frame, *network.placed(passage.strips, places)).numpy().mean(axis=0)[0]
 
     def loads(self, frame: sweep.Frame, members: int | None = None) -> np.ndarray:
-        """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`."""
+        """float32 [M, B, 6] of frames, see `SoilNetworks.load_of`. Soil hardly knows time: a tool
+        that is faster than any that was taught feels what the fastest did, and is flagged."""
         call = self.networks.compiled(frame.bins.shape[1], members).loads
-        return call(*map(tf.constant, frame)).numpy()
+        scalars = frame.scalars.copy()
+        speed = scalars[..., self.networks.scalars['speed']]
+        np.minimum(speed, np.float32(self.ranges.get('speed', [0.0, np.inf])[1]), out=speed)
+        return call(tf.constant(frame.bins), tf.constant(scalars)).numpy()
 
     def displacement(self, passage: Passage, places, members: int | None = None) -> np.ndarray:
         """How far particles have moved [P, 3] since a passage began, along, up, across, from places

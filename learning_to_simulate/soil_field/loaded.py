@@ -8,6 +8,15 @@ function of the coming pose. So the motion of a mass M follows from backward Eul
 solved for one free coordinate after the other until all hold. The soil unloads within a millimetre
 or two, and each residual grows with its own coordinate, so a bracket holds the root: a tool rests,
 stalls and comes back at any step, however light it is.
+
+The force F of a field knows hardly any time, so a tool that rests on it would swing. Soil does not
+throw a tool back: with what presses on it, W, it damps what is not slow,
+
+    F_soil = F + D,  D = -2 sqrt(M W / `UNLOADS`) (v' - u), within +-F up,                    (21)
+
+critically for a stiffness of W over `UNLOADS`, with a velocity u that follows v' within `SLOW`. It
+damps no more than it bears, and what sinks, climbs or descends evenly feels nothing of it, nor does
+a tool that an actuator holds up. At the floor of the terrain a tool rests.
 """
 
 from collections.abc import Callable
@@ -23,6 +32,9 @@ TOLERANCE = np.array([1e-7, 1e-7, 1e-6])
 SWEEPS, HALVINGS = 12, 60
 # First widths of a bracket: m, m, rad.
 WIDTH = np.array([1e-5, 1e-5, 1e-4])
+UNLOADS, SLOW = 0.002, 0.2  # m, s; of (21)
+# Of a tool that rests on the floor: m above it, and what bears it, N/m.
+ABOVE_FLOOR, FLOOR = 1e-6, 1e9
 
 
 class LoadedTool:
@@ -63,6 +75,7 @@ class LoadedTool:
                 raise ValueError(f'{name} is {values}: three numbers of at least 0 were expected')
         self._springs = np.array([stiffness, damping], np.float64)
         self.velocity = np.zeros(3)
+        self._slow = 0.0  # u of (21)
 
     def step(self, pose, force=(0.0, 0.0, 0.0), torque: float = 0.0, dt: float = DT) -> SoilFrame:
         """Moves the tool by dt s.
@@ -72,6 +85,9 @@ class LoadedTool:
           force: [3] N, world, on the tool beside soil, weight and actuators.
           torque: N m about the axis across, likewise.
           dt: s.
+
+        Returns:
+          the frame of `SoilStepper.step`; its force holds D of (21).
 
         Raises:
           ValueError: see `SoilStepper.step`; the tool and its velocity stay as they were.
@@ -85,29 +101,50 @@ class LoadedTool:
         stiffness, damping = self._springs
         coming = target.copy()
         coming[self._free] = (last + dt * self.velocity)[self._free]
+        lowest = np.full(3, -np.inf)
+        lowest[1] = stepper.terrain.floor + stepper.tool.radius + ABOVE_FLOOR
+        rests = 1 in self._free and not self._springs[:, 1].any()
+        damper = 2.0 * np.sqrt(rests * self._mass[0] * max(-given[1], 0.0) / UNLOADS)
+
+        def damped(frame, height):
+            """D of (21)."""
+            bears = max(float(frame.force[1]), 0.0)
+            excess = (height - last[1]) / dt - self._slow
+            return float(np.clip(-damper * excess, -bears, bears))
 
         def residual(axis, value):
             there = coming.copy()
             there[axis] = value
             frame = stepper.propose(self._pose(pose, there, target), dt)
             soil = [*(place.axes[:2] @ frame.force), place.across @ frame.torque]
+            soil[1] += damped(frame, there[1])
             rate = (value - last[axis]) / dt
             pull = stiffness[axis] * (target[axis] - value) - damping[axis] * rate
             inertia = self._mass[axis] * (rate - self.velocity[axis]) / dt
             return inertia - soil[axis] - given[axis] - pull
 
+        def over_floor(axis, value):
+            """The same, over a floor that gives hardly way."""
+            below = min(value - lowest[axis], 0.0)
+            return residual(axis, max(value, lowest[axis])) + FLOOR * below
+
         for _ in range(SWEEPS if len(self._free) > 1 else 1):
             before = coming.copy()
             for axis in self._free:
-                coming[axis] = root(
-                    lambda value, axis=axis: residual(axis, value), coming[axis], WIDTH[axis],
-                    TOLERANCE[axis],
+                found = root(
+                    lambda value, axis=axis: over_floor(axis, value),
+                    max(coming[axis], lowest[axis]), WIDTH[axis], TOLERANCE[axis],
                 )  # fmt: skip
+                coming[axis] = max(found, lowest[axis])
             if (np.abs(coming - before) <= TOLERANCE).all():
                 break
         frame = stepper.step(self._pose(pose, coming, target), dt)
+        force = frame.force + damped(frame, coming[1]) * UP
         self.velocity = (coming - last) / dt
-        return frame
+        self._slow += (self.velocity[1] - self._slow) * dt / (SLOW + dt)
+        if not frame.force[1] > 0:
+            self._slow = 0.0
+        return frame._replace(force=force)
 
     def _coordinates(self, pose):
         """u, y (m) and lean (rad) of a pose, from the place of the passage."""

@@ -358,6 +358,15 @@ def test_under_a_load():
     np.testing.assert_allclose(*ends, atol=1e-5)
 
 
+def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
+    way, forces = path(15, 0.2), []
+    for most in (0.02, 9.0):
+        frame, _ = drive(both(flat(), made=ranged(speed=[0.0, most])), way)
+        assert frame.reason.startswith('speed ') == (most < 1)
+        forces.append(frame.force)
+    assert np.abs(np.subtract(*forces)).max() > 1e-3
+
+
 def test_flags_word_for_word():
     place = dict(yaw=0.0, shift=(0.0, 0.0, 0.0))
     for name, value, message in (

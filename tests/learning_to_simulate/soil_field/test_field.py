@@ -95,3 +95,17 @@ def test_frames_outside_of_training_are_named():
     high = {'height': 0.5, 'area': 0.0}
     assert not reason(dict.fromkeys(names, 1.0), **high, lean=1.2, speed=9.0)
     assert 'half_width' in reason(**high, half_width=0.4)
+
+
+def test_a_tool_faster_than_any_taught_feels_what_the_fastest_did():
+    field = worlds.trained()[0]
+    frames, _, _ = samples.frames_of(worlds.run(3))
+    column, most = field.networks.scalars['speed'], field.ranges['speed'][1]
+
+    def loads(speed):
+        scalars = frames.scalars.copy()
+        scalars[..., column] = speed
+        return field.loads(frames._replace(scalars=scalars))
+
+    np.testing.assert_array_equal(loads(9.0), loads(most))
+    assert np.abs(loads(most) - loads(0.2 * most)).max() > 0

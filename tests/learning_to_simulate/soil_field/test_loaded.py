@@ -1,22 +1,31 @@
 """Tools under a load, against closed forms in soils that are springs."""
 
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from learning_to_simulate.soil_field.loaded import LoadedTool, root
+from learning_to_simulate.soil_field import loaded
+from learning_to_simulate.soil_field.loaded import ABOVE_FLOOR, LoadedTool, root
 from learning_to_simulate.soil_field.place import place_of
 from tests.learning_to_simulate.soil_field.scenes import poses
 
 MASS, G, DT = 20.0, 9.81, 0.004
 
 
+class Answer(NamedTuple):
+    pose: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+
+
 class Springs:
     """A stepper whose soil pulls u, y and lean back to 0 with a matrix K."""
 
     def __init__(self, stiffness=((0.0, 0.0, 0.0),) * 3):
-        self.terrain = SimpleNamespace(soil=SimpleNamespace(gravity=G))
+        self.terrain = SimpleNamespace(soil=SimpleNamespace(gravity=G), floor=-1.0)
+        self.tool = SimpleNamespace(radius=0.1)
         self.place, self._k = place_of(poses([[0, 0, 0]])[0]), np.asarray(stiffness, float)
         self.frame = self.propose(poses([[0.0, 0.0, 0.0]])[0], DT)
 
@@ -24,9 +33,7 @@ class Springs:
         u, y, _ = self.place.local(pose[:3])
         load = -self._k @ [u, y, self.place.turns(pose)[0]]
         vectors = self.place.vectors
-        return SimpleNamespace(
-            pose=pose, force=vectors([load[0], load[1], 0.0]), torque=vectors([0, 0, load[2]])
-        )
+        return Answer(pose, vectors([load[0], load[1], 0.0]), vectors([0, 0, load[2]]))
 
     def step(self, pose, dt):
         self.frame = self.propose(pose, dt)
@@ -105,3 +112,60 @@ def test_a_root_is_found_across_a_kink_and_none_is_said():
     assert root(lambda x: x, 0.0, 1e-5, 1e-9) == pytest.approx(0.0, abs=1e-8)
     with pytest.raises(ValueError, match='no pose holds the load'):
         root(lambda x: 1.0, 0.0, 1e-5, 1e-9)
+
+
+class Lagging(Springs):
+    """Soil whose force follows a spring late: left alone, a load on it swings ever higher."""
+
+    late = 0.0
+
+    def propose(self, pose, dt):
+        found = super().propose(pose, dt)
+        force = 0.2 * found.force + 0.8 * np.array([0.0, max(self.late, 0.0), 0.0])
+        return found._replace(force=np.maximum(force, 0.0))
+
+    def step(self, pose, dt):
+        frame = super().step(pose, dt)
+        self.late += 0.3 * (super().propose(pose, dt).force[1] - self.late)
+        return frame
+
+
+def test_soil_that_answers_late_does_not_throw_a_tool_back(monkeypatch):
+    def swing():
+        soil = Lagging(np.diag([0.0, 5e4, 0.0]))
+        tool, heights = LoadedTool(soil, MASS), []
+        for _ in range(300):
+            tool.step(REST, dt=DT)
+            heights.append(soil.coordinates[1])
+        return np.ptp(heights[-100:])
+
+    assert swing() < 1e-5
+    monkeypatch.setattr(loaded, 'UNLOADS', 1e9)  # nothing damps it
+    assert swing() > 1e-2
+
+
+def test_what_moves_evenly_is_not_damped_and_the_force_is_that_of_the_balance():
+    soil = Springs(np.diag([0.0, 2e5, 0.0]))
+    tool = LoadedTool(soil, MASS)
+    speed, sinks = 0.03, MASS * G / 2e5
+    pull = np.zeros(3)
+    for t in range(600):
+        before = tool.velocity[1]
+        pull[1] = -2e5 * speed * DT * t  # a load that grows
+        frame = tool.step(REST, pull, dt=DT)
+        balance = frame.force[1] + pull[1] - MASS * G - MASS * (tool.velocity[1] - before) / DT
+        assert balance == pytest.approx(0.0, abs=0.1)
+    assert tool.velocity[1] == pytest.approx(-speed, rel=1e-3)
+    assert soil.coordinates[1] == pytest.approx(-sinks - speed * DT * 599, abs=1e-5)
+
+
+def test_it_rests_on_the_floor_where_no_soil_bears_it():
+    soil = Springs()
+    tool = LoadedTool(soil, MASS)
+    for _ in range(150):  # 1 m of fall would take 110
+        tool.step(REST, dt=DT)
+    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR) and tool.velocity[1] == 0
+    tool.step(REST, (0.0, 2 * MASS * G, 0.0), dt=DT)
+    assert soil.coordinates[1] > -0.9 + 2 * ABOVE_FLOOR
+    tool.step(REST, (0.0, -9 * MASS * G, 0.0), dt=DT)  # it still rises; and is pressed back
+    assert soil.coordinates[1] == pytest.approx(-0.9 + ABOVE_FLOOR)

@@ -19,7 +19,7 @@ static lts_soil_result result;
 static double pose[7]; /* x y z, w x y z: JavaScript writes it */
 static double numbers[24];
 static char words[256];
-static double rate; /* m/s, up, of a tool that is free in height */
+static double rate, slow; /* m/s, up, of a tool that is free in height; what its motion is damped to */
 
 double *EXPORT(page_pose)(void) { return pose; }
 /* What `page_make` reads: width, radius, length, bucket, plates, lugs, lug height of the tool; cells (2), corner (2),
@@ -76,24 +76,41 @@ int EXPORT(page_make)(void) {
 
 int EXPORT(page_start)(void) {
   const lts_pose to = coming();
-  rate = 0.0;
+  rate = slow = 0.0;
   return lts_soil_start(soil, &to, &result);
 }
 
 /* To the pose within dt s. */
 int EXPORT(page_step)(double dt) {
   const lts_pose to = coming();
-  rate = 0.0;
+  rate = slow = 0.0;
   return lts_soil_step(soil, &to, dt, &result);
 }
+
+/* Of soil_field/loaded.py: m in which soil unloads, s in which it follows an even motion, m above the floor, and what
+ * bears there, N/m. */
+#define UNLOADS 0.002
+#define SLOW 0.2
+#define ABOVE_FLOOR 1e-6
+#define FLOOR 1e9
+
+/* What soil damps of a motion at a speed up, N: no more than it bears. */
+static double damped(double force, double speed, double mass, double weight) {
+  const double bears = fmax(force, 0.0), all = -2.0 * sqrt(mass * weight / UNLOADS) * (speed - slow);
+  return fmin(fmax(all, -bears), bears);
+}
+
+static double lowest(void) { return ground.floor + tool.radius + ABOVE_FLOOR; }
 
 /* By how much a mass at a height is held too little within dt s, N: backward Euler. */
 static int residual(lts_pose *to, double height, double mass, double weight, double dt, double *out) {
   lts_soil_result there;
+  const double below = fmin(height - lowest(), 0.0);
+  height -= below;
   to->position[1] = height;
   const int code = lts_soil_propose(soil, to, dt, &there);
-  const double last = result.pose.position[1];
-  *out = mass * ((height - last) / dt - rate) / dt - there.force[1] + weight;
+  const double speed = (height - result.pose.position[1]) / dt, force = there.force[1];
+  *out = mass * (speed - rate) / dt - force - damped(force, speed, mass, weight) + weight + FLOOR * below;
   return code;
 }
 
@@ -102,7 +119,7 @@ static int residual(lts_pose *to, double height, double mass, double weight, dou
 int EXPORT(page_sink)(double weight, double dt) {
   const double last = result.pose.position[1], mass = weight / ground.gravity;
   lts_pose to = coming();
-  double a = last + dt * rate, fa, b = a, fb;
+  double a = fmax(last + dt * rate, lowest()), fa, b = a, fb;
   int code = residual(&to, a, mass, weight, dt, &fa);
   if (code < 0) return code;
   double step = fa > 0.0 ? -1e-5 : 1e-5;
@@ -128,9 +145,13 @@ int EXPORT(page_sink)(double weight, double dt) {
     b = middle;
     fb = fm;
   }
-  to.position[1] = b;
+  to.position[1] = b = fmax(b, lowest());
   code = lts_soil_step(soil, &to, dt, &result);
-  if (code >= 0) rate = (b - last) / dt;
+  if (code < 0) return code;
+  const double force = result.force[1];
+  rate = (b - last) / dt;
+  result.force[1] += damped(force, rate, mass, weight);
+  slow = force > 0.0 ? slow + (rate - slow) * dt / (SLOW + dt) : 0.0;
   return code;
 }
 

@@ -19,7 +19,8 @@ enum {
   LTS_SOIL_DISTURBED = 5, LTS_SOIL_BESIDE = 6
 };
 #define LTS_SOIL_CHANNELS 6
-#define LTS_SOIL_CONDITIONS 7 /* the last of what is judged */
+#define LTS_SOIL_CONDITIONS 7   /* the last of what is judged */
+#define LTS_SOIL_JUDGED_SPEED 3 /* the number of the speed among what is judged */
 
 /* Scalars of a frame that come from the path; then memories [LTS_SOIL_MEMORIES][3], those of the tool, what is
  * carried, and the distance to the wall. */

@@ -88,6 +88,7 @@ static void find_judged(const lts_soil *soil, const lts_passage *p, const lts_po
     }
     values[i] = most;
   }
+  values[LTS_SOIL_JUDGED_SPEED] = (float)p->s.speed; /* of scalars at most what was taught */
   find_conditions(soil, p, pose, values + m->n_named + 4);
   if (find_ground(soil, p, fmax(values[1], values[2]), values + m->n_named)) return;
   for (int i = 0; i < m->n_judged; ++i) {

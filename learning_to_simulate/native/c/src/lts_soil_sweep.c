@@ -206,6 +206,8 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
   const double ahead = lts_terrain_ahead(soil->terrain, &w->place, soil->scale * w->pose[0]);
   const double below = w->pose[1] - soil->radius - soil->terrain->floor / soil->scale;
   const double owed = lts_soil_owed(soil, p);
+  /* Soil hardly knows time: a tool that is faster than any that was taught feels what the fastest did. */
+  const double speed = fmin(w->speed, m->limits[3 * m->n_judged + LTS_SOIL_JUDGED_SPEED]);
   for (int j = 0; j < w->n_strip; ++j) {
     float *s = soil->scalars[j];
     s[LTS_SOIL_TIP] = (float)(w->pose[0] - w->origin);
@@ -215,7 +217,7 @@ static void see_scalars(lts_soil *soil, const lts_passage *p) {
     /* Farther behind, as of a tool that goes on in the air, it tells nothing of what is near. */
     s[LTS_SOIL_FOREMOST] = (float)(fmax(w->foremost[j], w->pose[0] - m->window) - w->origin);
     s[LTS_SOIL_WAY] = (float)w->way;
-    s[LTS_SOIL_SPEED] = (float)w->speed;
+    s[LTS_SOIL_SPEED] = (float)speed;
     for (int i = 0; i < LTS_SOIL_MEMORIES; ++i) {
       for (int k = 0; k < 3; ++k) s[LTS_SOIL_MEMORY + 3 * i + k] = (float)w->memory[i][k];
     }
