@@ -9,9 +9,14 @@ spread sigma over members and the size mu of what is predicted,
 which 95 % of the frames of a run keep, for 9 of 10 runs like those of valid.
 """
 
+import math
+
 import numpy as np
 
 FRAMES_WITHIN, RUNS_WITHIN = 0.95, 0.9
+# How sure it is that so many of all further runs keep a bound, where there are runs enough to say;
+# how many runs of a kind have a bound of their own.
+SURE, ENOUGH = 0.8, 9
 LEAST = 3.0  # N: what any frame may be wrong by, however small all that is predicted
 
 
@@ -20,17 +25,16 @@ def bound(spreads, sizes, weights) -> np.ndarray:
     return _signs(spreads, sizes) @ np.asarray(weights)
 
 
-def calibrate(runs) -> list[float]:
+def calibrate(runs, kinds=None) -> list[float]:
     """The weights of a bound.
 
     A non-negative fit of the errors, each run counting alike, scaled by a conformal prediction over
     runs (Vovk et al. 2005, Algorithmic Learning in a Random World), since the frames of one run are
-    alike: the score of a run is the factor that 95 % of its frames need, and of n such runs the
-    factor is the score number 0.9 (n + 1). A further run, exchangeable with them, then has 95 % of
-    its frames within with a probability of at least 0.9; with fewer than nine runs, n / (n + 1).
+    alike: the score of a run is the factor that 95 % of its frames need, see `of_runs`.
 
     Args:
       runs: of valid, each (errors [F], spreads [F], sizes [F]).
+      kinds: of these runs, see `of_runs`.
     """
     from scipy import optimize  # a live step does not load it
 
@@ -39,18 +43,42 @@ def calibrate(runs) -> list[float]:
     share = np.concatenate([np.full(len(e), 1.0 / len(e)) for e, _, _ in runs])
     weights, _ = optimize.nnls(np.sqrt(share)[:, None] * signs, np.sqrt(share) * errors)
     weights[0] = max(weights[0], LEAST)
-    factor = of_runs(
+    scores = [
         np.quantile(e / (_signs(s, z) @ weights), FRAMES_WITHIN, method='higher')
         for e, s, z in runs
-    )
-    return (factor * weights).tolist()
+    ]
+    return (of_runs(scores, kinds) * weights).tolist()
 
 
-def of_runs(scores) -> float:
-    """The score that 9 of 10 further runs do not exceed, of those of n runs; see `calibrate`."""
-    ordered = sorted(float(score) for score in scores)
+def of_runs(scores, kinds=None) -> float:
+    """The score that 9 of 10 further runs do not exceed.
+
+    Of n scores in their order it is number k. With k = 0.9 (n + 1) a further run, exchangeable with
+    them, keeps it with a probability of at least 0.9 (conformal); but with these very n runs the
+    share that keeps it is often less. So k is the least with which that share is at least 0.9 with
+    a probability of `SURE` (Wilks 1941, Ann. Math. Stat. 12): of k of n, the binomial of n and 0.9
+    lies below k. With too few runs for that it is the largest.
+
+    Args:
+      scores: of n runs.
+      kinds: of them: the result is no less than that of any kind of which there are `ENOUGH`, since
+        nobody says in use of which kind a run is. None: all are of one.
+    """
+    scores = [float(score) for score in scores]
+    kinds = [''] * len(scores) if kinds is None else list(kinds)
+    groups = [[s for s, k in zip(scores, kinds, strict=True) if k == kind] for kind in set(kinds)]
+    return max(map(_of_kind, [scores, *(g for g in groups if len(g) >= ENOUGH)]))
+
+
+def _of_kind(scores):
+    ordered, below = sorted(scores), 0.0
     n = len(ordered)
-    return ordered[min(int(np.ceil(RUNS_WITHIN * (n + 1))), n) - 1]
+    conformal = min(int(np.ceil(RUNS_WITHIN * (n + 1))), n)
+    for k in range(1, n + 1):
+        below += math.comb(n, k - 1) * RUNS_WITHIN ** (k - 1) * (1 - RUNS_WITHIN) ** (n - k + 1)
+        if below >= SURE and k >= conformal:
+            return ordered[k - 1]
+    return ordered[-1]
 
 
 def _signs(spreads, sizes):

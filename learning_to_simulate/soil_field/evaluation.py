@@ -14,8 +14,9 @@ the model makes of it. Errors are those of frames H on, as of all methods, and o
   loads         `metrics.load_errors` along, up and across the way
 
 Bounds are calibrated on runs of valid (`bounds_of`) and judged on all: `bound_kept`, the share of
-frames inside of training whose force keeps its bound, and `near_95_mm`, below which the map near
-the tool is in 95 % of the frames, mm of the field.
+frames inside of training whose force keeps its bound, and `near_95_mm`, below which the error of
+the map near the tool is in 95 % of these frames, mm of the field, where the model has not moved it;
+where it has moved it by m (root mean squares over cells), (1 + m / 1 mm) times that.
 
 Beside the model stand persistence; the model under the load that moved the tool, where that was
 recorded (`runs.Machine`; free coordinates are predicted then); and a formula of the literature for
@@ -42,6 +43,8 @@ from learning_to_simulate.soil_field.stepper import SoilStepper
 from learning_to_simulate.soil_truth import PARTICLES
 
 NEAR, RISEN = 0.1, 0.003  # m of the field
+# m of the field: of a map that has moved by so much, twice the error of one at rest is as good.
+MOTION = 0.001
 # Name of the formula of a tool.
 FORMULAS = {'blade': 'earthmoving', 'wheel': 'bekker_wong_janosi'}
 # What the model is compared in, run by run.
@@ -168,14 +171,20 @@ def of_rollout(rollout: TerrainRollout, run: Run) -> dict:
 
 def _bound_figures(rollout, run):
     off = np.linalg.norm((rollout.force - run.force)[H:], axis=1)
-    late = slice(-(-H // run.stride), None)
-    apart = (rollout.heights - run.heights)[late][:, near(run)]
-    rows = 1e3 * np.sqrt((apart.astype(np.float64) ** 2).mean(axis=1)) / run.tool.scale
-    # What is not a number compares as false: it keeps no bound.
-    found = {'near_95_mm': float(np.quantile(rows, error_bound.FRAMES_WITHIN))}
-    inside = _inside(rollout)
+    inside, found = _inside(rollout), {}
+    known = slice(-(-H // run.stride), None)
+    maps = rollout.heights.astype(np.float64)[known][:, near(run)]
+    parts = run.heights[known][:, near(run)], run.before().heights[near(run)]
+    error, moved = (np.sqrt(((maps - other) ** 2).mean(axis=1)) for other in parts)
+    rows = 1e3 * error / run.tool.scale / (1.0 + moved / (run.tool.scale * MOTION))
+    at = inside[rollout.frames[known] - H]
+    if not np.isfinite(rows).all():  # a run that is refused keeps no bound
+        found['near_95_mm'] = float('nan')
+    elif at.any():
+        found['near_95_mm'] = float(np.quantile(rows[at], error_bound.FRAMES_WITHIN))
     if np.isfinite(rollout.bound).any() and inside.any():
         limit = rollout.bound[H:][inside]
+        # What is not a number compares as false: it keeps no bound.
         found['bound_kept'] = float((off[inside] <= limit).mean())
         found['bound_newton'] = float(limit.mean())
     return found
@@ -187,17 +196,18 @@ def _inside(rollout) -> np.ndarray:
 
 
 def bounds_of(results, rows: list[dict]) -> dict:
-    """Bounds of a field, in N and m of the field, which do not look at the kind of a run.
+    """Bounds of a field.
 
     Args:
-      results: of `SoilEvaluator.run`, of valid runs that no training has seen.
+      results: of `SoilEvaluator.run`, of valid runs: no training has seen them, and none has chosen
+        when a training ends, which is after the steps of its preset.
       rows: errors of the model on these.
 
     Returns:
       `SoilField.bounds`; {} where the field answers none of the runs. Runs that it refuses do not
       count, nor do frames that it flags.
     """
-    runs, lengths = [], []
+    runs, near, kinds = [], [], []
     for (_, _, rollout), row in zip(results, rows, strict=True):
         inside = _inside(rollout)
         if not inside.any():
@@ -205,12 +215,13 @@ def bounds_of(results, rows: list[dict]) -> dict:
         unit = rollout.tool.units(rollout.run.soil)[0]
         columns = rollout.force - rollout.run.force, rollout.spread, rollout.force
         runs.append(tuple(np.linalg.norm(x[H:][inside], axis=1) / unit for x in columns))
-        lengths.append(row['near_95_mm'])
+        near.append(row.get('near_95_mm', 0.0))
+        kinds.append(rollout.run.kind)
     if not runs:
         return {}
     return {
-        'force': error_bound.calibrate(runs),
-        'near_mm': error_bound.of_runs(lengths),
+        'force': error_bound.calibrate(runs, kinds),
+        'near_mm': error_bound.of_runs(near, kinds),
     }
 
 

@@ -48,8 +48,9 @@ class SoilField:
       config: how it was trained.
       networks: of it.
       ranges: name of a number of `judged` -> its range in training.
-      bounds: what `evaluation.bounds_of` found on valid runs, in N and m of the field: `force`, the
-        weights [3] of `error_bound.bound`; `near_mm` of the surface. {} where nothing was found.
+      bounds: what `evaluation.bounds_of` found on valid runs: `force`, the weights [3] of
+        `error_bound.bound` in N of the field; `near_mm`, of `near_95_mm` of `evaluation`. {} where
+        nothing was found.
       data: where its training data came from, for the record.
     """
 

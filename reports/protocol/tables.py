@@ -113,9 +113,10 @@ def bounds(*paths: str) -> str:
                 continue
             kept = [[k for k in s['errors'].get('bound_kept', []) if k is not None] for s in seeds]
             near = [
-                [v <= s['bounds']['near_mm'] for v in s['errors']['near_95_mm'] if v is not None]
+                [v <= s['bounds']['near_mm'] for v in s['errors'].get('near_95_mm', [])
+                 if v is not None]
                 for s in seeds
-            ]
+            ]  # fmt: skip
             sizes = [[n for n in s['errors']['bound_newton'] if n is not None] for s in seeds]
             ratios = [
                 s['error_flagged'] / s['error_inside']
@@ -133,7 +134,7 @@ def bounds(*paths: str) -> str:
             ])  # fmt: skip
     header = (
         'model', 'force: runs that keep it, %', 'its median, N', 'surface: runs that keep it, %',
-        'it, mm', 'frames flagged, %', 'their error over that of others',
+        'it at rest, mm', 'frames flagged, %', 'their error over that of others',
     )  # fmt: skip
     return markdown.table(header, rows)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from learning_to_simulate import error_bound
 
@@ -40,3 +41,20 @@ def test_few_runs_give_the_bound_of_the_worst_of_them():
     weights = error_bound.calibrate(runs)
     shares = kept(runs, weights)
     assert shares.min() >= 0.95 and (shares < 1.0).any()
+
+
+@pytest.mark.parametrize('count, number', [(9, 9), (22, 22), (30, 29), (60, 57), (200, 185)])
+def test_so_many_of_all_further_runs_keep_it_that_eight_of_ten_bounds_do(count, number):
+    scores = np.random.default_rng(2).permutation(count) / count  # of a uniform law: shares
+    assert error_bound.of_runs(scores) == (number - 1) / count
+    # What is to come keeps the bound with the k-th of n uniform numbers: a beta law.
+    kept = stats.beta(number, count + 1 - number).sf(0.9)
+    one_less = stats.beta(number - 1, count + 2 - number).sf(0.9)
+    assert (kept >= 0.8 or number == count) and one_less < 0.8
+
+
+def test_a_kind_with_runs_enough_has_its_bound_too():
+    scores = [1.0] * 70 + [2.0 + 0.01 * i for i in range(3)]
+    assert error_bound.of_runs(scores) == 1.0
+    assert error_bound.of_runs([*scores, *range(3, 12)], ['a'] * 73 + ['b'] * 9) == 11.0
+    assert error_bound.of_runs([*scores[:70], 3.0, 4.0], ['a'] * 70 + ['b'] * 2) == 1.0
